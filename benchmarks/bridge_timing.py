@@ -1,6 +1,7 @@
 """Latency and missed cycles of the graph on a rig behind UDP, compared with an empty rclpy echo at the same rate.
 
-usage: python -m benchmarks.bridge_timing [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback] [--monitor]
+usage: python -m benchmarks.bridge_timing [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback]
+                                          [--monitor | --compose]
 
 Each node is a process, over Fast DDS; the rig is `ehls rig-emulator` at 1 kHz on its own clock. A round is echo, graph, echo,
 so that both see the same state of the machine. The echo is the round trip of one small, reliable message per millisecond
@@ -8,6 +9,9 @@ between two processes with rclpy's events executor, at the nodes' realtime prior
 
 With --monitor, each round runs the graph twice, with and without `monitor_node`, in alternating order; the last line says what
 the monitor itself took.
+
+With --compose, each round runs the graph twice, with each node in a process and with those of the cycle in one, in alternating
+order. The response times of both are then the plant's: from snapshot to command taken.
 """
 
 import argparse
@@ -30,6 +34,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
 from benchmarks.graph_timing import answer_echoes, percentiles
+from benchmarks.processes import PARTS, Meter, Told, told_by_plant
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
@@ -44,11 +49,14 @@ ITSELF = (sys.executable, "-m", "benchmarks.bridge_timing")
 
 PERIOD = 1e-3
 ECHO_SECONDS = 10.0
+EMULATOR = "main"
+"""Module that the emulated rig runs as."""
+
 SPEC = config_folder() / "experiments" / "measured_sine_fd1.yaml"
 
 
-def be_asker() -> None:
-    """Print the round trips of one message per period [s]."""
+def be_asker(period: float = PERIOD) -> None:
+    """Print a line when it begins, one when it ends, and one with the round trips of one message per period [s]."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("asker")
     publisher = node.create_publisher(Float64, "there", 10)
@@ -65,13 +73,17 @@ def be_asker() -> None:
     exact_wake_ups()
     claim(REALTIME_PRIORITY)
     start = time.perf_counter() + 0.5
-    for cycle in range(round(ECHO_SECONDS / PERIOD)):
-        deadline = start + cycle * PERIOD
+    print("begin", flush=True)
+    for cycle in range(round(ECHO_SECONDS / period)):
+        deadline = start + cycle * period
         while (remaining := deadline - time.perf_counter()) > 0.0:
             executor.spin_once(timeout_sec=remaining)
         publisher.publish(Float64(data=time.perf_counter()))
     executor.spin_once(timeout_sec=0.1)
-    print(*trips[100:])
+    print("end", flush=True)
+    print(*trips[100:], flush=True)
+    # Whoever measures what it took has to find it.
+    time.sleep(0.5)
 
 
 def echo() -> np.ndarray:
@@ -81,7 +93,7 @@ def echo() -> np.ndarray:
     asking = subprocess.run([*ITSELF, "--be", "asker"], cwd=ROOT, env=environment, check=True, capture_output=True, text=True)
     answering.send_signal(signal.SIGINT)
     answering.wait(10)
-    return np.array([float(trip) for trip in asking.stdout.split()])
+    return np.array([float(trip) for trip in asking.stdout.splitlines()[-1].split()])
 
 
 class Cost(NamedTuple):
@@ -96,8 +108,15 @@ class Cost(NamedTuple):
     memory: float
 
 
-def graph(seconds: float, controller: str, watched: bool = False) -> tuple[Trajectory, Cost | None]:
-    """Run the graph on the emulated rig and return its recording, and what the monitor took if there was one."""
+def graph(
+    seconds: float, controller: str, watched: bool = False, compose: bool = False
+) -> tuple[Trajectory, Cost | None, Told, float]:
+    """Run the graph on the emulated rig.
+
+    Returns:
+        Its recording, what the monitor took if there was one, what the plant said last, and what a cycle took of a processor,
+        over all processes but the emulator [s].
+    """
     spec = load_spec(SPEC)
     spec = spec._replace(
         settings=spec.settings._replace(duration=seconds), controller=spec.controller._replace(name=controller)
@@ -110,9 +129,11 @@ def graph(seconds: float, controller: str, watched: bool = False) -> tuple[Traje
             run_folder = RunFolder.create(Path(folder) / "run", "bridge", overwrite=True)
             run_folder.write_spec(spec)
             with _monitor(Path(folder)) if watched else nullcontext() as process:
-                run_graph(spec, run_folder, "realtime", "mcap", plant=Plant("bridge"))
+                meter = Meter()
+                wall = run_graph(spec, run_folder, "realtime", "mcap", meter, Plant("bridge"), compose=compose)
                 cost = None if process is None else _cost(process.pid)
-            return read_bag(run_folder.bag), cost
+            per_cycle = sum(taken for name, taken in meter.per_cycle(spec.cycles / wall).items() if name != EMULATOR)
+            return read_bag(run_folder.bag), cost, told_by_plant(run_folder.bag), per_cycle
     finally:
         emulator.send_signal(signal.SIGINT)
         emulator.wait(20)
@@ -145,26 +166,49 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1, help="rounds of echo, graph, echo")
     parser.add_argument("--controller", default="fasmc_output_feedback", help="control law")
     parser.add_argument("--monitor", action="store_true", help="run each round with and without monitor_node")
+    parser.add_argument(
+        "--compose", action="store_true", help="run each round with the nodes apart and with the cycle in one process"
+    )
+    parser.add_argument("--period", type=float, default=PERIOD, help=argparse.SUPPRESS)
     parser.add_argument("--be", choices=("echo", "asker"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.be:
-        answer_echoes(REALTIME_PRIORITY) if options.be == "echo" else be_asker()
+        answer_echoes(REALTIME_PRIORITY) if options.be == "echo" else be_asker(options.period)
         sys.stdout.flush()
         os._exit(0)
     print(f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}")
     print("                                     p50      p99    p99.9      max  [us]")
     for number in range(options.rounds):
         before = echo()
+        if options.compose:
+            composed(options, number, before)
+            continue
         kinds = [False, True] if options.monitor else [False]
         runs = [(watched, *graph(options.seconds, options.controller, watched)) for watched in kinds[:: (-1) ** number]]
         floor = np.concatenate([before, echo()])
-        for watched, trajectory, cost in sorted(runs, key=lambda run: run[0]):
+        for watched, trajectory, cost, _, _ in sorted(runs, key=lambda run: run[0]):
             tell(f"{number + 1} snapshot to command" + (", monitored" if watched else ""), trajectory, floor)
             if cost is not None:
                 print(
                     f"  the monitor took {100 * cost.share:.1f} % of a processor, its start included, and {cost.memory:.0f} MiB"
                 )
         print(f"  empty rclpy echo, round trip      {percentiles(floor)}")
+
+
+def composed(options: argparse.Namespace, number: int, before: np.ndarray) -> None:
+    """Run the graph apart and composed, and print what its plant says of the answers beside the echo's round trips [s]."""
+    order = (False, True)[:: (-1) ** number]
+    runs = {compose: graph(options.seconds, options.controller, compose=compose) for compose in order}
+    floor = np.concatenate([before, echo()])
+    for compose, (trajectory, _, told, cost) in sorted(runs.items()):
+        what = f"{number + 1} {'composed' if compose else 'apart'}"
+        print(f"{what:34s}{''.join(f'{1e6 * told.response[part]:9.0f}' for part in PARTS)}")
+        lost = int(np.sum(~np.isfinite(trajectory["force_n"])))
+        print(
+            f"  {told.missed} missed of {len(trajectory)} cycles, {lost} lost in the bag, processor {1e6 * cost:.0f} us a cycle"
+        )
+    print(f"  ratio of processor time {runs[True][3] / runs[False][3]:.2f}")
+    print(f"  empty rclpy echo, round trip      {percentiles(floor)}")
 
 
 def tell(what: str, trajectory: Trajectory, floor: np.ndarray) -> None:

@@ -1,9 +1,14 @@
 """Speed of the node graph: lockstep cycles per second and realtime latency, compared with an empty rclpy echo.
 
-usage: graph_timing.py [--lockstep-seconds 10] [--realtime-seconds 30] [--rounds 5]
+usage: python -m benchmarks.graph_timing [--lockstep-seconds 10] [--realtime-seconds 30] [--rounds 5]
+                                         [--compose] [--period 1e-3]
 
 Each node is a process, over Fast DDS on this host. The echo is the lower bound: the round trip of one small, reliable message
 between two processes with rclpy's events executor. It has two hops, a cycle has three.
+
+With --compose, each round has a lockstep run and a realtime run with each node in a process and with those of the cycle in one,
+in alternating order, and an echo at one message per period; the table has medians and quartiles, and ratios within a round.
+Response times are the plant's: from snapshot to command taken. Processor time is that of all processes and threads.
 """
 
 import argparse
@@ -15,6 +20,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import rclpy
@@ -22,16 +28,50 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
+from benchmarks.processes import PARTS, Meter, Told, processor_time, spread, told_by_plant
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.hardware.realtime import claim, exact_wake_ups
+from ehls_ros.nodes.control import TIMINGS
 from ehls_ros.nodes.graph import graph_environment, run_graph
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
 
+ROOT = Path(__file__).resolve().parents[1]
+ITSELF = (sys.executable, "-m", "benchmarks.graph_timing")
+
 ECHOES = 5000
+
+
+class Run(NamedTuple):
+    """One run of the graph.
+
+    Attributes:
+        rate: cycles per second of wall time.
+        cost: processor time of a cycle, over all processes [s].
+        told: by the plant.
+        lost: snapshots that are not in the bag.
+    """
+
+    rate: float
+    cost: float
+    told: Told
+    lost: int
+
+
+def measured_run(spec: Spec, timing: str, *, compose: bool) -> Run:
+    """Run the graph once, recorded."""
+    meter = Meter()
+    with tempfile.TemporaryDirectory() as folder:
+        run_folder = RunFolder.create(Path(folder) / "run", "benchmark", overwrite=True)
+        run_folder.write_spec(spec)
+        wall = run_graph(spec, run_folder, timing, "mcap", meter, compose=compose)
+        trajectory = read_bag(run_folder.bag)
+        rate = spec.cycles / wall
+        lost = int(np.sum(~np.isfinite(trajectory["force_n"]))) + spec.cycles - len(trajectory)
+        return Run(rate, sum(meter.per_cycle(rate).values()), told_by_plant(run_folder.bag), lost)
 
 
 def run(spec: Spec, timing: str) -> tuple[Trajectory, float]:
@@ -71,7 +111,7 @@ def answer_echoes(priority: int = 0) -> None:
 def echo_round_trips() -> np.ndarray:
     """Return the round trips of an empty echo between two processes [s]."""
     os.environ.update(graph_environment())
-    process = subprocess.Popen([sys.executable, __file__, "--echo"], env=os.environ)
+    process = subprocess.Popen([*ITSELF, "--echo"], cwd=ROOT, env=os.environ)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("asker")
     times: list[float] = []
@@ -101,24 +141,85 @@ def echo_round_trips() -> np.ndarray:
     return np.array(times[100:])
 
 
+def paced_echo(period: float) -> tuple[np.ndarray, float]:
+    """Return the round trips of an empty echo, one per period [s], and what a round trip took of a processor [s]."""
+    environment = graph_environment()
+    echo = [sys.executable, "-m", "benchmarks.bridge_timing", "--period", str(period), "--be"]
+    answering = subprocess.Popen([*echo, "echo"], cwd=ROOT, env=environment)
+    asking = subprocess.Popen(
+        [*echo, "asker"],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert asking.stdout is not None  # noqa: S101
+    asking.stdout.readline()
+    before = processor_time(answering.pid) + processor_time(asking.pid)
+    asking.stdout.readline()
+    after = processor_time(answering.pid) + processor_time(asking.pid)
+    trips = np.array([float(trip) for trip in asking.stdout.readline().split()])
+    asking.wait(20)
+    answering.send_signal(signal.SIGINT)
+    answering.wait(20)
+    return trips, (after - before) / len(trips)
+
+
+def compare(lockstep: Spec, realtime: Spec, rounds: int) -> None:
+    """Print what the cycle in one process gains over each node in its own."""
+    period = realtime.settings.control_period
+    runs: dict[str, list[Run]] = {f"{timing}, {how}": [] for timing in TIMINGS for how in ("apart", "composed")}
+    echoes = []
+    for number in range(rounds):
+        for timing, spec in zip(TIMINGS, (lockstep, realtime), strict=True):
+            for compose in (False, True)[:: (-1) ** number]:
+                how = "composed" if compose else "apart"
+                runs[f"{timing}, {how}"].append(measured_run(spec, timing, compose=compose))
+        echoes.append(paced_echo(period))
+    print(f"{rounds} rounds: median (quartiles); load {os.getloadavg()[0]:.1f}")
+    for name, done in runs.items():
+        told = [one.told for one in done]
+        print(f"{name:20s} x real time {spread([one.rate * period for one in done], '.2f')}")
+        print(f"{'':20s} processor, us a cycle {spread([1e6 * one.cost for one in done], '.0f')}")
+        for part in PARTS:
+            print(f"{'':20s} response {part:6s} us {spread([1e6 * one.response[part] for one in told], '.0f')}")
+        print(f"{'':20s} missed {[one.missed for one in told]}, not in the bag {[one.lost for one in done]}")
+    for part, quantile in zip(PARTS, (50, 99, 99.9, 100), strict=True):
+        print(
+            f"{'empty echo':20s} round trip {part:6s} us {spread([1e6 * np.percentile(t, quantile) for t, _ in echoes], '.0f')}"
+        )
+    print(f"{'':20s} processor, us a round trip {spread([1e6 * cost for _, cost in echoes], '.0f')}")
+    for timing in TIMINGS:
+        pairs = list(zip(runs[f"{timing}, composed"], runs[f"{timing}, apart"], strict=True))
+        print(f"{timing}: composed / apart: rate {spread([one.rate / two.rate for one, two in pairs], '.2f')},", end=" ")
+        print(f"processor {spread([one.cost / two.cost for one, two in pairs], '.2f')}")
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lockstep-seconds", type=float, default=10.0, help="plant time of each lockstep run")
     parser.add_argument("--realtime-seconds", type=float, default=30.0, help="plant time of the realtime run")
     parser.add_argument("--rounds", type=int, default=5, help="lockstep runs")
+    parser.add_argument("--compose", action="store_true", help="compare the cycle in one process with each node in its own")
+    parser.add_argument("--period", type=float, default=1e-3, help="control period [s]")
     parser.add_argument("--echo", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.echo:
         answer_echoes()
         return
     spec = load_spec(config_folder() / "experiments" / "sine_fd2.yaml")
-    settings = spec.settings
+    settings = spec.settings._replace(control_period=options.period)
+    spec = spec._replace(settings=settings)
     print(
         f"{platform.machine()}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}, Python {platform.python_version()}"
     )
 
     lockstep = spec._replace(settings=settings._replace(duration=options.lockstep_seconds))
+    realtime = spec._replace(settings=settings._replace(duration=options.realtime_seconds))
+    if options.compose:
+        compare(lockstep, realtime, options.rounds)
+        return
     rates = []
     for number in range(options.rounds):
         trajectory, wall = run(lockstep, "lockstep")
@@ -127,7 +228,6 @@ def main() -> None:
     if rates:
         print(f"lockstep median {np.median(rates):.2f} x real time, {min(rates):.2f} to {max(rates):.2f}")
 
-    realtime = spec._replace(settings=settings._replace(duration=options.realtime_seconds))
     trajectory, _ = run(realtime, "realtime")
     metrics = evaluate(trajectory)
     lost = int(np.sum(~np.isfinite(trajectory["force_n"]))) + realtime.cycles - len(trajectory)

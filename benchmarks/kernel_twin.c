@@ -70,6 +70,7 @@ static inline double evaluate(double t, const double *y, const double *mode, con
     rate[XV] = p->valve_bandwidth * (p->valve_gain * c->inputs[U] - y[XV]);
 
     const double direction = sign(v);
+    const double relative = 1.0 / level;
     double largest = -mode[0] * y[XV];
     for (int i = 0; i < ELEMENTS; i++) {
         const double F = y[FRICTION + i], side = mode[1 + i];
@@ -78,7 +79,7 @@ static inline double evaluate(double t, const double *y, const double *mode, con
             rate[FRICTION + i] = f->element_stiffness[i] * v;
             value = direction * F - f->element_weight[i] * level;
         } else {
-            rate[FRICTION + i] = f->attraction_rate * (side * f->element_weight[i] - F / level);
+            rate[FRICTION + i] = f->attraction_rate * (side * f->element_weight[i] - F * relative);
             value = -side * v;
         }
         largest = value > largest ? value : largest;

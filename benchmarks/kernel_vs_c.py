@@ -78,6 +78,10 @@ class NumbaKernel:
 
         self._run = run
 
+    def become(self, rig: Rig) -> None:
+        """Go on as another rig without effects."""
+        self._constants = self._constants._replace(plant=rig.plant, friction=rig.friction)
+
     def run(self, motion: Motion) -> int:
         """Run a motion from the present state."""
         dense: int = self._run(self._constants._replace(steps=motion.steps), self._state, motion.inputs)
@@ -93,6 +97,10 @@ class CKernel:
         subprocess.run([*command, "-shared", "-fPIC", "-o", library, HERE / "kernel_twin.c", "-lm"], check=True)
         self._function = ctypes.CDLL(str(library)).run_cycles
         self.y, self.mode, self.inputs = np.zeros(7), np.zeros(4), np.zeros(7)
+        self.become(rig)
+
+    def become(self, rig: Rig) -> None:
+        """Go on as another rig without effects."""
         self._plant = np.array(rig.plant)
         self._friction = np.hstack([np.atleast_1d(value) for value in rig.friction])
 

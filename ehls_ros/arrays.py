@@ -3,7 +3,10 @@
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numba
 import numpy as np
+from numba.core.dispatcher import Dispatcher
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from ehls_ros.inlining import Inlined
@@ -27,6 +30,39 @@ def lean(function: _Function) -> _Function:
     For a function that passes many array views, counting their references would cost ten times the work itself.
     """
     return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False}))
+
+
+def direct(compiled: _Function, *arguments: Any) -> _Function:
+    """Return a compiled function's entry for arguments of certain types, compiled or loaded.
+
+    A call of the function itself finds out the types of its arguments each time: some 10 us for bundles of constants and
+    arrays, more than most kernels run for.
+
+    Args:
+        compiled: the function; it must live as long as its entry.
+        *arguments: an example; later ones must have the same types, and arrays the same dimensions, contiguous.
+    """
+    if not isinstance(compiled, Dispatcher):
+        return compiled
+    type_of: Callable[[Any], Any] = numba.typeof
+    return cast(_Function, compiled.compile(tuple(type_of(argument) for argument in arguments)))
+
+
+def plain(array: Array) -> Array:
+    """Return an array as a :func:`direct` entry takes it: of floats, contiguous; the array itself if it is that."""
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def compiler_function(build: Callable[..., Any], python: Callable[..., Any] | None = None) -> Callable[..., Any]:
+    """Make a function of compiled code from its intermediate code, which ``build`` types and writes.
+
+    Args:
+        build: see :func:`numba.extending.intrinsic`; its first argument is numba's.
+        python: takes its place where nothing is compiled.
+    """
+    if numba.config.DISABLE_JIT and python is not None:  # type: ignore[attr-defined]  # set when numba reads the environment
+        return python
+    return cast(Callable[..., Any], intrinsic(build))
 
 
 def in_python(compiled: _Function) -> _Function:

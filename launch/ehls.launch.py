@@ -5,6 +5,9 @@ instead. A second rig runs beside the first in its own namespace (``namespace:=r
 nodes are named ``rig2/...``, and in lockstep it needs its own ``clock:=/rig2/clock``.
 """
 
+import tempfile
+
+import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.launch_context import LaunchContext
@@ -15,6 +18,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.experiments.spec import check_law, chosen_spec
 from ehls_ros.nodes.frames import frame_prefix, robot_description
+from ehls_ros.nodes.together import PLUS, processes_of
 from launch import LaunchDescription
 
 ARGUMENTS = {
@@ -36,6 +40,11 @@ ARGUMENTS = {
         "realtime",
         "realtime: wall clock; lockstep: deterministic, as fast as the machine goes, with the time on the clock topic",
         ["realtime", "lockstep"],
+    ),
+    "compose": (
+        "false",
+        "true: the nodes of a control cycle are one process, in which a cycle is one call: much less time and processor",
+        ["true", "false"],
     ),
     "use_sim_time": ("false", "in realtime: the time is that of the clock topic; in lockstep it always is", ["true", "false"]),
     "clock": ("/clock", "clock topic", None),
@@ -99,22 +108,34 @@ def nodes(context: LaunchContext) -> list[Node]:
     own[plant] = {"partners": ",".join(name for name in own if name not in {*left_out, "monitor_node"})}
     if chosen["bridge"]:
         own[plant]["bridge"] = chosen["bridge"]
-    return [
-        Node(
-            package="ehls_ros",
-            # A controller of another package has no executable in this one; `ehls run` starts any.
-            executable="ehls" if name == controller else name,
-            arguments=["run", name] if name == controller else [],
-            name=name,
-            namespace=chosen["namespace"],
-            parameters=[*filter(None, [chosen["params_file"]]), {**common, **parameters}],
-            remappings=[("/clock", chosen["clock"])],
-            ros_arguments=["--log-level", chosen["log_level"]],
-            output="screen",
-        )
-        for name, parameters in own.items()
-        if name not in left_out
-    ]
+    own = {name: {**common, **parameters} for name, parameters in own.items() if name not in left_out}
+    processes = processes_of(list(own), compose=chosen["compose"] == "true")
+    return [_process(name, own, controller, chosen) for name in processes]
+
+
+def _process(name: str, own: dict[str, dict[str, object]], controller: str, chosen: dict[str, str]) -> Node:
+    """Return the process of one node, or of several whose names PLUS joins; each has its own parameters."""
+    together = PLUS in name
+    parameters: object = own.get(name)
+    if together:
+        by_node = {f"/**/{node}": {"ros__parameters": own[node]} for node in name.split(PLUS) if own[node]}
+        with tempfile.NamedTemporaryFile("w", prefix="ehls_", suffix=".yaml", delete=False) as file:
+            yaml.safe_dump(by_node, file)
+        parameters = file.name
+    # A controller of another package has no executable in this one; `ehls run` starts any.
+    by_ehls = together or name == controller
+    return Node(
+        package="ehls_ros",
+        executable="ehls" if by_ehls else name,
+        arguments=["run", name] if by_ehls else [],
+        # One name would be given to all nodes of the process.
+        name=None if together else name,
+        namespace=chosen["namespace"],
+        parameters=[*filter(None, [chosen["params_file"]]), parameters],
+        remappings=[("/clock", chosen["clock"])],
+        ros_arguments=["--log-level", chosen["log_level"]],
+        output="screen",
+    )
 
 
 def frames(context: LaunchContext) -> list[Node | LogInfo]:

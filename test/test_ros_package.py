@@ -36,6 +36,9 @@ ROSDEP_KEYS = {
 WITH_ROSBAGS = {"backports", "compression", "lz4"}
 """What rosbags needs itself, and brings; ``compression`` is Python's own from 3.14 on."""
 
+WITH_NUMBA = {"llvmlite"}
+"""What numba needs itself, and brings."""
+
 OPTIONAL = {"distributed", "fastapi", "foxglove", "nicegui", "orjson", "pyarrow", "pymoo", "pyswarms", "starlette", "uvicorn"}
 """What the extras bring."""
 
@@ -61,8 +64,13 @@ def imported() -> set[str]:
 def test_package_xml_asks_for_what_is_imported_and_nothing_else() -> None:
     manifest = ET.parse(ROOT / "package.xml").getroot()
     asked = {element.text for element in manifest.iter("exec_depend")}
-    needed = imported() - WITH_ROSBAGS - OPTIONAL - BY_NAME | LATE  # of BY_NAME, types alone are imported
+    needed = imported() - WITH_ROSBAGS - WITH_NUMBA - OPTIONAL - BY_NAME | LATE  # of BY_NAME, types alone are imported
     assert asked == {ROSDEP_KEYS.get(name, name) for name in needed}
+
+
+def test_numba_brings_what_writes_intermediate_code() -> None:
+    brought = " ".join(requires("numba") or [])
+    assert all(name in brought for name in WITH_NUMBA)
 
 
 def test_rosbags_brings_what_expands_bags() -> None:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, direct, plain
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
 from ehls_ros.control.company import Company
 from ehls_ros.control.composition import controller_kernel
@@ -70,11 +70,17 @@ class Controller:
         self._row = np.full(ROW, np.nan)
         self._nowhere, self._unknown = np.full(PLACE, np.nan), np.full(FORESEEN, np.nan)
         self.reset()
-        self._step(np.zeros(7), np.zeros(ROW), np.zeros(2), parameters, model, self._memory, self.status)
+        self._bind()
+        self._direct(np.zeros(7), np.zeros(ROW), np.zeros(2), parameters, model, self._memory, self.status)
         if self._follow is not None:
             self._follow(0.0, 0.0, self._memory)
         self.company.prepare()
         self.reset()
+
+    def _bind(self) -> None:
+        """Find the law's entry for the types of tuning and model."""
+        seen = np.zeros(7), np.zeros(ROW), np.zeros(2)
+        self._direct = direct(self._step, *seen, self.parameters, self.model, self._memory, self.status)
 
     def reset(self) -> None:
         """Forget everything but the tuning."""
@@ -93,6 +99,7 @@ class Controller:
         """
         self._keep_previous()
         self.parameters = parameters
+        self._bind()
 
     def adopt(self, model: Model) -> None:
         """Know the rig otherwise from the next step on, likewise without a bump.
@@ -102,6 +109,7 @@ class Controller:
         """
         self._keep_previous()
         self.model = model
+        self._bind()
 
     def _keep_previous(self) -> None:
         if self._previous is None:
@@ -159,7 +167,8 @@ class Controller:
             trial = self._memory.copy()
             old = self._step(measured, reference, friction, parameters, known._replace(period=model.period), trial, self.status)
             self._previous = None
-        command: float = self._step(measured, reference, friction, self.parameters, model, self._memory, self.status)
+        seen = plain(measured), plain(reference), plain(friction)
+        command: float = self._direct(*seen, self.parameters, model, self._memory, self.status)
         self._bump *= self._fade**elapsed
         if old is not None:
             self._bump += old - command

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ehls_ros.arrays import Array
+from ehls_ros.arrays import Array, direct
 from ehls_ros.control.composition import observer_kernel
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS
@@ -32,6 +32,7 @@ class FrictionEstimator:
         self.period = period
         self.parameters = parameters if parameters is not None else self._observer.Parameters()
         self.reset()
+        self._direct = direct(self._update, 0.0, period, rig.friction, self.parameters, self.state)
         for velocity in (0.0, 1e-3):
             self.update(velocity)
         self.reset()
@@ -50,7 +51,7 @@ class FrictionEstimator:
         Returns:
             The estimate as :mod:`ehls_ros.control.observers.base` lays it out; the same array every time.
         """
-        self._update(velocity, elapsed * self.period, self._rig.friction, self.parameters, self.state)
+        self._direct(velocity, elapsed * self.period, self._rig.friction, self.parameters, self.state)
         return self.state.estimate
 
     @property

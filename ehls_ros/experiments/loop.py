@@ -30,8 +30,9 @@ from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.spec import Spec, Use, check_spec, company_of, signal_kind, spec_to_mapping, uses_actuator
 from ehls_ros.physics.composition import compiled
+from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.plant import TEMPERATURE
-from ehls_ros.physics.plausibility import implausible
+from ehls_ros.physics.plausibility import Exceedance, implausible
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.physics.sensors import POSITION, VELOCITY
 from ehls_ros.physics.simulator import Constants, Simulated, Simulator, State, at_rest, parts_of, plant_kernel
@@ -199,6 +200,40 @@ class Implausible(WorkFailed):
     trajectory: Trajectory | None = None
 
 
+def control_of(spec: Spec) -> Control:
+    """Return a spec's observer and controller before the first cycle."""
+    believed = spec.controller_rig
+    law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
+    return Control(
+        friction=believed.friction,
+        compensation=spec.compensation.parameters,
+        observed=observer.state(believed.friction_law, believed.friction),
+        tuning=spec.controller.parameters,
+        model=model_of(believed, spec.settings.control_period),
+        memory=law.memory(spec.controller.parameters),
+        status=np.zeros(STATUS_SIZE),
+    )
+
+
+def impossible(record: Array, truth: Array, limits: Limits) -> Exceedance | None:
+    """Return the first of some cycles in which a run came to what cannot be, or None.
+
+    Args:
+        record: rows of the cycles, which begin with the readings and the command.
+        truth: true values of the sensed signals at the last of them; a sensor may hide what the rig itself comes to.
+        limits: the rig's limits.
+    """
+    lost = implausible(record[:, : len(SENSED) + 1], limits)
+    hidden = implausible(truth[np.newaxis], limits)
+    return hidden._replace(row=len(record) - 1) if lost is None and hidden is not None else lost
+
+
+def ended(spec: Spec, first: int, lost: Exceedance) -> Implausible:
+    """Return the error of a run that ended in one of the cycles from ``first`` on."""
+    time = (first + lost.row) * spec.settings.control_period
+    return Implausible(f"the run ended at {time:g} s of {spec.settings.duration:g} s: {lost.what}")
+
+
 class ClosedLoop:
     """A spec's plant, observer and controller in one compiled loop.
 
@@ -221,23 +256,11 @@ class ClosedLoop:
         if check:
             check_spec(spec, spec.settings.title)
         self._spec = spec
-        period = spec.settings.control_period
         self._plant = plant_of(spec)
-        believed = spec.controller_rig
-        law, observer = CONTROLLERS.load(spec.controller.name), OBSERVERS.load(spec.compensation.name)
-        model = model_of(believed, period)
-        self.company = company_of(spec, model, spec.settings.title)
+        self._control = control_of(spec)
+        self.company = company_of(spec, self._control.model, spec.settings.title)
         self.company.prepare()
         self._run_compiled = loop_kernel(spec).run
-        self._control = Control(
-            friction=believed.friction,
-            compensation=spec.compensation.parameters,
-            observed=observer.state(believed.friction_law, believed.friction),
-            tuning=spec.controller.parameters,
-            model=model,
-            memory=law.memory(spec.controller.parameters),
-            status=np.zeros(STATUS_SIZE),
-        )
         self.columns = Columns.of(self._control.observed.estimate.size)
         self.dense = 0
         nothing = np.empty((0, self.columns.status.stop))
@@ -308,17 +331,11 @@ class ClosedLoop:
                     record[:, self.columns.status],
                 )
                 self._control = self._control._replace(model=self.company.done(past, self._control.model))
-            # A sensor may hide what the rig itself comes to.
-            lost = implausible(record[:, : self.columns.command + 1], spec.rig.limits)
-            hidden = implausible(self._plant.state.truth[np.newaxis], spec.rig.limits)
-            if lost is None and hidden is not None:
-                lost = hidden._replace(row=count - 1)
+            lost = impossible(record, self._plant.state.truth, spec.rig.limits)
             end = count if lost is None else lost.row + 1
             yield Block(first, record[:end], wanted[:end], disturbance[:end])
             if lost is not None:
-                raise Implausible(
-                    f"the run ended at {(first + lost.row) * period:g} s of {spec.settings.duration:g} s: {lost.what}"
-                )
+                raise ended(spec, first, lost)
             first += count
         self.company.save()
 
@@ -356,9 +373,9 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
             if progress is not None:
                 progress(done, spec.cycles)
     except Implausible as error:
-        error.trajectory = _trajectory(spec, loop.columns, record[:done], reference[:done], disturbance[:done])
+        error.trajectory = trajectory_of(spec, loop.columns, record[:done], reference[:done], disturbance[:done])
         raise
-    return _trajectory(spec, loop.columns, record, reference, disturbance)
+    return trajectory_of(spec, loop.columns, record, reference, disturbance)
 
 
 def run_as_far_as_it_goes(
@@ -407,15 +424,25 @@ def run_in_stretches(spec: Spec, later: Sequence[tuple[float, Rig]] = ()) -> Ite
     loop = ClosedLoop(spec)
     waiting = list(later)
     for block in loop.blocks():
-        yield _trajectory(spec, loop.columns, block.record, block.reference, block.disturbance, block.first)
+        yield trajectory_of(spec, loop.columns, block.record, block.reference, block.disturbance, block.first)
         end = (block.first + len(block.record)) * spec.settings.control_period
         while waiting and end >= waiting[0][0]:
             loop.become(waiting.pop(0)[1])
 
 
-def _trajectory(
+def trajectory_of(
     spec: Spec, columns: Columns, record: Array, reference: Array, disturbance: Array, first: int = 0
 ) -> Trajectory:
+    """Return some cycles on end as signals.
+
+    Args:
+        spec: the experiment.
+        columns: layout of the record.
+        record: a row per cycle.
+        reference: the reference and its first and second derivative in them, shape (n, 3).
+        disturbance: force, its rate, displacement, velocity, shape (n, 4).
+        first: number of the first cycle.
+    """
     signals: dict[str, Array] = {}
     signals.update(zip(LOADER_STATE.signals.values(), record[:, columns.measured].T, strict=True))
     signals["valve_command_m"] = record[:, columns.command]

@@ -11,6 +11,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from ehls_ros.errors import BadInput
+
 SPIN = 50e-6
 """Busy-wait before a deadline, since a sleeper wakes late [s]."""
 
@@ -91,6 +93,37 @@ def prefer(chosen: Iterable[int], priority: int) -> None:
     """
     for thread in chosen:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def processors_of(text: str, where: str) -> frozenset[int]:
+    """Return the processors that a text names, such as ``1`` or ``0,2-3``; none if it is empty.
+
+    Args:
+        text: numbers and ranges, separated by commas.
+        where: who says so, for errors.
+
+    Raises:
+        BadInput: it is no such list, or this process may not use one of them.
+    """
+    allowed = os.sched_getaffinity(0)
+    chosen: set[int] = set()
+    try:
+        for part in filter(None, text.split(",")):
+            first, dash, last = part.partition("-")
+            chosen |= set(range(int(first), int(last if dash else first) + 1))
+    except ValueError:
+        chosen = {-1}
+    if not chosen <= allowed or (text and not chosen):
+        expected = f"some of {','.join(map(str, sorted(allowed)))}, such as {max(allowed)} or {min(allowed)}-{max(allowed)}"
+        raise BadInput(f"processors is '{text}'", where, expected)
+    return frozenset(chosen)
+
+
+def keep_to(processors: Collection[int]) -> None:
+    """Let all threads of this process, and those they start, use only these processors."""
+    for thread in threads():
+        with suppress(ProcessLookupError):
+            os.sched_setaffinity(thread, processors)
 
 
 @contextmanager

@@ -10,11 +10,12 @@ import numpy as np
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.observers.rig_model import Motion as Straight
 from ehls_ros.control.observers.rig_model import driven
+from ehls_ros.duals import dual_array, dual_record, record_rows, width_of
 from ehls_ros.identification.motion import Motion
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel
-from ehls_ros.physics.integration import WORK_ROWS
+from ehls_ros.physics.integration import WORK_ROWS, integrator
 
 MOST_PARTS = 60
 """Most parts into which a block is divided."""
@@ -36,7 +37,7 @@ class Run(NamedTuple):
 
 def build(friction: FrictionModel) -> Run:
     """Build the run of one friction model along a motion."""
-    level, force, advance = friction.level, friction.force, driven(friction)
+    level, force, advance = friction.level, friction.force, integrator(*driven(friction))
     relaxation_rate = kernel(friction.relaxation_rate)
 
     @kernel
@@ -77,11 +78,48 @@ def build(friction: FrictionModel) -> Run:
     return Run(run)
 
 
+MOST_TANGENTS = 14
+"""Most tangents of :func:`slopes_along`."""
+
+WIDTH = width_of(MOST_TANGENTS)
+"""Width of its duals."""
+
+
+class Rows(NamedTuple):
+    """Duals as rows of floats: parameters, forces, and scratch of the integrator; and the modes."""
+
+    friction: Array
+    forces: Array
+    mode: Array
+    work: Array
+
+
+def build_slopes(friction: FrictionModel) -> Run:
+    """Build the run of one friction model along a motion, with derivatives by the parameters."""
+    run_model = build(friction).run
+
+    @kernel
+    def run(velocity: Array, fresh: Any, period: float, friction: Any, rows: Rows, out: Array) -> None:
+        """Run the model; ``friction`` has the names of the parameters, and ``out`` the shape (n, WIDTH)."""
+        contact = Contact(dual_array(rows.forces, WIDTH), rows.mode, dual_array(rows.work, WIDTH))
+        run_model(velocity, fresh, period, dual_record(rows.friction, WIDTH, friction), contact, dual_array(out, WIDTH))
+
+    return Run(run)
+
+
 @cache
 def compiled_run(model: str) -> Callable[..., None]:
     """Compile (or load) the run of a friction model."""
     arguments = "velocity, fresh, period, friction, contact, out"
     run: Callable[..., None] = compiled(build, {"run": arguments}, {"friction": FRICTION_MODELS.load(model)}).run
+    return run
+
+
+@cache
+def compiled_slopes(model: str) -> Callable[..., None]:
+    """Compile (or load) the run of a friction model with derivatives."""
+    arguments = "velocity, fresh, period, friction, rows, out"
+    run: Callable[..., None] = compiled(build_slopes, {"run": arguments}, {"friction": FRICTION_MODELS.load(model)}).run
     return run
 
 
@@ -98,3 +136,20 @@ def force_along(motion: Motion, model: str, friction: Any) -> Array:
     contact = Contact(np.zeros(elements), np.zeros(elements), np.empty((WORK_ROWS, elements)))
     compiled_run(model)(motion.velocity, motion.fresh, motion.period, friction, contact, out)
     return out
+
+
+def slopes_along(motion: Motion, model: str, friction: Any) -> Array:
+    """Return the derivatives of what :func:`force_along` returns, shape (n, tangents) [N].
+
+    Args:
+        motion: the motion, n blocks.
+        model: name of the friction model.
+        friction: its parameters, of which some are :class:`~ehls_ros.duals.Dual`.
+    """
+    elements, out = FRICTION_MODELS.load(model).states(friction), np.empty((len(motion.velocity), WIDTH))
+    # The names alone, so that one kernel serves any number of elements.
+    names = type(friction)(*(() if isinstance(p, tuple) else 0.0 for p in friction))
+    forces, work = np.zeros((elements, WIDTH)), np.zeros((WORK_ROWS, elements, WIDTH))
+    rows = Rows(record_rows(friction, WIDTH), forces, np.zeros(elements), work)
+    compiled_slopes(model)(motion.velocity, motion.fresh, motion.period, names, rows, out)
+    return out[:, 1:]

@@ -8,9 +8,10 @@ import numpy as np
 import scipy
 
 from ehls_ros.arrays import Array
+from ehls_ros.duals import exp, value_of
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import joint
-from ehls_ros.identification.along import force_along
+from ehls_ros.identification.along import force_along, slopes_along
 from ehls_ros.identification.balance import Recorded
 from ehls_ros.identification.joint import REACH, JointFit, Problem, Start
 from ehls_ros.identification.motion import Motion, slides
@@ -72,11 +73,12 @@ class Axis(NamedTuple):
         value = getattr(friction, self.parameter)
         return self.coordinate(value if self.entry is None else value[self.entry])
 
-    def value(self, coordinate: float) -> float:
+    def value(self, coordinate: Any) -> Any:
         """Return the value at a coordinate, a limit of its range where only rounding lies between."""
-        value = coordinate * self.scale if self.scale else math.exp(coordinate)
-        limit = min(max(value, self.low), self.high)
-        return limit if math.isclose(value, limit, rel_tol=1e-9) else value
+        value = coordinate * self.scale if self.scale else exp(coordinate)
+        limit = min(max(value_of(value), self.low), self.high)
+        # The sum is the limit exactly, and a dual keeps its tangents.
+        return value + (limit - value_of(value)) if math.isclose(value_of(value), limit, rel_tol=1e-9) else value
 
 
 class DeclaredCoordinates(NamedTuple):
@@ -148,6 +150,10 @@ class DeclaredCoordinates(NamedTuple):
         """Return the mean friction force in each block of a motion, without the viscous part, shape (n,) [N]."""
         return force_along(motion, self.model, friction)
 
+    def slopes(self, motion: Motion, friction: Any) -> Array:
+        """Return the derivatives of the force by the tangents of a friction of duals, shape (n, tangents) [N]."""
+        return slopes_along(motion, self.model, friction)
+
 
 def _has_rise(friction: Any) -> bool:
     return {"coulomb_force", "static_force"} <= set(friction._fields)
@@ -213,7 +219,8 @@ def fit_declared(
     free = tuple(name for name in coordinates.names if name not in told.free)
     if not small:
         remark = "No presliding is recorded: parameters that sliding does not tell are the rig file's."
-        return DeclaredFit(joint.placed(joint.fit(far, told), wide, motions), (remark,) if free and not rigid else ())
+        fit = joint.with_doubt(joint.fit(far, told), far)
+        return DeclaredFit(joint.placed(fit, wide, motions), (remark,) if free and not rigid else ())
     tell("presliding")
     begin = _best_fit(near, told._replace(free=free)).friction if free else told.friction
     both = sorted([*small, *wide])

@@ -5,14 +5,14 @@ Other models are fitted by :mod:`ehls_ros.identification.declared`.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import joint, presliding
-from ehls_ros.identification.along import MOST_PARTS, force_along
+from ehls_ros.identification.along import MOST_PARTS, force_along, slopes_along
 from ehls_ros.identification.balance import Recorded, check_unit, linear_columns
 from ehls_ros.identification.joint import REACH, Coordinates, JointFit, Start
 from ehls_ros.identification.motion import Motion, slides
@@ -83,7 +83,7 @@ class ElementCoordinates(NamedTuple):
     def unpack(self, z: Array) -> Friction:
         """Return the friction at coordinates ``z``, without its viscous part."""
         coulomb, rise, velocity, exponent, rate, *stiffness = np.exp(z[: 5 + self.elements]).tolist()
-        weight = np.exp(np.append(z[5 + self.elements :], 0.0))
+        weight = np.append(np.exp(z[5 + self.elements :]), 1.0)
         return Friction(
             coulomb_force=coulomb,
             static_force=coulomb + rise,
@@ -110,6 +110,10 @@ class ElementCoordinates(NamedTuple):
     def force(self, motion: Motion, friction: Friction) -> Array:
         """Return the mean total force of the elements in each block, shape (n,) [N]."""
         return force_along(motion, MODEL, friction)
+
+    def slopes(self, motion: Motion, friction: Any) -> Array:
+        """Return the derivatives of the force by the tangents of a friction of duals, shape (n, tangents) [N]."""
+        return slopes_along(motion, MODEL, friction)
 
 
 class ElementsFit(NamedTuple):

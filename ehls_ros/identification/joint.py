@@ -13,13 +13,12 @@ import numpy as np
 import scipy
 
 from ehls_ros.arrays import Array
+from ehls_ros.duals import Dual
+from ehls_ros.identification.along import MOST_TANGENTS
 from ehls_ros.identification.balance import Recorded, linear_columns
-from ehls_ros.identification.covariance import clustered_covariance, correlation_time, normal_covariance
+from ehls_ros.identification.covariance import DOUBT, clustered_covariance, correlation_time, normal_covariance
 from ehls_ros.identification.motion import Motion
 from ehls_ros.samples import GAUSS
-
-STEP = 1e-4
-"""Step of the numerical derivatives, in searched coordinates."""
 
 REACH = 4.0
 """How far a logarithm may move from its start: a factor of 55 either way."""
@@ -48,7 +47,7 @@ class Coordinates(Protocol):
         """Return the coordinates of a friction, shape (len(names),)."""
 
     def unpack(self, z: Array) -> Any:
-        """Return the friction at coordinates ``z``; a viscous part that the linear coefficients hold is 0."""
+        """Return the friction at coordinates ``z``, maybe duals; a viscous part that the linear coefficients hold is 0."""
 
     def bounds(self, z: Array, period: float) -> tuple[Array, Array]:
         """Return the lowest and the highest coordinates of a search.
@@ -60,6 +59,9 @@ class Coordinates(Protocol):
 
     def force(self, motion: Motion, friction: Any) -> Array:
         """Return the mean friction force in each block of a motion, shape (n,) [N]."""
+
+    def slopes(self, motion: Motion, friction: Any) -> Array:
+        """Return the derivatives of the force by the tangents of a friction of duals, shape (n, at least tangents) [N]."""
 
 
 class Start(NamedTuple):
@@ -169,13 +171,28 @@ class Problem:
         solution: Array = scipy.linalg.solve_triangular(self._r, self._q.T @ self.unexplained(free))
         return solution
 
+    def slopes(self, free: Array) -> Array:
+        """Return the derivatives of :meth:`unexplained`, shape (n, free coordinates)."""
+        z, columns = self.complete(free).tolist(), list[Array]()
+        searched = np.flatnonzero(self._searched)
+        for first in range(0, len(free), MOST_TANGENTS):
+            varied = searched[first : first + MOST_TANGENTS]
+            lanes = np.zeros((len(z), len(varied)))
+            lanes[varied] = np.eye(len(varied))
+            friction = self._coordinates.unpack(np.array([Dual(value, lane) for value, lane in zip(z, lanes, strict=True)]))
+            slopes = [self._coordinates.slopes(m, friction)[:, : len(varied)] for m in self._recorded.motions]
+            columns.append(-self._stacked(slopes))
+        return np.concatenate(columns, axis=1) if columns else np.empty((len(self.rows), 0))
+
     def jacobian(self, free: Array) -> Array:
-        """Return the derivatives of :meth:`residuals`, by forward differences."""
-        return derivatives(self.residuals, free)
+        """Return the derivatives of :meth:`residuals`."""
+        total = self.slopes(free)
+        projected: Array = total - self._q @ (self._q.T @ total)
+        return projected
 
     def design(self, free: Array) -> Array:
         """Return the derivatives of the fitted force by the free coordinates and the linear coefficients [1/deviation]."""
-        return np.column_stack([-derivatives(self.unexplained, free), self.rows])
+        return np.column_stack([-self.slopes(free), self.rows])
 
     def forces_left(self, free: Array) -> list[Array]:
         """Return measured less fitted force in every block of every recording, usable or not [N]."""
@@ -184,17 +201,6 @@ class Problem:
             m.force - self._coordinates.force(m, friction) - columns @ coefficients
             for m, columns in zip(self._recorded.motions, self._columns, strict=True)
         ]
-
-
-def derivatives(function: Callable[[Array], Array], at: Array) -> Array:
-    """Return the derivatives of a function by forward differences, shape (n, len(at))."""
-    base = function(at)
-    columns = np.empty((len(base), len(at)))
-    for i in range(len(at)):
-        moved = at.copy()
-        moved[i] += STEP
-        columns[:, i] = (function(moved) - base) / STEP
-    return columns
 
 
 Turned = Callable[[Motion, Array, Any], Motion]
@@ -272,6 +278,22 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
         residuals=tuple(np.where(u, r, np.nan) for r, u in zip(left, recorded.usable, strict=True)),
         converged=converged,
     )
+
+
+def with_doubt(fit: JointFit, recorded: Recorded) -> JointFit:
+    """Return a fit whose covariance counts that what was not searched for may be wrong, by as much as without any data.
+
+    Args:
+        fit: the fit.
+        recorded: its recordings.
+    """
+    usable = tuple(np.isfinite(residuals) for residuals in fit.residuals)
+    everything = Start(fit.coordinates, fit.friction, fit.coordinates.names)
+    problem = Problem(recorded._replace(usable=usable), everything, fit.z, fit.noise)
+    slopes, searched = problem.slopes(fit.z), np.array([name in fit.free for name in fit.coordinates.names])
+    # What is fitted moves with what is held, so as to keep the force.
+    moved = np.linalg.lstsq(np.column_stack([-slopes[:, searched], problem.rows]), slopes[:, ~searched])[0]
+    return fit._replace(covariance=fit.covariance + DOUBT**2 * moved @ moved.T)
 
 
 def _finite(recorded: Recorded) -> Recorded:

@@ -12,7 +12,7 @@ from ehls_ros.control.references.base import SampledReference
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import signal_kind, uses_actuator
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, ControlNode
+from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class, newest_qos
 from ehls_ros.recording.topics import ACTUATOR_TOPICS
 
@@ -20,7 +20,17 @@ LEAD = 200
 """Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
 
 REST = 0.005
-"""In realtime, time between two looks of a signal of time alone at the newest snapshot [s]."""
+"""In realtime, longest time between two looks at the newest snapshot, where the loop shares its process or may be few cycles
+ahead [s]."""
+
+LONG_REST = 0.02
+"""The same where neither holds: each look wakes up all who read what it sends [s]."""
+
+SHARE = 0.1
+"""Largest part of the cycles ahead that may pass between two looks."""
+
+ROWS_TOGETHER = 5
+"""Cycles between two looks of a loop that shares its process: more rows at once could delay the next cycle."""
 
 
 class AheadNode(ControlNode):
@@ -61,7 +71,7 @@ class AheadNode(ControlNode):
             self.actuator = Outbox(self, message_class(topic.type), topic.name), signal
         if self.lead == 1:
             self.progress = Inbox(self, LoaderState, "loader_state")
-        elif self.lockstep:
+        elif self.lockstep and self.links is None:
             self.progress = Inbox(self, Clock, CLOCK_TOPIC, control_qos(1), self._cycle_of_clock)
         else:
             self.progress = Inbox(self, LoaderState, "loader_state", newest_qos())
@@ -70,6 +80,9 @@ class AheadNode(ControlNode):
         self.last = -1
         self.epoch_ns = 0
         self.moved = time.perf_counter()
+        period = self.spec.settings.control_period
+        self.pause = min(REST, ROWS_TOGETHER * period) if self.hosted else min(LONG_REST, SHARE * self.lead * period)
+        self.resting = 0.0
 
     def _cycle_of_clock(self, message: bytes) -> tuple[int, int]:
         """Return stamp [ns] and cycle, the first two fields of a loader_state."""
@@ -91,9 +104,21 @@ class AheadNode(ControlNode):
         self.epoch_ns = 0 if self.lockstep else self.now_ns() or 0
         self._publish_to(self.lead - 1, None)
 
+    def awaited_inputs(self) -> Waiter:
+        """Return what tells the cycle."""
+        return self.waiter
+
     def once(self) -> None:
         """Publish up to ``lead`` cycles beyond the newest one."""
-        self.waiter.wait(WAIT)
+        super().once()
+        if self.lead > 1 and not self.lockstep:
+            time.sleep(self.pause)
+
+    def react(self) -> bool:
+        """Publish up to ``lead`` cycles beyond the newest one, if there is a newer one."""
+        before = self.next
+        if self.hosted and self.lead > 1 and not self.lockstep and self._rests():
+            return False
         while (state := self.progress.take()) is not None:
             stamp, cycle = state[:2]
             if cycle < self.last or cycle > self.next:
@@ -102,10 +127,17 @@ class AheadNode(ControlNode):
             self.last, self.moved = cycle, time.perf_counter()
             self.epoch_ns = stamp - round(cycle * self.period_ns)
             self._publish_to(cycle + self.lead, state if self.lead == 1 else None)
-        if self.lead > 1 and not self.lockstep:
-            time.sleep(REST)
-        elif self.lead > 1 and time.perf_counter() - self.moved > PATIENCE:
+        if self.lead > 1 and self.lockstep and time.perf_counter() - self.moved > PATIENCE:
             self._repeat()
+        return self.next != before
+
+    def _rests(self) -> bool:
+        """Tell whether the next look at the newest snapshot can wait, where the loop must not sleep."""
+        now = time.perf_counter()
+        if now < self.resting:
+            return True
+        self.resting = now + self.pause
+        return False
 
     def _repeat(self) -> None:
         """Publish the rows ahead again: the cycles may wait for a reader that receives nothing sent before it was matched."""

@@ -6,7 +6,7 @@ layout for a given frame name and given lengths of the sequences.
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 NANOSECONDS = 1_000_000_000
@@ -92,6 +92,30 @@ class Encoder:
         """
         frame, stamp = self._frame, divmod(stamp_ns, NANOSECONDS)
         return self._pack(b"\0\1\0\0", *stamp, len(frame), frame, *values, *self._sender)
+
+
+class Template:
+    """A message serialised once, in which only the stamp and some numbers change."""
+
+    def __init__(self, serialised: bytes, marks: Sequence[float], *, stamped: bool) -> None:
+        """Find the numbers.
+
+        Args:
+            serialised: an example, little endian.
+            marks: its numbers that are to change, each found nowhere else in it.
+            stamped: whether it begins with a header.
+        """
+        self._bytes = bytearray(serialised)
+        self._stamped = stamped
+        self._places = [serialised.index(struct.pack("<d", mark)) for mark in marks]
+
+    def __call__(self, stamp_ns: int, values: Sequence[float]) -> bytes:
+        """Return the message with a stamp [ns] and numbers, in the order of the marks."""
+        if self._stamped:
+            struct.pack_into("<iI", self._bytes, _ENCAPSULATION, *divmod(stamp_ns, NANOSECONDS))
+        for place, value in zip(self._places, values, strict=True):
+            struct.pack_into("<d", self._bytes, place, value)
+        return bytes(self._bytes)
 
 
 class Decoder:

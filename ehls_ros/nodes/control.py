@@ -10,14 +10,14 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, NamedTuple, NoReturn
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -28,9 +28,11 @@ from rclpy.signals import SignalHandlerOptions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import chosen_spec
 from ehls_ros.hardware.courtesy import Courtesy, statistics_of
-from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups
+from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups, keep_to, processors_of
+from ehls_ros.nodes.links import Links
 from ehls_ros.nodes.mismatches import Mismatches
 from ehls_ros.nodes.parameters import DeclaredParameters, declare
+from ehls_ros.nodes.transport import Waiter
 from ehls_ros.process import Stopping, end
 from ehls_ros.recording.topics import CLOCK
 from ehls_ros.schema import quantity, text
@@ -92,6 +94,7 @@ class Common(NamedTuple):
         float,
         quantity("1", "share of a processor above which the loop gives up its priority; 1: never", minimum=0.05, maximum=1.0),
     ] = 0.9
+    processors: Annotated[str, text("processors that the node's process keeps to, such as 1 or 0,2-3; empty: any")] = ""
     autostart: Annotated[bool, text("configure and activate at start; false: wait for lifecycle requests")] = True
 
 
@@ -101,6 +104,9 @@ class ControlNode(DeclaredParameters):
     Subclasses implement :meth:`prepare`, :meth:`start`, :meth:`once`, :meth:`stop`, :meth:`release` and
     :meth:`health`.
     """
+
+    longest_wait = WAIT
+    """Longest time one turn of the loop waits [s]."""
 
     answers = True
     """Whether another node waits for this loop's output within the cycle; if not, the loop runs at a lower priority."""
@@ -124,7 +130,11 @@ class ControlNode(DeclaredParameters):
         if self.lockstep:
             # The plant's cycles are the only clock of such a graph.
             self.set_parameters([Parameter(USE_SIM_TIME, value=True)])
+        self._processors = processors_of(self.text_parameter("processors"), self.get_name())
         self._parent = int(os.environ.get(PARENT, "0"))
+        self.links: Links | None = None
+        self.hosted = False
+        self.is_running = False
         self.configured = False
         self.not_permitted: tuple[str, ...] = ()
         self.courtesy: Courtesy | None = None
@@ -139,11 +149,19 @@ class ControlNode(DeclaredParameters):
         # Steady time: ROS time may stop.
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._look_around, clock=self.steady)
-        self.create_timer(BEAT, self._beat, clock=self.steady)
+        self._beating = self.create_timer(BEAT, self._beat, clock=self.steady)
+
+    def be_hosted(self) -> None:
+        """Let the loop of another node in the same process run this one's; that node has the heartbeat and the courtesy."""
+        self.hosted = True
+        self._beating.cancel()
 
     def now_ns(self) -> int | None:
         """Return the time of the node's clock [ns]: the system's or, with use_sim_time, /clock's; None before the first."""
-        return self.get_clock().now().nanoseconds or None
+        clock = self.get_clock()
+        if isinstance(clock, ROSClock) and not clock.ros_time_is_active:
+            return time.time_ns()
+        return clock.now().nanoseconds or None
 
     def text_parameter(self, name: str) -> str:
         """Return a text parameter's value."""
@@ -156,9 +174,26 @@ class ControlNode(DeclaredParameters):
     def start(self) -> None:
         """Run before the first turn of the loop."""
 
+    def awaited_inputs(self) -> Waiter:
+        """Return what the loop waits for at present; for nodes that leave :meth:`once` as it is."""
+        raise NotImplementedError
+
+    def react(self) -> bool:
+        """Take in what has arrived and do what it asks for, without waiting for more.
+
+        Returns:
+            Whether there was anything to do.
+        """
+        raise NotImplementedError
+
     def once(self) -> None:
         """Run one turn of the loop, waiting no longer than :data:`WAIT`."""
-        raise NotImplementedError
+        self.awaited_inputs().wait(self.longest_wait)
+        if not self.react():
+            self.have_nothing_to_do()
+
+    def have_nothing_to_do(self) -> None:
+        """Run after a turn in which there was nothing to do."""
 
     def stop(self) -> None:
         """Run after the last turn of the loop."""
@@ -179,10 +214,16 @@ class ControlNode(DeclaredParameters):
             return TransitionCallbackReturn.FAILURE
         # The middleware's receiver threads hold locks that senders need too. Even if the loop itself runs at a lower
         # priority, its receivers must not be preempted while they hold one.
-        loops = () if self.answers else [thread.native_id for thread in threading.enumerate() if thread.native_id]
+        loops = (
+            ()
+            if self.answers or self.links is not None
+            else [thread.native_id for thread in threading.enumerate() if thread.native_id]
+        )
         priority = 0 if self.lockstep or self.background else int(self.get_parameter("priority").value)
         self.not_permitted = claim(priority, loops)
-        if priority:
+        if self._processors and not self.hosted:
+            keep_to(self._processors)
+        if priority and not self.hosted:
             # The loop runs in the main thread, whose id is the process's.
             self.courtesy = Courtesy(float(self.get_parameter("processor_share").value), statistics_of(os.getpid()))
         self.configured = True
@@ -241,33 +282,51 @@ class ControlNode(DeclaredParameters):
 
     def work(self, stopping: Stopping) -> None:
         """Run the loop whenever the node is active, until told to stop."""
-        exact_wake_ups()
-        # By default the other thread may keep the interpreter for 5 ms.
-        sys.setswitchinterval(SWITCH_INTERVAL)
+        be_punctual()
         while not stopping.is_set():
             if not self._active.wait(WAIT):
                 continue
             # A garbage collection within a cycle would delay the answer; the loops create no reference cycles.
             gc.disable()
             try:
-                self.start()
-                self._turn(stopping)
+                self.enter()
+                while self.is_to_run and not stopping.is_set():
+                    self.once()
+                    self.look_after()
             finally:
                 gc.enable()
-                self.stop()
-                self._idle.set()
+                self.leave()
 
-    def _turn(self, stopping: Stopping) -> None:
-        """Turn the loop and check the heartbeat of the service thread, which handles the emergency stop."""
-        silence, turned = 0.0, time.monotonic()
-        while self._active.is_set() and not stopping.is_set():
-            self.once()
-            now = time.monotonic()
-            silence = 0.0 if self._beaten else silence + min(now - turned, LONGEST_TURN)
-            self._beaten, turned = False, now
-            self.unheard(silence)
-            if self.courtesy is not None and self.courtesy.look(now):
-                self.report_change()
+    @property
+    def is_to_run(self) -> bool:
+        """Whether the loop is to run: the node is active."""
+        return self._active.is_set()
+
+    def enter(self) -> None:
+        """Begin the loop."""
+        self._idle.clear()
+        self._silence, self._turned = 0.0, time.monotonic()
+        self.is_running = True
+        self.start()
+
+    def leave(self) -> None:
+        """End the loop."""
+        self.is_running = False
+        self.stop()
+        self._idle.set()
+
+    def settle(self) -> None:
+        """Note that the loop does not run, as the node was active for too short a time."""
+        self._idle.set()
+
+    def look_after(self) -> None:
+        """Check after a turn the heartbeat of the service thread, which handles the emergency stop, and the loop's demand."""
+        now = time.monotonic()
+        self._silence = 0.0 if self._beaten else self._silence + min(now - self._turned, LONGEST_TURN)
+        self._beaten, self._turned = False, now
+        self.unheard(self._silence)
+        if self.courtesy is not None and self.courtesy.look(now):
+            self.report_change()
 
     def _beat(self) -> None:
         self._beaten = True
@@ -277,6 +336,8 @@ class ControlNode(DeclaredParameters):
             self.get_logger().error("the process that started this node has ended, so the node ends")
             signal.raise_signal(signal.SIGINT)
         self._mismatches.look()
+        if self.links is not None:
+            self.links.look_outside()
         self.report()
 
     def unheard(self, silence: float) -> None:
@@ -382,21 +443,23 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
 
 
 class _Services:
-    """The thread that serves a node's services and timers; if it fails, the node stops."""
+    """The thread that serves services and timers of a process's nodes; if it fails, they stop."""
 
-    def __init__(self, node: ControlNode, stopping: Stopping) -> None:
+    def __init__(self, nodes: Sequence[ControlNode], stopping: Stopping) -> None:
         self.failure = ""
         self._stopping = stopping
         self._executor = EventsExecutor()
-        self._executor.add_node(node)
+        for node in nodes:
+            self._executor.add_node(node)
         self._thread = threading.Thread(target=self._serve, name="services")
         self._thread.start()
 
     def join(self) -> None:
         self._thread.join()
 
-    def close(self, node: ControlNode) -> None:
-        self._executor.remove_node(node)
+    def close(self, nodes: Sequence[ControlNode]) -> None:
+        for node in nodes:
+            self._executor.remove_node(node)
         self._executor.shutdown()
 
     def _serve(self) -> None:
@@ -409,12 +472,12 @@ class _Services:
             self._stopping.set()
 
 
-def _made(make: Callable[[], ControlNode]) -> tuple[ControlNode | None, str]:
-    """Return a node, or what is wrong with its parameters; as a function, it leaves no reference to a failed node."""
+def _made(makes: Sequence[Callable[[], ControlNode]]) -> tuple[list[ControlNode], str]:
+    """Return the nodes, or what is wrong with their parameters; as a function, it leaves no reference to a failed node."""
     try:
-        return make(), ""
+        return [make() for make in makes], ""
     except (BadInput, ParameterException) as error:
-        return None, str(error)
+        return [], str(error)
 
 
 def _joined() -> str:
@@ -427,6 +490,13 @@ def _joined() -> str:
     return ""
 
 
+def be_punctual() -> None:
+    """Let the calling thread, which runs a loop, wake up and get the interpreter in time."""
+    exact_wake_ups()
+    # By default the other thread may keep the interpreter for 5 ms.
+    sys.setswitchinterval(SWITCH_INTERVAL)
+
+
 def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     """Run one node as a process: the loop in the main thread, lifecycle and parameters in a second one.
 
@@ -435,6 +505,21 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     Args:
         make: builds the node, after ``rclpy.init``.
     """
+    run_nodes([make], lambda nodes: nodes[0].work)
+
+
+def run_nodes(
+    makes: Sequence[Callable[[], ControlNode]],
+    join: Callable[[Sequence[ControlNode]], Callable[[Stopping], None]],
+) -> NoReturn:
+    """Run nodes as one process: their loops in the main thread, lifecycle and parameters of all in a second one.
+
+    The exit code is that of :func:`run_node`; a node that fails ends them all.
+
+    Args:
+        makes: build the nodes, after ``rclpy.init``; in the order in which they configure and activate themselves.
+        join: returns what runs the nodes' loops until an event is set.
+    """
     be_frugal()
     stopping = Stopping()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -442,20 +527,23 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
     # However the node is started, it is visible on this host only unless the variable says otherwise.
     os.environ[DISCOVERY_RANGE] = os.environ.get(DISCOVERY_RANGE) or "LOCALHOST"
     complaint = _joined()
-    node, complaint = (None, complaint) if complaint else _made(make)
-    if node is None:
+    nodes, complaint = ([], complaint) if complaint else _made(makes)
+    if complaint:
         print(complaint, file=sys.stderr)
         gc.collect()
         rclpy.try_shutdown()
         end(2)
-    for service in node.services:
-        survive_requests(node, service)
-    services = _Services(node, stopping)
+    for node in nodes:
+        for service in node.services:
+            survive_requests(node, service)
+    work = join(nodes)
+    services = _Services(nodes, stopping)
     code = 0
     try:
-        if not node.get_parameter("autostart").value or node.bring_up(stopping):
-            node.get_logger().info("up")
-            node.work(stopping)
+        if all(not node.get_parameter("autostart").value or node.bring_up(stopping) for node in nodes):
+            for node in nodes:
+                node.get_logger().info("up")
+            work(stopping)
         else:
             code = 1
     finally:
@@ -465,13 +553,14 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
         faulthandler.dump_traceback_later(CLOSING, exit=True)
         services.join()
         if services.failure:
-            node.get_logger().fatal(f"the service thread has died, so the node ends: {services.failure}")
+            nodes[-1].get_logger().fatal(f"the service thread has died, so the node ends: {services.failure}")
             code = 1
-        services.close(node)
-        node.give_back()
-        node.destroy_node()
+        services.close(nodes)
+        for node in nodes:
+            node.give_back()
+            node.destroy_node()
     # Objects that refer to the middleware must be collected before it shuts down.
-    del services, node
+    del services, nodes, work, node
     gc.unfreeze()
     gc.collect()
     rclpy.try_shutdown()

@@ -30,7 +30,7 @@ from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
+from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED, rig_from_mapping
 from ehls_ros.recording.topics import (
@@ -49,6 +49,12 @@ from ehls_ros.schema import quantity, text
 
 TURN = 0.005
 """Longest wait for one topic before the others are read [s]."""
+
+ROWS = 4
+"""References taken in after each answer."""
+
+STATUS_TOGETHER = 5
+"""Status messages that are published together, as no cycle waits for them."""
 
 LOCKSTEP_PATIENCE = 10.0
 """friction_patience in lockstep, and longest wait for another's command [s]: nothing is late there, and a run must not depend
@@ -114,6 +120,8 @@ class ControllerNode(ControlNode):
     sliding takes its place, and status and diagnostics say so.
     """
 
+    longest_wait = TURN
+
     def __init__(self, law: str) -> None:
         """Declare the law's parameters, with the spec's values if the spec is for this law.
 
@@ -166,13 +174,13 @@ class ControllerNode(ControlNode):
         self.reference = Inbox(self, message_class(topic.type), topic.name)
         # The process number tells two nodes of one name apart.
         self.sender = sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
-        self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender)
-        self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender)
+        self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender, answers=True)
+        self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender, together=STATUS_TOGETHER)
         self.shadow = Outbox(self, ValveCommand, STANDBY_COMMAND.name, sender=sender)
         accepts = bool(self.get_parameter("accept_rig").value)
         kept = control_qos(ACCEPTED_RIG.depth)
         self.accepted = self.create_subscription(String, ACCEPTED_RIG.name, self._on_accepted, kept) if accepts else None
-        self.leaving = self.create_publisher(String, LEAVING.name, control_qos(1))
+        self.leaving = Notice(self, String, LEAVING.name, 1)
         self.driver = Inbox(self, Driver, DRIVER.name, decode=Decoder(Driver, sender=True))
         self.others = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.drivers: deque[tuple[int, str]] = deque(maxlen=HEARD)
@@ -182,6 +190,7 @@ class ControllerNode(ControlNode):
         self.named = 0.0
         self.replied = math.nan
         self.sent = True
+        self.replied_at = 0.0
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         patience = PATIENCE if self.lockstep else 0.0
@@ -213,20 +222,30 @@ class ControllerNode(ControlNode):
         for ahead in filter(None, (self.actuator, self.points)):
             ahead.destroy()
         self.company.save()
-        for outbox in (self.commands, self.status, self.shadow):
+        for outbox in (self.commands, self.status, self.shadow, self.leaving):
             outbox.destroy()
-        self.destroy_publisher(self.leaving)
         if self.accepted is not None:
             self.destroy_subscription(self.accepted)
 
+    def have_nothing_to_do(self) -> None:
+        """Publish the status of the last cycles, if no other follows soon."""
+        if time.perf_counter() - self.replied_at > TURN:
+            self.status.flush()
+
     def stop(self) -> None:
         """Say that the node leaves, so that one that stands by can take over."""
-        self.leaving.publish(String(data=self.sender))
-        self.leaving.wait_for_all_acked(Duration(seconds=FAREWELL))
+        self.status.flush()
+        self.leaving.tell(String(data=self.sender), self.sender)
+        if not self.hosted:
+            # A process that goes on sends it anyway, and must not wait.
+            self.leaving.publisher.wait_for_all_acked(Duration(seconds=FAREWELL))
 
-    def once(self) -> None:
-        """Wait for what the next cycle lacks; answer the newest cycle that has all it needs."""
-        self.arrivals[self.cycles.lacks].wait(TURN)
+    def awaited_inputs(self) -> Waiter:
+        """Return what the next cycle lacks."""
+        return self.arrivals[self.cycles.lacks]
+
+    def react(self) -> bool:
+        """Answer the newest cycle that has all it needs."""
         arrived = time.perf_counter()
         while (message := self.friction.take()) is not None:
             self.cycles.add_friction(message[1], message[2:4])
@@ -237,16 +256,26 @@ class ControllerNode(ControlNode):
                 continue
             self.cycles.add_snapshot(message[1], message[0], message[2:], arrived)
         if self.cycles.lacks_reference:
-            while (message := self.reference.take()) is not None:
-                self.cycles.add_reference(message[1], message[2:5])
+            self._take_references(math.inf)
         if not self._knows_who_drives():
-            return
+            return False
         if not self.sent and self._driver_of(self.answered[1]) == self.sender:
             # The snapshot of the first cycle after a switch was faster than the word of the switch.
             self._send()
-        if (ready := self.cycles.take(arrived)) is not None:
-            self._answer(ready)
-            self.latency.add(time.perf_counter() - arrived)
+        if (ready := self.cycles.take(arrived)) is None:
+            return False
+        self._answer(ready)
+        self.replied_at = time.perf_counter()
+        self.latency.add(self.replied_at - arrived)
+        # The cycles ahead come in bunches; all at once they would delay the answer to the cycle that needs the first of them.
+        self._take_references(ROWS)
+        return True
+
+    def _take_references(self, most: float) -> None:
+        """Take in the references of cycles to come, at most so many."""
+        while most > 0 and (message := self.reference.take()) is not None:
+            self.cycles.add_reference(message[1], message[2:5])
+            most -= 1
 
     def _knows_who_drives(self) -> bool:
         """Note who drives from which cycle on; return False while that is not certain.
@@ -258,7 +287,7 @@ class ControllerNode(ControlNode):
             # The time of the first answer since then is yet to come.
             self.named, self.replied = time.perf_counter(), math.nan
         if not self.drivers:
-            return bool(self.driver.handle.get_publisher_count() == 0)
+            return self.driver.publishers() == 0
         newest = self.drivers[-1][1]
         if newest == "" and self.lockstep and time.perf_counter() - self.replied < HEARING:
             # Before the plant opens the next cycle, it says whose answer came first.

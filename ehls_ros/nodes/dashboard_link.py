@@ -478,7 +478,9 @@ class Link:
         if self._origin_ns is None:
             return
         if topic is VALVE_COMMAND:
-            values[RESPONSE] = 1e-3 * self._since_snapshot(cycle, sent_ns - self._sent_at[cycle % KEPT])
+            response_ns = sent_ns - self._sent_at[cycle % KEPT]
+            # A node in one process with the plant has answered before either is sent, and its command is sent first.
+            values[RESPONSE] = 1e-3 * self._since_snapshot(cycle, np.where(response_ns >= 0, response_ns, np.nan))
         if topic is CONTROLLER_STATUS:
             values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % KEPT] - values["force_error_n"])
         time_s = 1e-9 * (stamp_ns - self._origin_ns)

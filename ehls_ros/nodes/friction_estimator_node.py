@@ -8,7 +8,7 @@ from ehls_msgs.msg import FrictionEstimate, LoaderState
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.serving import check_serves
-from ehls_ros.nodes.control import OK, WAIT, WARN, ControlNode, run_node
+from ehls_ros.nodes.control import OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics import sensors
@@ -59,9 +59,13 @@ class FrictionEstimatorNode(ControlNode):
         self.states.destroy()
         self.estimates.destroy()
 
-    def once(self) -> None:
+    def awaited_inputs(self) -> Waiter:
+        """Return the snapshots."""
+        return self.waiter
+
+    def react(self) -> bool:
         """Answer every snapshot that is there."""
-        self.waiter.wait(WAIT)
+        before = self.last
         while (message := self.states.take()) is not None:
             stamp, cycle = message[:2]
             if message == self.answered:
@@ -81,6 +85,7 @@ class FrictionEstimatorNode(ControlNode):
             self.unmeasured += not self.velocity_measured
             self.estimate = self.estimator.update(velocity, elapsed).tolist()
             self._answer(stamp)
+        return self.last != before
 
     def _answer(self, stamp: int) -> None:
         estimate, n = self.estimate, self.elements

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import FrameType
@@ -32,6 +32,7 @@ from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, signal_kind, uses_actuator
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, PARENT, REALTIME
+from ehls_ros.nodes.together import PLUS, processes_of
 from ehls_ros.process import Stopping
 from ehls_ros.recording.bag_reader import is_closed
 from ehls_ros.recording.topics import ACTUATOR_TOPICS, CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
@@ -39,6 +40,9 @@ from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
 PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
 """Plant nodes. With the bridge, the disturbance acts on the rig itself, so there is no disturbance node."""
+
+COMPOSED = "composed"
+"""Module that runs several nodes as one process."""
 
 RECORDER = "recorder_node"
 
@@ -85,7 +89,7 @@ DOMAINS = range(1, 102)
 
 
 class Running(NamedTuple):
-    """One node's process."""
+    """One node's process; nodes that share one have the same."""
 
     name: str
     process: subprocess.Popen[bytes]
@@ -146,8 +150,10 @@ def run_graph(
     storage: str,
     progress: Callable[[int, int], None] | None = None,
     plant: Plant = SIMULATED,
+    *,
+    compose: bool = False,
 ) -> float:
-    """Run an experiment over DDS, with each node in a process of its own.
+    """Run an experiment over DDS, with each node in a process of its own, or those of the cycle in one.
 
     Args:
         spec: the experiment, already written to the run folder.
@@ -156,6 +162,7 @@ def run_graph(
         storage: format of the bag.
         progress: called repeatedly with the number of finished cycles and the total.
         plant: simulated rig or bridge.
+        compose: whether the nodes of the cycle are one process.
 
     Returns:
         Wall time from the plant's first to its last cycle [s].
@@ -167,8 +174,9 @@ def run_graph(
     os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
     folder.logs.mkdir()
     parameters = node_parameters(spec, plant, folder, timing, storage)
+    processes = processes_of(list(parameters), compose=compose)
     # The nodes end with this process, even when it is interrupted.
-    with _interrupts_noted() as interrupted, node_processes(list(parameters), parameters, folder.logs, environment) as running:
+    with _interrupts_noted() as interrupted, node_processes(processes, parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
             wall = conduct(Conductor(running, plant, timing, interrupted), spec.cycles, progress)
@@ -255,30 +263,42 @@ def _interrupts_noted() -> Iterator[Stopping]:
 
 @contextmanager
 def node_processes(
-    names: list[str],
+    processes: Sequence[str],
     parameters: Mapping[str, Mapping[str, Any]],
     logs: Path,
     environment: Mapping[str, str],
     namespace: str = NAMESPACE,
 ) -> Iterator[list[Running]]:
-    """Start the nodes; on exit, stop them with SIGINT and kill those that stay. If this process is killed, they end too."""
+    """Start the nodes; on exit, stop them with SIGINT and kill those that stay. If this process is killed, they end too.
+
+    Args:
+        processes: names of nodes; with :data:`~ehls_ros.nodes.together.PLUS` between them, those that are one process.
+        parameters: of each node.
+        logs: folder for what the processes say, and for their parameters.
+        environment: of the processes.
+        namespace: of the nodes.
+    """
     running: list[Running] = []
     environment = {**environment, PARENT: str(os.getpid())}
     try:
-        for name in names:
+        for process_name in processes:
+            names = process_name.split(PLUS)
+            name = COMPOSED if len(names) > 1 else process_name
             file = logs / f"{name}.yaml"
-            file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters[name])}}), encoding="utf-8")
+            own = {f"/**/{node}": {"ros__parameters": dict(parameters[node])} for node in names}
+            file.write_text(yaml.safe_dump(own), encoding="utf-8")
             arguments = ["--ros-args", "-r", f"__ns:=/{namespace}", "--params-file", str(file)]
             # In lockstep, each rig has a time of its own.
             arguments += ["-r", f"{CLOCK_TOPIC}:=/{namespace}{CLOCK_TOPIC}"] if namespace != NAMESPACE else []
-            command = [sys.executable, "-m", f"ehls_ros.nodes.{name}", *arguments]
+            module = [f"ehls_ros.nodes.{name}", *(names if name == COMPOSED else [])]
+            command = [sys.executable, "-m", *module, *arguments]
             log = logs / f"{name}.log"
             with log.open("wb") as output:
                 # In a session of its own, so that Ctrl-C reaches only this process, which stops the nodes in order.
                 process = subprocess.Popen(
                     command, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
                 )
-            running.append(Running(name, process, log))
+            running += [Running(node, process, log) for node in names]
         yield running
     finally:
         for node in running:
@@ -302,7 +322,8 @@ def share_processors(running: list[Running], timing: str) -> None:
     """
     processors = sorted(os.sched_getaffinity(0))
     for node in running:
-        background = node.name in BACKGROUND
+        together = [other.name for other in running if other.process is node.process]
+        background = all(name in BACKGROUND for name in together)
         for thread in (int(task.name) for task in Path(f"/proc/{node.process.pid}/task").iterdir()):
             if background:
                 os.setpriority(os.PRIO_PROCESS, thread, NICE)

@@ -31,13 +31,16 @@ from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, WARN, Contro
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos
+from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos
 from ehls_ros.process import Stopping
 from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
 """Cycles between two clock messages in lockstep; nodes that run ahead of the cycles follow the clock."""
+
+CLOCK_CYCLES_TOGETHER = 100
+"""The same where nodes are in one process with the plant: they are many times faster, and see each cycle anyway."""
 
 NOTICE = 2.0
 """Time for which diagnostics tell a jump of the stamps [s]; the last jump's size stays among the figures."""
@@ -145,7 +148,9 @@ class PlantNode(ControlNode):
         self.references: dict[int, float] = {}
         self.latency = Latency()
         self.published = self.begun = time.perf_counter()
-        self.state = Outbox(self, LoaderState, "loader_state")
+        # Topics are discovered in this order: who receives a snapshot is to know who drives.
+        self.driver = Notice(self, Driver, DRIVER.name, HANDOVER_DEPTH)
+        self.state = Outbox(self, LoaderState, "loader_state", opens=True)
         self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
@@ -155,26 +160,24 @@ class PlantNode(ControlNode):
         self.shadows = Inbox(self, ValveCommand, STANDBY_COMMAND.name, decode=Decoder(ValveCommand, sender=True))
         self.shadow = Waiter([self.shadows])
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
-        self.driver = self.create_publisher(Driver, DRIVER.name, control_qos(HANDOVER_DEPTH))
         self.told_driver: str | None = None
         # The first cycle that the driving controller answers; until which one others may not know of it; how long they may not.
         self.first = 0
         self.unaware = -1
         self.grace = math.ceil(self.gate.parameters.command_timeout / self.period)
-        self.driving = self.create_publisher(Bool, DRIVING.name, control_qos(1))
+        self.driving = Notice(self, Bool, DRIVING.name, 1)
         self.told_driving: bool | None = None
         self.clock = self.create_publisher(Clock, CLOCK_TOPIC, control_qos(1)) if self.lockstep else None
+        self.clock_cycles = CLOCK_CYCLES if self.links is None else CLOCK_CYCLES_TOGETHER
         self.stamps = Stamps(self.period)
         self.jumped = -math.inf
         self.telemetry = Telemetry(self, float(self.get_parameter("telemetry_rate").value), self.sensed)
 
     def release(self) -> None:
         """Close the topics."""
-        for part in (self.answer, self.shadow, self.commands, self.shadows, self.leaving, self.reference, self.state):
+        inboxes = self.commands, self.shadows, self.leaving, self.reference
+        for part in (self.answer, self.shadow, *inboxes, self.state, self.driver, self.driving, self.telemetry):
             part.destroy()
-        self.destroy_publisher(self.driver)
-        self.telemetry.destroy()
-        self.destroy_publisher(self.driving)
         if self.clock is not None:
             self.destroy_publisher(self.clock)
 
@@ -215,7 +218,7 @@ class PlantNode(ControlNode):
         self.asked = self.published
         self.standby.cycle = cycle
         self.state.send(stamp_ns, cycle, *signals)
-        if self.clock is not None and cycle % CLOCK_CYCLES == 0:
+        if self.clock is not None and cycle % self.clock_cycles == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
         self.untold = (cycle * self.period, stamp_ns, signals)
 
@@ -240,7 +243,7 @@ class PlantNode(ControlNode):
         """Tell the controllers when their commands stop or start reaching the valve: in an open loop they would wind up."""
         if driving != self.told_driving:
             self.told_driving = driving
-            self.driving.publish(Bool(data=driving))
+            self.driving.tell(Bool(data=driving), driving)
 
     def take_commands(self, cycle: int) -> None:
         """Pass the received commands to the gate.
@@ -333,8 +336,9 @@ class PlantNode(ControlNode):
             self.told_driver = driver
             self.standby.forget(driver)
             message = Driver(cycle=self.first if driver else cycle, sender=driver)
-            message.header.stamp = self.get_clock().now().to_msg()
-            self.driver.publish(message)
+            now = self.get_clock().now()
+            message.header.stamp = now.to_msg()
+            self.driver.tell(message, (now.nanoseconds, message.cycle, driver))
 
     def end_cycles(self) -> None:
         """Leave the active state from the service thread: the last cycle is done."""

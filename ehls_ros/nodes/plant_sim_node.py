@@ -109,7 +109,7 @@ class PlantSimNode(PlantNode):
 
     def _once_realtime(self) -> None:
         complete = self._is_complete()
-        present = not self.time.waiting or self.commands.handle.get_publisher_count() > 0
+        present = not self.time.waiting or self.commands.publishers() > 0
         remaining = self.time.remaining(time.perf_counter(), answered=complete, present=present)
         if remaining > 0.0:
             (self.answer if complete or self.answered != self.cycle else self.anything).wait(min(remaining, WAIT))
@@ -126,7 +126,7 @@ class PlantSimNode(PlantNode):
         """Return whether the cycle has its command, and its disturbance if there is any: a held one would push the rig away."""
         if self.answered != self.cycle:
             return False
-        return self.cycle in self.disturbances or self.disturbance.handle.get_publisher_count() == 0
+        return self.cycle in self.disturbances or self.disturbance.publishers() == 0
 
     def _take(self) -> None:
         if self.cycle not in self.disturbances:

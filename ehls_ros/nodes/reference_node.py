@@ -8,7 +8,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.references._blend import eased_in
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.nodes.ahead import AheadNode
-from ehls_ros.nodes.control import WAIT, run_node
+from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, message_class
 from ehls_ros.physics import sensors
@@ -45,13 +45,14 @@ class ReferenceNode(AheadNode):
         self.signal = sampled(self.spec.reference, self.spec.settings.control_period)
         self.began, self.rest = 0, math.nan
         self.states = Inbox(self, LoaderState, "loader_state") if self.start_time > 0.0 else None
+        if self.states is not None:
+            self.beginning = Waiter([self.states])
         topic = REFERENCE_TOPICS[self.follows]
         return Outbox(self, message_class(topic.type), topic.name)
 
     def release(self) -> None:
         """Close the topics."""
-        if self.states is not None:
-            self.states.destroy()
+        self._close_states()
         super().release()
 
     def start(self) -> None:
@@ -59,26 +60,30 @@ class ReferenceNode(AheadNode):
         if self.states is None:
             super().start()
 
-    def once(self) -> None:
+    def awaited_inputs(self) -> Waiter:
+        """Return what tells the cycle, and first where the rig is."""
+        return self.waiter if self.states is None else self.beginning
+
+    def react(self) -> bool:
         """Find out where the rig is, then publish ahead of the newest cycle."""
         if self.states is None:
-            super().once()
-        elif (state := self._newest_of(self.states)) is not None:
-            self.next = self.began = state[1]
-            self.rest = state[2 + MEASURED[self.follows]]
+            return super().react()
+        newest = None
+        while (state := self.states.take()) is not None:
+            newest = state
+        if newest is None:
+            return False
+        self.next = self.began = newest[1]
+        self.rest = newest[2 + MEASURED[self.follows]]
+        self._close_states()
+        self.start()
+        return True
+
+    def _close_states(self) -> None:
+        if self.states is not None:
+            self.beginning.destroy()
             self.states.destroy()
             self.states = None
-            self.start()
-
-    @staticmethod
-    def _newest_of(states: Inbox) -> tuple[Any, ...] | None:
-        """Wait for a snapshot and return the newest; None if there is none."""
-        waiter, newest = Waiter([states]), None
-        waiter.wait(WAIT)
-        waiter.destroy()
-        while (state := states.take()) is not None:
-            newest = state
-        return newest
 
     def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
         """Return the reference and its first and second derivative."""

@@ -2,15 +2,16 @@
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import FluidPressure, JointState, Temperature
 from std_msgs.msg import Float64, Header
 
-from ehls_ros.nodes.codec import NANOSECONDS
+from ehls_ros.nodes.codec import NANOSECONDS, Template
 from ehls_ros.nodes.frames import JOINT, loader_frame
 from ehls_ros.nodes.transport import message_class
 from ehls_ros.physics.rig import SENSED
@@ -19,17 +20,29 @@ from ehls_ros.recording.topics import FORCE, JOINT_STATES, LOAD_PRESSURE, OIL_TE
 ZERO_CELSIUS = 273.15
 """0 °C [K]."""
 
-MESSAGES: tuple[tuple[Topic, str, Callable[[Header, float], Any]], ...] = (
-    (FORCE, "force", lambda header, value: Float64(data=value)),
-    (WRENCH, "force", lambda header, value: WrenchStamped(header=header, wrench=Wrench(force=Vector3(x=value)))),
-    (LOAD_PRESSURE, "load_pressure", lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
-    (SUPPLY_PRESSURE, "supply_pressure", lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
-    (OIL_TEMPERATURE, "oil_temperature", lambda header, value: Temperature(header=header, temperature=value - ZERO_CELSIUS)),
+MESSAGES: tuple[tuple[Topic, str, float, Callable[[Header, float], Any]], ...] = (
+    (FORCE, "force", 0.0, lambda header, value: Float64(data=value)),
+    (WRENCH, "force", 0.0, lambda header, value: WrenchStamped(header=header, wrench=Wrench(force=Vector3(x=value)))),
+    (LOAD_PRESSURE, "load_pressure", 0.0, lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
+    (SUPPLY_PRESSURE, "supply_pressure", 0.0, lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
+    (OIL_TEMPERATURE, "oil_temperature", ZERO_CELSIUS, lambda header, value: Temperature(header=header, temperature=value)),
 )
-"""Topics of one signal of ``SENSED`` each, and how its message is made."""
+"""Topics of one signal of ``SENSED`` each, what is subtracted from it, and how the message is made."""
+
+MARK = 1234.5678
+"""Stands in an example of a message where its value will be."""
 
 JOINT_SIGNALS = {"position": "position", "velocity": "velocity", "effort": "force"}
 """Signals by field of ``joint_states``."""
+
+
+class _Signal(NamedTuple):
+    """One reading, its message and its publisher."""
+
+    place: int
+    zero: float
+    template: Template
+    publisher: Any
 
 
 class Telemetry:
@@ -44,18 +57,25 @@ class Telemetry:
             measured: the signals of ``SENSED`` that the rig measures.
         """
         self._node = node
-        self._frame = loader_frame(node.get_namespace())
+        header = Header(frame_id=loader_frame(node.get_namespace()))
         self._single = [
-            (SENSED.index(signal), make, node.create_publisher(message_class(topic.type), topic.name, 10))
-            for topic, signal, make in MESSAGES
+            _Signal(
+                SENSED.index(signal),
+                zero,
+                Template(serialize_message(make(header, MARK)), [MARK], stamped=topic is not FORCE),
+                node.create_publisher(message_class(topic.type), topic.name, 10),
+            )
+            for topic, signal, zero, make in MESSAGES
             if signal in measured
         ]
+        self._header = header
         self._joints = node.create_publisher(JointState, JOINT_STATES.name, 10)
+        self._joint_templates: dict[tuple[str, ...], Template] = {}
         self._period = 1.0 / rate if rate > 0.0 else float("inf")
         self._next = 0.0 if rate > 0.0 else float("inf")
 
     def tell(self, time_s: float, stamp_ns: int, measured: Sequence[float]) -> None:
-        """Publish if due.
+        """Publish if due, what anybody reads: nothing is kept for those that come later.
 
         Args:
             time_s: plant time [s].
@@ -65,18 +85,27 @@ class Telemetry:
         if time_s < self._next:
             return
         self._next += self._period
-        header = Header(stamp=time_of(stamp_ns), frame_id=self._frame)
-        for index, make, publisher in self._single:
-            value = measured[index]
-            if not math.isnan(value):
-                publisher.publish(make(header, value))
-        readings = {field: measured[SENSED.index(signal)] for field, signal in JOINT_SIGNALS.items()}
-        known = {field: [value] for field, value in readings.items() if not math.isnan(value)}
-        self._joints.publish(JointState(header=header, name=[JOINT], **known))
+        for place, zero, template, publisher in self._single:
+            value = measured[place]
+            if not math.isnan(value) and publisher.get_subscription_count():
+                publisher.handle.publish_raw(template(stamp_ns, [value - zero]))
+        if self._joints.get_subscription_count():
+            readings = {field: measured[SENSED.index(signal)] for field, signal in JOINT_SIGNALS.items()}
+            known = {field: value for field, value in readings.items() if not math.isnan(value)}
+            template = self._joint_templates.get(tuple(known)) or self._joint_template(tuple(known))
+            self._joints.handle.publish_raw(template(stamp_ns, list(known.values())))
+
+    def _joint_template(self, known: tuple[str, ...]) -> Template:
+        """Return the message of the joint with some of its fields."""
+        marks = [MARK + number for number in range(len(known))]
+        fields = {field: [mark] for field, mark in zip(known, marks, strict=True)}
+        message = JointState(header=self._header, name=[JOINT], **fields)
+        self._joint_templates[known] = Template(serialize_message(message), marks, stamped=True)
+        return self._joint_templates[known]
 
     def destroy(self) -> None:
         """Destroy the publishers."""
-        for publisher in (self._joints, *(publisher for _, _, publisher in self._single)):
+        for publisher in (self._joints, *(signal.publisher for signal in self._single)):
             self._node.destroy_publisher(publisher)
 
 

@@ -6,11 +6,14 @@ and takes the messages itself; lifecycle, parameters and timers are served by an
 internals is in this file.
 """
 
+import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -20,6 +23,7 @@ from rclpy.type_support import check_for_type_support
 
 from ehls_ros.nodes.codec import Decoder, Encoder
 from ehls_ros.nodes.frames import loader_frame
+from ehls_ros.nodes.links import Links, Message
 from ehls_ros.recording.topics import DEPTH
 
 RECORDER_DEPTH = 50_000
@@ -57,11 +61,25 @@ def message_class(name: str) -> Any:
     return getattr(import_module(f"{package}.{folder}"), kind)
 
 
+def _links_of(node: Node) -> Links | None:
+    """Return what connects a node to others of its process; None if it is alone there."""
+    return getattr(node, "links", None)
+
+
 class Outbox:
-    """Publishes one control-path topic."""
+    """Publishes one control-path topic; readers in the same process have a message before it is published."""
 
     def __init__(
-        self, node: Node, message: Any, topic: str, lengths: Mapping[str, int] | None = None, sender: str = ""
+        self,
+        node: Node,
+        message: Any,
+        topic: str,
+        lengths: Mapping[str, int] | None = None,
+        sender: str = "",
+        *,
+        opens: bool = False,
+        answers: bool = False,
+        together: int = 1,
     ) -> None:
         """Create the publisher.
 
@@ -71,14 +89,49 @@ class Outbox:
             topic: name below the node's namespace.
             lengths: length of each sequence field.
             sender: content of the text field, if there is one.
+            opens: whether its messages are snapshots, each of which opens a cycle.
+            answers: whether its messages answer them.
+            together: messages that are published together, if nobody waits for them: each that comes alone wakes up a thread in
+                every reader. :meth:`flush` publishes those that have gathered.
         """
         self._node = node
-        self._publisher = node.create_publisher(message, topic, control_qos())
+        self._opens, self._answers = opens, answers
+        self._together = together
+        self._gathered: list[bytes] = []
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
+        self._sender = (sender,) if sender else ()
+        self._links = _links_of(node)
+        if self._links is not None:
+            self._local = self._links.topic(topic)
+            self._local.senders += 1
+            self._local.named.update(self._sender)
+        kept = DEPTH if self._links is None else self._links.kept
+        self._publisher = node.create_publisher(message, topic, control_qos(kept))
+        if self._links is not None:
+            self._links.join(self)
+        self._publish = self._publisher.handle.publish_raw
 
     def send(self, stamp_ns: int, *values: float) -> None:
         """Publish one message: header stamp [ns], then the fields in order."""
-        self._publisher.handle.publish_raw(self._encode(stamp_ns, *values))
+        if self._links is None:
+            self._gathered.append(self._encode(stamp_ns, *values))
+            if len(self._gathered) >= self._together:
+                self.flush()
+            return
+        if self._opens or self._answers:
+            self._links.open = self._opens
+        self._local.hand_over((stamp_ns, *values, *self._sender))
+        self._links.later(self._publish, self._encode, (stamp_ns, *values), answers=self._answers)
+
+    def wait_until_heard(self, seconds: float) -> None:
+        """Wait until all readers have received what was published, at most for a time [s]."""
+        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
+
+    def flush(self) -> None:
+        """Publish the messages that have gathered."""
+        for message in self._gathered:
+            self._publish(message)
+        self._gathered.clear()
 
     def has_volatile_reader(self) -> bool:
         """Return whether a reader does not ask for the messages sent before it joined."""
@@ -86,11 +139,52 @@ class Outbox:
 
     def destroy(self) -> None:
         """Destroy the publisher."""
+        if self._links is not None:
+            self._links.leave(self)
+            self._local.leave()
+        del self._publish
         self._node.destroy_publisher(self._publisher)
 
 
+class Notice:
+    """Publishes what is said now and then, at once; readers in the same process have it before that."""
+
+    def __init__(self, node: Node, message: Any, topic: str, depth: int) -> None:
+        """Create the publisher.
+
+        Args:
+            node: owner.
+            message: message class.
+            topic: name below the node's namespace.
+            depth: messages kept for readers that come later.
+        """
+        self._node = node
+        links = _links_of(node)
+        self._local = None if links is None else links.topic(topic)
+        if self._local is not None:
+            self._local.senders += 1
+        self.publisher = node.create_publisher(message, topic, control_qos(depth))
+
+    def tell(self, message: Any, decoded: Any) -> None:
+        """Publish a message.
+
+        Args:
+            message: as ROS has it.
+            decoded: the same as an :class:`Inbox` returns it.
+        """
+        if self._local is not None:
+            self._local.hand_over(decoded)
+        self.publisher.publish(message)
+
+    def destroy(self) -> None:
+        """Destroy the publisher."""
+        if self._local is not None:
+            self._local.leave()
+        self._node.destroy_publisher(self.publisher)
+
+
 class Inbox:
-    """Receives one topic, in the thread that calls it.
+    """Receives one topic, in the thread that calls it; what nodes of the same process send comes first, and not over DDS.
 
     It asks for the messages sent before it joined as long as all publishers offer them. A publisher with ROS's default
     profile does not, and would never be matched; once there is one, a second subscription that does not ask takes over. The
@@ -116,25 +210,56 @@ class Inbox:
         self._qos = qos or control_qos()
         self._decode = decode or Decoder(message)
         self.malformed = 0
-        self.handle = self._subscription()
         self._wider: Any = None
         self._widening = False
         self._taken_ns: set[int] = set()
+        self._handlers: Sequence[Any] = []
+        self.links = _links_of(node)
+        self.queue: deque[Message] = deque(maxlen=0)
+        if self.links is not None:
+            self._local = self.links.topic(topic)
+            self.queue = self._local.open(self._qos.depth)
+            self._own = self._local.named
+        self.handle: Any = None
+        if self.links is None:
+            self._subscribe()
+        else:
+            self.links.watch(self)
+
+    def look_outside(self) -> bool:
+        """Subscribe if there is a publisher outside this process; return whether there is."""
+        outside = self._node.count_publishers(self._topic) > self._local.senders
+        if outside and self.handle is None:
+            self._subscribe()
+        return outside
+
+    def _subscribe(self) -> None:
+        """Subscribe, and look out for publishers that do not offer what is asked for."""
+        self.handle = self._subscription()
         events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible, use_default_callbacks=False)
-        self._handlers = events.create_event_handlers(node.default_callback_group, self.handle, topic)
+        self._handlers = events.create_event_handlers(self._node.default_callback_group, self.handle, self._topic)
         for handler in self._handlers:
-            node.add_waitable(handler)
+            self._node.add_waitable(handler)
 
     def take(self) -> Any:
         """Return the next decoded message, or None; messages that cannot be decoded are skipped and counted."""
+        if self.queue:
+            return self.queue.popleft()
+        if self.handle is None:
+            return None
         while True:
             taken = self.take_raw()
             if taken is None:
                 return None
             decoded = self._decode(taken[0])
-            if decoded is not None:
+            if decoded is None:
+                self.malformed += 1
+            elif self.links is None or not self._came_already(decoded):
                 return decoded
-            self.malformed += 1
+
+    def _came_already(self, message: Any) -> bool:
+        """Return whether a message is of a node of this process, which has handed it over."""
+        return isinstance(message, tuple) and message[-1] in self._own
 
     def take_raw(self) -> tuple[bytes, Mapping[str, int]] | None:
         """Return the next message's bytes and time stamps, or None."""
@@ -150,6 +275,11 @@ class Inbox:
                 continue
             return taken
 
+    def publishers(self) -> int:
+        """Return how many publishers there are."""
+        local = 0 if self.links is None else self._local.senders
+        return local if self.handle is None else max(local, int(self.handle.get_publisher_count()))
+
     @property
     def volatile(self) -> bool:
         """Whether it does not receive what was sent before it was matched."""
@@ -157,6 +287,11 @@ class Inbox:
 
     def destroy(self) -> None:
         """Destroy the subscription."""
+        if self.links is not None:
+            self.links.forget(self)
+            self._local.close(self.queue)
+        if self.handle is None:
+            return
         self._forget_events()
         self.handle.destroy_when_not_in_use()
         if self._wider is not None:
@@ -197,21 +332,47 @@ class Inbox:
 
 
 class Waiter:
-    """Waits until any of several inboxes has a message."""
+    """Waits until any of several inboxes has a message; in one process with others, these do their part first."""
 
     def __init__(self, inboxes: Sequence[Inbox]) -> None:
         """Create a wait set for the inboxes."""
-        context = rclpy.get_default_context().handle
-        self._inboxes = inboxes
-        self._set = rclpy_implementation.WaitSet(len(inboxes), 0, 0, 0, 0, 0, context)
+        self.inboxes = inboxes
+        self._links = inboxes[0].links
+        self._room = len(inboxes)
+        self._set = _wait_set(self._room)
+
+    @property
+    def arrived(self) -> bool:
+        """Whether a node of this process has handed over a message."""
+        return any(inbox.queue for inbox in self.inboxes)
 
     def wait(self, seconds: float) -> None:
         """Wait for a message, at most for a time [s]."""
+        if self._links is not None:
+            self._links.wait(self, seconds)
+        else:
+            self.block(seconds)
+
+    def block(self, seconds: float, others: Sequence["Waiter"] = ()) -> None:
+        """Wait for a message of another process, at most for a time [s], for these or other waiters' inboxes."""
+        handles = [inbox.handle for waiter in (self, *others) for inbox in waiter.inboxes if inbox.handle is not None]
+        if not handles:
+            time.sleep(seconds)
+            return
+        if len(handles) > self._room:
+            self._set.destroy_when_not_in_use()
+            self._room = len(handles)
+            self._set = _wait_set(self._room)
         self._set.clear_entities()
-        for inbox in self._inboxes:
-            self._set.add_subscription(inbox.handle)
+        for handle in handles:
+            self._set.add_subscription(handle)
         self._set.wait(max(0, int(seconds * 1e9)))
 
     def destroy(self) -> None:
         """Destroy the wait set."""
         self._set.destroy_when_not_in_use()
+
+
+def _wait_set(room: int) -> Any:
+    """Return a wait set for a number of subscriptions."""
+    return rclpy_implementation.WaitSet(room, 0, 0, 0, 0, 0, rclpy.get_default_context().handle)

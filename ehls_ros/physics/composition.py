@@ -34,7 +34,7 @@ from ehls_ros.physics.kernel_cache import PREFIX, is_sealed, make_private, seale
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
 from ehls_ros.sources import import_line, sources_digest
 
-KERNEL_SOURCES = ("physics", "control", "identification", "arrays.py", "inlining.py")
+KERNEL_SOURCES = ("physics", "control", "identification", "arrays.py", "duals", "inlining.py")
 """Sources that kernels are compiled from."""
 
 

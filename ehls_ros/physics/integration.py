@@ -11,11 +11,12 @@ holds through stick and slip. The evaluation that checks for an event at the end
 """
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from numba import njit
 
 from ehls_ros.arrays import Array, lean
+from ehls_ros.duals import alike, length_to_event, varies
 
 WORK_ROWS = 6
 """Rows of an integrator's workspace, each as long as the state."""
@@ -30,25 +31,29 @@ MOST_ITERATIONS = 64
 """Enough to halve a step down to the tolerance at every second iteration."""
 
 
-def integrator(
+class Steps(NamedTuple):
+    """Compiled steps of one system.
+
+    Attributes:
+        take: ``take(t, y, mode, c, step, work)`` takes one Runge-Kutta step from ``y`` at constant modes, with its rates in
+            ``work[2]``; the result is in ``work[0]``.
+        located: ``located(t, y, mode, c, step, changed, work) -> changed, dense`` takes one step and locates the events in it.
+            ``changed`` is whether the rates in ``work[2]`` may be out of date and a mode may have to change; ``dense`` is 1 if
+            the step has more events than were located.
+    """
+
+    take: Callable[..., None]
+    located: Callable[..., tuple[bool, int]]
+
+
+def steps_of(
     evaluate: Callable[..., float],
     switch: Callable[..., None],
     size: int = 0,
     most_events: int = MOST_EVENTS,
     order: Literal[2, 4] = 4,
-) -> Callable[..., int]:
-    """Build the compiled integrator of one system.
-
-    Args:
-        evaluate: rates and event function of the system.
-        switch: mode changes of the system.
-        size: length of the state if known, so that the compiler unrolls the loops over it; 0: any length.
-        most_events: most events located within a step; with 0, modes change only at the ends of steps.
-        order: 4, the classical method; or 2, the midpoint rule, at half the cost per step.
-
-    Returns:
-        ``advance(t, y, mode, c, step, steps, work)``, see below.
-    """
+) -> Steps:
+    """Build the compiled steps of one system; arguments as those of :func:`integrator`."""
 
     @lean
     def runge_kutta(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
@@ -128,7 +133,54 @@ def integrator(
                 after *= 0.5 if side == -1 else 1.0
                 side = -1
             halve = high - low > 0.5 * width
-        return high
+        return length_to_event(take_step, evaluate, t, y, mode, c, high, work)
+
+    @lean
+    def located_step(t: float, y: Array, mode: Array, c: Any, step: float, changed: bool, work: Array) -> tuple[bool, int]:
+        now, remaining = t, step
+        located = dense = 0
+        while remaining > EVENT_TOLERANCE * step or varies(remaining):
+            if changed and evaluate(now, y, mode, c, work[2]) > 0.0:
+                switch(now, y, mode, c)
+                evaluate(now, y, mode, c, work[2])
+            take_step(now, y, mode, c, remaining, work)
+            taken = remaining
+            after = evaluate(now + remaining, work[0], mode, c, work[2])
+            changed = after > 0.0
+            if changed and located < most_events:
+                taken = locate(now, y, mode, c, remaining, after, work)
+                located += 1
+            elif changed:
+                dense += 1
+            for i in range(size or y.size):
+                y[i] = work[0, i]
+            now += taken
+            remaining -= taken
+        return changed, dense
+
+    return Steps(take_step, located_step)
+
+
+def integrator(
+    evaluate: Callable[..., float],
+    switch: Callable[..., None],
+    size: int = 0,
+    most_events: int = MOST_EVENTS,
+    order: Literal[2, 4] = 4,
+) -> Callable[..., int]:
+    """Build the compiled integrator of one system.
+
+    Args:
+        evaluate: rates and event function of the system.
+        switch: mode changes of the system.
+        size: length of the state if known, so that the compiler unrolls the loops over it; 0: any length.
+        most_events: most events located within a step; with 0, modes change only at the ends of steps.
+        order: 4, the classical method; or 2, the midpoint rule, at half the cost per step.
+
+    Returns:
+        ``advance(t, y, mode, c, step, steps, work)``, see below.
+    """
+    located_step = steps_of(evaluate, switch, size, most_events, order).located
 
     @lean
     def advance(t: float, y: Array, mode: Array, c: Any, step: float, steps: int, work: Array) -> int:
@@ -147,29 +199,12 @@ def integrator(
             Number of steps with more events than were located, normally 0.
         """
         dense = 0
+        t, step = alike(y, t), alike(y, step)
         # Inputs may have jumped since the last call.
         changed = True
         for index in range(steps):
-            now = t + index * step
-            remaining = step
-            located = 0
-            while remaining > EVENT_TOLERANCE * step:
-                if changed and evaluate(now, y, mode, c, work[2]) > 0.0:
-                    switch(now, y, mode, c)
-                    evaluate(now, y, mode, c, work[2])
-                take_step(now, y, mode, c, remaining, work)
-                taken = remaining
-                after = evaluate(now + remaining, work[0], mode, c, work[2])
-                changed = after > 0.0
-                if changed and located < most_events:
-                    taken = locate(now, y, mode, c, remaining, after, work)
-                    located += 1
-                elif changed:
-                    dense += 1
-                for i in range(size or y.size):
-                    y[i] = work[0, i]
-                now += taken
-                remaining -= taken
+            changed, more = located_step(t + index * step, y, mode, c, step, changed, work)
+            dense += more
         return dense
 
     return advance

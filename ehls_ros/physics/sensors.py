@@ -20,7 +20,7 @@ class SensorState(NamedTuple):
     Attributes:
         table: columns smoothing factor of the lag, delay [cycles], gain, bias, noise_std, resolution.
         lagged: output of the first-order lag.
-        past: ring buffer of ``lagged``, shape (signals, cycles of the longest delay + 2).
+        past: ring buffer of ``lagged``, shape (signals, cycles of the longest delay + 2); without delays, the last one alone.
     """
 
     table: Array
@@ -44,7 +44,7 @@ def prepare(sensors: Mapping[str, Sensor], period: float) -> SensorState:
         smoothing = 1.0 - np.exp(-sensor.bandwidth * period) if sensor.bandwidth > 0.0 else 1.0
         table[row] = smoothing, sensor.delay / period, sensor.gain, sensor.bias, sensor.noise_std, sensor.resolution
     longest = int(np.ceil(table[:, 1].max()))
-    return SensorState(table, np.zeros(len(SENSED)), np.zeros((len(SENSED), longest + 2)))
+    return SensorState(table, np.zeros(len(SENSED)), np.zeros((len(SENSED), longest + 2 if longest > 0 else 1)))
 
 
 @kernel
@@ -79,17 +79,19 @@ def measure(cycle: int, truth: Array, noise: Array, state: SensorState, measured
         measured: output, shape (signals,).
     """
     columns = state.past.shape[1]
+    place = cycle % columns
     for row in range(truth.size):
         smoothing, delay, gain, bias, deviation, resolution = state.table[row]
         if cycle == 0:
             state.lagged[row] = truth[row]
-            state.past[row, :] = truth[row]
+            state.past[row][:] = truth[row]
         state.lagged[row] += smoothing * (truth[row] - state.lagged[row])
-        state.past[row, cycle % columns] = state.lagged[row]
+        state.past[row, place] = state.lagged[row]
         whole = int(delay)
         fraction = delay - whole
-        newer = state.past[row, (cycle - whole) % columns]
-        older = state.past[row, (cycle - whole - 1) % columns]
+        now = place - whole if place >= whole else place - whole + columns
+        newer = state.past[row, now]
+        older = state.past[row, now - 1 if now > 0 else columns - 1]
         value = gain * (newer + fraction * (older - newer)) + bias + deviation * noise[row]
         if resolution > 0.0:
             value = np.round(value / resolution) * resolution

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array, lean
+from ehls_ros.arrays import Array, direct, lean, plain
 from ehls_ros.physics import sensors
 from ehls_ros.physics.composition import Effects, compiled, effects_of, rig_elements
 from ehls_ros.physics.effects import EFFECTS
@@ -267,12 +267,14 @@ class Simulator:
         """
         self.rig, parts, self.constants, self.state = at_rest(rig, period, step, **start)
         plant = plant_kernel(parts)
-        self._advance, self._sense, self._hold = plant.advance, plant.sense, plant.hold
+        self._plant, self._hold = plant, plant.hold
         self.period = self.constants.period
         self.y, self.mode, self.inputs, self.truth = self.state.y, self.state.mode, self.state.inputs, self.state.truth
         self.cycle = 0
         # Compile now rather than in the first cycle.
         trial = at_rest(rig, period, step).state
+        self._sense = direct(plant.sense, 0, self.constants, trial, np.zeros(len(SENSED)))
+        self._advance = direct(plant.advance, 0, self.constants, trial)
         self._sense(0, self.constants, trial, np.zeros(len(SENSED)))
         self._hold(trial.inputs, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._advance(0, self.constants._replace(steps=0), trial)
@@ -286,7 +288,7 @@ class Simulator:
         Returns:
             The readings in the order of ``SENSED``; every call reuses the same array.
         """
-        self._sense(self.cycle, self.constants, self.state, noise)
+        self._sense(self.cycle, self.constants, self.state, plain(noise))
         return self.state.measured
 
     def trouble(self) -> str:

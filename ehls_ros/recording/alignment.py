@@ -55,7 +55,10 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
                 signals[signal] = _scatter(columns[field][source], target, len(cycles))
         if topic is VALVE_COMMAND:
             response_ns = columns[SENT][source] - loader[SENT][first][target]
-            signals[RESPONSE] = _scatter(response_ns / 1e9, target, len(cycles))
+            # A node in one process with the plant has answered before either is sent, and its command is sent first.
+            told = response_ns >= 0
+            if told.any() or not told.size:
+                signals[RESPONSE] = _scatter(np.where(told, response_ns / 1e9, np.nan), target, len(cycles))
     return time_s, signals
 
 

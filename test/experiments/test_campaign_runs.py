@@ -9,6 +9,7 @@ from campaign_cases import BASE, CONFIG, DRAWS, write
 
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.batch import FEWEST
 from ehls_ros.experiments.campaign import conduct as conducting
 from ehls_ros.experiments.campaign import work
 from ehls_ros.experiments.campaign.backends import local
@@ -19,6 +20,7 @@ from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.extras import install_command
+from ehls_ros.physics.lane_memory import LANES
 
 pyarrow_parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow, of the extra campaign, is not installed")
 
@@ -142,15 +144,32 @@ def test_equal_runs_are_made_once_and_told_twice(tmp_path):
     assert found["max_error_n"][0] == found["max_error_n"][1]
 
 
-def test_chunks_shrink_towards_the_end_and_hold_every_run_once(tmp_path):
-    plan = load_plan(write(tmp_path, runs=500, vary=DRAWS, base={**BASE, "duration": 50.0}))
+@pytest.mark.parametrize(("duration", "first", "last"), [(10.0, 2 * LANES, LANES), (150.0, 2, 1)], ids=["lanes", "alone"])
+def test_chunks_shrink_towards_the_end_and_hold_every_run_once(tmp_path, duration, first, last):
+    plan = load_plan(write(tmp_path, runs=50 * LANES, vary=DRAWS, base={**BASE, "duration": duration}))
     with opened(tmp_path / "out") as folder:
         chunks = list(conducting._Work(plan, folder, None)._chunks(slots=2))
     sizes = [len(chunk.specs) for chunk in chunks]
     assert sizes == sorted(sizes, reverse=True)
-    assert sizes[0] == conducting.CHUNK_CYCLES // plan.cycles
-    assert sizes[-1] == 1
+    assert (sizes[0], sizes[-1]) == (first, last)
+    assert {chunk.side_by_side for chunk in chunks} == {last == LANES}
     assert [spec for chunk in chunks for spec in chunk.specs] == [run.spec for run in plan.runs()]
+
+
+def test_runs_side_by_side_have_the_metrics_they_have_alone(tmp_path):
+    # Effects and sensors of test_batch, whose kernel is then compiled once for both.
+    effects = [{"name": "valve_hysteresis", "width": 1e-6}, {"name": "end_stop"}]
+    plan = load_plan(write(tmp_path, runs=FEWEST, vary=DRAWS, base={**BASE, "effects": effects}))
+    runs = [run.spec for run in plan.runs()]
+    unreadable = json.dumps({**json.loads(runs[0]), "duration": -1.0})
+    impossible = json.dumps({**json.loads(runs[0]), "initial_position": 1.0})
+    together = [*runs[:2], unreadable, *runs[2:], impossible]
+    rows = work.run_chunk(together, work.code_version(), side_by_side=True)
+    for row, spec in zip(rows, together, strict=True):
+        expected = work.run_one(spec)
+        assert row.pop("wall_s") >= 0.0
+        assert row == {name: value for name, value in expected.items() if name != "wall_s"}
+    assert [row["error"] is None for row in rows] == [True, True, False, *[True] * (FEWEST - 2), False]
 
 
 def test_a_worker_with_other_code_is_refused():

@@ -63,3 +63,10 @@ class PowerCoordinates(NamedTuple):
 
     def force(self, made: Motion, friction: PowerLaw) -> Array:
         return friction.level * np.sign(made.velocity) * np.abs(made.velocity) ** friction.exponent
+
+    def slopes(self, made: Motion, friction: Any) -> Array:
+        level, exponent = friction.level, friction.exponent
+        power = np.sign(made.velocity) * np.abs(made.velocity) ** exponent.value
+        bent = level.value * power * np.log(np.maximum(np.abs(made.velocity), 1e-300))
+        slopes: Array = np.multiply.outer(power, level.tangents) + np.multiply.outer(bent, exponent.tangents)
+        return slopes

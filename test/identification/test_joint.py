@@ -49,7 +49,7 @@ def test_the_derivatives_are_those_of_the_formula():
     force = TRUE.level * np.sign(v) * np.abs(v) ** TRUE.exponent / 2.0
     exact = np.column_stack([force, force * TRUE.exponent * np.log(np.maximum(np.abs(v), 1e-300))])
     design = problem(data).design(z)
-    np.testing.assert_allclose(design[:, :2], exact, rtol=2e-4, atol=2e-4 * np.abs(force).max())
+    np.testing.assert_allclose(design[:, :2], exact, rtol=1e-12, atol=1e-12 * np.abs(force).max())
     np.testing.assert_array_equal(design[:, 2:], problem(data).rows)
 
 

@@ -6,6 +6,8 @@ import pytest
 
 pytest.importorskip("ehls_msgs", reason="needs ehls_msgs built, as `make setup` does")
 
+from rclpy.serialization import deserialize_message
+
 from ehls_ros.nodes.frames import JOINT, loader_frame
 from ehls_ros.nodes.telemetry import Telemetry
 from ehls_ros.physics.rig import SENSED
@@ -36,7 +38,8 @@ class StandIn:
     def create_publisher(self, kind, topic, depth):
         sent = self.published.setdefault(topic, [])
         self.types[topic] = kind
-        return SimpleNamespace(publish=sent.append)
+        handle = SimpleNamespace(publish_raw=lambda message: sent.append(deserialize_message(message, kind)))
+        return SimpleNamespace(get_subscription_count=lambda: 1, handle=handle)
 
 
 def told(measured=SENSED, failing=(), namespace="/ehls"):

@@ -46,6 +46,11 @@ def arguments(parser: ArgumentParser) -> None:
         help="lockstep: deterministic, as fast as the machine goes; realtime: wall clock, last command held",
     )
     parser.add_argument(
+        "--compose",
+        action="store_true",
+        help="the nodes of a control cycle are one process, in which a cycle is one call; by default each is a process",
+    )
+    parser.add_argument(
         "--plant",
         choices=("sim", "bridge"),
         default="sim",
@@ -61,6 +66,8 @@ def run(options: Namespace) -> int:
     """Run it."""
     if options.plant != "sim" and options.in_process:
         raise BadInput("--plant bridge was given", "command line", "--plant sim with --in-process: a rig needs the graph")
+    if options.compose and options.in_process:
+        raise BadInput("--compose was given", "command line", "no --in-process with it, which starts no nodes")
     if options.bridge is not None and options.plant == "sim":
         raise BadInput("--bridge was given", "command line", "--plant bridge with it")
     spec = load_spec(options.spec)
@@ -132,7 +139,7 @@ def _over_dds(spec: Spec, folder: RunFolder, options: Namespace, progress: Calla
             f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced or `make setup`; or --in-process"
         ) from None
     plant = Plant(options.plant, options.bridge)
-    wall = run_graph(spec, folder, options.timing, options.storage, progress, plant)
+    wall = run_graph(spec, folder, options.timing, options.storage, progress, plant, compose=options.compose)
     return _Done(read_bag(folder.bag), wall)
 
 

@@ -1,4 +1,4 @@
-"""`ehls run`: start one node, where there is no `ros2 run`."""
+"""`ehls run`: start one node, where there is no `ros2 run`, or several as one process."""
 
 import sys
 from argparse import REMAINDER, ArgumentParser, Namespace
@@ -6,22 +6,37 @@ from importlib import import_module
 
 from ehls_ros.errors import BadInput
 from ehls_ros.nodes import node_names
+from ehls_ros.nodes.together import PLUS, in_order
 
-HELP = "Start one node, as `ros2 run ehls_ros NODE` does."
+HELP = "Start one node, as `ros2 run ehls_ros NODE` does, or several as one process."
+
+
+class _Joinable(tuple[str, ...]):
+    """Names of nodes, and what PLUS makes of them."""
+
+    __slots__ = ()
+
+    def __contains__(self, names: object) -> bool:
+        """Tell whether these are names of nodes, or one is."""
+        return all(tuple.__contains__(self, name) for name in str(names).split(PLUS))
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("node", choices=node_names(), help="node to start")
+    about = f"node to start, or several to be one process: plant_sim_node{PLUS}friction_estimator_node{PLUS}fasmc_node"
+    parser.add_argument("node", choices=_Joinable(node_names()), help=about)
     parser.add_argument("ros_arguments", nargs=REMAINDER, help="handed to ROS, such as --ros-args -p k:=14.0")
 
 
 def run(options: Namespace) -> int:
-    """Start it and return its exit code."""
+    """Start it, or them, and return the exit code."""
+    names = options.node.split(PLUS)
+    together = len(names) > 1
+    names = in_order(names) if together else names
     try:
-        node = import_module(f"ehls_ros.nodes.{options.node}")
+        node = import_module(f"ehls_ros.nodes.{'composed' if together else names[0]}")
     except ImportError as error:
         raise BadInput(f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced, or `make setup`") from None
-    sys.argv = [options.node, *options.ros_arguments]
+    sys.argv = [*(["composed"] if together else []), *names, *options.ros_arguments]
     code: int = node.main()
     return code

@@ -30,6 +30,7 @@ from ehls_ros.control.controllers import base
 from ehls_ros.control.controllers.base import ELEMENTS_FORCE, VISCOUS_FORCE, Model, saturate
 from ehls_ros.physics import sensors
 from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.vector_math import exp
 from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
@@ -168,7 +169,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
         memory[CORRECTION], memory[STARTED] = 0.0, 0.0
     error = (m[sensors.FORCE] - r[0]) / area  # (26), with the force as the load cell has it
     error_rate = x3_rate - x3d_rate
-    logistic = 1.0 / (1.0 + math.exp(-p.g * error))
+    logistic = 1.0 / (1.0 + exp(-p.g * error))
     surface = p.k * logistic - 0.5 * p.k
     surface_slope = p.k * p.g * logistic * (1.0 - logistic)
     s = p.xi * error_rate + surface  # (27)

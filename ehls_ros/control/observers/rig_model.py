@@ -38,12 +38,12 @@ def state(model: FrictionModel, friction: Any) -> ObserverState:
     return empty_state(model.states(friction))
 
 
-def driven(model: FrictionModel) -> Callable[..., int]:
-    """Build the integrator of a friction model's forces under a measured motion.
+def driven(model: FrictionModel) -> tuple[Callable[..., float], Callable[..., None]]:
+    """Build the system of a friction model's forces under a measured motion.
 
     Returns:
-        ``advance`` of :func:`~ehls_ros.physics.integration.integrator`; its ``c`` is a :class:`Motion`, with t = 0 at its first
-        measurement.
+        ``evaluate`` and ``switch`` for :mod:`~ehls_ros.physics.integration`; ``c`` is a :class:`Motion`, with t = 0 at its
+        first measurement.
     """
     level, rates, event, switch = model.level, model.rates, model.event, model.switch
 
@@ -59,25 +59,31 @@ def driven(model: FrictionModel) -> Callable[..., int]:
         v = c.velocity + c.acceleration * t
         switch(v, DRIVING * sign(v), level(v, c.friction), y, mode, c.friction)
 
-    return integrator(evaluate, change)
+    return evaluate, change
 
 
-def updater(model: FrictionModel) -> Callable[..., None]:
-    """Build the update of one friction model."""
-    level, force, begin, advance = model.level, model.force, model.begin, driven(model)
+def around(model: FrictionModel) -> tuple[Callable[..., tuple[Motion, int]], Callable[..., None]]:
+    """Build what the update of one friction model does before and after it runs the elements.
+
+    Returns:
+        ``before(velocity, period, friction, p, state)``, which returns the :class:`Motion` since the last measurement and the
+        number of steps in which to run it, none at the first; and ``after(friction, state)``, which writes the estimate.
+    """
+    level, force, begin = model.level, model.force, model.begin
     relaxation_rate = kernel(model.relaxation_rate)
 
     @kernel
-    def update(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> None:
-        """Run the elements from the last measurement to this one."""
+    def before(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> tuple[Motion, int]:
         last, started = state.last[0], state.last[1] == 1.0
         velocity = held(velocity, state)
-        if started:
-            # At least one step for each time constant of the forces.
-            needed = period * relaxation_rate(friction, max(abs(last), abs(velocity)))
-            steps = max(p.steps, math.ceil(min(needed, MOST_STEPS)))
-            motion = Motion(friction, last, (velocity - last) / period)
-            advance(0.0, state.forces, state.mode, motion, period / steps, steps, state.work)
+        # At least one step for each time constant of the forces.
+        needed = period * relaxation_rate(friction, max(abs(last), abs(velocity)))
+        steps = max(p.steps, math.ceil(min(needed, MOST_STEPS)))
+        return Motion(friction, last, (velocity - last) / period), steps if started else 0
+
+    @kernel
+    def after(friction: Any, state: ObserverState) -> None:
+        velocity = state.last[0]
         elements = state.forces.size
         most, total, lost = level(0.0, friction), 0.0, False
         for i in range(elements):
@@ -94,5 +100,21 @@ def updater(model: FrictionModel) -> Callable[..., None]:
         if elements == 1:
             state.estimate[ELEMENTS] = state.estimate[0]
         state.estimate[1] = friction.viscous_coefficient * velocity
+
+    return before, after
+
+
+def updater(model: FrictionModel) -> Callable[..., None]:
+    """Build the update of one friction model."""
+    before, after = around(model)
+    advance = integrator(*driven(model))
+
+    @kernel
+    def update(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> None:
+        """Run the elements from the last measurement to this one."""
+        motion, steps = before(velocity, period, friction, p, state)
+        if steps > 0:
+            advance(0.0, state.forces, state.mode, motion, period / steps, steps, state.work)
+        after(friction, state)
 
     return update

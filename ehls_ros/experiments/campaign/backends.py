@@ -31,10 +31,12 @@ class Chunk(NamedTuple):
     Attributes:
         digests: key of each.
         specs: spec of each, as JSON.
+        side_by_side: whether those that can are made at once.
     """
 
     digests: tuple[str, ...]
     specs: tuple[str, ...]
+    side_by_side: bool
 
 
 Done = tuple[Chunk, list[Row]]
@@ -104,7 +106,7 @@ def _leave_interrupts_to_the_parent() -> None:
 
 
 def _done(chunk: Chunk, version: str) -> Done:
-    return chunk, run_chunk(chunk.specs, version)
+    return chunk, run_chunk(chunk.specs, version, side_by_side=chunk.side_by_side)
 
 
 @contextmanager
@@ -144,7 +146,7 @@ def _on_cluster(distributed: Any, client: Any, chunks: Iterator[Chunk]) -> Itera
     under_way: dict[Any, Chunk] = {}
     while True:
         for chunk in itertools.islice(chunks, max(AHEAD * _threads(client) - len(under_way), 0)):
-            future = client.submit(run_chunk, chunk.specs, version, pure=False)
+            future = client.submit(run_chunk, chunk.specs, version, side_by_side=chunk.side_by_side, pure=False)
             under_way[future] = chunk
             futures.add(future)
         if not under_way:

@@ -11,9 +11,16 @@ from ehls_ros.experiments.campaign.backends import Backend, Chunk, Place
 from ehls_ros.experiments.campaign.plan import Plan
 from ehls_ros.experiments.campaign.store import Folder, Index, digests_done, keep
 from ehls_ros.experiments.campaign.work import Row, code_version, run_digest
+from ehls_ros.physics.lane_memory import LANES
 
 CHUNK_CYCLES = 400_000
 """Largest number of control cycles in a chunk: about a second of work."""
+
+SIDE_BY_SIDE_FROM = 6_000_000
+"""Control cycles from which on a loop for many runs at once is worth compiling: that takes as long as 600 runs of 10 s gain."""
+
+SIDE_BY_SIDE_MOST = 1_600_000
+"""Largest number of control cycles of runs side by side, which are in memory together: 0.25 kB each."""
 
 CHUNKS_LEFT = 3
 """Chunks left per slot when chunks begin to shrink, so that all slots end together."""
@@ -71,6 +78,8 @@ class _Work:
         self._unkept: list[tuple[str, Row]] = []
         self._kept_at = time.monotonic()
         self._left = max(len(plan) - len(self._known), 1)
+        fits = LANES * plan.cycles <= SIDE_BY_SIDE_MOST
+        self._together = LANES if fits and self._left * plan.cycles >= SIDE_BY_SIDE_FROM else 1
         self._found = 0
         self.index = Index(plan.columns)
         self.made = 0
@@ -98,7 +107,7 @@ class _Work:
 
     def _chunks(self, slots: int) -> Iterator[Chunk]:
         """Index the runs and divide the missing ones into chunks, smaller ones towards the end."""
-        most = max(CHUNK_CYCLES // self._plan.cycles, 1)
+        most = CHUNK_CYCLES // self._plan.cycles
         digests: list[str] = []
         specs: list[str] = []
         for run in self._plan.runs():
@@ -110,9 +119,10 @@ class _Work:
             self._known.add(digest)
             digests.append(digest)
             specs.append(run.spec)
-            if len(specs) >= min(most, self._left // (CHUNKS_LEFT * slots)):
-                yield Chunk(tuple(digests), tuple(specs))
+            blocks = min(most, self._left // (CHUNKS_LEFT * slots)) // self._together
+            if len(specs) >= max(blocks, 1) * self._together:
+                yield Chunk(tuple(digests), tuple(specs), self._together > 1)
                 self._left -= len(specs)
                 digests, specs = [], []
         if specs:
-            yield Chunk(tuple(digests), tuple(specs))
+            yield Chunk(tuple(digests), tuple(specs), self._together > 1)

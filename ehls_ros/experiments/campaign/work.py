@@ -4,20 +4,22 @@ import hashlib
 import json
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ehls_ros import __version__
-from ehls_ros.errors import WorkFailed
+from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.spec import spec_from_mapping
+from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.recording.reason import reason
 from ehls_ros.sources import sources_digest
+from ehls_ros.trajectory import Trajectory
 
 METRICS = ("max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycles", "duration_s", "wall_s")
 """Columns of a row, as ``metrics.json`` names them; ``error`` follows."""
@@ -30,7 +32,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 def code_version() -> str:
     """Return the package's version with a digest of the sources that determine a run's numbers."""
-    digest = sources_digest("physics", "control", "experiments", "arrays.py", "inlining.py")
+    digest = sources_digest("physics", "control", "experiments", "arrays.py", "duals", "inlining.py")
     return f"{__version__}+{digest[:12]}"
 
 
@@ -43,15 +45,17 @@ def run_digest(spec: str) -> str:
     return hashlib.sha256(f"{code_version()} {spec}".encode()).hexdigest()[:32]
 
 
-def run_chunk(specs: Sequence[str], version: str) -> list[Row]:
-    """Run experiments one after another.
+def run_chunk(specs: Sequence[str], version: str, *, side_by_side: bool = False) -> list[Row]:
+    """Run experiments.
 
     Args:
         specs: the specs as JSON.
         version: code version of the caller.
+        side_by_side: make those at once that can be, which is faster once the loop for that is compiled.
 
     Returns:
-        One row per spec.
+        One row per spec: its metrics, and ``error``: the reason why the run failed, or None. The wall time of runs side by side
+        is shared among them.
 
     Raises:
         WorkFailed: this process has other code than the caller.
@@ -61,7 +65,7 @@ def run_chunk(specs: Sequence[str], version: str) -> list[Row]:
             f"a worker has ehls_ros {code_version()} where {version} is asked for: install the same on every worker"
         )
     with _ONE_AT_A_TIME:
-        return [run_one(spec) for spec in specs]
+        return _run_side_by_side(specs) if side_by_side else [run_one(spec) for spec in specs]
 
 
 def run_one(spec: str) -> Row:
@@ -71,14 +75,46 @@ def run_one(spec: str) -> Row:
         spec: the spec as JSON.
 
     Returns:
-        Its metrics, and ``error``: the reason why the run failed, or None.
+        As of :func:`run_chunk`.
     """
     start = time.perf_counter()
     try:
-        run = run_in_process(spec_from_mapping(json.loads(spec), "run", Path()))
-        row = {name: value for name, value in json_document(evaluate(run)).items() if name in METRICS}
-        lost = np.flatnonzero(~np.isfinite(run["force_n"]))
-        error = f"the force is not finite after {run.time_s[lost[0]]:g} s" if lost.size else None
+        row = _row(run_in_process(_spec(spec)))
     except Exception as failure:  # noqa: BLE001 - a failure is the result of this run, and the others continue
-        row, error = dict.fromkeys(METRICS), f"{type(failure).__name__}: {reason(failure)}"
-    return row | {"wall_s": time.perf_counter() - start, "error": error}
+        row = _failed(failure)
+    return row | {"wall_s": time.perf_counter() - start}
+
+
+def _run_side_by_side(specs: Sequence[str]) -> list[Row]:
+    start = time.perf_counter()
+    rows: dict[int, Row] = {}
+    places: list[int] = []
+
+    def readable() -> Iterator[Spec]:
+        for place, text in enumerate(specs):
+            try:
+                spec = _spec(text)
+            except BadInput as failure:
+                rows[place] = _failed(failure)
+            else:
+                places.append(place)
+                yield spec
+
+    for index, result in run_batch(readable()):
+        rows[places[index]] = _failed(result) if isinstance(result, Exception) else _row(result)
+    share = (time.perf_counter() - start) / max(len(specs), 1)
+    return [rows[place] | {"wall_s": share} for place in range(len(specs))]
+
+
+def _spec(text: str) -> Spec:
+    return spec_from_mapping(json.loads(text), "run", Path())
+
+
+def _row(run: Trajectory) -> Row:
+    row = {name: value for name, value in json_document(evaluate(run)).items() if name in METRICS}
+    lost = np.flatnonzero(~np.isfinite(run["force_n"]))
+    return row | {"error": f"the force is not finite after {run.time_s[lost[0]]:g} s" if lost.size else None}
+
+
+def _failed(failure: Exception) -> Row:
+    return dict.fromkeys(METRICS) | {"error": f"{type(failure).__name__}: {reason(failure)}"}

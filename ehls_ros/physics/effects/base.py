@@ -36,6 +36,10 @@ The value of ``received`` is constant between jumps; the hook is called at the s
 with this hook gives its longest delay in ``REACH`` [s] and has a compiled ``jump(t, w, p)``, which returns the time of the next
 jump after t [s], or infinity.
 
+:mod:`ehls_ros.physics.sensitivity` differentiates hooks and shifts. An effect that leaves a trajectory without derivatives,
+since its hooks jump where no event is located, has ``corner(parameters, period, varied)``, which returns why, and an empty text
+for parameters with which they do not. ``varied`` tells whether its own parameters vary.
+
 An effect may separate the load from the piston by play or elasticity. Position and velocity of the state then belong to the
 load, on which all terms of (3) act except the pressure. Those of the piston are states of the effect; volume balance and
 sensors see them. Such an effect has both ``piston`` hooks, and its ``force`` replaces the pressure force by the joint's.

@@ -49,6 +49,13 @@ def jump(t: float, w: Array, p: Parameters) -> float:
     return t + (after if after > ROUNDING * w[PERIOD] else w[PERIOD])
 
 
+def corner(p: Parameters, period: float, varied: bool) -> str:
+    """Return why the readings have no derivative by the delay: at whole periods, a command arrives as they are taken."""
+    cycles = p.delay / period
+    whole = varied and abs(cycles - round(cycles)) <= ROUNDING
+    return f"a delay of {round(cycles)} whole control periods, where the derivative jumps" if whole else ""
+
+
 def forms(rig: Rig) -> tuple[Form, ...]:
     """The delay, from short, medium and long."""
     return (Form({"delay": (0.001, 0.004, 0.012)}),)

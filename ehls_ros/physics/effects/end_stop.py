@@ -56,6 +56,12 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
     return value - push(y[X] - p.upper, y[V], p) + push(p.lower - y[X], -y[V], p)
 
 
+def corner(p: Parameters, period: float, varied: bool) -> str:
+    """Return why a trajectory into a stop has no derivatives: with damping the force jumps at contact, which is no event."""
+    reachable = p.upper < Parameters().upper or p.lower > Parameters().lower
+    return "a damping, with which the force jumps at contact (take a loss instead)" if reachable and p.damping > 0.0 else ""
+
+
 def forms(rig: Rig) -> tuple[Form, ...]:
     """The upper stop, the lower one or both, from rarely, sometimes and often reached; one of them with a round face."""
     upper = tuple(Quantile("position_m", fraction) for fraction in (0.995, 0.95, 0.85))

@@ -54,6 +54,11 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
     return without_piston(rig, parameters.piston_share) if parameters.load_gap > 0.0 else rig
 
 
+def corner(p: Parameters, period: float, varied: bool) -> str:
+    """Return why a trajectory has no derivatives: without rounding the faces' damping jumps at contact, which is no event."""
+    return "no rounding, so that the force jumps at contact" if p.load_gap > 0.0 and p.rounding == 0.0 else ""
+
+
 def piston_share(parameters: Parameters) -> float:
     """Return the fraction of the moving mass on the piston's side; 0 without ``load_gap``."""
     return parameters.piston_share if parameters.load_gap > 0.0 else 0.0

@@ -31,11 +31,11 @@ A file may have ``derived(others)``, which returns those of its keys that follow
 rig file does not give them.
 """
 
-import math
 from typing import Annotated, Any, Protocol
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.vector_math import stretched_decay
 from ehls_ros.schema import quantity
 
 CoulombForce = Annotated[float, quantity("N", "Coulomb friction Fc", above=0.0, maximum=1e9)]
@@ -90,9 +90,8 @@ class FrictionModel(Protocol):
 @kernel
 def stribeck_level(v: float, p: Any) -> float:
     """Return the Stribeck curve s(v) of equation (7) [N]."""
-    return p.coulomb_force + (p.static_force - p.coulomb_force) * math.exp(
-        -(abs(v / p.stribeck_velocity) ** p.stribeck_exponent)
-    )  # (7)
+    decay = stretched_decay(abs(v / p.stribeck_velocity), p.stribeck_exponent)
+    return p.coulomb_force + (p.static_force - p.coulomb_force) * decay  # (7)
 
 
 def check_stribeck(p: Any, where: str) -> None:

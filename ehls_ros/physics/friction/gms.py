@@ -77,11 +77,12 @@ def break_away(p: Parameters) -> float:
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
     """Write (6) for sticking elements and (8) for slipping ones."""
+    relative = 1.0 / s
     for i in range(len(p.element_stiffness)):
         if mode[i] == 0.0:
             rate[i] = p.element_stiffness[i] * v  # (6)
         else:
-            rate[i] = p.attraction_rate * (mode[i] * p.element_weight[i] - F[i] / s)  # (8)
+            rate[i] = p.attraction_rate * (mode[i] * p.element_weight[i] - F[i] * relative)  # (8)
 
 
 @kernel

@@ -1,0 +1,144 @@
+"""What an integrator asks of its numbers at events; of floats nothing, at no cost."""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import overload
+
+from ehls_ros.duals.code import ONE, CodeDual, any_tangent, chain, intrinsic, number, or_zero, read, written, zeros
+from ehls_ros.duals.kinds import DualArrayType, DualType
+from ehls_ros.duals.memory import constant
+
+
+@intrinsic
+def _ticking(typingctx: Any, length: Any) -> Any:
+    """Return a length as the variable that the last tangent belongs to."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind = sig.return_type
+        tangents: list[Any] = [zeros(lanes) for lanes in kind.lanes]
+        tangents[-1] = ir.Constant(tangents[-1].type, [0.0] * (kind.lanes[-1] - 1) + [1.0])
+        return written(context, builder, kind, CodeDual(read(context, builder, length, args[0]).value, tangents))
+
+    return length(length), lower
+
+
+def _by_length(builder: Any, dual: CodeDual) -> Any:
+    """Return the last tangent."""
+    last = (dual.tangents or [])[-1]
+    return builder.extract_element(last, ir.Constant(ir.IntType(32), last.type.count - 1))
+
+
+def _without_length(builder: Any, tangents: list[Any]) -> list[Any]:
+    """Return tangents with the last one zero."""
+    last = tangents[-1]
+    return [*tangents[:-1], builder.insert_element(last, number(0.0), ir.Constant(ir.IntType(32), last.type.count - 1))]
+
+
+@intrinsic
+def _implied(typingctx: Any, length: Any, event: Any) -> Any:
+    """Return a length at which an event function is zero, with the tangents that follow; zero where it only touches zero."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        value = read(context, builder, length, args[0]).value
+        function = read(context, builder, event, args[1])
+        rate = _by_length(builder, function)
+        factor = or_zero(builder, builder.fcmp_ordered(">", rate, number(0.0)), builder.fdiv(number(-1.0), rate))
+        tangents = chain(builder, (factor, function)) or []
+        return written(context, builder, sig.return_type, CodeDual(value, _without_length(builder, tangents)))
+
+    return length(length, event), lower
+
+
+@intrinsic
+def _after(typingctx: Any, value: Any, length: Any) -> Any:
+    """Return a value that depends on the step's length, with the length's own tangents counted."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        dual, step = (read(context, builder, kind, arg) for kind, arg in zip(sig.args, args, strict=True))
+        tangents = chain(builder, (ONE, dual), (_by_length(builder, dual), step)) or []
+        return written(context, builder, value, CodeDual(dual.value, _without_length(builder, tangents)))
+
+    return value(value, length), lower
+
+
+@intrinsic
+def _varies(typingctx: Any, value: Any) -> Any:
+    """Return whether a tangent is not zero."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return any_tangent(builder, read(context, builder, value, args[0]).tangents or [])
+
+    return types.boolean(value), lower
+
+
+def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any) -> Any:
+    """Return the length of a step that ends on an event; of duals, with the derivatives of the event's time.
+
+    These follow from the event function g, which is zero at the event whatever the parameters: dh/dp = -(dg/dp) / (dg/dh).
+    The state at the event, ``work[0]``, gets what it changes by the time of the event. What is left of the whole step
+    is shorter by as much, so that both parts together have the derivatives at a fixed time, with the jump that is known as
+    the saltation matrix (Leine, Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004, chapter 7).
+
+    Args:
+        take_step: takes a step of the integrator, which ends in ``work[0]``.
+        evaluate: rates and event function of the system.
+        t: time at the start of the step [s].
+        y: state at the start of the step.
+        mode: modes during the step.
+        c: coefficients of the system.
+        length: length of the step [s].
+        work: workspace of the integrator.
+    """
+    return length
+
+
+_LEAN: Any = {"_nrt": False, "error_model": "numpy"}
+"""As :func:`~ehls_ros.arrays.lean`."""
+
+
+@overload(length_to_event, strict=False, jit_options=_LEAN)
+def _length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any) -> Any:
+    if not isinstance(y, DualArrayType):
+        return lambda take_step, evaluate, t, y, mode, c, length, work: length
+
+    def differentiated(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any) -> Any:
+        ticking = _ticking(length)
+        take_step(t, y, mode, c, ticking, work)
+        end = work[0]
+        length = _implied(length, evaluate(t + ticking, end, mode, c, work[1]))
+        for i in range(y.size):
+            end[i] = _after(end[i], length)
+        return length
+
+    return differentiated
+
+
+def alike(array: Any, number: Any) -> Any:
+    """Return a number as the elements of an array are: a dual for duals, else itself."""
+    return number
+
+
+@overload(alike, inline="always", strict=False)
+def _alike(array: Any, number: Any) -> Any:
+    if not isinstance(array, DualArrayType) or isinstance(number, DualType):
+        return lambda array, number: number
+    width = array.dtype.width
+    return lambda array, number: constant(number, width)
+
+
+def varies(value: Any) -> bool:
+    """Return whether a number has a derivative that is not zero; of a float always False."""
+    return False
+
+
+@overload(varies, inline="always", strict=False)
+def _varies_of(value: Any) -> Any:
+    if not isinstance(value, DualType):
+        return lambda value: False
+
+    def of_dual(value: Any) -> Any:
+        return _varies(value)
+
+    return of_dual

@@ -1,0 +1,329 @@
+"""The closed loop of :mod:`ehls_ros.experiments.loop` for lanes: many runs of one structure in one compiled call.
+
+The parts and their order are the loop's. Each part goes over all lanes before the next does, so that the compiler makes vector
+instructions of it; what it cannot, such as a law that calls the C library, goes lane by lane. No lane depends on another.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from numba import njit
+
+from ehls_ros.arrays import Array, lean
+from ehls_ros.control.controllers.base import ROW as FOLLOWED
+from ehls_ros.control.controllers.base import STATUS_SIZE, Model
+from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
+from ehls_ros.control.disturbances.base import ROW as DISTURBED
+from ehls_ros.control.observers.base import ELEMENTS, ObserverState
+from ehls_ros.control.observers.rig_model import Motion
+from ehls_ros.physics import sensors, simulator
+from ehls_ros.physics.integration import integrator
+from ehls_ros.physics.lane_memory import LANES, Rows, column, numbers, stack
+from ehls_ros.physics.lanes import LaneRows, lanes_integrator
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import FRICTION, TEMPERATURE, Chains, Coefficients, U
+from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.sensors import SensorState
+from ehls_ros.physics.simulator import Constants, State
+
+SIGNALS = len(SENSED)
+SENSOR_COLUMNS = 6
+
+
+class Known(NamedTuple):
+    """The numbers of a lane that stay the same during a run.
+
+    Attributes:
+        plant: the effective rig's coefficients.
+        friction: its friction parameters.
+        believed: friction as the observer knows it.
+        compensation: the observer's parameters.
+        tuning: the controller's parameters.
+        model: what it knows of the rig.
+        warming: rate of the oil temperature [K/s].
+    """
+
+    plant: Plant
+    friction: Any
+    believed: Any
+    compensation: Any
+    tuning: Any
+    model: Model
+    warming: float
+
+
+class Timing(NamedTuple):
+    """What all lanes share.
+
+    Attributes:
+        period: control period [s].
+        step: integration step [s].
+        steps: integration steps per period.
+    """
+
+    period: float
+    step: float
+    steps: int
+
+
+class LoopRows(NamedTuple):
+    """First rows of what the loop keeps in a block.
+
+    Attributes:
+        plant: the plant's integrator.
+        elements: the observer's integrator.
+        inputs: the plant's inputs.
+        effects: parameters of its effects.
+        table, lagged, past: the sensors' state.
+        truth: true values of the sensed signals.
+        measured: their readings. Command, estimate and status follow: they make a row of the record.
+        command: spool command [m].
+        estimate: the observer's.
+        status: the controller's.
+        last: the observer's last velocity.
+        motion: velocity and acceleration of the motion that it runs, and the number of steps in which to.
+        memory: the controller's.
+        given: noise, reference and disturbance of a cycle.
+        known: :class:`Known`.
+        end: number of all rows.
+    """
+
+    plant: LaneRows
+    elements: LaneRows
+    inputs: int
+    effects: int
+    table: int
+    lagged: int
+    past: int
+    truth: int
+    measured: int
+    command: int
+    estimate: int
+    status: int
+    last: int
+    motion: int
+    memory: int
+    given: int
+    known: int
+    end: int
+
+
+class Sizes(NamedTuple):
+    """The sizes of a loop, which are compiled into it.
+
+    Attributes:
+        elements: number of the plant's friction forces.
+        states: number of its effects' own states.
+        inputs: number of its inputs.
+        parameters: number of its effects' parameters.
+        delays: columns of the sensors' past.
+        forces: number of the observer's forces.
+        memory: size of the controller's memory.
+        known: how many numbers :class:`Known` has.
+    """
+
+    elements: int
+    states: int
+    inputs: int
+    parameters: int
+    delays: int
+    forces: int
+    memory: int
+    known: int
+
+
+def loop_rows(sizes: Sizes) -> LoopRows:
+    """Return where a block of lanes has what."""
+    rows = Rows()
+    return LoopRows(
+        plant=LaneRows.of(rows, FRICTION + sizes.elements + sizes.states, 1 + sizes.elements),
+        elements=LaneRows.of(rows, sizes.forces, sizes.forces),
+        inputs=rows.take(sizes.inputs),
+        effects=rows.take(sizes.parameters),
+        table=rows.take(SIGNALS * SENSOR_COLUMNS),
+        lagged=rows.take(SIGNALS),
+        past=rows.take(SIGNALS * sizes.delays),
+        truth=rows.take(SIGNALS),
+        measured=rows.take(SIGNALS),
+        command=rows.take(),
+        estimate=rows.take(ELEMENTS + 2 * sizes.forces),
+        status=rows.take(STATUS_SIZE),
+        last=rows.take(2),
+        motion=rows.take(3),
+        memory=rows.take(sizes.memory),
+        given=rows.take(SIGNALS + FOLLOWED + DISTURBED),
+        known=rows.take(sizes.known),
+        end=rows.count,
+    )
+
+
+class _Loop(NamedTuple):
+    """The compiled loop."""
+
+    run: Callable[..., int]
+
+
+def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains, **numbers_of: int) -> _Loop:
+    """Build the loop of a block of lanes.
+
+    Args:
+        friction: module of the plant's friction model.
+        law: module of the controller.
+        observer: module of the friction observer.
+        believed: module of the friction model that the observer believes in.
+        chains: hooks of the plant's effects; none may delay the command.
+        **numbers_of: :class:`Sizes`.
+    """
+    sizes = Sizes(**numbers_of)
+    rows = loop_rows(sizes)
+    size, modes = FRICTION + sizes.elements + sizes.states, 1 + sizes.elements
+    plant = simulator.build(friction, sizes.elements, sizes.states, chains)
+    sense, hold, step = plant.sense, plant.hold, law.step
+    observe = _observation(observer, believed, rows, sizes)
+
+    states, inputs_of, effects_of = column(size), column(sizes.inputs), column(sizes.parameters)
+    table_of, past_of, signals = column(SIGNALS, SENSOR_COLUMNS), column(SIGNALS, sizes.delays), column(SIGNALS)
+    estimate_of, memory_of, status_of = column(ELEMENTS + 2 * sizes.forces), column(sizes.memory), column(STATUS_SIZE)
+    followed_of, disturbed_of, no_work = column(FOLLOWED), column(DISTURBED), stack(1, 1)
+    GIVEN, KNOWN, INPUTS, EFFECTS = rows.given, rows.known, rows.inputs, rows.effects
+    REFERENCE, DISTURBANCE, RECORD = GIVEN + SIGNALS, GIVEN + SIGNALS + FOLLOWED, rows.measured
+    given_size, record_size = SIGNALS + FOLLOWED + DISTURBED, rows.last - rows.measured
+
+    @lean
+    def coefficients(block: Array, like: Known, lane: int) -> Coefficients:
+        known = numbers(like, block, KNOWN, lane)
+        w = inputs_of(block, INPUTS, lane)
+        return Coefficients(known.plant, known.friction, w, effects_of(block, EFFECTS, lane), w[U])
+
+    integrate = lanes_integrator(plant.evaluate, plant.switch, coefficients, rows.plant, size, modes)
+
+    @lean
+    def read_sensors(k: int, block: Array, like: Known, timing: Timing) -> None:
+        for lane in range(LANES):
+            c, y = coefficients(block, like, lane), states(block, rows.plant.y, lane)
+            constants = Constants(c.plant, c.friction, c.effects, timing.period, timing.step, timing.steps, 0.0)
+            lagged, past = signals(block, rows.lagged, lane), past_of(block, rows.past, lane)
+            kept = SensorState(table_of(block, rows.table, lane), lagged, past)
+            truth, measured = signals(block, rows.truth, lane), signals(block, rows.measured, lane)
+            sense(k, constants, State(y, y, c.inputs, no_work(), kept, truth, measured), signals(block, GIVEN, lane))
+
+    @lean
+    def command_valves(k: int, block: Array, like: Known, timing: Timing) -> None:
+        for lane in range(LANES):
+            known = numbers(like, block, KNOWN, lane)
+            measured, followed = signals(block, rows.measured, lane), followed_of(block, REFERENCE, lane)
+            estimate, memory = estimate_of(block, rows.estimate, lane), memory_of(block, rows.memory, lane)
+            status = status_of(block, rows.status, lane)
+            u = step(measured, followed, estimate, known.tuning, known.model, memory, status)
+            block[rows.command * LANES + lane] = u
+            d = disturbed_of(block, DISTURBANCE, lane)
+            start = k * timing.period
+            hold(inputs_of(block, INPUTS, lane), start, u, d[FORCE], d[FORCE_RATE], d[DISPLACEMENT], d[VELOCITY])
+
+    @lean
+    def warm(block: Array, like: Known, timing: Timing) -> None:
+        for lane in range(LANES):
+            warming = numbers(like, block, KNOWN, lane).warming
+            block[(INPUTS + TEMPERATURE) * LANES + lane] += warming * timing.period
+
+    @lean
+    def run(
+        first: int, timing: Timing, block: Array, like: Known, given: Array, record: Array, work: Array, forces_work: Array
+    ) -> int:
+        """Run some cycles.
+
+        Args:
+            first: number of the first one.
+            timing: of all lanes.
+            block: the lanes' memory, updated in place.
+            like: any lane's constants; only their type counts.
+            given: noise, reference and disturbance by lane and cycle, shape (LANES, n, numbers).
+            record: rows by lane and cycle, as those of the loop for one run; those of the cycles run are written. Shape
+                (LANES, cycles, columns).
+            work: workspace of the plant's integrator.
+            forces_work: workspace of the observer's.
+
+        Returns:
+            Number of integration steps with more events than were located.
+        """
+        dense = 0
+        for i in range(given.shape[1]):
+            k = first + i
+            for lane in range(LANES):
+                for place in range(given_size):
+                    block[(GIVEN + place) * LANES + lane] = given[lane, i, place]
+            read_sensors(k, block, like, timing)
+            observe(block, like, timing, forces_work)
+            command_valves(k, block, like, timing)
+            for lane in range(LANES):
+                for place in range(record_size):
+                    record[lane, k, place] = block[(RECORD + place) * LANES + lane]
+            dense += integrate(k * timing.period, block, like, timing.step, timing.steps, work)
+            warm(block, like, timing)
+        return dense
+
+    return _Loop(run)
+
+
+def _observation(observer: Any, believed: Any, rows: LoopRows, sizes: Sizes) -> Callable[..., None]:
+    """Build the observers' update in all lanes: ``observe(block, like, timing, work)``."""
+    size = sizes.forces
+    forces_of, last_of, estimate_of, no_work = column(size), column(2), column(ELEMENTS + 2 * size), stack(1, 1)
+    SPEED = rows.measured + sensors.VELOCITY
+
+    @lean
+    def observed(block: Array, lane: int, work: Array) -> ObserverState:
+        forces, mode = forces_of(block, rows.elements.y, lane), forces_of(block, rows.elements.mode, lane)
+        return ObserverState(forces, mode, last_of(block, rows.last, lane), work, estimate_of(block, rows.estimate, lane))
+
+    if not hasattr(observer, "driven"):
+        update = observer.updater(believed)
+
+        @lean
+        def observe(block: Array, like: Known, timing: Timing, work: Array) -> None:
+            for lane in range(LANES):
+                known, state = numbers(like, block, rows.known, lane), observed(block, lane, no_work())
+                velocity = block[SPEED * LANES + lane]
+                update(velocity, timing.period, known.believed, known.compensation, state)
+
+        return observe
+
+    before, after = observer.around(believed)
+    evaluate, switch = observer.driven(believed)
+    STARTED, RATE, STEPS = rows.motion, rows.motion + 1, rows.motion + 2
+
+    @lean
+    def motion(block: Array, like: Known, lane: int) -> Motion:
+        known = numbers(like, block, rows.known, lane)
+        return Motion(known.believed, block[STARTED * LANES + lane], block[RATE * LANES + lane])
+
+    together = lanes_integrator(evaluate, switch, motion, rows.elements, size, size)
+    alone = integrator(evaluate, switch, size)
+
+    @njit(error_model="numpy", forceinline=False)
+    def run_alone(block: Array, like: Known, timing: Timing, lane: int, work: Array) -> None:
+        state, steps = observed(block, lane, work), int(block[STEPS * LANES + lane])
+        if steps > 0:
+            alone(0.0, state.forces, state.mode, motion(block, like, lane), timing.period / steps, steps, work)
+
+    @lean
+    def observe_together(block: Array, like: Known, timing: Timing, work: Array) -> None:
+        for lane in range(LANES):
+            known, state = numbers(like, block, rows.known, lane), observed(block, lane, no_work())
+            velocity = block[SPEED * LANES + lane]
+            driving, steps = before(velocity, timing.period, known.believed, known.compensation, state)
+            block[STARTED * LANES + lane], block[RATE * LANES + lane] = driving.velocity, driving.acceleration
+            block[STEPS * LANES + lane] = steps
+        steps, equal = int(block[STEPS * LANES]), True
+        for lane in range(LANES):
+            equal &= block[STEPS * LANES + lane] == steps
+        if equal and steps > 0:
+            together(0.0, block, like, timing.period / steps, steps, work)
+        else:
+            for lane in range(LANES):
+                run_alone(block, like, timing, lane, work)
+        for lane in range(LANES):
+            known, state = numbers(like, block, rows.known, lane), observed(block, lane, no_work())
+            after(known.believed, state)
+
+    return observe_together

@@ -1,0 +1,189 @@
+"""Several nodes as one process, in which a control cycle is one call: `ehls run plant_sim_node+fasmc_node+…`.
+
+The nodes are those that otherwise are processes, with their own names, parameters, services and diagnostics. The plant's loop
+runs in the main thread; where it would wait, the others react to what they have been handed over, estimator before
+controller, and the command is back before anything is published. What others want to see is published after that.
+"""
+
+import gc
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NoReturn
+
+from ehls_ros.errors import BadInput
+from ehls_ros.nodes import controller_of
+from ehls_ros.nodes.control import WAIT, ControlNode, be_punctual, run_nodes
+from ehls_ros.nodes.controller import ControllerNode
+from ehls_ros.nodes.disturbance_node import DisturbanceNode
+from ehls_ros.nodes.friction_estimator_node import FrictionEstimatorNode
+from ehls_ros.nodes.hardware_bridge_node import HardwareBridgeNode
+from ehls_ros.nodes.links import Links
+from ehls_ros.nodes.plant_sim_node import PlantSimNode
+from ehls_ros.nodes.reference_node import ReferenceNode
+from ehls_ros.nodes.together import PLUS, in_order
+from ehls_ros.nodes.transport import Waiter
+from ehls_ros.process import Stopping, end
+from ehls_ros.recording.topics import DEPTH
+
+NODES: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
+    {
+        "reference_node": ReferenceNode,
+        "disturbance_node": DisturbanceNode,
+        "friction_estimator_node": FrictionEstimatorNode,
+        "plant_sim_node": PlantSimNode,
+        "hardware_bridge_node": HardwareBridgeNode,
+    }
+)
+"""Nodes that can share a process, besides the controllers'."""
+
+GATHERED = 20
+"""Messages that gather before they are published, four cycles: one by one, each would wake up its readers. Not where a node of
+another process takes part in the cycles."""
+
+GATHERED_IN_LOCKSTEP = 100
+"""The same in lockstep."""
+
+KEPT_IN_LOCKSTEP = 5 * DEPTH
+"""Messages that a topic keeps in lockstep, where some thousand cycles may pass before a recorder on a busy machine reads."""
+
+
+def _maker(name: str) -> Callable[[], ControlNode]:
+    law = controller_of(name)
+    return NODES[name] if law is None else lambda: ControllerNode(law)
+
+
+class Composition:
+    """Runs the loops of several nodes in one thread."""
+
+    def __init__(self, nodes: Sequence[ControlNode]) -> None:
+        """Connect the nodes.
+
+        Args:
+            nodes: in the order in which they become active; the last is the plant.
+        """
+        *partners, self._host = nodes
+        self._answering = [node for node in partners if node.answers]
+        self._ahead = [node for node in partners if not node.answers]
+        lockstep = self._host.lockstep
+        self._links = Links(self._wait, KEPT_IN_LOCKSTEP if lockstep else DEPTH, patient=lockstep)
+        self._inside = False
+        for node in nodes:
+            node.links = self._links
+        for node in partners:
+            node.be_hosted()
+        # The plant begins last and stops first: the others are there before it asks, and may end once it does not.
+        self._beginning, self._ending = list(nodes), [self._host, *partners]
+        self._gathered = GATHERED_IN_LOCKSTEP if lockstep else GATHERED
+
+    def work(self, stopping: Stopping) -> None:
+        """Run the loops of those that are active, until told to stop."""
+        be_punctual()
+        gc.disable()
+        try:
+            while not stopping.is_set():
+                self._follow_lifecycle()
+                if self._host.is_running:
+                    self._host.once()
+                    self._host.look_after()
+                    if not self._links.open:
+                        # A bridge has handed the command to the rig and has time until the next sample.
+                        self._react(self._ahead)
+                        self._publish_what_gathered()
+                else:
+                    self._turn_without_plant()
+        finally:
+            gc.enable()
+            for node in self._ending:
+                if node.is_running:
+                    node.leave()
+            self._links.publish()
+
+    def _follow_lifecycle(self) -> None:
+        """Begin and end the loops of the nodes that have become active or inactive."""
+        for node in self._ending:
+            if node.is_running and not node.is_to_run:
+                node.leave()
+                self._links.publish()
+        for node in self._beginning:
+            if node.is_to_run and not node.is_running:
+                node.enter()
+            elif not node.is_running:
+                node.settle()
+
+    def _turn_without_plant(self) -> None:
+        self._react(self._answering)
+        self._react(self._ahead)
+        self._links.publish()
+        self._block([], WAIT)
+
+    def _react(self, nodes: Sequence[ControlNode]) -> bool:
+        """Let nodes react to what has arrived; return whether any did."""
+        self._inside = True
+        reacted = False
+        try:
+            for node in nodes:
+                if node.is_running and node.react():
+                    reacted = True
+        finally:
+            self._inside = False
+        return reacted
+
+    def _wait(self, waiter: Waiter, seconds: float) -> None:
+        """Do what the others have to do in place of waiting; wait for other processes once nothing is left to do."""
+        if self._inside:
+            if not waiter.arrived:
+                waiter.block(seconds)
+            return
+        self._react(self._answering)
+        if waiter.arrived:
+            if self._host.lockstep:
+                self._publish_what_gathered()
+            return
+        if self._react(self._ahead):
+            return
+        if self._links.open:
+            # What it waits for may have to come from elsewhere.
+            self._links.publish()
+        else:
+            self._publish_what_gathered()
+        self._block([waiter], seconds)
+
+    def _publish_what_gathered(self) -> None:
+        """Publish if enough has gathered, or somebody takes part; not between a snapshot and its answer."""
+        if self._links.apart or self._links.pending >= self._gathered:
+            self._links.publish()
+
+    def _block(self, waiters: Sequence[Waiter], seconds: float) -> None:
+        """Wait for a message of another process, for any of the nodes, at most for a time [s]."""
+        waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node.is_running)]
+        if waiters:
+            waiters[0].block(seconds, waiters[1:])
+        else:
+            time.sleep(seconds)
+
+
+def run_composed(names: Sequence[str]) -> NoReturn:
+    """Run nodes as one process.
+
+    Args:
+        names: of the nodes, in any order.
+    """
+    try:
+        makes = [_maker(name) for name in in_order(names)]
+    except BadInput as error:
+        print(error, file=sys.stderr)
+        end(2)
+    run_nodes(makes, lambda nodes: Composition(nodes).work)
+
+
+def main() -> NoReturn:
+    """Run the nodes that the command line names before `--ros-args`."""
+    given = sys.argv[1:]
+    names = given[: given.index("--ros-args")] if "--ros-args" in given else given
+    run_composed([name for word in names for name in word.split(PLUS)])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""What connects the nodes of one process: messages handed over as they are, and published once nobody waits any more.
+
+:class:`Links` is the post office; :mod:`ehls_ros.nodes.transport` uses it where a node has one, so that a node's loop does not
+know whether its partners are in its process. :mod:`ehls_ros.nodes.composed` runs the loops.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from ehls_ros.recording.topics import DEPTH
+
+Message = tuple[Any, ...]
+"""Header stamp [ns], the fields in order and, if the type has one, the sender."""
+
+
+PATIENCE = 1.0
+"""Longest wait for readers to have received what was published [s]: one that hangs must not hold up the others for good."""
+
+Encode = Callable[..., bytes]
+Publish = Callable[[bytes], None]
+"""How a message is encoded, and published to other processes."""
+
+
+class Topic:
+    """The readers of one topic in this process.
+
+    Attributes:
+        queues: of the readers.
+        senders: number of open senders in this process.
+        named: those senders, as messages name them: what they send would come back over DDS, and is left out.
+    """
+
+    def __init__(self) -> None:
+        """Start without readers and senders."""
+        self.queues: list[deque[Message]] = []
+        self.senders = 0
+        self.named: set[str] = set()
+        self._kept: deque[Message] = deque(maxlen=DEPTH)
+
+    def hand_over(self, message: Message) -> None:
+        """Give a message to all readers, and keep it for those that come later."""
+        self._kept.append(message)
+        for queue in self.queues:
+            queue.append(message)
+
+    def open(self, depth: int) -> deque[Message]:
+        """Return the queue of a new reader, with what was sent before it came, as transient-local readers get it."""
+        queue = deque(self._kept, maxlen=depth)
+        self.queues = [*self.queues, queue]
+        return queue
+
+    def close(self, queue: deque[Message]) -> None:
+        """Remove a reader."""
+        self.queues = [other for other in self.queues if other is not queue]
+
+    def leave(self) -> None:
+        """Note that a sender is closed; what it kept goes with it."""
+        self.senders -= 1
+        if not self.senders:
+            self._kept.clear()
+
+
+class Reader(Protocol):
+    """Reads a topic, over DDS too once it has to."""
+
+    def look_outside(self) -> bool:
+        """Read over DDS too if there is a publisher outside this process; return whether it does."""
+
+
+class Sender(Protocol):
+    """Publishes a topic."""
+
+    def wait_until_heard(self, seconds: float) -> None:
+        """Wait until all readers have received what was published, at most for a time [s]."""
+
+
+class Links:
+    """Connects the topics of the nodes of one process.
+
+    Attributes:
+        kept: messages that a publisher keeps for readers that have not received them yet, and for those that come later.
+        open: whether a snapshot has been sent that has no answer yet.
+        apart: whether a node of another process takes part: it sends what is read here.
+        wait: what a loop does in place of waiting: ``wait(waiter, seconds)`` lets the other nodes do their part first.
+    """
+
+    def __init__(self, wait: Callable[[Any, float], None], kept: int = DEPTH, *, patient: bool = False) -> None:
+        """Start without topics.
+
+        Args:
+            wait: see above.
+            kept: see above.
+            patient: whether to wait for the readers before a message is dropped that one has not received; where cycles
+                follow the wall clock, they cannot.
+        """
+        self.kept = kept
+        self._patient = patient
+        self._unheard = 0
+        self._senders: list[Sender] = []
+        self.open = False
+        self.apart = False
+        self.wait = wait
+        self._topics: dict[str, Topic] = {}
+        self._later: list[tuple[Publish, Encode, Message]] = []
+        self._answers: list[tuple[Publish, Encode, Message]] = []
+        self._readers: list[Reader] = []
+        self._looking = threading.Lock()
+
+    def topic(self, name: str) -> Topic:
+        """Return a topic by its name below the namespace."""
+        return self._topics.setdefault(name, Topic())
+
+    def watch(self, reader: Reader) -> None:
+        """Let a reader look for publishers outside this process, now and until there is one."""
+        with self._looking:
+            self._readers.append(reader)
+            self.apart = reader.look_outside() or self.apart
+
+    def forget(self, reader: Reader) -> None:
+        """Let a reader look no more."""
+        with self._looking:
+            self._readers = [other for other in self._readers if other is not reader]
+
+    def look_outside(self) -> None:
+        """Let all readers look; to be called by the thread that serves the nodes, now and then."""
+        with self._looking:
+            outside = [reader.look_outside() for reader in self._readers]
+        self.apart = any(outside)
+
+    def later(self, publish: Publish, encode: Encode, message: Message, *, answers: bool = False) -> None:
+        """Publish a message with the next :meth:`publish`.
+
+        Args:
+            publish: publishes bytes.
+            encode: makes them of the message.
+            message: the message, without a sender.
+            answers: whether it answers a snapshot: such are published first, so that nobody takes the time between the two
+                for the time of the answer. That has been given before.
+        """
+        (self._answers if answers else self._later).append((publish, encode, message))
+
+    @property
+    def pending(self) -> int:
+        """Number of messages yet to be published."""
+        return len(self._answers) + len(self._later)
+
+    def publish(self) -> None:
+        """Publish what has gathered, in the order of sending; answers come first."""
+        gathered, self._answers, self._later = [*self._answers, *self._later], [], []
+        for publish, encode, message in gathered:
+            publish(encode(*message))
+        self._unheard += len(gathered)
+        # A cycle has four topics at least, and a bunch of rows ahead is short beside what is kept.
+        if self._patient and self._unheard >= 3 * self.kept:
+            self._unheard = 0
+            for sender in self._senders:
+                sender.wait_until_heard(PATIENCE)
+
+    def join(self, sender: Sender) -> None:
+        """Add the publisher of a topic."""
+        self._senders = [*self._senders, sender]
+
+    def leave(self, sender: Sender) -> None:
+        """Publish what has gathered, and remove a publisher."""
+        self.publish()
+        self._senders = [other for other in self._senders if other is not sender]

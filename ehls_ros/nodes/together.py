@@ -1,0 +1,53 @@
+"""Which nodes can be one process, and in which order they become active there; :mod:`ehls_ros.nodes.composed` runs them."""
+
+from collections.abc import Sequence
+
+from ehls_ros.errors import BadInput
+from ehls_ros.nodes import controller_of
+
+PLUS = "+"
+"""Stands between the names of nodes that are to be one process."""
+
+BEFORE = ("reference_node", "disturbance_node", "friction_estimator_node")
+"""Nodes that a controller's inputs come from, in the order in which they become active; the controller's comes next."""
+
+HOSTS = ("plant_sim_node", "hardware_bridge_node")
+"""Nodes whose loop the others take part in: one of them is needed, and becomes active last."""
+
+
+def may_be_together(name: str) -> bool:
+    """Tell whether a node can share a process with others."""
+    return name in BEFORE or name in HOSTS or controller_of(name) is not None
+
+
+def processes_of(names: Sequence[str], *, compose: bool) -> list[str]:
+    """Return the processes that a graph's nodes are run as.
+
+    Args:
+        names: of the nodes, in order of activation; the plant comes last.
+        compose: whether those that can are one process, named ``first+second+…``.
+    """
+    together = [name for name in names if compose and may_be_together(name)]
+    if not set(together) & set(HOSTS):
+        return list(names)
+    return [*(name for name in names if name not in together), PLUS.join(together)]
+
+
+def in_order(names: Sequence[str]) -> list[str]:
+    """Return the names of the nodes of one process in the order in which they become active.
+
+    Raises:
+        BadInput: these nodes cannot be one process.
+    """
+    where = PLUS.join(names)
+    for name in names:
+        if not may_be_together(name):
+            raise BadInput(f"{name} cannot share a process", where, f"{', '.join((*BEFORE, *HOSTS))} or a controller's node")
+    hosts, laws = [name for name in names if name in HOSTS], [name for name in names if controller_of(name) is not None]
+    if len(hosts) != 1:
+        raise BadInput(f"{len(hosts)} plant nodes are named", where, f"one of {', '.join(HOSTS)}")
+    if len(laws) > 1:
+        raise BadInput(f"{len(laws)} controllers are named", where, "one; another that stands by is a process of its own")
+    if len(set(names)) < len(names):
+        raise BadInput("a node is named twice", where, "each once")
+    return [*(name for name in BEFORE if name in names), *laws, *hosts]

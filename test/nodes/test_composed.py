@@ -1,0 +1,143 @@
+"""The nodes of a cycle in one process: the same trajectory, the same topics and services, one process."""
+
+import json
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ehls_command import ehls, trajectory_of
+
+pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
+
+from diagnostic_msgs.msg import DiagnosticArray
+
+from ehls_msgs.msg import Driver, LoaderState, ValveCommand
+from ehls_msgs.srv import SwitchController
+from ehls_ros.cli.main import main
+from ehls_ros.recording.bag_reader import read_bag
+from ehls_ros.recording.topics import STANDBY_COMMAND
+
+TOGETHER = "plant_sim_node+reference_node+disturbance_node+friction_estimator_node+fasmc_node"
+SERVO = "disturbance: {name: position_servo, signal: {name: sine, amplitude: 0.05, frequency: 0.5}}"
+
+
+def assert_same_digits(one, other):
+    """All signals but the time of the answer, which is not simulated."""
+    assert set(one.signals) - {"response_s"} == set(other.signals) - {"response_s"}
+    for name in set(one.signals) - {"response_s"}:
+        assert np.array_equal(one[name], other[name], equal_nan=True), name
+
+
+def with_servo(spec: Path) -> Path:
+    """Let the disturbance react to the loader: its row of the next cycle needs the snapshot of this one."""
+    lines = spec.read_text().splitlines()
+    spec.write_text("\n".join(SERVO if line.startswith("disturbance") else line for line in lines))
+    return spec
+
+
+def test_composed_apart_and_without_ros_are_the_same_to_the_digit(spec_file, tmp_path):
+    spec = with_servo(spec_file())
+    composed = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "composed", "--json", "--compose"))
+    apart = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "apart", "--json"))
+    assert len(composed) == 501
+    assert np.abs(composed["disturbance_displacement_m"]).max() > 0.01
+    assert_same_digits(composed, apart)
+    assert main(["experiment", str(spec), "--out", str(tmp_path / "alone"), "--in-process"]) == 0
+    alone = read_bag(tmp_path / "alone" / "bag")
+    for name in ("force_n", "position_m", "valve_command_m"):
+        assert np.max(np.abs(composed[name] - alone[name])) <= 1e-9 * np.max(np.abs(alone[name])), name
+
+
+def assert_contiguous(messages):
+    """Each cycle since the first one heard, once."""
+    cycles = [message.cycle for message in messages]
+    assert cycles == list(range(cycles[0], cycles[0] + len(cycles)))
+
+
+def start_together(graph, spec, names=TOGETHER, **parameters):
+    """Start nodes as one process."""
+    given = {"spec": spec, **parameters}
+    arguments = [word for key, value in given.items() for word in ("-p", f"{key}:={value}")]
+    return graph.run("composed", ["-m", "ehls_ros.cli.main", "run", names, "--ros-args", *arguments])
+
+
+def test_each_node_keeps_its_name_topics_parameters_and_diagnostics(graph, participant, spec_file):
+    states = participant.collect(LoaderState, "loader_state")
+    commands = participant.collect(ValveCommand, "valve_command")
+    told = participant.collect(DiagnosticArray, "/diagnostics")
+    process = start_together(graph, spec_file(duration=60.0), timing="lockstep", speed=1.0)
+    nodes = TOGETHER.split("+")
+    participant.until(lambda: set(nodes) <= {status.name for array in told for status in array.status})
+    participant.until(lambda: len(commands) > 300 and len(states) > 300)
+    assert_contiguous(commands)
+    assert commands[0].sender == f"/ehls/fasmc_node-{process.pid}"
+    # What the law is tuned to changes at a cycle, as in a process of its own.
+    assert participant.set_parameter("fasmc_node", "k", 14.0).successful
+    assert not participant.set_parameter("fasmc_node", "k", -1.0).successful
+    told.clear()
+
+    def figures(node: str) -> dict[str, str]:
+        values = [status.values for array in told for status in array.status if status.name == node]
+        return {value.key: value.value for value in values[-1]} if values else {}
+
+    participant.until(lambda: int(figures("fasmc_node").get("tuned_at_cycle", -1)) > 0)
+    participant.until(lambda: "response_p50_us" in figures("plant_sim_node"))
+    assert figures("plant_sim_node")["missed"] == "0"
+    assert graph.stop("composed", signal.SIGINT) == 0
+
+
+def test_a_controller_apart_takes_over_and_gives_back(graph, participant, spec_file):
+    spec = spec_file(duration=60.0)
+    commands = participant.collect(ValveCommand, "valve_command")
+    drivers = participant.collect(Driver, "driver")
+    shadows = participant.collect(ValveCommand, STANDBY_COMMAND.name)
+    process = start_together(graph, spec, timing="lockstep", speed=1.0)
+    # Two that answer the first cycle would both be heard, until the plant says whom it obeys.
+    participant.until(lambda: len(commands) > 100 and drivers)
+    graph.start("sic_node", spec=spec, timing="lockstep")
+    participant.until(lambda: any("sic_node" in shadow.sender for shadow in shadows))
+    for name, node in (("sic_node", "/ehls/sic_node-"), ("fasmc_node", f"/ehls/fasmc_node-{process.pid}")):
+        # The plant notices within a second that somebody stands by.
+        request = SwitchController.Request(controller=name)
+        participant.until(lambda request=request: participant.call(SwitchController, "switch_controller", request).success)
+        participant.until(lambda node=node: drivers[-1].sender.startswith(node))
+        first = drivers[-1].cycle
+        participant.until(lambda first=first: commands[-1].cycle > first + 100)
+    # No cycle is left out, and each has one answer; those of two controllers may arrive in any order.
+    every = range(commands[0].cycle, commands[-1].cycle + 1)
+    participant.until(lambda: set(every) <= {command.cycle for command in commands})
+    assert len({command.cycle for command in commands}) == len(commands)
+    taken_over = [command.cycle for command in commands if "sic_node" in command.sender]
+    assert taken_over == list(range(taken_over[0], taken_over[-1] + 1))
+    assert graph.stop("sic_node") == 0
+    assert graph.stop("composed") == 0
+
+
+@pytest.mark.parametrize(
+    ("names", "word"),
+    [
+        ("plant_sim_node+recorder_node", "recorder_node cannot share"),
+        ("fasmc_node+reference_node", "0 plant nodes"),
+        ("plant_sim_node+fasmc_node+sic_node", "2 controllers"),
+    ],
+)
+def test_what_cannot_be_one_process_is_refused(capsys, names, word):
+    assert main(["run", names]) == 2
+    assert word in capsys.readouterr().err
+
+
+def test_an_estimator_apart_is_waited_for(spec_file, graph, participant, tmp_path):
+    spec = spec_file()
+    reference = tmp_path / "reference"
+    assert main(["experiment", str(spec), "--out", str(reference), "--in-process"]) == 0
+    commands = participant.collect(ValveCommand, "valve_command")
+    names = TOGETHER.replace("friction_estimator_node+", "")
+    start_together(graph, spec, names, timing="lockstep", partners="friction_estimator_node")
+    # The first cycle is to find the test's reader.
+    participant.until(commands.publishers)
+    graph.start("friction_estimator_node", spec=spec, timing="lockstep")
+    participant.until(lambda: len(commands) >= 501)
+    wanted = read_bag(Path(json.loads((reference / "metrics.json").read_text())["bag"]))["valve_command_m"]
+    sent = np.array([command.spool for command in commands[:501]])
+    assert np.max(np.abs(sent - wanted)) <= 1e-9 * np.max(np.abs(wanted))
