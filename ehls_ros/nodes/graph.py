@@ -377,8 +377,11 @@ class Conductor:
             self._transition(node, Transition.TRANSITION_ACTIVATE)()
         if self._plant.kind != "sim":
             self._enable()
+        state = self._state_of(self._plant.node)
         while not self._ended and not self._failure:
             self._spin()
+            # The event may get lost.
+            self._ended |= state() == GOALS[Transition.TRANSITION_DEACTIVATE]
             if progress is not None:
                 progress(self._cycle, cycles)
         wall = time.perf_counter() - start
@@ -412,21 +415,32 @@ class Conductor:
         future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
 
         def wait() -> None:
-            state, asked = None, time.monotonic()
+            state = self._state_of(node.name)
             while not future.done():
                 self._spin()
-                now = time.monotonic()
-                if now > deadline:
+                if time.monotonic() > deadline:
                     raise WorkFailed(f"{node.name} did not answer in {UP_TIME:.0f} s: see {node.log}")
                 # The middleware may lose the answer; the node's state, told between transitions, stands for it.
-                if state is not None and state.done() and state.result().current_state.id == GOALS[transition]:
+                if state() == GOALS[transition]:
                     return
-                if now - asked > LOST:
-                    state, asked = self._states[node.name].call_async(GetState.Request()), now
             if not future.result().success:
                 raise WorkFailed(f"{node.name} refused the transition: {last_line(node.log)}")
 
         return wait
+
+    def _state_of(self, name: str) -> Callable[[], int | None]:
+        """Return a function that asks a node for its state now and then, and returns what it answered to the last question."""
+        answer: Any = None
+        asked = time.monotonic()
+
+        def state() -> int | None:
+            nonlocal answer, asked
+            told = answer.result().current_state.id if answer is not None and answer.done() else None
+            if time.monotonic() - asked > LOST:
+                answer, asked = self._states[name].call_async(GetState.Request()), time.monotonic()
+            return told
+
+        return state
 
     def _enable(self) -> None:
         """Open the rig's gate, as soon as it allows that."""
