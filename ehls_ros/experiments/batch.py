@@ -16,7 +16,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numba import typeof
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers import CONTROLLERS
@@ -67,7 +66,7 @@ class Structure(NamedTuple):
         sizes: of everything in the loop.
         timing: periods and steps.
         cycles: number of control cycles.
-        known: types of the numbers.
+        known: types of the numbers, as :func:`_kinds` tells them.
     """
 
     members: tuple[str, str, str, str]
@@ -75,7 +74,7 @@ class Structure(NamedTuple):
     sizes: Sizes
     timing: Timing
     cycles: int
-    known: Any
+    known: Hashable
 
 
 class _Lane(NamedTuple):
@@ -172,9 +171,14 @@ def _lane(index: int, spec: Spec, check: bool) -> _Lane | None:
         ),
         Timing(constants.period, constants.step, constants.steps),
         spec.cycles,
-        typeof(known),
+        _kinds(known),
     )
     return _Lane(index, spec, plant, control, known, structure)
+
+
+def _kinds(value: Any) -> Any:
+    """Return the type of a number, or those of all numbers in tuples; numba's own would take longer than a tenth of a run."""
+    return (type(value), *map(_kinds, value)) if isinstance(value, tuple) else type(value)
 
 
 class _Signals:
