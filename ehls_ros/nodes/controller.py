@@ -57,8 +57,8 @@ STATUS_TOGETHER = 5
 """Status messages that are published together, as no cycle waits for them."""
 
 LOCKSTEP_PATIENCE = 10.0
-"""friction_patience in lockstep, and longest wait for another's command [s]: nothing is late there, and a run must not depend
-on what else the machine does."""
+"""friction_patience in lockstep, and longest wait for another's command and for the word of who drives [s]: nothing is late
+there, and a run must not depend on what else the machine does."""
 
 
 FAREWELL = 0.2
@@ -280,7 +280,8 @@ class ControllerNode(ControlNode):
     def _knows_who_drives(self) -> bool:
         """Note who drives from which cycle on; return False while that is not certain.
 
-        A driver that is never heard on the topic of this node's commands passes them on to the plant: it is no controller.
+        A driver that is not heard on the topic of this node's commands, which the plant does not read, passes them on to the
+        plant: it is no controller.
         """
         while (message := self.driver.take()) is not None:
             self.drivers.append(message[1:3])
@@ -289,14 +290,14 @@ class ControllerNode(ControlNode):
         if not self.drivers:
             return self.driver.publishers() == 0
         newest = self.drivers[-1][1]
-        if newest == "" and self.lockstep and time.perf_counter() - self.replied < HEARING:
+        if newest == "" and self.lockstep and time.perf_counter() - self.replied < LOCKSTEP_PATIENCE:
             # Before the plant opens the next cycle, it says whose answer came first.
             return False
         if newest in {"", self.sender}:
             return True
         self._listen()
         silent = newest not in self.heard and time.perf_counter() - self.named > HEARING
-        if silent and not self._will_be_heard(newest):
+        if silent and not self._commands_reach_plant():
             self.relays.add(newest)
         return newest in self.heard | self.relays
 
@@ -307,11 +308,16 @@ class ControllerNode(ControlNode):
             self.heard.add(message[3])
             self.relays.discard(message[3])
 
-    def _will_be_heard(self, sender: str) -> bool:
-        """Return whether a sender's node publishes commands where this node does: all that lacks is a match."""
-        publishers = self.get_publishers_info_by_topic("valve_command")
-        names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers}
-        return sender.rpartition("-")[0] in names
+    def _commands_reach_plant(self) -> bool:
+        """Return whether the plant itself reads the topic of this node's commands: then another that drives is no relay."""
+        plants, readers = (
+            {(info.node_namespace, info.node_name) for info in endpoints}
+            for endpoints in (
+                self.get_publishers_info_by_topic(DRIVER.name),
+                self.get_subscriptions_info_by_topic("valve_command"),
+            )
+        )
+        return bool(plants & readers)
 
     def _driver_of(self, cycle: int) -> str:
         """Return the sender whose answer to a cycle the plant wants; empty: the first to come."""
