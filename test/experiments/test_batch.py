@@ -1,13 +1,17 @@
 """Many runs side by side, against each by itself."""
 
 import copy
+import json
 
 import numpy as np
 import pytest
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.batch import FEWEST, run_batch
+from ehls_ros.experiments.campaign.work import code_version, run_chunk, run_one
+from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.spec import spec_to_mapping
 from ehls_ros.physics.lane_memory import LANES
 
 RUNS = LANES + FEWEST
@@ -88,3 +92,16 @@ def test_too_few_for_lanes_run_by_themselves_and_an_error_is_that_runs_own(make_
     assert "70" in str(results[1])
     assert_same(results[0], run_in_process(fine))
     assert sorted(results) == [0, 1]
+
+
+def test_a_campaigns_runs_side_by_side_have_the_metrics_they_have_alone(make_run):
+    runs = [json.dumps(json_document(spec_to_mapping(make_run(index)))) for index in range(FEWEST)]
+    unreadable = json.dumps({**json.loads(runs[0]), "duration": -1.0})
+    impossible = json.dumps({**json.loads(runs[0]), "initial_position": 1.0})
+    together = [*runs[:2], unreadable, *runs[2:], impossible]
+    rows = run_chunk(together, code_version(), side_by_side=True)
+    for row, spec in zip(rows, together, strict=True):
+        expected = run_one(spec)
+        assert row.pop("wall_s") >= 0.0
+        assert row == {name: value for name, value in expected.items() if name != "wall_s"}
+    assert [row["error"] is None for row in rows] == [True, True, False, *[True] * (FEWEST - 2), False]

@@ -9,7 +9,6 @@ from campaign_cases import BASE, CONFIG, DRAWS, write
 
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput, WorkFailed
-from ehls_ros.experiments.batch import FEWEST
 from ehls_ros.experiments.campaign import conduct as conducting
 from ehls_ros.experiments.campaign import work
 from ehls_ros.experiments.campaign.backends import local
@@ -154,22 +153,6 @@ def test_chunks_shrink_towards_the_end_and_hold_every_run_once(tmp_path, duratio
     assert (sizes[0], sizes[-1]) == (first, last)
     assert {chunk.side_by_side for chunk in chunks} == {last == LANES}
     assert [spec for chunk in chunks for spec in chunk.specs] == [run.spec for run in plan.runs()]
-
-
-def test_runs_side_by_side_have_the_metrics_they_have_alone(tmp_path):
-    # Effects and sensors of test_batch, whose kernel is then compiled once for both.
-    effects = [{"name": "valve_hysteresis", "width": 1e-6}, {"name": "end_stop"}]
-    plan = load_plan(write(tmp_path, runs=FEWEST, vary=DRAWS, base={**BASE, "effects": effects}))
-    runs = [run.spec for run in plan.runs()]
-    unreadable = json.dumps({**json.loads(runs[0]), "duration": -1.0})
-    impossible = json.dumps({**json.loads(runs[0]), "initial_position": 1.0})
-    together = [*runs[:2], unreadable, *runs[2:], impossible]
-    rows = work.run_chunk(together, work.code_version(), side_by_side=True)
-    for row, spec in zip(rows, together, strict=True):
-        expected = work.run_one(spec)
-        assert row.pop("wall_s") >= 0.0
-        assert row == {name: value for name, value in expected.items() if name != "wall_s"}
-    assert [row["error"] is None for row in rows] == [True, True, False, *[True] * (FEWEST - 2), False]
 
 
 def test_a_worker_with_other_code_is_refused():
