@@ -118,7 +118,7 @@ class Detector:
     def report(self, violation: Violation | None) -> None:
         """Raise the fault for the first signal that shows it; clear it if there is none."""
         if violation is None:
-            self.raised, self.lasted = False, 0.0
+            self.look(False, 0.0, self.limit)
             return
         if not self.raised:
             self.subject, self.unit = violation.signal, violation.unit

@@ -603,12 +603,6 @@ def _integer(value: Any) -> int | None:
 def _readings(measured: Any) -> Sequence[float]:
     """Return a snapshot's readings, finite or NaN, so that an infinite one exceeds no limit; all NaN if the length is wrong."""
     try:
-        # What nodes send is a list of floats, and one that is not finite makes their sum so.
-        if type(measured) is list and len(measured) == len(SENSED) and math.isfinite(math.fsum(measured)):
-            return measured
-    except (TypeError, ValueError, OverflowError):
-        pass
-    try:
         values = [_number(reading) for reading in measured]
     except TypeError:
         return NO_READINGS
