@@ -408,9 +408,15 @@ def excess(values: Array, limits: Limits, signal: str) -> Array:
         limits: the rig's limits.
         signal: one of :data:`LIMIT_UNITS`.
     """
-    low, high = within(limits, signal)
+    middle, half = _range(limits, signal)
     with np.errstate(invalid="ignore", over="ignore"):
-        return np.abs(values - 0.5 * (low + high)) / (0.5 * (high - low))
+        return np.abs(values - middle) / half
+
+
+def _range(limits: Limits, signal: str) -> tuple[float, float]:
+    """Return the middle of a signal's permitted range, and half of the range."""
+    low, high = within(limits, signal)
+    return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def beyond(values: Array, limits: Limits, signal: str, factor: float) -> Exceedance | None:
@@ -455,9 +461,9 @@ def implausible(readings: Array, limits: Limits) -> Exceedance | None:
     """
     middle, farthest = np.zeros(readings.shape[1]), np.full(readings.shape[1], np.finfo(np.float64).max)
     for signal in LIMIT_UNITS:
-        low, high = within(limits, signal)
         column = SENSED.index(signal)
-        middle[column], farthest[column] = 0.5 * (low + high), ABORT_FACTOR * 0.5 * (high - low)
+        middle[column], half = _range(limits, signal)
+        farthest[column] = ABORT_FACTOR * half
     possible = np.abs(readings - middle) <= farthest
     if possible.all():
         return None
