@@ -32,6 +32,12 @@ _Rule = Callable[..., CodeDual | tuple[ir.Value, list[tuple[Any, CodeDual]]]]
 """``rule(builder, plain, *duals)`` returns the dual, or its value and the partial derivatives, each with its argument."""
 
 
+def _are_numbers_with_a_dual(args: Any, count: int) -> bool:
+    """Tell whether these are the types of so many numbers, of which at least one is a dual."""
+    numbers = all(isinstance(a, DualType | types.Integer | types.Float) for a in args)
+    return len(args) == count and numbers and any(isinstance(a, DualType) for a in args)
+
+
 def _differentiable(*functions: Any, value_of: Any = None) -> Callable[[_Rule], _Rule]:
     """Register the derivative of functions of one or two numbers, of which at least one is a dual."""
 
@@ -45,9 +51,7 @@ def _differentiable(*functions: Any, value_of: Any = None) -> Callable[[_Rule], 
                 key = function
 
                 def generic(self, args: Any, kws: Any) -> Any:
-                    if len(args) != count or not any(isinstance(a, DualType) for a in args):
-                        return None
-                    if not all(isinstance(a, DualType | types.Integer | types.Float) for a in args):
+                    if not _are_numbers_with_a_dual(args, count):
                         return None
                     kinds = [a if isinstance(a, DualType) else types.float64 for a in args]
                     return signature(next(a for a in args if isinstance(a, DualType)), *kinds)
@@ -222,9 +226,7 @@ def _typed_by_value(function: Any, count: int) -> None:
         key = function
 
         def generic(self, args: Any, kws: Any) -> Any:
-            if len(args) != count or not any(isinstance(a, DualType) for a in args):
-                return None
-            if not all(isinstance(a, DualType | types.Integer | types.Float) for a in args):
+            if not _are_numbers_with_a_dual(args, count):
                 return None
             plain = self.context.resolve_value_type(function)
             result = self.context.resolve_function_type(plain, (types.float64,) * count, {})

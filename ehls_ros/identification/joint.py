@@ -292,7 +292,7 @@ def with_doubt(fit: JointFit, recorded: Recorded) -> JointFit:
     problem = Problem(recorded._replace(usable=usable), everything, fit.z, fit.noise)
     slopes, searched = problem.slopes(fit.z), np.array([name in fit.free for name in fit.coordinates.names])
     # What is fitted moves with what is held, so as to keep the force.
-    moved = np.linalg.lstsq(np.column_stack([-slopes[:, searched], problem.rows]), slopes[:, ~searched])[0]
+    moved, *_ = np.linalg.lstsq(np.column_stack([-slopes[:, searched], problem.rows]), slopes[:, ~searched], rcond=None)
     return fit._replace(covariance=fit.covariance + DOUBT**2 * moved @ moved.T)
 
 

@@ -27,7 +27,7 @@ METRICS = ("max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycl
 Row = dict[str, Any]
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Threads of one worker must not import the same new kernel at once; kernels hold the interpreter lock anyway."""
+"""Threads of one worker must not import the same new kernel at once."""
 
 
 def code_version() -> str:
