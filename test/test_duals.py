@@ -16,22 +16,9 @@ WIDTH = width_of(2)
 # A ball on the floor with restitution c[1] under the gravity c[0].
 _BALL = '''"""A bouncing ball, generated."""
 from numba import njit
-from ehls_ros.arrays import kernel
+from bouncing_ball import evaluate, switch
 from ehls_ros.duals import constant, dual_array
 from ehls_ros.physics import integration
-
-
-@kernel
-def evaluate(t, y, mode, c, rate):
-    rate[0] = y[1]
-    rate[1] = -c[0]
-    return -y[0] if y[1] < 0.0 else -1.0
-
-
-@kernel
-def switch(t, y, mode, c):
-    y[1] = -c[1] * y[1]
-
 
 run = integration.integrator(evaluate, switch, size=2)
 

@@ -43,21 +43,8 @@ def advance(t, y, mode, c, step, steps, work):
 # A ball on the floor: y is height and speed; with restitution c[1] its bounces come ever more densely.
 _BALL = '''"""A bouncing ball, generated."""
 from numba import njit
-from ehls_ros.arrays import kernel
+from bouncing_ball import evaluate, switch
 from ehls_ros.physics import integration
-
-
-@kernel
-def evaluate(t, y, mode, c, rate):
-    rate[0] = y[1]
-    rate[1] = -c[0]
-    return -y[0] if y[1] < 0.0 else -1.0
-
-
-@kernel
-def switch(t, y, mode, c):
-    y[1] = -c[1] * y[1]
-
 
 run = integration.integrator(evaluate, switch, size=2)
 
