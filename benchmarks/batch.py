@@ -32,16 +32,17 @@ from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
 from ehls_ros.physics.friction import gms
 from ehls_ros.physics.integration import WORK_ROWS
+from ehls_ros.physics.integration_step import LONGEST_STEP
 from ehls_ros.physics.lane_memory import LANES, Rows, column, flat, numbers, numbers_in
 from ehls_ros.physics.lanes import LaneRows, lanes_integrator
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import FD, FD_RATE, FRICTION, INPUTS, START, Chains, Coefficients, U, system
 from ehls_ros.physics.rig import Rig
-from ehls_ros.physics.simulator import DEFAULT_STEP
+from ehls_ros.physics.simulator import ORDER
 
 ELEMENTS = 3
 SIZE, MODES = FRICTION + ELEMENTS, 1 + ELEMENTS
-STEPS = round(PERIOD / DEFAULT_STEP)
+STEPS = round(PERIOD / LONGEST_STEP)
 VARIED = ("supply_pressure", "bulk_modulus", "total_volume", "moving_mass", "viscous_damping", "valve_bandwidth")
 NATIVE = ("cc", "-O3", "-march=native")
 TWIN = "C -march=native"
@@ -145,7 +146,7 @@ def _lanes_kernel(rows: LaneRows, inputs: int, known: int) -> Callable[..., None
         c, w = numbers(like, block, known, lane), inputs_of(block, inputs, lane)
         return Coefficients(c.plant, c.friction, w, nothing(block, inputs, lane), w[U])
 
-    advance = lanes_integrator(evaluate, switch, coefficients, rows, SIZE, MODES)
+    advance = lanes_integrator(evaluate, switch, coefficients, rows, SIZE, MODES, order=ORDER)
 
     @numba.njit(error_model="numpy", nogil=True)
     def run(block: Array, like: Known, commands: Array, steps: int, work: Array) -> None:
@@ -153,7 +154,7 @@ def _lanes_kernel(rows: LaneRows, inputs: int, known: int) -> Callable[..., None
             for lane in range(LANES):
                 w = inputs_of(block, inputs, lane)
                 w[U], w[FD], w[FD_RATE], w[START] = commands[k]
-            advance(commands[k, 3], block, like, DEFAULT_STEP, steps, work)
+            advance(commands[k, 3], block, like, LONGEST_STEP, steps, work)
 
     compiled: Callable[..., None] = run
     return compiled
@@ -234,7 +235,7 @@ class Diffrax:
                 return jnp.stack(rates(y, row[0], row[1] + row[2] * (t - row[3]), p, f, k, a))
 
             return diffrax.diffeqsolve(
-                diffrax.ODETerm(right), diffrax.Tsit5(), 0.0, len(commands) * PERIOD, DEFAULT_STEP, jnp.zeros(7),
+                diffrax.ODETerm(right), diffrax.Tsit5(), 0.0, len(commands) * PERIOD, LONGEST_STEP, jnp.zeros(7),
                 stepsize_controller=diffrax.ConstantStepSize(), max_steps=len(commands) * STEPS + 10,
                 adjoint=diffrax.ForwardMode(),
             ).ys  # fmt: skip
@@ -374,7 +375,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="shorter motions")
     parser.add_argument("--own", action="store_true", help="without SciPy and diffrax")
     options = parser.parse_args()
-    print(f"{platform.machine()}, numba {numba.__version__}, {LANES} lanes, step {DEFAULT_STEP:g} s, {options.runs} turns")
+    print(f"{platform.machine()}, numba {numba.__version__}, {LANES} lanes, step {LONGEST_STEP:g} s, {options.runs} turns")
     with tempfile.TemporaryDirectory() as folder:
         plants(load_rig(RIG), options, Path(folder))
     experiments(options)

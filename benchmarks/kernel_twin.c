@@ -104,22 +104,34 @@ static void change(const double *y, double *mode, const Coefficients *c)
 }
 
 typedef struct {
-    double end[STATES], stage[STATES], k1[STATES], k2[STATES], k3[STATES], k4[STATES];
+    double end[STATES], stage[STATES], k1[STATES], k2[STATES], k3[STATES], k4[STATES], k5[STATES], k6[STATES];
 } Work;
 
-static inline void runge_kutta(double t, const double *y, const double *mode, const Coefficients *c, double step, Work *w)
+static inline void take_step(double t, const double *y, const double *mode, const Coefficients *c, double step, Work *w)
 {
+    const double *k1 = w->k1, *k2 = w->k2, *k3 = w->k3, *k4 = w->k4, *k5 = w->k5, *k6 = w->k6;
     for (int i = 0; i < STATES; i++)
-        w->stage[i] = y[i] + 0.5 * step * w->k1[i];
-    evaluate(t + 0.5 * step, w->stage, mode, c, w->k2);
+        w->stage[i] = y[i] + step * (1.0 / 5 * k1[i]);
+    evaluate(t + 1.0 / 5 * step, w->stage, mode, c, w->k2);
     for (int i = 0; i < STATES; i++)
-        w->stage[i] = y[i] + 0.5 * step * w->k2[i];
-    evaluate(t + 0.5 * step, w->stage, mode, c, w->k3);
+        w->stage[i] = y[i] + step * (3.0 / 40 * k1[i] + 9.0 / 40 * k2[i]);
+    evaluate(t + 3.0 / 10 * step, w->stage, mode, c, w->k3);
     for (int i = 0; i < STATES; i++)
-        w->stage[i] = y[i] + step * w->k3[i];
-    evaluate(t + step, w->stage, mode, c, w->k4);
+        w->stage[i] = y[i] + step * (44.0 / 45 * k1[i] - 56.0 / 15 * k2[i] + 32.0 / 9 * k3[i]);
+    evaluate(t + 4.0 / 5 * step, w->stage, mode, c, w->k4);
     for (int i = 0; i < STATES; i++)
-        w->end[i] = y[i] + step / 6.0 * (w->k1[i] + 2.0 * w->k2[i] + 2.0 * w->k3[i] + w->k4[i]);
+        w->stage[i] = y[i]
+            + step * (19372.0 / 6561 * k1[i] - 25360.0 / 2187 * k2[i] + 64448.0 / 6561 * k3[i] - 212.0 / 729 * k4[i]);
+    evaluate(t + 8.0 / 9 * step, w->stage, mode, c, w->k5);
+    for (int i = 0; i < STATES; i++)
+        w->stage[i] = y[i]
+            + step * (9017.0 / 3168 * k1[i] - 355.0 / 33 * k2[i] + 46732.0 / 5247 * k3[i] + 49.0 / 176 * k4[i]
+                - 5103.0 / 18656 * k5[i]);
+    evaluate(t + step, w->stage, mode, c, w->k6);
+    for (int i = 0; i < STATES; i++)
+        w->end[i] = y[i]
+            + step * (35.0 / 384 * k1[i] + 500.0 / 1113 * k3[i] + 125.0 / 192 * k4[i] - 2187.0 / 6784 * k5[i]
+                + 11.0 / 84 * k6[i]);
 }
 
 static double locate(
@@ -140,7 +152,7 @@ static double locate(
             middle = high - after * width / (after - before) + 0.5 * tolerance;
             middle = fmin(fmax(middle, low + 0.25 * tolerance), high - 0.25 * tolerance);
         }
-        runge_kutta(t, y, mode, c, middle, w);
+        take_step(t, y, mode, c, middle, w);
         const double value = evaluate(t + middle, w->end, mode, c, w->stage);
         if (value > 0.0) {
             high = middle;
@@ -157,7 +169,7 @@ static double locate(
         }
         halve = high - low > 0.5 * width;
     }
-    runge_kutta(t, y, mode, c, high, w);
+    take_step(t, y, mode, c, high, w);
     return high;
 }
 
@@ -175,7 +187,7 @@ static int advance(double t, double *y, double *mode, const Plant *plant, const 
                 change(y, mode, c);
                 evaluate(now, y, mode, c, w->k1);
             }
-            runge_kutta(now, y, mode, c, remaining, w);
+            take_step(now, y, mode, c, remaining, w);
             double taken = remaining;
             const double after = evaluate(now + remaining, w->end, mode, c, w->k1);
             changed = after > 0.0;

@@ -20,9 +20,10 @@ import numpy as np
 import yaml
 
 from ehls_ros.arrays import Array
+from ehls_ros.physics.integration_step import LONGEST_STEP
 from ehls_ros.physics.plant import FD, FD_RATE, START, U
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import DEFAULT_STEP, Constants, Simulator, State
+from ehls_ros.physics.simulator import Constants, Simulator, State
 
 HERE = Path(__file__).resolve().parent
 RIG = HERE.parent / "config" / "rig_paper.yaml"
@@ -52,8 +53,8 @@ def motions(duration: float) -> list[Motion]:
     )
     held = np.array([[2e-4, 500.0, 300.0, 0.0]])
     return [
-        Motion("cycles of 1 ms", commands, round(PERIOD / DEFAULT_STEP)),
-        Motion("one call", held, round(duration / DEFAULT_STEP)),
+        Motion("cycles of 1 ms", commands, round(PERIOD / LONGEST_STEP)),
+        Motion("one call", held, round(duration / LONGEST_STEP)),
     ]
 
 
@@ -62,7 +63,7 @@ class NumbaKernel:
 
     def __init__(self, rig: Rig) -> None:
         """Compile."""
-        simulator = Simulator(rig, PERIOD, DEFAULT_STEP)
+        simulator = Simulator(rig, PERIOD, LONGEST_STEP)
         advance = simulator._advance  # noqa: SLF001
         self.y, self.mode, self.inputs = simulator.y, simulator.mode, simulator.inputs
         # A period of 1 s: what counts as cycles for the kernel is then time.
@@ -109,7 +110,7 @@ class CKernel:
         arrays = (self.y, self.mode, self._plant, self._friction, self.inputs, motion.inputs)
         pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
         dense: int = self._function(
-            *pointers, ctypes.c_long(len(motion.inputs)), ctypes.c_double(DEFAULT_STEP), ctypes.c_long(motion.steps)
+            *pointers, ctypes.c_long(len(motion.inputs)), ctypes.c_double(LONGEST_STEP), ctypes.c_long(motion.steps)
         )
         return dense
 
@@ -152,7 +153,7 @@ def main() -> None:
         twins = {name: CKernel(rig, command, Path(folder)) for name, command in COMPILERS.items()}
         contestants: dict[str, Any] = {"numba": ours, **twins}
         version = subprocess.run(["cc", "--version"], check=True, capture_output=True, text=True).stdout.splitlines()[0]
-        print(f"{platform.machine()}, {version}, numba {numba.__version__}, step {DEFAULT_STEP:g} s, {options.runs} runs")
+        print(f"{platform.machine()}, {version}, numba {numba.__version__}, step {LONGEST_STEP:g} s, {options.runs} runs")
         for motion in motions(options.duration):
             steps = len(motion.inputs) * motion.steps
             print(f"\n{motion.name} ({steps} steps)")

@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT / "test" / "physics"))
 
 from reference_solver import Case, cases, solve  # noqa: E402
 
-STEPS = (1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5, 2.5e-5)
+STEPS = (1e-3, 5e-4, 1e-3 / 3, 2.5e-4, 2e-4, 1e-4, 5e-5)
 LOOSER = (1e-6, 1e-8, 1e-10)
 
 

@@ -145,7 +145,7 @@ def simulator_of(spec: Spec) -> Simulator:
     return Simulator(spec.loader_rig(), *_timing(spec), **_start(spec))
 
 
-def _timing(spec: Spec) -> tuple[float, float]:
+def _timing(spec: Spec) -> tuple[float, float | None]:
     return spec.settings.control_period, spec.settings.integration_step
 
 

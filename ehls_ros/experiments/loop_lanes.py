@@ -195,7 +195,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
         w = inputs_of(block, INPUTS, lane)
         return Coefficients(known.plant, known.friction, w, effects_of(block, EFFECTS, lane), w[U])
 
-    integrate = lanes_integrator(plant.evaluate, plant.switch, coefficients, rows.plant, size, modes)
+    integrate = lanes_integrator(plant.evaluate, plant.switch, coefficients, rows.plant, size, modes, order=simulator.ORDER)
 
     @lean
     def read_sensors(k: int, block: Array, like: Known, timing: Timing) -> None:

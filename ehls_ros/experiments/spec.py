@@ -21,9 +21,9 @@ from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.points_file import read_points
 from ehls_ros.experiments.programme_file import programme_values
-from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal, check_step
+from ehls_ros.physics.integration_step import LONGEST_STEP, check_step, steps_per_period
+from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal
 from ehls_ros.physics.rig import EffectUse, Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
-from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
 
@@ -49,9 +49,15 @@ class Settings(NamedTuple):
     title: Annotated[str, text("what the experiment is called in reports")] = "experiment"
     duration: Annotated[float, quantity("s", "plant time to run", above=0.0, maximum=1e6)] = 10.0
     control_period: Annotated[float, quantity("s", "time between two control cycles", minimum=1e-6, maximum=0.1)] = 1e-3
-    integration_step: Annotated[float, quantity("s", "largest integration step of the plant", minimum=1e-7, maximum=1e-2)] = (
-        DEFAULT_STEP
-    )
+    integration_step: Annotated[
+        float | None,
+        quantity(
+            "s",
+            f"largest integration step of the plant; by default {LONGEST_STEP:g} s, or less if the rig needs it",
+            minimum=1e-7,
+            maximum=1e-2,
+        ),
+    ] = None
     initial_position: Annotated[float, quantity("m", "piston position at the start; it rests without pressure")] = 0.0
     oil_temperature: Annotated[float, quantity("K", "oil temperature at the start", minimum=200.0, maximum=450.0)] = 313.15
     oil_warming: Annotated[float, quantity("K/s", "rate at which the oil warms", minimum=-10.0, maximum=10.0)] = 0.0
@@ -245,8 +251,8 @@ def check_spec(spec: Spec, where: str) -> None:
     _check_companions(spec, where, _setting(spec, model_of(spec.controller_rig, period), where))
     # What disturbs the rig may have a cylinder of its own.
     check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
-    steps = max(1, math.ceil(period / settings.integration_step - 1e-9))
-    check_step(spec.loader_rig(), period / steps, f"{where}: rig")
+    loader = spec.loader_rig()
+    check_step(loader, period / steps_per_period(loader, period, settings.integration_step), f"{where}: rig")
     low, high = rig.limits.position
     if abs(settings.initial_position - 0.5 * (low + high)) > WARNING_FACTOR * 0.5 * (high - low):
         expected = f"{low:g} to {high:g} m, limits.position of the rig"

@@ -1,4 +1,4 @@
-"""Fixed-step integration of hybrid systems: Runge-Kutta of order 4 or 2 with event location.
+"""Fixed-step integration of hybrid systems: Runge-Kutta of order 2, 4 or 5 with event location.
 
 A system is two compiled functions of time ``t``, state ``y``, modes ``mode`` and coefficients ``c``:
 
@@ -18,7 +18,7 @@ from numba import njit
 from ehls_ros.arrays import Array, lean
 from ehls_ros.duals import alike, length_to_event, varies
 
-WORK_ROWS = 6
+WORK_ROWS = 8
 """Rows of an integrator's workspace, each as long as the state."""
 
 MOST_EVENTS = 16
@@ -51,7 +51,7 @@ def steps_of(
     switch: Callable[..., None],
     size: int = 0,
     most_events: int = MOST_EVENTS,
-    order: Literal[2, 4] = 4,
+    order: Literal[2, 4, 5] = 4,
 ) -> Steps:
     """Build the compiled steps of one system; arguments as those of :func:`integrator`."""
 
@@ -83,7 +83,34 @@ def steps_of(
         for i in range(n):
             end[i] = y[i] + step * k2[i]
 
-    take_step = runge_kutta if order == 4 else midpoint
+    @lean
+    def dormand_prince(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
+        """Take one step of the fifth-order formula of Dormand and Prince; same arguments as ``runge_kutta``."""
+        n = size or y.size
+        end, stage, k1, k2, k3, k4, k5, k6 = work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7]
+        for i in range(n):
+            stage[i] = y[i] + step * (1 / 5 * k1[i])
+        evaluate(t + 1 / 5 * step, stage, mode, c, k2)
+        for i in range(n):
+            stage[i] = y[i] + step * (3 / 40 * k1[i] + 9 / 40 * k2[i])
+        evaluate(t + 3 / 10 * step, stage, mode, c, k3)
+        for i in range(n):
+            stage[i] = y[i] + step * (44 / 45 * k1[i] - 56 / 15 * k2[i] + 32 / 9 * k3[i])
+        evaluate(t + 4 / 5 * step, stage, mode, c, k4)
+        for i in range(n):
+            stage[i] = y[i] + step * (19372 / 6561 * k1[i] - 25360 / 2187 * k2[i] + 64448 / 6561 * k3[i] - 212 / 729 * k4[i])
+        evaluate(t + 8 / 9 * step, stage, mode, c, k5)
+        for i in range(n):
+            stage[i] = y[i] + step * (
+                9017 / 3168 * k1[i] - 355 / 33 * k2[i] + 46732 / 5247 * k3[i] + 49 / 176 * k4[i] - 5103 / 18656 * k5[i]
+            )
+        evaluate(t + step, stage, mode, c, k6)
+        for i in range(n):
+            end[i] = y[i] + step * (
+                35 / 384 * k1[i] + 500 / 1113 * k3[i] + 125 / 192 * k4[i] - 2187 / 6784 * k5[i] + 11 / 84 * k6[i]
+            )
+
+    take_step = {2: midpoint, 4: runge_kutta, 5: dormand_prince}[order]
 
     # Rarely called and long, so not inlined into the loop.
     @njit(error_model="numpy")
@@ -166,7 +193,7 @@ def integrator(
     switch: Callable[..., None],
     size: int = 0,
     most_events: int = MOST_EVENTS,
-    order: Literal[2, 4] = 4,
+    order: Literal[2, 4, 5] = 4,
 ) -> Callable[..., int]:
     """Build the compiled integrator of one system.
 
@@ -175,7 +202,8 @@ def integrator(
         switch: mode changes of the system.
         size: length of the state if known, so that the compiler unrolls the loops over it; 0: any length.
         most_events: most events located within a step; with 0, modes change only at the ends of steps.
-        order: 4, the classical method; or 2, the midpoint rule, at half the cost per step.
+        order: 2, the midpoint rule; 4, the classical method; or 5, that of Dormand and Prince (1980), with six evaluations per
+            step instead of four, but fewer steps for the same error.
 
     Returns:
         ``advance(t, y, mode, c, step, steps, work)``, see below.

@@ -6,7 +6,7 @@ it has alone, to the last bit.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from numba import njit
 
@@ -53,6 +53,7 @@ def lanes_integrator(
     size: int,
     modes: int,
     most_events: int = MOST_EVENTS,
+    order: Literal[2, 4, 5] = 4,
 ) -> Callable[..., int]:
     """Build the compiled integrator of a block of lanes.
 
@@ -65,13 +66,14 @@ def lanes_integrator(
         size: length of the state.
         modes: number of modes.
         most_events: see :func:`~ehls_ros.physics.integration.integrator`.
+        order: see there.
 
     Returns:
         ``advance(t, block, like, step, steps)``, which does for every lane what that of
         :func:`~ehls_ros.physics.integration.integrator` does for one.
     """
-    take_step, located_step = steps_of(evaluate, switch, size, most_events)
-    w0, w1, w2, w3, w4, w5 = (stack(size) for _ in range(WORK_ROWS))
+    take_step, located_step = steps_of(evaluate, switch, size, most_events, order)
+    w0, w1, w2, w3, w4, w5, w6, w7 = (stack(size) for _ in range(WORK_ROWS))
     states, modes_of = column(size), column(modes)
     MODE, Y, RATE_ROW, CHANGED, END, END_RATE, AFTER = rows
     carried = 2 * size + 1
@@ -94,7 +96,7 @@ def lanes_integrator(
     def step_all(t: float, block: Array, like: Any, step: float) -> None:
         """Take a step of all lanes as if there were no events."""
         for lane in range(LANES):
-            work = (w0(), w1(), w2(), w3(), w4(), w5())
+            work = (w0(), w1(), w2(), w3(), w4(), w5(), w6(), w7())
             mode, c = modes_of(block, MODE, lane), coefficients(block, like, lane)
             copy(states(block, RATE_ROW, lane), work[RATE])
             take_step(t, states(block, Y, lane), mode, c, step, work)

@@ -1,20 +1,18 @@
 """Plausibility of a rig's parameters and of a run's results.
 
-Parameters that are each in range may still describe no real rig: a pressure in bar instead of pascals, an area in mm², a mass
-too small for the integration step. :data:`RANGES`, :data:`RELATIONS` and :func:`rates` check a rig before a run;
+Parameters that are each in range may still describe no real rig: a pressure in bar instead of pascals, an area in mm².
+:data:`RANGES` and :data:`RELATIONS` check a rig before a run, :mod:`ehls_ros.physics.integration_step` that a step resolves it;
 :data:`WARNING_FACTOR` and :data:`ABORT_FACTOR` say how far a run may exceed the rig's limits.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.composition import effects_in_kernel
-from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.rig import SENSED, Rig, check_friction_effects
 from ehls_ros.schema import declarations
@@ -25,9 +23,6 @@ WARNING_FACTOR = 1.05
 
 ABORT_FACTOR = 10.0
 """Multiple of a rig's limit above which a reading is impossible and the run ends; impacts of the servo's beam reach 2.4."""
-
-MAX_STEP_RATE = 2.0
-"""Largest product of integration step and natural rate; the Runge-Kutta scheme is stable up to 2.8."""
 
 RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("plant", "supply_pressure"): (1e5, 2e8),
@@ -232,99 +227,6 @@ def _likely(value: float, unit: str, low: float, high: float) -> str:
 def units_of(parameters: Any) -> dict[str, str]:
     """Return the unit of each field of a parameter set."""
     return {declared.name: declared.unit for declared in declarations(parameters)}
-
-
-class Rate(NamedTuple):
-    """Natural rate of a part of the plant.
-
-    Attributes:
-        what: the part.
-        rate: inverse time constant or natural frequency [1/s].
-        basis: the keys it depends on, with values and units.
-    """
-
-    what: str
-    rate: float
-    basis: str
-
-
-def rates(rig: Rig) -> Iterator[Rate]:
-    """Yield the natural rate of each part of a plant.
-
-    Args:
-        rig: the rig with its effects; stiffness and damping of an effect count as if they always acted.
-
-    Yields:
-        The rates; springs and dampers act on the smaller of piston and load.
-    """
-    effective = rig.effective()
-    p, f, law, limits = effective.plant, effective.friction, effective.friction_law, effective.limits
-    piston = effective.piston_mass()
-    mass = min(p.moving_mass, piston) if piston > 0.0 else p.moving_mass
-    oil = 4.0 * p.bulk_modulus / p.total_volume
-    shown = _described(p) | _described(f)
-    on_mass = f"on {mass:g} kg"
-    springs = ", ".join(shown[key] for key, unit in units_of(type(f)).items() if unit == "N/m")
-    # The piston's largest velocity limits the flow; the spool's limit may allow far more.
-    gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
-    flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
-    yield Rate("valve", p.valve_bandwidth, shown["valve_bandwidth"])
-    column = f"{shown['bulk_modulus']}, {shown['piston_area']}, {shown['total_volume']} {on_mass}"
-    yield Rate("oil column", math.sqrt(oil * p.piston_area**2 / mass), column)
-    leaking = f"{shown['leakage_coefficient']}, {shown['bulk_modulus']}, {shown['total_volume']}"
-    yield Rate("leakage", oil * p.leakage_coefficient, leaking)
-    orifice = f"{shown['supply_pressure']}, {shown['bulk_modulus']}, {shown['total_volume']}, flow {flow:g} m^3/s"
-    yield Rate("valve's flow", 0.5 * oil * flow / p.supply_pressure, orifice)
-    if math.isfinite(stiffness := law.stiffness(f)):
-        yield Rate("presliding friction", math.sqrt(stiffness / mass), f"{springs} {on_mass}")
-    damping = p.viscous_damping + f.viscous_coefficient
-    yield Rate("damping", damping / mass, f"{shown['viscous_damping']}, {shown['viscous_coefficient']} {on_mass}")
-    yield Rate("spring", math.sqrt(p.spring_stiffness / mass), f"{shown['spring_stiffness']} {on_mass}")
-    slipping = ", ".join(shown[key] for key in f._fields if key != "viscous_coefficient")
-    relaxation = law.relaxation_rate(f, limits.velocity)
-    yield Rate("slipping friction", relaxation, f"{slipping} at {limits.velocity:g} m/s")
-    for use in effects_in_kernel(rig):
-        rate_by_unit: dict[str, Callable[[float], float]] = {
-            "N/m": lambda value: math.sqrt(abs(value) / mass),
-            "N s/m": lambda value: abs(value) / mass,
-            "rad/s": lambda value: value,
-            "Hz": lambda value: 2.0 * math.pi * value,
-        }
-        for key, unit in units_of(EFFECTS.load(use.name).Parameters).items():
-            value = getattr(use.parameters, key)
-            if unit in rate_by_unit:
-                yield Rate(f"effect {use.name}", rate_by_unit[unit](value), f"{key} {value:g} {unit} {on_mass}")
-
-
-def _described(parameters: Any) -> dict[str, str]:
-    """Return each field as text for messages: name, value or values, unit."""
-
-    def formatted(value: float | tuple[float, ...]) -> str:
-        return ", ".join(f"{one:g}" for one in value) if isinstance(value, tuple) else f"{value:g}"
-
-    units = units_of(type(parameters))
-    return {
-        key: f"{key} {formatted(value)}{'' if units[key] == '1' else f' {units[key]}'}"
-        for key, value in parameters._asdict().items()
-    }
-
-
-def check_step(rig: Rig, step: float, where: str) -> None:
-    """Check that an integration step resolves all parts of a plant.
-
-    Args:
-        rig: the rig.
-        step: integration step [s].
-        where: the file, for errors.
-
-    Raises:
-        BadInput: the fastest part is too fast for the step.
-    """
-    fastest = max(rates(rig), key=lambda part: part.rate)
-    if step * fastest.rate > MAX_STEP_RATE:
-        what = f"the rate of the {fastest.what}, {fastest.rate:.3g} 1/s, is too fast for steps of {step:g} s ({fastest.basis})"
-        needed = MAX_STEP_RATE / fastest.rate
-        raise BadInput(what, where, f"integration_step of at most {needed:.2g} s, or other parameters, all in SI units")
 
 
 SIGNAL_RANGES: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]], float, str]] = {

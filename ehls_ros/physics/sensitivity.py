@@ -27,7 +27,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import PL, TEMPERATURE, XV, Chains, V, X
 from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
-from ehls_ros.physics.simulator import DEFAULT_STEP, OIL_TEMPERATURE, Constants, Simulated, State, at_rest, parts_of
+from ehls_ros.physics.simulator import OIL_TEMPERATURE, Constants, Simulated, State, at_rest, parts_of
 
 MOST_AT_ONCE = 22
 """Most coefficients in one run; more are divided among several. Each run has a cost of its own, and so has each coefficient."""
@@ -78,7 +78,7 @@ def sensitivities(
     inputs: Inputs,
     *,
     period: float = 1e-3,
-    step: float = DEFAULT_STEP,
+    step: float | None = None,
     start: Mapping[str, float] | None = None,
 ) -> Sensitivities:
     """Simulate a rig from rest, with the derivatives of its readings by chosen coefficients.
@@ -90,7 +90,7 @@ def sensitivities(
             of :data:`STARTS`.
         inputs: commands and disturbances.
         period: control period [s].
-        step: largest integration step [s].
+        step: largest integration step [s], see :func:`~ehls_ros.physics.integration_step.steps_per_period`.
         start: initial values by the names in :data:`STARTS`; by default all are 0.
 
     Returns:
@@ -257,7 +257,7 @@ def prepared(
     coefficients: Sequence[str],
     inputs: Inputs,
     period: float = 1e-3,
-    step: float = DEFAULT_STEP,
+    step: float | None = None,
     start: Mapping[str, float] | None = None,
 ) -> Prepared:
     """Return a run with the derivatives by some coefficients; arguments and errors are those of :func:`sensitivities`."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ehls_ros.physics.composition import Effects, compiled, effects_of, rig_elem
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.integration import MOST_EVENTS, WORK_ROWS, integrator
+from ehls_ros.physics.integration_step import steps_per_period
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import (
     FRICTION,
@@ -30,8 +31,8 @@ from ehls_ros.physics.plant import (
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
 
-DEFAULT_STEP = 1e-4
-"""Integration step [s]; benchmarks/physics_convergence.py shows why."""
+ORDER: Literal[2, 4, 5] = 5
+"""Order of the integration; benchmarks/physics_convergence.py shows why."""
 
 OIL_TEMPERATURE = 313.15
 """Default oil temperature [K]."""
@@ -112,7 +113,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
     """
     end = FRICTION + elements
     evaluate, switch = system(friction, elements, chains)
-    run = integrator(evaluate, switch, size=end + states, most_events=most_events)
+    run = integrator(evaluate, switch, size=end + states, most_events=most_events, order=ORDER)
     supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
 
     @lean
@@ -198,7 +199,7 @@ class Simulated(NamedTuple):
 def at_rest(
     rig: Rig,
     period: float = 1e-3,
-    step: float = DEFAULT_STEP,
+    step: float | None = None,
     position: float = 0.0,
     temperature: float = OIL_TEMPERATURE,
     warming: float = 0.0,
@@ -208,14 +209,14 @@ def at_rest(
     Args:
         rig: rig to simulate.
         period: control period [s].
-        step: largest integration step [s]; the period is divided into equal steps.
+        step: largest integration step [s], see :func:`~ehls_ros.physics.integration_step.steps_per_period`.
         position: initial piston position [m].
         temperature: initial oil temperature [K].
         warming: rate of the oil temperature [K/s].
     """
     effective = rig.effective()
     parts = parts_of(rig)
-    steps = max(1, math.ceil(period / step - 1e-9))
+    steps = steps_per_period(rig, period, step)
     elements, states = parts.numbers["elements"], parts.numbers["states"]
     constants = Constants(
         effective.plant,
@@ -256,13 +257,13 @@ class Simulator:
         cycle: number of control periods completed.
     """
 
-    def __init__(self, rig: Rig, period: float = 1e-3, step: float = DEFAULT_STEP, **start: float) -> None:
+    def __init__(self, rig: Rig, period: float = 1e-3, step: float | None = None, **start: float) -> None:
         """Compile or load the kernel and start at rest with zero load pressure.
 
         Args:
             rig: rig to simulate.
             period: control period [s].
-            step: largest integration step [s]; the period is divided into equal steps.
+            step: largest integration step [s], see :func:`~ehls_ros.physics.integration_step.steps_per_period`.
             **start: ``position``, ``temperature`` and ``warming`` of :func:`at_rest`.
         """
         self.rig, parts, self.constants, self.state = at_rest(rig, period, step, **start)

@@ -46,7 +46,7 @@ TRIED = (
     Extreme("rig.plant.total_volume", 1.5, REFUSED, ("total_volume", "1.5 l is 0.0015 m^3")),
     Extreme("rig.plant.total_volume", 1.5e-15, REFUSED, ("total_volume",)),
     Extreme("rig.plant.moving_mass", 1e-3, REFUSED, ("moving_mass is 0.001 kg", "0.001 t is 1 kg")),
-    Extreme("rig.plant.moving_mass", 0.3, REFUSED, ("rate of the damping", "0.3 kg", "integration_step of at most")),
+    Extreme("rig.plant.moving_mass", 0.15, REFUSED, ("rate of the damping", "0.15 kg", "integration_step of at most")),
     Extreme("rig.plant.moving_mass", 7e4, REFUSED, ("weight of plant.moving_mass", "the cylinder can hold")),
     Extreme("rig.plant.piston_area", 2600.0, REFUSED, ("piston_area", "2600 mm^2 is 0.0026 m^2")),
     Extreme("rig.plant.piston_area", 2.6e-15, REFUSED, ("piston_area",)),

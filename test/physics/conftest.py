@@ -13,7 +13,7 @@ from rig_runs import PAPER_RIG, PERIOD, run
 
 from ehls_ros.physics.composition import kernel_module
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator
+from ehls_ros.physics.simulator import Simulator
 
 
 @pytest.fixture(scope="session")
@@ -45,7 +45,7 @@ def make_rig(paper_mapping: dict[str, Any]) -> Callable[..., Rig]:
 def simulated(make_rig: Callable[..., Rig]) -> Callable[..., Floats]:
     """Return the states of a case of the reference solver, as the package gives them."""
 
-    def simulate(case: Case, step: float = DEFAULT_STEP, friction: dict[str, Any] | None = None) -> Floats:
+    def simulate(case: Case, step: float | None = None, friction: dict[str, Any] | None = None) -> Floats:
         rig = make_rig(friction={"model": case.law, **(friction or {})}, effects=case.effects)
         return run(Simulator(rig, case.period, step), case.inputs)
 

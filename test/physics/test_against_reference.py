@@ -9,7 +9,8 @@ from reference_solver import cases, solve
 CASES = cases()
 DURATION = 0.5
 # Largest deviation at the default step, of each state relative to its range; benchmarks/physics_accuracy.py has the table.
-TOLERANCE = {"stick-slip": 5e-7, "large sine": 5e-7, "break-away": 2e-5, "bristle": 5e-7}
+# The edges of the dead zone in break-away are bends that no event marks.
+TOLERANCE = {"stick-slip": 1e-7, "large sine": 5e-7, "break-away": 5e-5, "bristle": 1e-7}
 
 
 def deviation(states, reference):
@@ -38,11 +39,11 @@ def test_default_step_agrees(name, reference, simulated):
     assert deviation(simulated(CASES[name].shortened(DURATION)), solution.y) < TOLERANCE[name]
 
 
-@pytest.mark.parametrize("name", ["stick-slip", "large sine", "bristle"])
-def test_order_is_4_through_stick_and_slip(name, reference, simulated):
+@pytest.mark.parametrize("name", ["stick-slip", "bristle"])
+def test_order_is_5_through_stick_and_slip(name, reference, simulated):
     case = CASES[name].shortened(DURATION)
-    coarse, fine = (deviation(simulated(case, step), reference(name).y) for step in (5e-4, 1e-4))
-    assert 3.5 < np.log(coarse / fine) / np.log(5.0) < 4.5
+    coarse, fine = (deviation(simulated(case, step), reference(name).y) for step in (1e-3, 2.5e-4))
+    assert 4.5 < np.log(coarse / fine) / np.log(4.0) < 5.5
 
 
 def test_order_with_a_friction_force_that_jumps_into_the_balance_follows_the_stribeck_exponent(simulated):
@@ -54,5 +55,5 @@ def test_order_with_a_friction_force_that_jumps_into_the_balance_follows_the_str
     for exponent in (0.8764, 2.0):
         exact, coarse, fine = (simulated(case, step, {"stribeck_exponent": exponent})[:, :4] for step in (6.25e-6, 5e-4, 5e-5))
         orders[exponent] = np.log10(deviation(coarse, exact) / deviation(fine, exact))
-    assert 1.8 < orders[0.8764] < 3.4
-    assert 3.5 < orders[2.0] < 4.5
+    assert 1.8 < orders[0.8764] < 4.0
+    assert 4.5 < orders[2.0] < 6.5

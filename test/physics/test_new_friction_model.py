@@ -12,10 +12,11 @@ from ehls_ros.control.observers import default_observer
 from ehls_ros.physics import friction
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.integration_step import LONGEST_STEP, check_step
 from ehls_ros.physics.plant import FRICTION, V
-from ehls_ros.physics.plausibility import check_rig, check_step
+from ehls_ros.physics.plausibility import check_rig
 from ehls_ros.physics.rig import EffectUse
-from ehls_ros.physics.simulator import DEFAULT_STEP, Simulator
+from ehls_ros.physics.simulator import Simulator
 
 PAGE = "docs/how_to/friction_model.md"
 
@@ -35,7 +36,7 @@ def model(tmp_path, monkeypatch):
 def test_the_model_of_the_page_runs(model, make_rig):
     rig = make_rig(friction={"model": model})
     check_rig(rig, "rig")
-    check_step(rig, DEFAULT_STEP, "rig")
+    check_step(rig, LONGEST_STEP, "rig")
     assert rig.friction.presliding_stiffness == 1.884e6 + 1.969e5 + 1.841e5
     for effect in ("coulomb_shift", "viscous_shift", "presliding_stiffness_shift", "stribeck_shift"):
         member = EFFECTS.load(effect)

@@ -14,9 +14,9 @@ from rich.table import Table
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.yaml_files import commented, rig_text
 from ehls_ros.physics.data_sheet import HINTS, DataSheet, Source, answer, rig_values, sheet_from_mapping
-from ehls_ros.physics.plausibility import check_rig, check_step
+from ehls_ros.physics.integration_step import SHORTEST_STEP, check_step
+from ehls_ros.physics.plausibility import check_rig
 from ehls_ros.physics.rig import DEFAULT_FRICTION, rig_from_mapping
-from ehls_ros.physics.simulator import DEFAULT_STEP
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import Misfit, Note, declarations, notes
 
@@ -51,7 +51,7 @@ def run(options: Namespace) -> int:
     content = _content(values)
     rig = rig_from_mapping(content, where)
     check_rig(rig, where)
-    check_step(rig, DEFAULT_STEP, where)
+    check_step(rig, SHORTEST_STEP, where)
     source = "answers on the terminal" if options.answers is None else options.answers.name
     _write(options.out, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, _told(values))}")
     _print(values, options.out)

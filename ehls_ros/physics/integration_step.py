@@ -1,0 +1,148 @@
+"""Which integration step resolves a rig.
+
+The simulator takes steps of one length, short enough for the fastest part of the rig: oil column, valve, friction, or what an
+effect adds.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from ehls_ros.errors import BadInput
+from ehls_ros.physics.composition import effects_in_kernel
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.plausibility import units_of
+from ehls_ros.physics.rig import Rig
+
+LONGEST_STEP = 2.5e-4
+"""Default integration step [s] of a rig that needs no shorter one; benchmarks/physics_convergence.py shows why."""
+
+SHORTEST_STEP = 5e-5
+"""Shortest default [s]: a rig that needs steps shorter than this more likely has a value in a wrong unit."""
+
+DECAY = 2.0
+"""Largest product of integration step and rate of what decays; the scheme is stable up to 3.3."""
+
+OSCILLATION = 1.0
+"""The same of what oscillates, even undamped: its amplitude then changes by 2e-6 a step."""
+
+_RATES: Mapping[str, tuple[Callable[[float, float], float], float]] = MappingProxyType(
+    {
+        "N/m": (lambda value, mass: math.sqrt(abs(value) / mass), OSCILLATION),
+        "N s/m": (lambda value, mass: abs(value) / mass, DECAY),
+        "rad/s": (lambda value, mass: value, OSCILLATION),
+        "Hz": (lambda value, mass: 2.0 * math.pi * value, OSCILLATION),
+    }
+)
+"""Rate that a coefficient of an effect makes on a mass [kg], and the largest product of it with the step, by the unit."""
+
+
+class Rate(NamedTuple):
+    """Natural rate of a part of the plant.
+
+    Attributes:
+        what: the part.
+        rate: inverse time constant or natural frequency [1/s].
+        most: largest product of integration step and rate.
+        keys: coefficients of plant and friction that it depends on.
+        further: what else it depends on, in words.
+    """
+
+    what: str
+    rate: float
+    most: float
+    keys: tuple[str, ...]
+    further: str = ""
+
+    @property
+    def step(self) -> float:
+        """Longest step that resolves the part [s]."""
+        return self.most / self.rate if self.rate > 0.0 else math.inf
+
+
+def rates(rig: Rig) -> Iterator[Rate]:
+    """Yield the natural rate of each part of a plant.
+
+    Args:
+        rig: the rig with its effects; stiffness and damping of an effect count as if they always acted.
+
+    Yields:
+        The rates; springs and dampers act on the smaller of piston and load.
+    """
+    effective = rig.effective()
+    p, f, law, limits = effective.plant, effective.friction, effective.friction_law, effective.limits
+    piston = effective.piston_mass()
+    mass = min(p.moving_mass, piston) if piston > 0.0 else p.moving_mass
+    on_mass = f"on {mass:g} kg"
+    oil = 4.0 * p.bulk_modulus / p.total_volume
+    # The piston's largest velocity limits the flow; the spool's limit may allow far more.
+    gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
+    flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
+    yield Rate("valve", p.valve_bandwidth, DECAY, ("valve_bandwidth",))
+    column = math.sqrt(oil * p.piston_area**2 / mass)
+    yield Rate("oil column", column, OSCILLATION, ("bulk_modulus", "piston_area", "total_volume"), on_mass)
+    yield Rate("leakage", oil * p.leakage_coefficient, DECAY, ("leakage_coefficient", "bulk_modulus", "total_volume"))
+    orifice = 0.5 * oil * flow / p.supply_pressure
+    yield Rate("valve's flow", orifice, DECAY, ("supply_pressure", "bulk_modulus", "total_volume"), f"at {flow:g} m^3/s")
+    if math.isfinite(stiffness := law.stiffness(f)):
+        springs = tuple(key for key, unit in units_of(type(f)).items() if unit == "N/m")
+        yield Rate("presliding friction", math.sqrt(stiffness / mass), OSCILLATION, springs, on_mass)
+    damping = (p.viscous_damping + f.viscous_coefficient) / mass
+    yield Rate("damping", damping, DECAY, ("viscous_damping", "viscous_coefficient"), on_mass)
+    yield Rate("spring", math.sqrt(p.spring_stiffness / mass), OSCILLATION, ("spring_stiffness",), on_mass)
+    slipping = tuple(key for key in f._fields if key != "viscous_coefficient")
+    relaxation = law.relaxation_rate(f, limits.velocity)
+    yield Rate("slipping friction", relaxation, DECAY, slipping, f"at {limits.velocity:g} m/s")
+    for use in effects_in_kernel(rig):
+        for key, unit in units_of(EFFECTS.load(use.name).Parameters).items():
+            if unit in _RATES:
+                value, (rate, most) = getattr(use.parameters, key), _RATES[unit]
+                yield Rate(f"effect {use.name}", rate(value, mass), most, (), f"{key} {value:g} {unit} {on_mass}")
+
+
+def steps_per_period(rig: Rig, period: float, step: float | None = None) -> int:
+    """Return the number of equal integration steps that a control period is divided into.
+
+    Args:
+        rig: the rig.
+        period: control period [s].
+        step: largest integration step [s]; by default :data:`LONGEST_STEP`, or a shorter one that the rig needs, down to
+            :data:`SHORTEST_STEP`.
+    """
+    if step is None:
+        step = min(LONGEST_STEP, max(min(part.step for part in rates(rig)), SHORTEST_STEP))
+    return max(1, math.ceil(period / step - 1e-9))
+
+
+def check_step(rig: Rig, step: float, where: str) -> None:
+    """Check that an integration step resolves all parts of a plant.
+
+    Args:
+        rig: the rig.
+        step: integration step [s].
+        where: the file, for errors.
+
+    Raises:
+        BadInput: the fastest part is too fast for the step.
+    """
+    fastest = min(rates(rig), key=lambda part: part.step)
+    if step > fastest.step:
+        effective = rig.effective()
+        shown = _described(effective.plant) | _described(effective.friction)
+        basis = " ".join([", ".join(shown[key] for key in fastest.keys), fastest.further]).strip()
+        what = f"the rate of the {fastest.what}, {fastest.rate:.3g} 1/s, is too fast for steps of {step:g} s ({basis})"
+        raise BadInput(what, where, f"integration_step of at most {fastest.step:.2g} s, or other parameters, all in SI units")
+
+
+def _described(parameters: Any) -> dict[str, str]:
+    """Return each field as text for messages: name, value or values, unit."""
+
+    def formatted(value: float | tuple[float, ...]) -> str:
+        return ", ".join(f"{one:g}" for one in value) if isinstance(value, tuple) else f"{value:g}"
+
+    units = units_of(type(parameters))
+    return {
+        key: f"{key} {formatted(value)}{'' if units[key] == '1' else f' {units[key]}'}"
+        for key, value in parameters._asdict().items()
+    }
