@@ -16,7 +16,7 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -188,7 +188,8 @@ def equations(xp: Any) -> Callable[..., list[Any]]:
     return rates
 
 
-def _constants(rig: Rig) -> tuple[Array, Array, Array, Array]:
+def rig_constants(rig: Rig) -> tuple[Array, Array, Array, Array]:
+    """Return a rig's coefficients as the arguments ``p``, ``f``, ``k`` and ``a`` of :func:`equations`."""
     f = rig.friction
     rest = [f.coulomb_force, f.static_force, f.stribeck_velocity, f.stribeck_exponent, f.viscous_coefficient, f.attraction_rate]
     return np.array(rig.plant), np.array(rest), np.array(f.element_stiffness), np.array(f.element_weight)
@@ -210,7 +211,7 @@ class SciPy:
                 made[place] = value
             return made
 
-        self._right, self._rigs = right, [_constants(rig) for rig in rigs]
+        self._right, self._rigs = right, [rig_constants(rig) for rig in rigs]
 
     def run(self, motion: Motion) -> None:
         """Run a motion with all rigs."""
@@ -241,14 +242,14 @@ class Diffrax:
             ).ys  # fmt: skip
 
         self._run = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None)))
-        self._rigs = [jnp.array(np.stack(column_)) for column_ in zip(*map(_constants, rigs), strict=True)]
+        self._rigs = [jnp.array(np.stack(column_)) for column_ in zip(*map(rig_constants, rigs), strict=True)]
 
     def run(self, motion: Motion) -> None:
         """Run a motion with all rigs."""
         self._run(*self._rigs, motion.inputs).block_until_ready()
 
 
-def turns(contestants: dict[str, Callable[[], None]], runs: int, clock: Callable[[], float]) -> dict[str, Array]:
+def turns(contestants: Mapping[str, Callable[[], object]], runs: int, clock: Callable[[], float]) -> dict[str, Array]:
     """Return the times of contestants that take turns, shape (runs,) [s]."""
     times: dict[str, list[float]] = {name: [] for name in contestants}
     for turn in range(runs + 1):

@@ -23,7 +23,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.physics.integration_step import LONGEST_STEP
 from ehls_ros.physics.plant import FD, FD_RATE, START, U
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import Constants, Simulator, State
+from ehls_ros.physics.simulator import Constants, Simulator, State, parts_of, plant_kernel
 
 HERE = Path(__file__).resolve().parent
 RIG = HERE.parent / "config" / "rig_paper.yaml"
@@ -64,7 +64,7 @@ class NumbaKernel:
     def __init__(self, rig: Rig) -> None:
         """Compile."""
         simulator = Simulator(rig, PERIOD, LONGEST_STEP)
-        advance = simulator._advance  # noqa: SLF001
+        advance = plant_kernel(parts_of(simulator.rig)).advance
         self.y, self.mode, self.inputs = simulator.y, simulator.mode, simulator.inputs
         # A period of 1 s: what counts as cycles for the kernel is then time.
         self._constants, self._state = simulator.constants._replace(period=1.0), simulator.state
