@@ -102,7 +102,7 @@ FURTHER = (
     Extreme("rig.sensors.force.delay", 1.0, TOLD, ("the force does not follow its reference",)),
     Extreme("rig.sensors.velocity.bandwidth", 1e15, SOUND),
     # effects at the ends of their ranges
-    Extreme("effects.constant_load.force", 1e6, ENDED, ("load pressure", "the rig's limit", "units")),
+    Extreme("effects.constant_load.force", 1e6, ENDED, ("is impossible", "the rig's limit", "units")),
     Extreme("effects.end_stop.upper", -10.0, ENDED, ("is impossible", "integration_step")),
     Extreme("effects.viscous_asymmetry.asymmetry", -1e6, ENDED, ("is impossible",)),
     Extreme("effects.spring_hardening.cubic", -1e12, ENDED, ("is impossible",)),
