@@ -238,8 +238,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
             block: the lanes' memory, updated in place.
             like: any lane's constants; only their type counts.
             given: noise, reference and disturbance by lane and cycle, shape (LANES, n, numbers).
-            record: rows by lane and cycle, as those of the loop for one run; those of the cycles run are written. Shape
-                (LANES, cycles, columns).
+            record: rows by lane and cycle, as those of the loop for one run, shape (LANES, n or more, columns).
             work: workspace of the plant's integrator.
             forces_work: workspace of the observer's.
 
@@ -257,7 +256,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
             command_valves(k, block, like, timing)
             for lane in range(LANES):
                 for place in range(record_size):
-                    record[lane, k, place] = block[(RECORD + place) * LANES + lane]
+                    record[lane, i, place] = block[(RECORD + place) * LANES + lane]
             dense += integrate(k * timing.period, block, like, timing.step, timing.steps, work)
             warm(block, like, timing)
         return dense

@@ -15,7 +15,7 @@ from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
-from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.metrics import evaluate_errors
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.recording.reason import reason
 from ehls_ros.sources import sources_digest
@@ -100,7 +100,7 @@ def _run_side_by_side(specs: Sequence[str]) -> list[Row]:
                 places.append(place)
                 yield spec
 
-    for index, result in run_batch(readable()):
+    for index, result in run_batch(readable(), brief=True):
         rows[places[index]] = _failed(result) if isinstance(result, Exception) else _row(result)
     share = (time.perf_counter() - start) / max(len(specs), 1)
     return [rows[place] | {"wall_s": share} for place in range(len(specs))]
@@ -111,7 +111,8 @@ def _spec(text: str) -> Spec:
 
 
 def _row(run: Trajectory) -> Row:
-    row = {name: value for name, value in json_document(evaluate(run)).items() if name in METRICS}
+    metrics = evaluate_errors(run)
+    row = {name: json_document(getattr(metrics, name)) for name in METRICS}
     lost = np.flatnonzero(~np.isfinite(run["force_n"]))
     return row | {"error": f"the force is not finite after {run.time_s[lost[0]]:g} s" if lost.size else None}
 
