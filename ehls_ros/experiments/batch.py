@@ -46,6 +46,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.integration import WORK_ROWS
 from ehls_ros.physics.lane_memory import LANES, flat, numbers_in
+from ehls_ros.physics.plausibility import possible_range
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulated
 from ehls_ros.recording.topics import REFERENCE_TOPICS
@@ -56,6 +57,10 @@ Result = Trajectory | Exception
 
 FEWEST = 5
 """Fewest runs that are faster side by side than one after another."""
+
+STRETCH = 400
+"""Cycles after which a block's records are taken away, a part of :data:`~ehls_ros.experiments.loop.CHUNK`: so many fit into a
+processor's own cache."""
 
 BRIEF = (SENSED.index("force"), len(SENSED))
 """Columns of a record that are kept of a brief run: force and command."""
@@ -231,7 +236,7 @@ class _Coming:
             self.disturbance.append(cast(Planned, source).rows(0, cycles))
         self._random = [np.random.default_rng(lane.spec.settings.seed) for lane in lanes]
         self._noisy = [any(sensor.noise_std > 0.0 for sensor in lane.plant.rig.sensors.values()) for lane in lanes]
-        self._given = np.zeros((LANES, min(cycles, CHUNK), SIGNALS + FOLLOWED + DISTURBED))
+        self._given = np.zeros((LANES, min(cycles, STRETCH), SIGNALS + FOLLOWED + DISTURBED))
         self._given[:, :, SIGNALS : SIGNALS + FOLLOWED] = np.nan
 
     def given(self, now: slice, source: list[int]) -> Array:
@@ -265,22 +270,28 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
         _fill(block[:, place], rows, lanes[place] if place < len(lanes) else lanes[0])
     memory = block.reshape(-1)
     coming = _Coming(lanes, cycles)
-    record = np.empty((LANES, min(cycles, CHUNK), columns.status.stop))
+    record = np.empty((LANES, min(cycles, STRETCH), columns.status.stop))
     kept = np.empty((len(lanes), cycles, len(BRIEF) if brief else columns.status.stop))
     work, forces_work = np.empty((WORK_ROWS, rows.plant.rate - rows.plant.y)), np.empty((WORK_ROWS, sizes.forces))
     lost: dict[int, Implausible] = {}
     ends = [cycles] * len(lanes)
     # The run whose reference and disturbance each place has.
     source = [place if place < len(lanes) else 0 for place in range(LANES)]
-    for first in range(0, cycles, CHUNK):
-        now = slice(first, min(first + CHUNK, cycles))
+    for first in range(0, cycles, STRETCH):
+        now = slice(first, min(first + STRETCH, cycles))
         run(first, timing, memory, lanes[0].known, coming.given(now, source), record, work, forces_work)
         made = record[:, : now.stop - first]
         kept[:, now] = made[: len(lanes), :, BRIEF] if brief else made[: len(lanes)]
-        for place in set(source).difference(lost):
+        suspect = block[rows.impossible] > 0.0
+        if now.stop % CHUNK == 0 or now.stop == cycles:
+            # As by itself, a run is looked at behind its sensors now and then.
+            away = np.abs(block[rows.truth : rows.truth + SIGNALS] - block[rows.middle : rows.middle + SIGNALS])
+            suspect |= ~(away <= block[rows.farthest : rows.farthest + SIGNALS]).all(axis=0)
+        if not suspect.any():
+            continue
+        for place in {place for place in source if suspect[place]}:
             spec = lanes[place].spec
-            truth = block[rows.truth : rows.truth + SIGNALS, place]
-            found = impossible(made[place], truth, spec.rig.limits)
+            found = impossible(made[place], block[rows.truth : rows.truth + SIGNALS, place], spec.rig.limits)
             if found is not None:
                 lost[place], ends[place] = ended(spec, first, found), first + found.row + 1
         left = next((place for place in source if place not in lost), None)
@@ -332,6 +343,7 @@ def _fill(numbers: Array, rows: LoopRows, lane: _Lane) -> None:
     """Write a run's numbers before the first cycle to its place."""
     state, control = lane.plant.state, lane.control
     sensors, observed = state.sensors, control.observed
+    middle, farthest = possible_range(lane.spec.rig.limits, SIGNALS + 1)
     for row, values in (
         (rows.plant.y, state.y),
         (rows.plant.mode, state.mode),
@@ -345,6 +357,8 @@ def _fill(numbers: Array, rows: LoopRows, lane: _Lane) -> None:
         (rows.estimate, observed.estimate),
         (rows.last, observed.last),
         (rows.memory, control.memory),
+        (rows.middle, middle),
+        (rows.farthest, farthest),
         (rows.known, np.array(flat(lane.known))),
     ):
         numbers[row : row + values.size] = values.ravel()
