@@ -12,7 +12,7 @@ runs of 10 s on; later ones find it in the cache.
 import os
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -115,7 +115,8 @@ def run_batch(
     """
     waiting: dict[Hashable, list[_Lane]] = {}
     count = threads or len(os.sched_getaffinity(0))
-    with ThreadPoolExecutor(count) as pool:
+    ahead = count if count > 1 else 0
+    with ThreadPoolExecutor(count) if count > 1 else _Here() as pool:
         under_way = deque[Future[list[tuple[int, Result]]]]()
         for index, spec in enumerate(specs):
             try:
@@ -130,7 +131,7 @@ def run_batch(
             alike.append(lane)
             if len(alike) == LANES:
                 under_way.append(pool.submit(_run_block, loop_kernel(lane.structure), waiting.pop(lane.structure), brief))
-                while len(under_way) > count:
+                while len(under_way) > ahead:
                     yield from under_way.popleft().result()
         for alike in waiting.values():
             if len(alike) >= FEWEST:
@@ -140,6 +141,16 @@ def run_batch(
                 yield from ((lane.place, _alone(lane.spec)) for lane in alike)
         while under_way:
             yield from under_way.popleft().result()
+
+
+class _Here(Executor):
+    """Does work at once."""
+
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **keywords: Any) -> Future[Any]:
+        """Do it."""
+        done = Future[Any]()
+        done.set_result(work(*arguments, **keywords))
+        return done
 
 
 def _alone(spec: Spec) -> Result:
@@ -234,8 +245,9 @@ class _Coming:
             signal = sampled_once(disturbance.signal, period)
             source = DISTURBANCES.load(disturbance.name).build(disturbance.parameters, signal, spec.rig, period)
             self.disturbance.append(cast(Planned, source).rows(0, cycles))
-        self._random = [np.random.default_rng(lane.spec.settings.seed) for lane in lanes]
-        self._noisy = [any(sensor.noise_std > 0.0 for sensor in lane.plant.rig.sensors.values()) for lane in lanes]
+        noisy = (any(sensor.noise_std > 0.0 for sensor in lane.plant.rig.sensors.values()) for lane in lanes)
+        seeds = (lane.spec.settings.seed for lane in lanes)
+        self._random = [np.random.default_rng(seed) if noise else None for seed, noise in zip(seeds, noisy, strict=True)]
         self._given = np.zeros((LANES, min(cycles, STRETCH), SIGNALS + FOLLOWED + DISTURBED))
         self._given[:, :, SIGNALS : SIGNALS + FOLLOWED] = np.nan
 
@@ -251,8 +263,8 @@ class _Coming:
             if lane != run:
                 given[lane] = given[run]
                 continue
-            if self._noisy[run]:
-                given[lane, :, :SIGNALS] = self._random[run].standard_normal((given.shape[1], SIGNALS))
+            if (random := self._random[run]) is not None:
+                given[lane, :, :SIGNALS] = random.standard_normal((given.shape[1], SIGNALS))
             given[lane, :, SIGNALS : SIGNALS + FORESEEN] = self.wanted[run][now]
             given[lane, :, SIGNALS + FOLLOWED :] = self.disturbance[run][now]
         return given

@@ -7,6 +7,8 @@ too small for the integration step. :data:`RANGES`, :data:`RELATIONS` and :func:
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -229,9 +231,10 @@ def _likely(value: float, unit: str, low: float, high: float) -> str:
     return f"; {', '.join(meant)}" if meant else ""
 
 
-def units_of(parameters: Any) -> dict[str, str]:
+@cache
+def units_of(parameters: Any) -> Mapping[str, str]:
     """Return the unit of each field of a parameter set."""
-    return {declared.name: declared.unit for declared in declarations(parameters)}
+    return MappingProxyType({declared.name: declared.unit for declared in declarations(parameters)})
 
 
 class Rate(NamedTuple):
@@ -240,12 +243,14 @@ class Rate(NamedTuple):
     Attributes:
         what: the part.
         rate: inverse time constant or natural frequency [1/s].
-        basis: the keys it depends on, with values and units.
+        keys: the keys of plant and friction it depends on.
+        besides: what else it depends on, as text that follows their values.
     """
 
     what: str
     rate: float
-    basis: str
+    keys: tuple[str, ...]
+    besides: str = ""
 
 
 def rates(rig: Rig) -> Iterator[Rate]:
@@ -262,27 +267,24 @@ def rates(rig: Rig) -> Iterator[Rate]:
     piston = effective.piston_mass()
     mass = min(p.moving_mass, piston) if piston > 0.0 else p.moving_mass
     oil = 4.0 * p.bulk_modulus / p.total_volume
-    shown = _described(p) | _described(f)
-    on_mass = f"on {mass:g} kg"
-    springs = ", ".join(shown[key] for key, unit in units_of(type(f)).items() if unit == "N/m")
+    on_mass = f" on {mass:g} kg"
+    springs = tuple(key for key, unit in units_of(type(f)).items() if unit == "N/m")
     # The piston's largest velocity limits the flow; the spool's limit may allow far more.
     gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
     flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
-    yield Rate("valve", p.valve_bandwidth, shown["valve_bandwidth"])
-    column = f"{shown['bulk_modulus']}, {shown['piston_area']}, {shown['total_volume']} {on_mass}"
-    yield Rate("oil column", math.sqrt(oil * p.piston_area**2 / mass), column)
-    leaking = f"{shown['leakage_coefficient']}, {shown['bulk_modulus']}, {shown['total_volume']}"
-    yield Rate("leakage", oil * p.leakage_coefficient, leaking)
-    orifice = f"{shown['supply_pressure']}, {shown['bulk_modulus']}, {shown['total_volume']}, flow {flow:g} m^3/s"
-    yield Rate("valve's flow", 0.5 * oil * flow / p.supply_pressure, orifice)
+    yield Rate("valve", p.valve_bandwidth, ("valve_bandwidth",))
+    column = math.sqrt(oil * p.piston_area**2 / mass)
+    yield Rate("oil column", column, ("bulk_modulus", "piston_area", "total_volume"), on_mass)
+    yield Rate("leakage", oil * p.leakage_coefficient, ("leakage_coefficient", "bulk_modulus", "total_volume"))
+    orifice = ("supply_pressure", "bulk_modulus", "total_volume")
+    yield Rate("valve's flow", 0.5 * oil * flow / p.supply_pressure, orifice, f", flow {flow:g} m^3/s")
     if math.isfinite(stiffness := law.stiffness(f)):
-        yield Rate("presliding friction", math.sqrt(stiffness / mass), f"{springs} {on_mass}")
+        yield Rate("presliding friction", math.sqrt(stiffness / mass), springs, on_mass)
     damping = p.viscous_damping + f.viscous_coefficient
-    yield Rate("damping", damping / mass, f"{shown['viscous_damping']}, {shown['viscous_coefficient']} {on_mass}")
-    yield Rate("spring", math.sqrt(p.spring_stiffness / mass), f"{shown['spring_stiffness']} {on_mass}")
-    slipping = ", ".join(shown[key] for key in f._fields if key != "viscous_coefficient")
-    relaxation = law.relaxation_rate(f, limits.velocity)
-    yield Rate("slipping friction", relaxation, f"{slipping} at {limits.velocity:g} m/s")
+    yield Rate("damping", damping / mass, ("viscous_damping", "viscous_coefficient"), on_mass)
+    yield Rate("spring", math.sqrt(p.spring_stiffness / mass), ("spring_stiffness",), on_mass)
+    slipping = tuple(key for key in f._fields if key != "viscous_coefficient")
+    yield Rate("slipping friction", law.relaxation_rate(f, limits.velocity), slipping, f" at {limits.velocity:g} m/s")
     for use in effects_in_kernel(rig):
         rate_by_unit: dict[str, Callable[[float], float]] = {
             "N/m": lambda value: math.sqrt(abs(value) / mass),
@@ -293,7 +295,7 @@ def rates(rig: Rig) -> Iterator[Rate]:
         for key, unit in units_of(EFFECTS.load(use.name).Parameters).items():
             value = getattr(use.parameters, key)
             if unit in rate_by_unit:
-                yield Rate(f"effect {use.name}", rate_by_unit[unit](value), f"{key} {value:g} {unit} {on_mass}")
+                yield Rate(f"effect {use.name}", rate_by_unit[unit](value), (), f"{key} {value:g} {unit}{on_mass}")
 
 
 def _described(parameters: Any) -> dict[str, str]:
@@ -322,7 +324,10 @@ def check_step(rig: Rig, step: float, where: str) -> None:
     """
     fastest = max(rates(rig), key=lambda part: part.rate)
     if step * fastest.rate > MAX_STEP_RATE:
-        what = f"the rate of the {fastest.what}, {fastest.rate:.3g} 1/s, is too fast for steps of {step:g} s ({fastest.basis})"
+        effective = rig.effective()
+        shown = _described(effective.plant) | _described(effective.friction)
+        basis = ", ".join(shown[key] for key in fastest.keys) + fastest.besides
+        what = f"the rate of the {fastest.what}, {fastest.rate:.3g} 1/s, is too fast for steps of {step:g} s ({basis})"
         needed = MAX_STEP_RATE / fastest.rate
         raise BadInput(what, where, f"integration_step of at most {needed:.2g} s, or other parameters, all in SI units")
 

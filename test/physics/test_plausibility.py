@@ -69,7 +69,7 @@ def test_the_papers_rates_are_what_its_numbers_give(make_rig):
 
 def test_the_stiffness_between_piston_and_load_acts_on_the_lighter_of_both(make_rig):
     hinge = {"name": "hinge_backlash", "load_gap": 1e-3, "piston_share": 0.1, "stiffness": 1e8}
-    found = {part.basis: part.rate for part in rates(make_rig(effects=[hinge]))}
+    found = {part.besides: part.rate for part in rates(make_rig(effects=[hinge]))}
     [basis] = [basis for basis in found if basis.startswith("stiffness")]
     assert "on 7 kg" in basis
     assert found[basis] == pytest.approx(math.sqrt(1e8 / 7.0))
@@ -143,10 +143,10 @@ def test_the_rates_of_friction_are_those_of_its_model(make_rig, model):
     law, friction = rig.friction_law, rig.friction
     found = {part.what: part for part in rates(rig)}
     assert found["slipping friction"].rate == law.relaxation_rate(friction, rig.limits.velocity)
-    assert "coulomb_force 640.8 N" in found["slipping friction"].basis
+    assert "coulomb_force" in found["slipping friction"].keys
     assert ("presliding friction" in found) == math.isfinite(law.stiffness(friction))
     if "presliding friction" in found:
-        assert "stiffness" in found["presliding friction"].basis
+        assert any("stiffness" in key for key in found["presliding friction"].keys)
         assert found["presliding friction"].rate == pytest.approx(math.sqrt(2.265e6 / 70.0))
 
 
