@@ -267,7 +267,8 @@ _PLAIN = {bool: "boolean", float: "number", int: "integer", str: "string"}
 
 def _plain(kind: type, value: Any) -> Any:
     """Return a value as a bool, float, int or str."""
-    if type(value) is kind and (kind is not float or math.isfinite(value)):
+    exact = type(value) is kind
+    if exact and (kind is not float or math.isfinite(value)):
         return value
     wanted = f"a valid {_PLAIN[kind]}"
     if kind in {bool, str} and isinstance(value, kind):

@@ -13,9 +13,11 @@ import os
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from types import ModuleType
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers import CONTROLLERS
@@ -41,7 +43,7 @@ from ehls_ros.experiments.loop import (
 )
 from ehls_ros.experiments.loop_lanes import SIGNALS, Known, LoopRows, Sizes, Timing, build, loop_rows
 from ehls_ros.experiments.spec import Spec, Use, check_spec
-from ehls_ros.physics.composition import Effects, compiled
+from ehls_ros.physics.composition import Effects, compiled, is_compiled
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.integration import WORK_ROWS
@@ -241,7 +243,7 @@ class _Coming:
         self.disturbance: list[Array] = []
         for spec in (lane.spec for lane in lanes):
             period, disturbance = spec.settings.control_period, spec.disturbance
-            self.wanted.append(sampled_once(spec.reference, period).all)
+            self.wanted.append(sampled_once(spec.reference, period).rows(0, cycles))
             signal = sampled_once(disturbance.signal, period)
             source = DISTURBANCES.load(disturbance.name).build(disturbance.parameters, signal, spec.rig, period)
             self.disturbance.append(cast(Planned, source).rows(0, cycles))
@@ -259,14 +261,14 @@ class _Coming:
             source: the run whose numbers each lane has.
         """
         given = self._given[:, : now.stop - now.start]
+        for run in set(source):
+            if (random := self._random[run]) is not None:
+                given[run, :, :SIGNALS] = random.standard_normal((given.shape[1], SIGNALS))
+            given[run, :, SIGNALS : SIGNALS + FORESEEN] = self.wanted[run][now]
+            given[run, :, SIGNALS + FOLLOWED :] = self.disturbance[run][now]
         for lane, run in enumerate(source):
             if lane != run:
                 given[lane] = given[run]
-                continue
-            if (random := self._random[run]) is not None:
-                given[lane, :, :SIGNALS] = random.standard_normal((given.shape[1], SIGNALS))
-            given[lane, :, SIGNALS : SIGNALS + FORESEEN] = self.wanted[run][now]
-            given[lane, :, SIGNALS + FOLLOWED :] = self.disturbance[run][now]
         return given
 
 
@@ -292,18 +294,15 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
     for first in range(0, cycles, STRETCH):
         now = slice(first, min(first + STRETCH, cycles))
         run(first, timing, memory, lanes[0].known, coming.given(now, source), record, work, forces_work)
-        made = record[:, : now.stop - first]
-        kept[:, now] = made[: len(lanes), :, BRIEF] if brief else made[: len(lanes)]
-        suspect = block[rows.impossible] > 0.0
-        if now.stop % CHUNK == 0 or now.stop == cycles:
-            # As by itself, a run is looked at behind its sensors now and then.
-            away = np.abs(block[rows.truth : rows.truth + SIGNALS] - block[rows.middle : rows.middle + SIGNALS])
-            suspect |= ~(away <= block[rows.farthest : rows.farthest + SIGNALS]).all(axis=0)
+        latest = record[:, : now.stop - first]
+        kept[:, now] = latest[: len(lanes), :, BRIEF] if brief else latest[: len(lanes)]
+        # As by itself, a run is looked at behind its sensors now and then.
+        suspect = _suspects(block, rows, hidden=now.stop % CHUNK == 0 or now.stop == cycles)
         if not suspect.any():
             continue
         for place in {place for place in source if suspect[place]}:
             spec = lanes[place].spec
-            found = impossible(made[place], block[rows.truth : rows.truth + SIGNALS, place], spec.rig.limits)
+            found = impossible(latest[place], block[rows.truth : rows.truth + SIGNALS, place], spec.rig.limits)
             if found is not None:
                 lost[place], ends[place] = ended(spec, first, found), first + found.row + 1
         left = next((place for place in source if place not in lost), None)
@@ -317,26 +316,44 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
         kept[:, :, columns.status.start + FORCE_ERROR] += 0.0
     results: list[tuple[int, Result]] = []
     for place, (lane, end) in enumerate(zip(lanes, ends, strict=True)):
-        wanted, disturbance = coming.wanted[place][:end], coming.disturbance[place][:end]
-        if brief:
-            whole = _brief_of(lane.spec, kept[place, :end], wanted)
-        else:
-            whole = trajectory_of(lane.spec, columns, kept[place, :end], wanted.copy(), disturbance)
+        numbers = kept[place, :end], coming.wanted[place][:end], coming.disturbance[place][:end]
+        made = _brief_of(lane.spec, *numbers) if brief else trajectory_of(lane.spec, columns, *numbers)
         if place in lost:
-            lost[place].trajectory = whole
-        results.append((lane.place, lost.get(place, whole)))
+            lost[place].trajectory = made
+        results.append((lane.place, lost.get(place, made)))
     return results
 
 
-def _brief_of(spec: Spec, kept: Array, wanted: Array) -> Trajectory:
+def _suspects(block: Array, rows: LoopRows, *, hidden: bool) -> NDArray[np.bool_]:
+    """Tell which lanes came to what cannot be, in their readings or, if asked for, behind their sensors at the last cycle."""
+    suspect: NDArray[np.bool_] = block[rows.impossible] > 0.0
+    if hidden:
+        away = np.abs(block[rows.truth : rows.truth + SIGNALS] - block[rows.middle : rows.middle + SIGNALS])
+        suspect |= ~(away <= block[rows.farthest : rows.farthest + SIGNALS]).all(axis=0)
+    return suspect
+
+
+def _brief_of(spec: Spec, kept: Array, wanted: Array, _disturbance: Array) -> Trajectory:
     """Return what is kept of a run as signals."""
     names = REFERENCE_TOPICS[CONTROLLERS.load(spec.controller.name).FOLLOWS].signals.values()
     signals = {"force_n": kept[:, 0], "valve_command_m": kept[:, 1], next(iter(names)): wanted[:, 0]}
     return Trajectory(np.arange(len(kept), dtype=np.float64) * spec.settings.control_period, signals)
 
 
+def is_ready(spec: Spec) -> bool:
+    """Tell whether the loop for runs like this one is compiled; never true of one that has to run by itself."""
+    lane = _lane(0, spec, check=False)
+    return lane is not None and is_compiled(_loop(lane.structure))
+
+
 def loop_kernel(structure: Structure) -> Callable[..., int]:
     """Return the compiled loop of a structure; threads must not ask for one at the same time."""
+    run: Callable[..., int] = _loop(structure).run
+    return run
+
+
+def _loop(structure: Structure) -> ModuleType:
+    """Return the module of a structure's loop."""
     friction, law, observer, believed = structure.members
     members = {
         "friction": FRICTION_MODELS.load(friction),
@@ -345,10 +362,7 @@ def loop_kernel(structure: Structure) -> Callable[..., int]:
         "believed": FRICTION_MODELS.load(believed),
     }
     entry = "first, timing, block, like, given, record, work, forces_work"
-    run: Callable[..., int] = compiled(
-        build, {"run": entry}, members, structure.sizes._asdict(), structure.effects, threads=True
-    ).run
-    return run
+    return compiled(build, {"run": entry}, members, structure.sizes._asdict(), structure.effects, threads=True)
 
 
 def _fill(numbers: Array, rows: LoopRows, lane: _Lane) -> None:

@@ -231,9 +231,13 @@ def _likely(value: float, unit: str, low: float, high: float) -> str:
     return f"; {', '.join(meant)}" if meant else ""
 
 
-@cache
 def units_of(parameters: Any) -> Mapping[str, str]:
     """Return the unit of each field of a parameter set."""
+    return _units_of(parameters)
+
+
+@cache
+def _units_of(parameters: Any) -> Mapping[str, str]:
     return MappingProxyType({declared.name: declared.unit for declared in declarations(parameters)})
 
 

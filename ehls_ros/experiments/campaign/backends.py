@@ -44,10 +44,12 @@ class Backend(NamedTuple):
     Attributes:
         slots: chunks that are at work at once, as far as is known when the work begins.
         work: does chunks and gives each back with its rows, in the order they are done.
+        own_kernels: whether it is certain to find the kernels that this process finds compiled.
     """
 
     slots: int
     work: Callable[[Iterator[Chunk]], Iterator[Done]]
+    own_kernels: bool
 
 
 Place = AbstractContextManager[Backend]
@@ -71,7 +73,7 @@ def local(jobs: int) -> Iterator[Backend]:
             yield from workers.stream(partial(_done, chunk, version) for chunk in chunks)
 
         try:
-            yield Backend(jobs, work)
+            yield Backend(jobs, work, own_kernels=True)
         except BrokenProcessPool:
             raise WorkFailed("a worker process was killed, perhaps for want of memory; start again to go on") from None
 
@@ -98,7 +100,7 @@ def dask(address: str) -> Iterator[Backend]:
         raise BadInput(f"{address} cannot be reached ({reason(error)})", "--dask", "a running scheduler's address") from None
     try:
         client.wait_for_workers(1, timeout=JOINING_S)
-        yield Backend(_threads(client), lambda chunks: _on_cluster(distributed, client, chunks))
+        yield Backend(_threads(client), lambda chunks: _on_cluster(distributed, client, chunks), own_kernels=False)
     except TimeoutError:
         raise WorkFailed(f"no worker joined within {JOINING_S:g} s; start one by: dask worker {address}") from None
     except distributed.KilledWorker as error:

@@ -79,7 +79,7 @@ def run_one(spec: str) -> Row:
     """
     start = time.perf_counter()
     try:
-        row = _row(run_in_process(_spec(spec)))
+        row = _row(run_in_process(spec_of(spec)))
     except Exception as failure:  # noqa: BLE001 - a failure is the result of this run, and the others continue
         row = _failed(failure)
     return row | {"wall_s": time.perf_counter() - start}
@@ -93,7 +93,7 @@ def _run_side_by_side(specs: Sequence[str]) -> list[Row]:
     def readable() -> Iterator[Spec]:
         for place, text in enumerate(specs):
             try:
-                spec = _spec(text)
+                spec = spec_of(text)
             except BadInput as failure:
                 rows[place] = _failed(failure)
             else:
@@ -106,7 +106,8 @@ def _run_side_by_side(specs: Sequence[str]) -> list[Row]:
     return [rows[place] | {"wall_s": share} for place in range(len(specs))]
 
 
-def _spec(text: str) -> Spec:
+def spec_of(text: str) -> Spec:
+    """Return the spec of a run, which is given as JSON."""
     return spec_from_mapping(json.loads(text), "run", Path())
 
 
