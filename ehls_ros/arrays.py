@@ -16,12 +16,18 @@ Array = NDArray[np.float64]
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def kernel(function: _Function) -> _Function:
+def kernel(function: _Function, python: Callable[..., Any] | None = None) -> _Function:
     """Compile a per-sample function and inline it into its compiled callers.
 
     :mod:`ehls_ros.physics.composition` generates the functions that are called from Python.
+
+    Args:
+        function: the function.
+        python: takes its place where Python calls it, which would otherwise compile it in each process anew.
     """
-    return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy"}))
+    made = Inlined(function, targetoptions={"error_model": "numpy"})
+    made.python = python
+    return cast(_Function, made)
 
 
 def lean(function: _Function) -> _Function:

@@ -42,7 +42,12 @@ class Inlined(CPUDispatcher):
     """A function for compiled callers.
 
     It can be called from Python too, for tests and debugging; this compiles a function that calls it.
+
+    Attributes:
+        python: takes its place where Python calls it, if given.
     """
+
+    python: Callable[..., Any] | None = None
 
     def __init__(
         self,
@@ -68,7 +73,7 @@ class Inlined(CPUDispatcher):
 
     def __call__(self, *args: Any) -> Any:
         """Call it from Python."""
-        return self._from_python(*args)
+        return (self.python or self._from_python)(*args)
 
     @cached_property
     def _from_python(self) -> Any:

@@ -160,9 +160,9 @@ def parse(
     """
     fields = fields_of(parameters)
     values = dict(absent or {})
-    required = fields.keys() - getattr(parameters, "_field_defaults", {}).keys() - values.keys()
-    unknown = next((key for key in data if key not in fields), None)
-    if unknown is not None:
+    defaults = getattr(parameters, "_field_defaults", {})
+    if not fields.keys() >= data.keys():
+        unknown = next(key for key in data if key not in fields)
         raise BadInput(f"key '{unknown}' is unknown", where, one_of(unknown, fields))
     for key, (kind, note) in fields.items():
         if key in data:
@@ -171,7 +171,7 @@ def parse(
             except Misfit as misfit:
                 what = f"{key}{misfit.place} is {misfit.value!r}"
                 raise BadInput(what, where, f"{misfit.expected}{_advice(misfit)}{note.explained()}") from None
-        elif key in required:
+        elif key not in defaults and key not in values:
             raise missing_key(key, note, where)
     return parameters(**values)
 
@@ -267,6 +267,9 @@ _PLAIN = {bool: "boolean", float: "number", int: "integer", str: "string"}
 
 def _plain(kind: type, value: Any) -> Any:
     """Return a value as a bool, float, int or str."""
+    exact = type(value) is kind
+    if exact and (kind is not float or math.isfinite(value)):
+        return value
     wanted = f"a valid {_PLAIN[kind]}"
     if kind in {bool, str} and isinstance(value, kind):
         return value
@@ -286,13 +289,15 @@ def _tuple(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple):
         raise Misfit(value, "a list")
     if len(kinds) == 1 or kinds[1:] == (...,):
-        kinds = kinds[:1] * len(value)
-    if len(value) != len(kinds):
-        raise Misfit(value, f"a list of {len(kinds)} values")
+        declared = [_annotated(kinds[0])] * len(value)
+    else:
+        declared = [_annotated(kind) for kind in kinds]
+    if len(value) != len(declared):
+        raise Misfit(value, f"a list of {len(declared)} values")
     made = []
-    for index, (kind, each) in enumerate(zip(kinds, value, strict=True)):
+    for index, (field, each) in enumerate(zip(declared, value, strict=True)):
         try:
-            made.append(fitted(kind, each))
+            made.append(_fitted(*field, each))
         except Misfit as misfit:
             raise Misfit(misfit.value, misfit.expected, f"[{index}]{misfit.place}") from None
     return tuple(made)

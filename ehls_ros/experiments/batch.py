@@ -12,10 +12,12 @@ runs of 10 s on; later ones find it in the cache.
 import os
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from types import ModuleType
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers import CONTROLLERS
@@ -25,6 +27,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW as DISTURBED
 from ehls_ros.control.disturbances.base import Planned
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.experiments.loop import (
     CHUNK,
@@ -36,18 +39,19 @@ from ehls_ros.experiments.loop import (
     impossible,
     plant_of,
     run_in_process,
-    sampled,
     trajectory_of,
 )
 from ehls_ros.experiments.loop_lanes import SIGNALS, Known, LoopRows, Sizes, Timing, build, loop_rows
-from ehls_ros.experiments.spec import Spec, check_spec
-from ehls_ros.physics.composition import Effects, compiled
+from ehls_ros.experiments.spec import Spec, Use, check_spec
+from ehls_ros.physics.composition import Effects, compiled, is_compiled
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.integration import WORK_ROWS
 from ehls_ros.physics.lane_memory import LANES, flat, numbers_in
-from ehls_ros.physics.rig import EffectiveRig
+from ehls_ros.physics.plausibility import possible_range
+from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulated
+from ehls_ros.recording.topics import REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
 Result = Trajectory | Exception
@@ -55,6 +59,13 @@ Result = Trajectory | Exception
 
 FEWEST = 5
 """Fewest runs that are faster side by side than one after another."""
+
+STRETCH = 400
+"""Cycles after which a block's records are taken away, a part of :data:`~ehls_ros.experiments.loop.CHUNK`: so many fit into a
+processor's own cache."""
+
+BRIEF = (SENSED.index("force"), len(SENSED))
+"""Columns of a record that are kept of a brief run: force and command."""
 
 
 class Structure(NamedTuple):
@@ -88,13 +99,17 @@ class _Lane(NamedTuple):
     structure: Structure
 
 
-def run_batch(specs: Iterable[Spec], *, check: bool = True, threads: int | None = 1) -> Iterator[tuple[int, Result]]:
+def run_batch(
+    specs: Iterable[Spec], *, check: bool = True, threads: int | None = 1, brief: bool = False
+) -> Iterator[tuple[int, Result]]:
     """Run experiments without ROS.
 
     Args:
         specs: the experiments, taken as they are needed.
         check: refuse numbers that are allowed one by one but together describe no rig.
         threads: threads that run blocks of lanes; None: one per processor.
+        brief: whether force, its reference and the command are all that is needed of a run side by side. To keep the rest, with
+            metadata, takes a third of a run's time and most of its memory.
 
     Yields:
         The place of each spec, and what :func:`~ehls_ros.experiments.loop.run_in_process` returns or raises for it; in the
@@ -102,7 +117,8 @@ def run_batch(specs: Iterable[Spec], *, check: bool = True, threads: int | None 
     """
     waiting: dict[Hashable, list[_Lane]] = {}
     count = threads or len(os.sched_getaffinity(0))
-    with ThreadPoolExecutor(count) as pool:
+    ahead = count if count > 1 else 0
+    with ThreadPoolExecutor(count) if count > 1 else _Here() as pool:
         under_way = deque[Future[list[tuple[int, Result]]]]()
         for index, spec in enumerate(specs):
             try:
@@ -116,17 +132,27 @@ def run_batch(specs: Iterable[Spec], *, check: bool = True, threads: int | None 
             alike = waiting.setdefault(lane.structure, [])
             alike.append(lane)
             if len(alike) == LANES:
-                under_way.append(pool.submit(_run_block, loop_kernel(lane.structure), waiting.pop(lane.structure)))
-                while len(under_way) > count:
+                under_way.append(pool.submit(_run_block, loop_kernel(lane.structure), waiting.pop(lane.structure), brief))
+                while len(under_way) > ahead:
                     yield from under_way.popleft().result()
         for alike in waiting.values():
             if len(alike) >= FEWEST:
-                under_way.append(pool.submit(_run_block, loop_kernel(alike[0].structure), alike))
+                under_way.append(pool.submit(_run_block, loop_kernel(alike[0].structure), alike, brief))
         for alike in waiting.values():
             if len(alike) < FEWEST:
                 yield from ((lane.place, _alone(lane.spec)) for lane in alike)
         while under_way:
             yield from under_way.popleft().result()
+
+
+class _Here(Executor):
+    """Does work at once."""
+
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **keywords: Any) -> Future[Any]:
+        """Do it."""
+        done = Future[Any]()
+        done.set_result(work(*arguments, **keywords))
+        return done
 
 
 def _alone(spec: Spec) -> Result:
@@ -181,31 +207,72 @@ def _kinds(value: Any) -> Any:
     return (type(value), *map(_kinds, value)) if isinstance(value, tuple) else type(value)
 
 
-class _Signals:
-    """What comes from outside in a run."""
+class _Sampled(SampledReference):
+    """A reference that several runs follow, sampled once."""
 
-    def __init__(self, spec: Spec, rig: EffectiveRig) -> None:
-        """Begin before the first cycle of an experiment, whose loader is a rig."""
-        period = spec.settings.control_period
-        kind = DISTURBANCES.load(spec.disturbance.name)
-        self._reference: SampledReference = sampled(spec.reference, period)
-        signal = sampled(spec.disturbance.signal, period)
-        self._disturbance = cast(Planned, kind.build(spec.disturbance.parameters, signal, spec.rig, period))
-        self._random = np.random.default_rng(spec.settings.seed)
-        self._noisy = any(sensor.noise_std > 0.0 for sensor in rig.sensors.values())
+    def __init__(self, use: Use, period: float, cycles: int) -> None:
+        """Sample all cycles of the runs."""
+        super().__init__(REFERENCES.load(use.name), use.parameters, period)
+        self.all = super().rows(0, cycles)
 
-    def write(self, first: int, given: Array, wanted: Array, disturbance: Array) -> None:
-        """Write the rows of some cycles: what the loop is given, the reference, and the disturbance."""
-        count = len(given)
-        if self._noisy:
-            given[:, :SIGNALS] = self._random.standard_normal((count, SIGNALS))
-        wanted[:] = self._reference.rows(first, count)
-        disturbance[:] = self._disturbance.rows(first, count)
-        given[:, SIGNALS : SIGNALS + FORESEEN] = wanted
-        given[:, SIGNALS + FOLLOWED :] = disturbance
+    def rows(self, first: int, cycles: int) -> Array:
+        """Return some cycles on end, shape (cycles, 3)."""
+        return self.all[first : first + cycles].copy() if first + cycles <= len(self.all) else super().rows(first, cycles)
 
 
-def _run_block(run: Callable[..., int], lanes: list[_Lane]) -> list[tuple[int, Result]]:
+class _Coming:
+    """What comes from outside in the runs of a block.
+
+    Attributes:
+        wanted: reference by run, and its first and second derivative, shape (cycles, 3).
+        disturbance: by run, shape (cycles, 4).
+    """
+
+    def __init__(self, lanes: list[_Lane], cycles: int) -> None:
+        """Begin before the first cycle."""
+        made: dict[str, _Sampled] = {}
+
+        def sampled_once(use: Use, period: float) -> _Sampled:
+            # As text, in which numbers that are equal but for a sign or a type differ.
+            key = f"{use} {period!r}"
+            if key not in made:
+                made[key] = _Sampled(use, period, cycles)
+            return made[key]
+
+        self.wanted: list[Array] = []
+        self.disturbance: list[Array] = []
+        for spec in (lane.spec for lane in lanes):
+            period, disturbance = spec.settings.control_period, spec.disturbance
+            self.wanted.append(sampled_once(spec.reference, period).rows(0, cycles))
+            signal = sampled_once(disturbance.signal, period)
+            source = DISTURBANCES.load(disturbance.name).build(disturbance.parameters, signal, spec.rig, period)
+            self.disturbance.append(cast(Planned, source).rows(0, cycles))
+        noisy = (any(sensor.noise_std > 0.0 for sensor in lane.plant.rig.sensors.values()) for lane in lanes)
+        seeds = (lane.spec.settings.seed for lane in lanes)
+        self._random = [np.random.default_rng(seed) if noise else None for seed, noise in zip(seeds, noisy, strict=True)]
+        self._given = np.zeros((LANES, min(cycles, STRETCH), SIGNALS + FOLLOWED + DISTURBED))
+        self._given[:, :, SIGNALS : SIGNALS + FOLLOWED] = np.nan
+
+    def given(self, now: slice, source: list[int]) -> Array:
+        """Return what the loop is given in some cycles: noise, reference, disturbance; shape (LANES, n, numbers).
+
+        Args:
+            now: the cycles, which follow those asked for before.
+            source: the run whose numbers each lane has.
+        """
+        given = self._given[:, : now.stop - now.start]
+        for run in set(source):
+            if (random := self._random[run]) is not None:
+                given[run, :, :SIGNALS] = random.standard_normal((given.shape[1], SIGNALS))
+            given[run, :, SIGNALS : SIGNALS + FORESEEN] = self.wanted[run][now]
+            given[run, :, SIGNALS + FOLLOWED :] = self.disturbance[run][now]
+        for lane, run in enumerate(source):
+            if lane != run:
+                given[lane] = given[run]
+        return given
+
+
+def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list[tuple[int, Result]]:
     """Run up to :data:`LANES` runs of one structure by its compiled loop."""
     structure = lanes[0].structure
     sizes, timing, cycles = structure.sizes, structure.timing, structure.cycles
@@ -216,27 +283,26 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane]) -> list[tuple[int, R
         # Places left over run the first one too.
         _fill(block[:, place], rows, lanes[place] if place < len(lanes) else lanes[0])
     memory = block.reshape(-1)
-    record = np.empty((LANES, cycles, columns.status.stop))
-    wanted, disturbance = np.empty((len(lanes), cycles, FORESEEN)), np.empty((len(lanes), cycles, DISTURBED))
-    signals = [_Signals(lane.spec, lane.plant.rig) for lane in lanes]
+    coming = _Coming(lanes, cycles)
+    record = np.empty((LANES, min(cycles, STRETCH), columns.status.stop))
+    kept = np.empty((len(lanes), cycles, len(BRIEF) if brief else columns.status.stop))
     work, forces_work = np.empty((WORK_ROWS, rows.plant.rate - rows.plant.y)), np.empty((WORK_ROWS, sizes.forces))
     lost: dict[int, Implausible] = {}
     ends = [cycles] * len(lanes)
-    # Whose reference and disturbance each place has.
+    # The run whose reference and disturbance each place has.
     source = [place if place < len(lanes) else 0 for place in range(LANES)]
-    for first in range(0, cycles, CHUNK):
-        now = slice(first, min(first + CHUNK, cycles))
-        given = np.zeros((LANES, now.stop - first, SIGNALS + FOLLOWED + DISTURBED))
-        given[:, :, SIGNALS : SIGNALS + FOLLOWED] = np.nan
-        for place, signal in enumerate(signals):
-            if source[place] == place:
-                signal.write(first, given[place], wanted[place, now], disturbance[place, now])
-        given = given[source]
-        run(first, timing, memory, lanes[0].known, given, record, work, forces_work)
-        for place in set(source).difference(lost):
+    for first in range(0, cycles, STRETCH):
+        now = slice(first, min(first + STRETCH, cycles))
+        run(first, timing, memory, lanes[0].known, coming.given(now, source), record, work, forces_work)
+        latest = record[:, : now.stop - first]
+        kept[:, now] = latest[: len(lanes), :, BRIEF] if brief else latest[: len(lanes)]
+        # As by itself, a run is looked at behind its sensors now and then.
+        suspect = _suspects(block, rows, hidden=now.stop % CHUNK == 0 or now.stop == cycles)
+        if not suspect.any():
+            continue
+        for place in {place for place in source if suspect[place]}:
             spec = lanes[place].spec
-            truth = block[rows.truth : rows.truth + SIGNALS, place]
-            found = impossible(record[place, now], truth, spec.rig.limits)
+            found = impossible(latest[place], block[rows.truth : rows.truth + SIGNALS, place], spec.rig.limits)
             if found is not None:
                 lost[place], ends[place] = ended(spec, first, found), first + found.row + 1
         left = next((place for place in source if place not in lost), None)
@@ -246,18 +312,48 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane]) -> list[tuple[int, R
         for place, of in enumerate(source):
             if of in lost:
                 source[place], block[:, place] = left, block[:, left]
-    record[:, :, columns.status.start + FORCE_ERROR] += 0.0
+    if not brief:
+        kept[:, :, columns.status.start + FORCE_ERROR] += 0.0
     results: list[tuple[int, Result]] = []
     for place, (lane, end) in enumerate(zip(lanes, ends, strict=True)):
-        made = trajectory_of(lane.spec, columns, record[place, :end], wanted[place, :end], disturbance[place, :end])
+        numbers = kept[place, :end], coming.wanted[place][:end], coming.disturbance[place][:end]
+        made = _brief_of(lane.spec, *numbers) if brief else trajectory_of(lane.spec, columns, *numbers)
         if place in lost:
             lost[place].trajectory = made
         results.append((lane.place, lost.get(place, made)))
     return results
 
 
+def _suspects(block: Array, rows: LoopRows, *, hidden: bool) -> NDArray[np.bool_]:
+    """Tell which lanes came to what cannot be, in their readings or, if asked for, behind their sensors at the last cycle."""
+    suspect: NDArray[np.bool_] = block[rows.impossible] > 0.0
+    if hidden:
+        away = np.abs(block[rows.truth : rows.truth + SIGNALS] - block[rows.middle : rows.middle + SIGNALS])
+        suspect |= ~(away <= block[rows.farthest : rows.farthest + SIGNALS]).all(axis=0)
+    return suspect
+
+
+def _brief_of(spec: Spec, kept: Array, wanted: Array, _disturbance: Array) -> Trajectory:
+    """Return what is kept of a run as signals."""
+    names = REFERENCE_TOPICS[CONTROLLERS.load(spec.controller.name).FOLLOWS].signals.values()
+    signals = {"force_n": kept[:, 0], "valve_command_m": kept[:, 1], next(iter(names)): wanted[:, 0]}
+    return Trajectory(np.arange(len(kept), dtype=np.float64) * spec.settings.control_period, signals)
+
+
+def is_ready(spec: Spec) -> bool:
+    """Tell whether the loop for runs like this one is compiled; never true of one that has to run by itself."""
+    lane = _lane(0, spec, check=False)
+    return lane is not None and is_compiled(_loop(lane.structure))
+
+
 def loop_kernel(structure: Structure) -> Callable[..., int]:
     """Return the compiled loop of a structure; threads must not ask for one at the same time."""
+    run: Callable[..., int] = _loop(structure).run
+    return run
+
+
+def _loop(structure: Structure) -> ModuleType:
+    """Return the module of a structure's loop."""
     friction, law, observer, believed = structure.members
     members = {
         "friction": FRICTION_MODELS.load(friction),
@@ -266,16 +362,14 @@ def loop_kernel(structure: Structure) -> Callable[..., int]:
         "believed": FRICTION_MODELS.load(believed),
     }
     entry = "first, timing, block, like, given, record, work, forces_work"
-    run: Callable[..., int] = compiled(
-        build, {"run": entry}, members, structure.sizes._asdict(), structure.effects, threads=True
-    ).run
-    return run
+    return compiled(build, {"run": entry}, members, structure.sizes._asdict(), structure.effects, threads=True)
 
 
 def _fill(numbers: Array, rows: LoopRows, lane: _Lane) -> None:
     """Write a run's numbers before the first cycle to its place."""
     state, control = lane.plant.state, lane.control
     sensors, observed = state.sensors, control.observed
+    middle, farthest = possible_range(lane.spec.rig.limits, SIGNALS + 1)
     for row, values in (
         (rows.plant.y, state.y),
         (rows.plant.mode, state.mode),
@@ -289,6 +383,8 @@ def _fill(numbers: Array, rows: LoopRows, lane: _Lane) -> None:
         (rows.estimate, observed.estimate),
         (rows.last, observed.last),
         (rows.memory, control.memory),
+        (rows.middle, middle),
+        (rows.farthest, farthest),
         (rows.known, np.array(flat(lane.known))),
     ):
         numbers[row : row + values.size] = values.ravel()

@@ -84,6 +84,8 @@ class LoopRows(NamedTuple):
         motion: velocity and acceleration of the motion that it runs, and the number of steps in which to.
         memory: the controller's.
         given: noise, reference and disturbance of a cycle.
+        middle, farthest: middle of the range that each reading and the command must be in to be possible, and half of it.
+        impossible: 1 after a cycle in which one of them was not.
         known: :class:`Known`.
         end: number of all rows.
     """
@@ -104,6 +106,9 @@ class LoopRows(NamedTuple):
     motion: int
     memory: int
     given: int
+    middle: int
+    farthest: int
+    impossible: int
     known: int
     end: int
 
@@ -152,6 +157,9 @@ def loop_rows(sizes: Sizes) -> LoopRows:
         motion=rows.take(3),
         memory=rows.take(sizes.memory),
         given=rows.take(SIGNALS + FOLLOWED + DISTURBED),
+        middle=rows.take(SIGNALS + 1),
+        farthest=rows.take(SIGNALS + 1),
+        impossible=rows.take(),
         known=rows.take(sizes.known),
         end=rows.count,
     )
@@ -187,6 +195,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
     followed_of, disturbed_of, no_work = column(FOLLOWED), column(DISTURBED), stack(1, 1)
     GIVEN, KNOWN, INPUTS, EFFECTS = rows.given, rows.known, rows.inputs, rows.effects
     REFERENCE, DISTURBANCE, RECORD = GIVEN + SIGNALS, GIVEN + SIGNALS + FOLLOWED, rows.measured
+    MIDDLE, FARTHEST, IMPOSSIBLE = rows.middle, rows.farthest, rows.impossible
     given_size, record_size = SIGNALS + FOLLOWED + DISTURBED, rows.last - rows.measured
 
     @lean
@@ -221,6 +230,14 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
             hold(inputs_of(block, INPUTS, lane), start, u, d[FORCE], d[FORCE_RATE], d[DISPLACEMENT], d[VELOCITY])
 
     @lean
+    def check(block: Array) -> None:
+        for place in range(SIGNALS + 1):
+            for lane in range(LANES):
+                away = abs(block[(RECORD + place) * LANES + lane] - block[(MIDDLE + place) * LANES + lane])
+                possible = away <= block[(FARTHEST + place) * LANES + lane]
+                block[IMPOSSIBLE * LANES + lane] = block[IMPOSSIBLE * LANES + lane] if possible else 1.0
+
+    @lean
     def warm(block: Array, like: Known, timing: Timing) -> None:
         for lane in range(LANES):
             warming = numbers(like, block, KNOWN, lane).warming
@@ -238,8 +255,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
             block: the lanes' memory, updated in place.
             like: any lane's constants; only their type counts.
             given: noise, reference and disturbance by lane and cycle, shape (LANES, n, numbers).
-            record: rows by lane and cycle, as those of the loop for one run; those of the cycles run are written. Shape
-                (LANES, cycles, columns).
+            record: rows by lane and cycle, as those of the loop for one run, shape (LANES, n or more, columns).
             work: workspace of the plant's integrator.
             forces_work: workspace of the observer's.
 
@@ -255,9 +271,10 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
             read_sensors(k, block, like, timing)
             observe(block, like, timing, forces_work)
             command_valves(k, block, like, timing)
+            check(block)
             for lane in range(LANES):
                 for place in range(record_size):
-                    record[lane, k, place] = block[(RECORD + place) * LANES + lane]
+                    record[lane, i, place] = block[(RECORD + place) * LANES + lane]
             dense += integrate(k * timing.period, block, like, timing.step, timing.steps, work)
             warm(block, like, timing)
         return dense

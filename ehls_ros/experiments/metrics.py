@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Limits
@@ -77,11 +78,20 @@ def evaluate(trajectory: Trajectory) -> Metrics:
     Returns:
         The metrics. Errors are NaN and ``convergence_s`` is None if no cycle has both force and force reference.
     """
+    metrics = evaluate_errors(trajectory)
+    asked, reached, in_real_time = _pace(trajectory, metrics.missed_cycles)
+    return metrics._replace(
+        warnings=tuple(_warnings(trajectory, _late(trajectory))),
+        cycles_per_second_asked=asked,
+        cycles_per_second_reached=reached,
+        in_real_time=in_real_time,
+    )
+
+
+def evaluate_errors(trajectory: Trajectory) -> Metrics:
+    """Evaluate a run without warnings and without its pace by wall clock; see :func:`evaluate`."""
     time = trajectory.time_s
-    late = time >= time[0] + 0.5 * (time[-1] - time[0])
     missed = int(np.sum(~np.isfinite(trajectory["valve_command_m"]))) if "valve_command_m" in trajectory else 0
-    told = tuple(_warnings(trajectory, late))
-    asked, reached, in_real_time = _pace(trajectory, missed)
     metrics = Metrics(
         max_error_n=np.nan,
         rms_error_n=np.nan,
@@ -89,10 +99,6 @@ def evaluate(trajectory: Trajectory) -> Metrics:
         cycles=len(time),
         missed_cycles=missed,
         duration_s=float(time[-1] - time[0]),
-        warnings=told,
-        cycles_per_second_asked=asked,
-        cycles_per_second_reached=reached,
-        in_real_time=in_real_time,
     )
     steady = steady_error(trajectory, "force_n", "force_reference_n")
     if not steady.size:
@@ -107,8 +113,15 @@ def evaluate(trajectory: Trajectory) -> Metrics:
         rms_error_n=float(np.sqrt(np.mean(steady**2))),
         convergence_s=entered if steady.max() <= band else None,
         convergence_band_n=band,
-        oscillation_n=0.5 * float(np.ptp(error[known & late])),
+        oscillation_n=0.5 * float(np.ptp(error[known & _late(trajectory)])),
     )
+
+
+def _late(trajectory: Trajectory) -> NDArray[np.bool_]:
+    """Tell which samples are in the last half."""
+    time = trajectory.time_s
+    late: NDArray[np.bool_] = time >= time[0] + 0.5 * (time[-1] - time[0])
+    return late
 
 
 def evaluate_controlled(trajectory: Trajectory) -> Metrics | None:
@@ -116,7 +129,7 @@ def evaluate_controlled(trajectory: Trajectory) -> Metrics | None:
     return evaluate(trajectory) if {"force_reference_n", "position_reference_m"} & trajectory.signals.keys() else None
 
 
-def _warnings(run: Trajectory, late: Any) -> Iterator[str]:
+def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
     """Say why a run is of little use: the reference is not followed, the valve saturates, the rig leaves its limits."""
     followed = (("force", "force_n", "force_reference_n", "N"), ("position", "position_m", "position_reference_m", "m"))
     for quantity, signal, reference, unit in followed:

@@ -3,11 +3,14 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.companions.base import Setting
 from ehls_ros.control.company import Company
@@ -257,13 +260,27 @@ def check_spec(spec: Spec, where: str) -> None:
     if abs(settings.initial_position - 0.5 * (low + high)) > WARNING_FACTOR * 0.5 * (high - low):
         expected = f"{low:g} to {high:g} m, limits.position of the rig"
         raise BadInput(f"initial_position is {settings.initial_position:g} m", where, expected)
-    # Spread evenly, and synchronous with no frequency.
-    times = settings.duration * (0.5 * (math.sqrt(5.0) - 1.0) * np.arange(SAMPLES, dtype=np.float64) % 1.0)
     follows = CONTROLLERS.load(spec.controller.name).FOLLOWS
     disturbed = signal_kind(spec.disturbance.name)
     for part, use, kind in (("reference", spec.reference, follows), ("disturbance", spec.disturbance.signal, disturbed)):
-        rows = REFERENCES.load(use.name).sample(times, use.parameters)
-        check_signal(rows, part, kind, rig, period, f"{where}: {part}")
+        check_signal(_throughout(_Signal(repr(use), use), settings.duration), part, kind, rig, period, f"{where}: {part}")
+
+
+@dataclass(frozen=True)
+class _Signal:
+    """A signal that is known by its text, which tells any two apart; its parameters may have no hash."""
+
+    text: str
+    use: Use = field(compare=False)
+
+
+@lru_cache(maxsize=16)
+def _throughout(signal: _Signal, duration: float) -> Array:
+    """Return some rows of a signal during an experiment; the runs of a campaign have few different signals."""
+    # Spread evenly, and synchronous with no frequency.
+    times = duration * (0.5 * (math.sqrt(5.0) - 1.0) * np.arange(SAMPLES, dtype=np.float64) % 1.0)
+    rows: Array = REFERENCES.load(signal.use.name).sample(times, signal.use.parameters)
+    return rows
 
 
 def _rig(data: Any, where: str, folder: Path) -> Rig:

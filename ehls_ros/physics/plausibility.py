@@ -7,6 +7,8 @@ Parameters that are each in range may still describe no real rig: a pressure in 
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cache
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -224,9 +226,14 @@ def _likely(value: float, unit: str, low: float, high: float) -> str:
     return f"; {', '.join(meant)}" if meant else ""
 
 
-def units_of(parameters: Any) -> dict[str, str]:
+def units_of(parameters: Any) -> Mapping[str, str]:
     """Return the unit of each field of a parameter set."""
-    return {declared.name: declared.unit for declared in declarations(parameters)}
+    return _units_of(parameters)
+
+
+@cache
+def _units_of(parameters: Any) -> Mapping[str, str]:
+    return MappingProxyType({declared.name: declared.unit for declared in declarations(parameters)})
 
 
 SIGNAL_RANGES: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]], float, str]] = {
@@ -351,6 +358,21 @@ ADVICE = (
 """What to do after a state has diverged."""
 
 
+def possible_range(limits: Limits, columns: int) -> tuple[Array, Array]:
+    """Return the middle of the range that each reading must be in to be possible, and half of that range.
+
+    Args:
+        limits: the rig's limits.
+        columns: number of readings; those after ``SENSED`` must be finite only.
+    """
+    middle, farthest = np.zeros(columns), np.full(columns, np.finfo(np.float64).max)
+    for signal in LIMIT_UNITS:
+        column = SENSED.index(signal)
+        middle[column], half = _range(limits, signal)
+        farthest[column] = ABORT_FACTOR * half
+    return middle, farthest
+
+
 def implausible(readings: Array, limits: Limits) -> Exceedance | None:
     """Return the first impossible reading of a run: not finite, or :data:`ABORT_FACTOR` times beyond its limits.
 
@@ -361,11 +383,7 @@ def implausible(readings: Array, limits: Limits) -> Exceedance | None:
     Returns:
         Its row and what is wrong, with advice; of several signals the one farthest out. None if all are possible.
     """
-    middle, farthest = np.zeros(readings.shape[1]), np.full(readings.shape[1], np.finfo(np.float64).max)
-    for signal in LIMIT_UNITS:
-        column = SENSED.index(signal)
-        middle[column], half = _range(limits, signal)
-        farthest[column] = ABORT_FACTOR * half
+    middle, farthest = possible_range(limits, readings.shape[1])
     possible = np.abs(readings - middle) <= farthest
     if possible.all():
         return None

@@ -7,6 +7,7 @@ rounded by itself, in a loop and out of it, so that both give the same bits, on 
 Each number is split into a power of two, which is read from or written to its bits, and a remainder for a minimax polynomial.
 """
 
+import math
 from functools import partial
 from typing import Any
 
@@ -127,7 +128,7 @@ def log2(x: float) -> float:
     return value if x != 0.0 else -np.inf
 
 
-@kernel
+@partial(kernel, python=lambda x, exponent: math.exp(-(x**exponent)))
 def stretched_decay(x: float, exponent: float) -> float:
     """Return exp(-x^exponent) of a number x >= 0, within 2e-16 of it; an infinite slope at 0 counts as zero."""
     base, power = value_alone(x), value_alone(exponent)

@@ -7,17 +7,20 @@ from typing import NamedTuple
 
 import yaml
 
+from ehls_ros.experiments.batch import is_ready
 from ehls_ros.experiments.campaign.backends import Backend, Chunk, Place
 from ehls_ros.experiments.campaign.plan import Plan
 from ehls_ros.experiments.campaign.store import Folder, Index, digests_done, keep
-from ehls_ros.experiments.campaign.work import Row, code_version, run_digest
+from ehls_ros.experiments.campaign.work import Row, code_version, run_digest, spec_of
 from ehls_ros.physics.lane_memory import LANES
 
 CHUNK_CYCLES = 400_000
 """Largest number of control cycles in a chunk: about a second of work."""
 
 SIDE_BY_SIDE_FROM = 6_000_000
-"""Control cycles from which on a loop for many runs at once is worth compiling: that takes as long as 600 runs of 10 s gain."""
+"""Control cycles from which on a loop for many runs at once is worth compiling: that takes as long as 600 runs of 10 s gain.
+
+One that is compiled already is used for fewer."""
 
 SIDE_BY_SIDE_MOST = 1_600_000
 """Largest number of control cycles of runs side by side, which are in memory together: 0.25 kB each."""
@@ -78,14 +81,15 @@ class _Work:
         self._unkept: list[tuple[str, Row]] = []
         self._kept_at = time.monotonic()
         self._left = max(len(plan) - len(self._known), 1)
-        fits = LANES * plan.cycles <= SIDE_BY_SIDE_MOST
-        self._together = LANES if fits and self._left * plan.cycles >= SIDE_BY_SIDE_FROM else 1
+        self._together = LANES if self._pays() else 1
         self._found = 0
         self.index = Index(plan.columns)
         self.made = 0
 
     def do(self, backend: Backend) -> None:
         """Have every missing run made; an interruption loses no received row."""
+        if backend.own_kernels and self._left >= LANES and self._pays(compiled=True):
+            self._together = LANES
         chunks = self._chunks(backend.slots)
         try:
             first = next(chunks, None)
@@ -95,6 +99,19 @@ class _Work:
                 self._take(chunk, rows)
         finally:
             keep(self._folder, self._unkept)
+
+    def _pays(self, *, compiled: bool = False) -> bool:
+        """Tell whether to make runs side by side.
+
+        Args:
+            compiled: whether to do so for fewer runs too if nothing has to be compiled.
+        """
+        plan = self._plan
+        if LANES * plan.cycles > SIDE_BY_SIDE_MOST:
+            return False
+        if self._left * plan.cycles >= SIDE_BY_SIDE_FROM:
+            return True
+        return compiled and all(is_ready(spec_of(point.spec)) for point in plan.points)
 
     def _take(self, chunk: Chunk, rows: list[Row]) -> None:
         self._unkept += zip(chunk.digests, rows, strict=True)

@@ -112,7 +112,10 @@ class Plan:
 
     def runs(self) -> Iterator[Run]:
         """Yield the runs in their order."""
-        return map(self.run, range(len(self)))
+        for draw in range(self.settings.runs):
+            numbers = self._numbers(draw)
+            for index in range(len(self.points)):
+                yield self._run(draw, index, numbers)
 
     def run(self, number: int) -> Run:
         """Make one run.
@@ -126,15 +129,25 @@ class Plan:
         if not 0 <= number < len(self):
             raise BadInput(f"run {number} is unknown", "campaign", f"0 to {len(self) - 1}")
         draw, index = divmod(number, len(self.points))
-        point = self.points[index]
+        return self._run(draw, index, self._numbers(draw))
+
+    def _numbers(self, draw: int) -> dict[str, float]:
+        """Draw a number for each path that is drawn, and for the seed where there are draws."""
+        if not self.random:
+            return {}
+        seed = int(self._generator(draw, SEED).integers(2**31))
+        return {SEED: seed} | {path: drawn.draw(self._generator(draw, path)) for path, drawn in self.drawn.items()}
+
+    def _run(self, draw: int, index: int, numbers: Mapping[str, float]) -> Run:
+        """Make the run of a draw at a point of the grid."""
+        point, number = self.points[index], draw * len(self.points) + index
         if not self.random:
             return Run(number, draw, point.values, point.spec)
         spec, values = json.loads(point.spec), dict(point.values)
         for path, distribution in self.drawn.items():
-            value = distribution.draw(self._generator(draw, path))
-            values[path] = _set(spec, path, value, path, relative=distribution.relative)
+            values[path] = _set(spec, path, numbers[path], path, relative=distribution.relative)
         if SEED not in values:
-            values[SEED] = spec[SEED] = int(self._generator(draw, SEED).integers(2**31))
+            values[SEED] = spec[SEED] = numbers[SEED]
         return Run(number, draw, values, json.dumps(spec))
 
     def _generator(self, draw: int, path: str) -> np.random.Generator:

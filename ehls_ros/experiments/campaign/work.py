@@ -15,7 +15,7 @@ from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
-from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.metrics import evaluate_errors
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.recording.reason import reason
 from ehls_ros.sources import sources_digest
@@ -79,7 +79,7 @@ def run_one(spec: str) -> Row:
     """
     start = time.perf_counter()
     try:
-        row = _row(run_in_process(_spec(spec)))
+        row = _row(run_in_process(spec_of(spec)))
     except Exception as failure:  # noqa: BLE001 - a failure is the result of this run, and the others continue
         row = _failed(failure)
     return row | {"wall_s": time.perf_counter() - start}
@@ -93,25 +93,27 @@ def _run_side_by_side(specs: Sequence[str]) -> list[Row]:
     def readable() -> Iterator[Spec]:
         for place, text in enumerate(specs):
             try:
-                spec = _spec(text)
+                spec = spec_of(text)
             except BadInput as failure:
                 rows[place] = _failed(failure)
             else:
                 places.append(place)
                 yield spec
 
-    for index, result in run_batch(readable()):
+    for index, result in run_batch(readable(), brief=True):
         rows[places[index]] = _failed(result) if isinstance(result, Exception) else _row(result)
     share = (time.perf_counter() - start) / max(len(specs), 1)
     return [rows[place] | {"wall_s": share} for place in range(len(specs))]
 
 
-def _spec(text: str) -> Spec:
+def spec_of(text: str) -> Spec:
+    """Return the spec of a run, which is given as JSON."""
     return spec_from_mapping(json.loads(text), "run", Path())
 
 
 def _row(run: Trajectory) -> Row:
-    row = {name: value for name, value in json_document(evaluate(run)).items() if name in METRICS}
+    metrics = evaluate_errors(run)
+    row = {name: json_document(getattr(metrics, name)) for name in METRICS}
     lost = np.flatnonzero(~np.isfinite(run["force_n"]))
     return row | {"error": f"the force is not finite after {run.time_s[lost[0]]:g} s" if lost.size else None}
 
