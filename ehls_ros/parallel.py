@@ -7,7 +7,8 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import forkserver, get_context
+from multiprocessing.context import BaseContext
 from types import ModuleType, TracebackType
 from typing import Any, Self
 
@@ -21,6 +22,18 @@ READY = "ehls_ros.ready"
 
 AHEAD = 2
 """Tasks of a stream handed out per process."""
+
+
+def prepare(*modules: str) -> BaseContext:
+    """Begin to import what processes will need, in a process of its own that they are forked from; return their context.
+
+    A process forked from this one could inherit a lock held by the thread that draws the progress. The fork server has no
+    threads, and imports the modules once for all processes; one that runs already stays as it is.
+    """
+    context = get_context("forkserver")
+    context.set_forkserver_preload([*modules, READY])
+    forkserver.ensure_running()
+    return context
 
 
 class Workers:
@@ -87,10 +100,7 @@ class Workers:
     def _submit(self, task: Task, modules: list[str]) -> Future[Any]:
         """Have a task run by processes that have imported some modules."""
         if self._pool is None:
-            # A process forked from this one could inherit a lock held by the thread that draws the progress. The fork
-            # server has no threads, and imports the tasks' modules once for all processes.
-            context = get_context("forkserver")
-            context.set_forkserver_preload([*modules, READY])
+            context = prepare(*modules)
             # Ctrl-C ends a process even inside compiled code, where Python would notice it only afterwards.
             self._pool = ProcessPoolExecutor(self._count, context, signal.signal, (signal.SIGINT, signal.SIG_DFL))
         # A process runs the script anew that its parent runs, unless there is none; one without a guard would begin again.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.batch import FEWEST, run_batch
+from ehls_ros.experiments.batch import FEWEST, is_ready, run_batch
 from ehls_ros.experiments.campaign.work import code_version, run_chunk, run_one
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import Implausible, run_in_process
@@ -67,6 +67,7 @@ def test_each_run_has_the_numbers_it_has_by_itself(make_run):
         specs[index] = make_run(index, limits={"velocity": 2e-3})
     specs[7] = make_run(7, compensation={"name": "gms", "steps": 5})
     results = dict(run_batch(specs, threads=2))
+    assert is_ready(specs[1])
     assert sorted(results) == list(range(RUNS))
     modes = set()
     for index, spec in enumerate(specs):
@@ -93,6 +94,11 @@ def test_too_few_for_lanes_run_by_themselves_and_an_error_is_that_runs_own(make_
     assert "70" in str(results[1])
     assert_same(results[0], run_in_process(fine))
     assert sorted(results) == [0, 1]
+
+
+def test_the_loop_of_what_runs_by_itself_is_never_ready(make_spec):
+    servo = {"name": "position_servo", "signal": {"name": "constant", "value": 0.0}}
+    assert not is_ready(make_spec(disturbance=servo))
 
 
 def test_a_campaigns_runs_side_by_side_have_the_metrics_they_have_alone(make_run):

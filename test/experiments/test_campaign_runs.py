@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.campaign import conduct as conducting
 from ehls_ros.experiments.campaign import work
-from ehls_ros.experiments.campaign.backends import local
+from ehls_ros.experiments.campaign.backends import Backend, local
 from ehls_ros.experiments.campaign.conduct import conduct
 from ehls_ros.experiments.campaign.plan import load_plan
 from ehls_ros.experiments.campaign.store import opened, read_results
@@ -153,6 +154,23 @@ def test_chunks_shrink_towards_the_end_and_hold_every_run_once(tmp_path, duratio
     assert (sizes[0], sizes[-1]) == (first, last)
     assert {chunk.side_by_side for chunk in chunks} == {last == LANES}
     assert [spec for chunk in chunks for spec in chunk.specs] == [run.spec for run in plan.runs()]
+
+
+@pytest.mark.parametrize(("own", "ready"), [(True, True), (True, False), (False, True)])
+def test_few_runs_go_side_by_side_where_the_loop_for_that_is_compiled(tmp_path, monkeypatch, own, ready):
+    monkeypatch.setattr(conducting, "is_ready", lambda spec: ready)
+    together = set()
+
+    def note(chunks):
+        for chunk in chunks:
+            together.add(chunk.side_by_side)
+            yield chunk, [dict.fromkeys(work.METRICS) | {"error": "not made"}] * len(chunk.specs)
+
+    plan = load_plan(write(tmp_path, runs=LANES, vary=DRAWS))
+    with opened(tmp_path / "out") as folder:
+        conducting.conduct(plan, folder, nullcontext(Backend(1, note, own_kernels=own)))
+    assert together == {own and ready}
+    assert rows(tmp_path / "out")["error"] == ["not made"] * LANES
 
 
 def test_a_worker_with_other_code_is_refused():

@@ -47,6 +47,8 @@ def test_the_decay_of_the_stribeck_curve_is_exact_to_the_rounding():
     x, exponents = 10.0 ** random.uniform(-8.0, 2.0, COUNT), random.uniform(0.01, 4.0, COUNT)
     expected = [math.exp(-(a**b)) for a, b in zip(x, exponents, strict=True)]
     np.testing.assert_allclose(computed(x, exponents)[3], expected, rtol=0.0, atol=4e-16)
+    in_python = [vector_math.stretched_decay(*pair) for pair in zip(x, exponents, strict=True)]
+    np.testing.assert_allclose(computed(x, exponents)[3], in_python, rtol=0.0, atol=4e-16)
 
 
 def test_what_has_no_number_stays_what_it_is():
