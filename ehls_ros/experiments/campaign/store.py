@@ -14,8 +14,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.campaign.plan import Column, Run
 from ehls_ros.experiments.campaign.work import METRICS, Row
@@ -103,28 +101,8 @@ def keep(folder: Folder, rows: Sequence[tuple[str, Row]]) -> None:
     if not rows:
         return
     arrow: Any = import_module("pyarrow")
-    entries = [{"digest": digest, **row} for digest, row in rows]
-    schema = _schema()
-    columns = [_column([entry[field.name] for entry in entries], field.type) for field in schema]
-    table = arrow.Table.from_arrays(columns, schema=schema)
+    table = arrow.Table.from_pylist([{"digest": digest, **row} for digest, row in rows], schema=_schema())
     _write(table, folder.parts / f"{rows[0][0]}.parquet")
-
-
-def _column(values: Sequence[Any], kind: Any) -> Any:
-    """Return values as a column, whose None is a missing value.
-
-    Arrow's own function for it imports pandas where that is installed, which takes half a second.
-    """
-    arrow: Any = import_module("pyarrow")
-    known = np.fromiter((value is not None for value in values), np.bool_, len(values))
-    buffers = [np.packbits(known, bitorder="little")]
-    if kind == arrow.string():
-        texts = [b"" if value is None else value.encode() for value in values]
-        buffers += [np.cumsum([0, *map(len, texts)], dtype=np.int32), np.frombuffer(b"".join(texts), np.uint8)]
-    else:
-        dtype = np.int64 if kind == arrow.int64() else np.float64
-        buffers.append(np.array([0 if value is None else value for value in values], dtype))
-    return arrow.Array.from_buffers(kind, len(values), [arrow.py_buffer(buffer) for buffer in buffers])
 
 
 def _write(table: Any, path: Path) -> None:
@@ -138,8 +116,7 @@ def _write(table: Any, path: Path) -> None:
 
 def _read(path: Path, columns: list[str] | None = None) -> Any:
     try:
-        with _parquet().ParquetFile(path) as file:
-            return file.read(columns)
+        return _parquet().read_table(path, columns=columns)
     except (OSError, ValueError) as error:
         expected = "a part as it was written; delete it to have its runs made again"
         raise BadInput(f"the part cannot be read ({reason(error)})", str(path), expected) from None
@@ -174,14 +151,12 @@ class Index:
         compute: Any = import_module("pyarrow.compute")
         parts = [_read(path) for path in sorted(folder.parts.glob("*.parquet"))]
         kept = arrow.concat_tables(parts).combine_chunks()
-        digests = _column(self._digests, arrow.string())
-        at = compute.index_in(digests, value_set=kept.column("digest").combine_chunks())
+        at = compute.index_in(arrow.array(self._digests, arrow.string()), value_set=kept.column("digest").combine_chunks())
         if at.null_count:
             raise WorkFailed(f"{at.null_count} runs are missing in {folder.parts}; start the campaign again")
         metrics = kept.take(at)
-        columns = {"run": _column(range(len(self._digests)), arrow.int64()), "draw": _column(self._draws, arrow.int64())}
-        kinds = {column.path: arrow.float64() if column.numeric else arrow.string() for column in self._columns}
-        columns |= {path: _column(values, kinds[path]) for path, values in self._values.items()}
+        columns = {"run": arrow.array(range(len(self._digests))), "draw": arrow.array(self._draws)}
+        columns |= {path: arrow.array(values) for path, values in self._values.items()}
         columns |= {name: metrics.column(name) for name in (*METRICS, "error", "digest")}
         table = arrow.table(columns).replace_schema_metadata({"ehls_ros": json.dumps(about)})
         _write(table, folder.results)
