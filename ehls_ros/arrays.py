@@ -16,12 +16,16 @@ Array = NDArray[np.float64]
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def kernel(function: _Function) -> _Function:
+def kernel(function: _Function, python: Callable[..., Any] | None = None) -> _Function:
     """Compile a per-sample function and inline it into its compiled callers.
 
     :mod:`ehls_ros.physics.composition` generates the functions that are called from Python.
+
+    Args:
+        function: the function.
+        python: takes its place in calls from Python, which else compile a function that calls it, in each process anew.
     """
-    return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy"}))
+    return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy"}, python=python))
 
 
 def lean(function: _Function) -> _Function:

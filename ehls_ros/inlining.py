@@ -41,7 +41,8 @@ class _Inliner(Compiler):
 class Inlined(CPUDispatcher):
     """A function for compiled callers.
 
-    It can be called from Python too, for tests and debugging; this compiles a function that calls it.
+    It can be called from Python too, for tests and debugging; this compiles a function that calls it, where no other is given
+    for Python.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Inlined(CPUDispatcher):
         locals: dict[str, Any] | None = None,  # noqa: A002 - numba's own name, for pickling
         targetoptions: dict[str, Any] | None = None,
         pipeline_class: type[Compiler] = _Inliner,
+        python: Callable[..., Any] | None = None,
     ) -> None:
         """Prepare a Python function for compilation.
 
@@ -58,7 +60,9 @@ class Inlined(CPUDispatcher):
             locals: types of local variables that cannot be inferred.
             targetoptions: options of :func:`numba.njit`.
             pipeline_class: the compiler.
+            python: takes its place in calls from Python.
         """
+        self._python = python
         options = {"nopython": True, "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         super().__init__(py_func, locals or {}, options | (targetoptions or {}), pipeline_class)
 
@@ -73,6 +77,8 @@ class Inlined(CPUDispatcher):
     @cached_property
     def _from_python(self) -> Any:
         inlined = self
+        if self._python is not None:
+            return self._python
         if config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba reads the environment
             return self.py_func
 
