@@ -23,11 +23,9 @@ def kernel(function: _Function, python: Callable[..., Any] | None = None) -> _Fu
 
     Args:
         function: the function.
-        python: takes its place where Python calls it, which would otherwise compile it in each process anew.
+        python: takes its place in calls from Python, which else compile a function that calls it, in each process anew.
     """
-    made = Inlined(function, targetoptions={"error_model": "numpy"})
-    made.python = python
-    return cast(_Function, made)
+    return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy"}, python=python))
 
 
 def lean(function: _Function) -> _Function:

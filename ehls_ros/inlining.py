@@ -41,13 +41,9 @@ class _Inliner(Compiler):
 class Inlined(CPUDispatcher):
     """A function for compiled callers.
 
-    It can be called from Python too, for tests and debugging; this compiles a function that calls it.
-
-    Attributes:
-        python: takes its place where Python calls it, if given.
+    It can be called from Python too, for tests and debugging; this compiles a function that calls it, where no other is given
+    for Python.
     """
-
-    python: Callable[..., Any] | None = None
 
     def __init__(
         self,
@@ -55,6 +51,7 @@ class Inlined(CPUDispatcher):
         locals: dict[str, Any] | None = None,  # noqa: A002 - numba's own name, for pickling
         targetoptions: dict[str, Any] | None = None,
         pipeline_class: type[Compiler] = _Inliner,
+        python: Callable[..., Any] | None = None,
     ) -> None:
         """Prepare a Python function for compilation.
 
@@ -63,7 +60,9 @@ class Inlined(CPUDispatcher):
             locals: types of local variables that cannot be inferred.
             targetoptions: options of :func:`numba.njit`.
             pipeline_class: the compiler.
+            python: takes its place in calls from Python.
         """
+        self._python = python
         options = {"nopython": True, "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         super().__init__(py_func, locals or {}, options | (targetoptions or {}), pipeline_class)
 
@@ -73,11 +72,13 @@ class Inlined(CPUDispatcher):
 
     def __call__(self, *args: Any) -> Any:
         """Call it from Python."""
-        return (self.python or self._from_python)(*args)
+        return self._from_python(*args)
 
     @cached_property
     def _from_python(self) -> Any:
         inlined = self
+        if self._python is not None:
+            return self._python
         if config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba reads the environment
             return self.py_func
 

@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import functools
+import gc
 import itertools
 import math
 import os
@@ -33,8 +34,9 @@ GRACE_S = 60.0
 # Lock files of this user's: one has its graph run in real time; each run of the tests, or worker of it, is under way.
 REALTIME, UNDER_WAY = (Path(tempfile.gettempdir(), f"ehls_ros_test_{what}_{os.getuid()}.lock") for what in ("realtime", "run"))
 
-# Folders with tests that take seconds each, and the scope of all whose graphs run in real time.
-LONG, IN_REALTIME = ("nodes", "dashboard", "diagnosis", "cli", "experiments"), "graphs in real time"
+# Folders, and this one, with tests that take seconds each; the scope of all whose graphs run in real time.
+LONG = ("nodes", "dashboard", "diagnosis", "cli", "experiments", "report", "test")
+IN_REALTIME = "graphs in real time"
 
 # The tests start some hundred processes. Where the environment forbids to keep bytecode, each would compile its libraries anew,
 # which takes longer than all else in the start of a node.
@@ -66,6 +68,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             super()._assign_work_unit(node)
 
     return LongestFirst(config, log)
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector pass over the collected tests and their modules: half a million objects that stay."""
+    gc.collect()
+    gc.freeze()
 
 
 @functools.cache

@@ -7,7 +7,6 @@ rounded by itself, in a loop and out of it, so that both give the same bits, on 
 Each number is split into a power of two, which is read from or written to its bits, and a remainder for a minimax polynomial.
 """
 
-import math
 from functools import partial
 from typing import Any
 
@@ -128,7 +127,13 @@ def log2(x: float) -> float:
     return value if x != 0.0 else -np.inf
 
 
-@partial(kernel, python=lambda x, exponent: math.exp(-(x**exponent)))
+def _stretched_decay_by_numpy(x: float, exponent: float) -> float:
+    # Each process that reads a rig asks for a friction level or two, which is not worth half a second of compiling.
+    with np.errstate(over="ignore"):
+        return float(np.exp(-np.power(x, exponent)))
+
+
+@partial(kernel, python=_stretched_decay_by_numpy)
 def stretched_decay(x: float, exponent: float) -> float:
     """Return exp(-x^exponent) of a number x >= 0, within 2e-16 of it; an infinite slope at 0 counts as zero."""
     base, power = value_alone(x), value_alone(exponent)

@@ -40,10 +40,13 @@ def motion(rig: Rig, cycles: int) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def other_values(effect: Any) -> Iterator[dict[str, float]]:
-    """Yield settings ever further from the neutral one, all parameters moved at once, each up or down."""
+    """Yield settings off the neutral one, all parameters moved at once, each up or down: ever further, last to the bounds.
+
+    Bounds come last since an effect may be so stiff there that it runs for long.
+    """
     parameters = list(declarations(effect.Parameters))
-    for part in (0.02, 0.2, 0.6, 1.0):
-        for directions in itertools.product((True, False), repeat=len(parameters)):
+    for parts in ((0.02, 0.2, 0.6), (1.0,)):
+        for directions, part in itertools.product(itertools.product((True, False), repeat=len(parameters)), parts):
             setting = {}
             for declared, upward in zip(parameters, directions, strict=True):
                 bound = declared.maximum if upward else declared.minimum

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from numba import njit
 
+from ehls_ros.inlining import Inlined
 from ehls_ros.physics import vector_math
+from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.rig import rig_from_mapping
 
 COUNT = 4000
 
@@ -49,6 +52,22 @@ def test_the_decay_of_the_stribeck_curve_is_exact_to_the_rounding():
     np.testing.assert_allclose(computed(x, exponents)[3], expected, rtol=0.0, atol=4e-16)
     in_python = [vector_math.stretched_decay(*pair) for pair in zip(x, exponents, strict=True)]
     np.testing.assert_allclose(computed(x, exponents)[3], in_python, rtol=0.0, atol=4e-16)
+
+
+def test_the_decay_called_from_python_is_the_compiled_one():
+    x, exponents = np.meshgrid([0.0, 1e-8, 0.3, 1.0, 7.0, 1e300, math.inf], [0.01, 1.0, 2.0, 4.0])
+    called = [vector_math.stretched_decay(a, b) for a, b in zip(x.ravel().tolist(), exponents.ravel().tolist(), strict=True)]
+    np.testing.assert_allclose(called, computed(x.ravel(), exponents.ravel())[3], rtol=0.0, atol=4e-16)
+
+
+@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+def test_a_rigs_friction_level_compiles_nothing(rig_data, monkeypatch, model):
+    def compiling(inlined):
+        pytest.fail(f"{inlined.py_func.__qualname__} is compiled")
+
+    monkeypatch.setattr(Inlined, "_from_python", property(lambda inlined: inlined._python or compiling(inlined)))
+    rig = rig_from_mapping({**rig_data, "friction": {**rig_data["friction"], "model": model}}, "rig.yaml")
+    assert rig.friction_level(0.0) >= rig.friction_level(math.inf) > 0.0
 
 
 def test_what_has_no_number_stays_what_it_is():
