@@ -10,13 +10,20 @@ from pathlib import Path
 from types import MappingProxyType
 from zlib import crc32
 
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionMode
 from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from ehls_ros.recording.ledger import LedgerWriter
-from ehls_ros.recording.storage_file import MCAP_CHUNK_CRC, MCAP_LEDGER, MCAP_RECORD
+from ehls_ros.recording.storage_file import MCAP_CHUNK_CRC, MCAP_LEDGER, MCAP_MESSAGE, MCAP_RECORD
+
+CHUNK = 1 << 20
+"""Size at which a chunk is complete [B]."""
+
+_MESSAGE = struct.Struct("<HIQQ")
+"""Topic, sequence number, time of writing and of sending [ns]: what precedes a message's bytes in its record."""
 
 
 class McapStorage(McapWriter):
