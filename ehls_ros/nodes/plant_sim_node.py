@@ -109,18 +109,23 @@ class PlantSimNode(PlantNode):
 
     def _once_realtime(self) -> None:
         complete = self._is_complete()
-        present = not self.time.waiting or self.commands.publishers() > 0
-        remaining = self.time.remaining(time.perf_counter(), answered=complete, present=present)
+        remaining = self._remaining(complete)
         if remaining > 0.0:
             (self.answer if complete or self.answered != self.cycle else self.anything).wait(min(remaining, WAIT))
-            self._take()
-            return
         self._take()
-        changed = self.time.end(time.perf_counter(), answered=self._is_complete(), expected=self.answered >= 0)
+        complete = self._is_complete()
+        if remaining > 0.0 and self._remaining(complete) > 0.0:
+            return
+        changed = self.time.end(time.perf_counter(), answered=complete, expected=self.answered >= 0)
         self.missed = self.time.missed
         self._advance()
         if changed:
             self.report_change()
+
+    def _remaining(self, complete: bool) -> float:
+        """Return the longest time the cycle may still last [s], given whether it is complete; 0: end it now."""
+        present = not self.time.waiting or self.commands.publishers() > 0
+        return self.time.remaining(time.perf_counter(), answered=complete, present=present)
 
     def _is_complete(self) -> bool:
         """Return whether the cycle has its command, and its disturbance if there is any: a held one would push the rig away."""
