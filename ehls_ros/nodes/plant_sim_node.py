@@ -108,19 +108,25 @@ class PlantSimNode(PlantNode):
             self.ask_again(self.cycle)
 
     def _once_realtime(self) -> None:
+        if not self._cycle_is_over():
+            return
+        changed = self.time.end(time.perf_counter(), answered=self._is_complete(), expected=self.answered >= 0)
+        self.missed = self.time.missed
+        self._advance()
+        if self.is_to_run:
+            # What else a turn of the loop does has time once the answer is there.
+            self._cycle_is_over()
+        if changed:
+            self.report_change()
+
+    def _cycle_is_over(self) -> bool:
+        """Wait for what this cycle lacks, or for its end if it lacks nothing; return whether it may end."""
         complete = self._is_complete()
         remaining = self._remaining(complete)
         if remaining > 0.0:
             (self.answer if complete or self.answered != self.cycle else self.anything).wait(min(remaining, WAIT))
         self._take()
-        complete = self._is_complete()
-        if remaining > 0.0 and self._remaining(complete) > 0.0:
-            return
-        changed = self.time.end(time.perf_counter(), answered=complete, expected=self.answered >= 0)
-        self.missed = self.time.missed
-        self._advance()
-        if changed:
-            self.report_change()
+        return remaining <= 0.0 or self._remaining(self._is_complete()) <= 0.0
 
     def _remaining(self, complete: bool) -> float:
         """Return the longest time the cycle may still last [s], given whether it is complete; 0: end it now."""
