@@ -151,8 +151,9 @@ class Controller:
 
     def _answer(self, measured: Array, reference: Array, friction: Array, elapsed: int, outlook: Outlook) -> float:
         """Return the command [m] for what the companions make of the reference."""
-        self._row[:FORESEEN], self._row[FORESEEN:] = reference, np.nan
+        self._row[:FORESEEN] = reference
         if self.company:
+            self._row[FORESEEN:] = np.nan
             known = self._unknown if outlook.actuator is None else outlook.actuator
             place = self._place(outlook)
             self.company.ahead(Upcoming(outlook.cycle, self._row[np.newaxis], place[np.newaxis], known[np.newaxis]))

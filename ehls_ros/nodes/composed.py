@@ -102,7 +102,7 @@ class Composition:
 
     def _follow_lifecycle(self) -> None:
         """Begin and end the loops of the nodes that have become active or inactive."""
-        if all([node.is_running and node.is_to_run for node in self._ending]):
+        if all(node.is_running and node.is_to_run for node in self._ending):
             return
         for node in self._ending:
             if node.is_running and not node.is_to_run:

@@ -18,7 +18,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import Bool, String
 
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
-from ehls_ros.control.controller import Controller, Outlook
+from ehls_ros.control.controller import NOTHING_KNOWN, Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
@@ -394,7 +394,7 @@ class ControllerNode(ControlNode):
     def _outlook(self, cycle: int) -> Outlook:
         """Return what companions know of a cycle."""
         if not self.company:
-            return Outlook()
+            return NOTHING_KNOWN
         actuator = None if self.actuator is None else self.actuator.at(cycle)
         if self.points is None:
             place = self.signal.place(cycle, 1)[0]

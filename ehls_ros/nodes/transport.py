@@ -120,8 +120,9 @@ class Outbox:
             return
         if self._opens or self._answers:
             self._links.open = self._opens
-        self._local.hand_over((stamp_ns, *values, *self._sender))
-        self._links.later(self._publish, self._encode, (stamp_ns, *values), answers=self._answers)
+        message = (stamp_ns, *values)
+        self._local.hand_over(message + self._sender)
+        self._links.later(self._publish, self._encode, message, answers=self._answers)
 
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until all readers have received what was published, at most for a time [s]."""

@@ -40,7 +40,7 @@ class McapStorage(McapWriter):
             self.bio.write(MCAP_RECORD.pack(MCAP_LEDGER, len(block)) + block)
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Add a message to the chunk, byte for byte as rosbags does in a dozen writes: most of a recorder's time went into them."""
+        """Add a message to the chunk, byte for byte as rosbags does in a dozen writes, which took half of a recorder's time."""
         chunk, number = self.chunk, connection.id
         self.message_start_time = min(timestamp, self.message_start_time)
         self.message_end_time = max(timestamp, self.message_end_time)
