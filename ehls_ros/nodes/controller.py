@@ -71,6 +71,10 @@ HEARD = 100
 """Messages of the driver topic and commands of others that are kept: many cycles more than a node may be behind."""
 
 
+TO_SI = STATUS_TO_SI.tolist()
+"""Factors of the status, as numbers: ten of them are multiplied faster one by one than as arrays."""
+
+
 class Parameters(NamedTuple):
     """What every controller node has in addition to the parameters of its law."""
 
@@ -382,7 +386,7 @@ class ControllerNode(ControlNode):
         if not (shadow and self._unmeasured()):
             # One that lacks a reading must not be given the valve.
             (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
-        values = (self.controller.status * STATUS_TO_SI).tolist()
+        values = [value * factor for value, factor in zip(self.controller.status.tolist(), TO_SI, strict=True)]
         self.saturated = values[SATURATED] != 0.0
         if not shadow:
             self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, self.fallback)

@@ -127,8 +127,10 @@ class PlantSimNode(PlantNode):
 
     def _await_inputs(self) -> None:
         """Wait for what this cycle lacks, or for its end if it lacks nothing, and take what has arrived."""
-        if (remaining := self._remaining()) > 0.0:
-            lacks_disturbance = self.answered == self.cycle and not self._is_complete()
+        remaining, complete = self._remaining(), self._is_complete()
+        # A cycle that begins after its end, as the process was held up, can still be answered by those in the same process.
+        if remaining > 0.0 or not complete:
+            lacks_disturbance = self.answered == self.cycle and not complete
             (self.anything if lacks_disturbance else self.answer).wait(min(remaining, WAIT))
         self._take()
 
