@@ -159,6 +159,7 @@ class Composition:
 
     def _block(self, waiters: Sequence[Waiter], seconds: float) -> None:
         """Wait for a message of another process, for any of the nodes, at most for a time [s]."""
+        self._links.begin_rest(seconds)
         waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node.is_running)]
         if waiters:
             waiters[0].block(seconds, waiters[1:])

@@ -340,10 +340,20 @@ class ControlNode(DeclaredParameters):
         if self._parent and os.getppid() != self._parent:
             self.get_logger().error("the process that started this node has ended, so the node ends")
             signal.raise_signal(signal.SIGINT)
+        self._await_rest()
         self._mismatches.look()
-        if self.links is not None:
+        if self.links is not None and not self.hosted:
+            self._await_rest()
             self.links.look_outside()
-        self.report()
+        self._await_rest()
+        health = self._health()
+        self._await_rest()
+        self._tell(*health)
+
+    def _await_rest(self) -> None:
+        """Wait a little for a time at which loops in this process answer nobody."""
+        if self.links is not None:
+            self.links.await_rest()
 
     def unheard(self, silence: float) -> None:
         """React to a silent service thread; called after each turn with the time since its last heartbeat [s]."""
@@ -378,7 +388,9 @@ class ControlNode(DeclaredParameters):
 
     def report(self) -> None:
         """Publish diagnostics."""
-        level, message, figures = self._health()
+        self._tell(*self._health())
+
+    def _tell(self, level: bytes, message: str, figures: Mapping[str, Any]) -> None:
         status = DiagnosticStatus(
             level=level,
             # All rigs share /diagnostics: one in another namespace shows it in its nodes' names.
