@@ -348,7 +348,7 @@ class ControlNode(DeclaredParameters):
         self._await_rest()
         health = self._health()
         self._await_rest()
-        self._tell(*health)
+        self._publish_health(*health)
 
     def _await_rest(self) -> None:
         """Wait a little for a time at which loops in this process answer nobody."""
@@ -388,9 +388,9 @@ class ControlNode(DeclaredParameters):
 
     def report(self) -> None:
         """Publish diagnostics."""
-        self._tell(*self._health())
+        self._publish_health(*self._health())
 
-    def _tell(self, level: bytes, message: str, figures: Mapping[str, Any]) -> None:
+    def _publish_health(self, level: bytes, message: str, figures: Mapping[str, Any]) -> None:
         status = DiagnosticStatus(
             level=level,
             # All rigs share /diagnostics: one in another namespace shows it in its nodes' names.
