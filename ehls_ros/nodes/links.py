@@ -21,8 +21,8 @@ PATIENCE = 1.0
 LULL = 4e-4
 """Shortest rest of the loops in which the service thread can do a piece of its work [s]."""
 
-RESTLESS = 5e-3
-"""Longest wait for a rest [s]: loops that have none must not keep the service thread from its work."""
+RESTLESS = 2e-3
+"""Longest wait for a rest [s]: without one, the service thread must go on too; an emergency stop may be next."""
 
 Encode = Callable[..., bytes]
 Publish = Callable[[bytes], None]
