@@ -10,20 +10,13 @@ from pathlib import Path
 from types import MappingProxyType
 from zlib import crc32
 
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionMode
 from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from ehls_ros.recording.ledger import LedgerWriter
-from ehls_ros.recording.storage_file import MCAP_CHUNK_CRC, MCAP_LEDGER, MCAP_MESSAGE, MCAP_RECORD
-
-CHUNK = 1 << 20
-"""Size at which a chunk is complete [B]."""
-
-_MESSAGE = struct.Struct("<HIQQ")
-"""Topic, sequence number, time of writing and of sending [ns]: what precedes a message's bytes in its record."""
+from ehls_ros.recording.storage_file import MCAP_CHUNK_CRC, MCAP_LEDGER, MCAP_RECORD
 
 
 class McapStorage(McapWriter):
@@ -38,20 +31,6 @@ class McapStorage(McapWriter):
         """Write blocks of the ledger."""
         for block in blocks:
             self.bio.write(MCAP_RECORD.pack(MCAP_LEDGER, len(block)) + block)
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Add a message to the chunk, byte for byte as rosbags does in a dozen writes, which took half of a recorder's time."""
-        chunk, number = self.chunk, connection.id
-        self.message_start_time = min(timestamp, self.message_start_time)
-        self.message_end_time = max(timestamp, self.message_end_time)
-        self.channel_stats[number] += 1
-        chunk.message_start_time = min(timestamp, chunk.message_start_time)
-        chunk.message_end_time = max(timestamp, chunk.message_end_time)
-        chunk.msgs[number].append((timestamp, chunk.bio.tell()))
-        head = MCAP_RECORD.pack(MCAP_MESSAGE, _MESSAGE.size + len(data)), _MESSAGE.pack(number, 0, timestamp, timestamp)
-        chunk.bio.write(b"".join((*head, data)))
-        if chunk.bio.tell() > CHUNK:
-            self.close_chunk()
 
     def close_chunk(self) -> None:
         """Write the chunk, after its ledger, which then also covers the messages of a truncated chunk."""

@@ -18,12 +18,10 @@ from recorded_runs import (
     valve_command,
 )
 from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import get_types_from_msg
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import read_bag
-from ehls_ros.recording.bag_storage import CHUNK, McapStorage
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
 from ehls_ros.recording.recovery import recover
 from ehls_ros.recording.topics import TOPICS, transition_topic
@@ -72,21 +70,6 @@ def test_every_message_is_in_the_bag_with_its_time(tmp_path: Path, storage: Stor
     assert all(data == command for topic, _, data in messages if topic == "/ehls/valve_command")
     assert ("/diagnostics", 5, b"\x00\x01\x00\x00 as it came") in messages
     assert len(messages) == commands + 2
-
-
-def test_an_mcap_file_is_byte_for_byte_what_rosbags_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def written(folder: Path) -> bytes:
-        with BagWriter.create(folder / "bag") as writer:
-            for number in range(300):
-                write(writer, loader_state(number))
-                # Not in the order of the stamps, and chunks end after different topics.
-                writer.write("valve_command", 10**9 - number, bytes(range(number % 7)) + bytes(9000))
-        return storage_file(folder / "bag").read_bytes()
-
-    ours = written(tmp_path / "ours")
-    assert len(ours) > 2 * CHUNK
-    monkeypatch.setattr(McapStorage, "write", McapWriter.write)
-    assert ours == written(tmp_path / "theirs")
 
 
 @pytest.mark.parametrize("storage", STORAGES)
