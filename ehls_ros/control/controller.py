@@ -151,24 +151,24 @@ class Controller:
 
     def _answer(self, measured: Array, reference: Array, friction: Array, elapsed: int, outlook: Outlook) -> float:
         """Return the command [m] for what the companions make of the reference."""
-        self._row[:FORESEEN], self._row[FORESEEN:] = reference, np.nan
+        self._row[:FORESEEN] = reference
         if self.company:
+            self._row[FORESEEN:] = np.nan
             known = self._unknown if outlook.actuator is None else outlook.actuator
             place = self._place(outlook)
             self.company.ahead(Upcoming(outlook.cycle, self._row[np.newaxis], place[np.newaxis], known[np.newaxis]))
-        return self._step_alone(measured, self._row, friction, elapsed)
+        return self._step_alone(plain(measured), plain(friction), elapsed)
 
-    def _step_alone(self, measured: Array, reference: Array, friction: Array, elapsed: int) -> float:
-        """Return the law's command [m] for a row of what it follows, without a bump after a change of tuning."""
+    def _step_alone(self, measured: Array, friction: Array, elapsed: int) -> float:
+        """Return the law's command [m] for the row of what it follows, without a bump after a change of tuning."""
         model = self.model if elapsed == 1 else self.model._replace(period=elapsed * self.model.period)
         old: float | None = None
         if self._previous is not None:
             parameters, known = self._previous
             trial = self._memory.copy()
-            old = self._step(measured, reference, friction, parameters, known._replace(period=model.period), trial, self.status)
+            old = self._step(measured, self._row, friction, parameters, known._replace(period=model.period), trial, self.status)
             self._previous = None
-        seen = plain(measured), plain(reference), plain(friction)
-        command: float = self._direct(*seen, self.parameters, model, self._memory, self.status)
+        command: float = self._direct(measured, self._row, friction, self.parameters, model, self._memory, self.status)
         self._bump *= self._fade**elapsed
         if old is not None:
             self._bump += old - command

@@ -102,6 +102,8 @@ class Composition:
 
     def _follow_lifecycle(self) -> None:
         """Begin and end the loops of the nodes that have become active or inactive."""
+        if all(node.is_running and node.is_to_run for node in self._ending):
+            return
         for node in self._ending:
             if node.is_running and not node.is_to_run:
                 node.leave()
@@ -136,18 +138,18 @@ class Composition:
             if not waiter.arrived:
                 waiter.block(seconds)
             return
-        self._react(self._answering)
+        if self._links.open or self._links.apart:
+            self._react(self._answering)
         if waiter.arrived:
             if self._host.lockstep:
                 self._publish_what_gathered()
             return
-        if self._react(self._ahead):
-            return
+        # Once the snapshot has its answer, the end of the turn before did this.
         if self._links.open:
+            if self._react(self._ahead):
+                return
             # What it waits for may have to come from elsewhere.
             self._links.publish()
-        else:
-            self._publish_what_gathered()
         self._block([waiter], seconds)
 
     def _publish_what_gathered(self) -> None:
@@ -157,6 +159,7 @@ class Composition:
 
     def _block(self, waiters: Sequence[Waiter], seconds: float) -> None:
         """Wait for a message of another process, for any of the nodes, at most for a time [s]."""
+        self._links.begin_rest(seconds)
         waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node.is_running)]
         if waiters:
             waiters[0].block(seconds, waiters[1:])

@@ -17,7 +17,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.clock import Clock, ClockType, ROSClock
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -121,6 +121,8 @@ class ControlNode(DeclaredParameters):
             BadInput: the spec or rig file is wrong.
         """
         super().__init__(name, namespace=NAMESPACE)
+        self._note_clock([self.get_parameter(USE_SIM_TIME)])
+        self.add_post_set_parameters_callback(self._note_clock)
         declare(self, Common, live=False)
         self.spec = chosen_spec(self.text_parameter("spec"), self.text_parameter("rig"))
         timing = self.text_parameter("timing")
@@ -158,10 +160,13 @@ class ControlNode(DeclaredParameters):
 
     def now_ns(self) -> int | None:
         """Return the time of the node's clock [ns]: the system's or, with use_sim_time, /clock's; None before the first."""
-        clock = self.get_clock()
-        if isinstance(clock, ROSClock) and not clock.ros_time_is_active:
-            return time.time_ns()
-        return clock.now().nanoseconds or None
+        return self.get_clock().now().nanoseconds or None if self._is_told_time else time.time_ns()
+
+    def _note_clock(self, parameters: Sequence[Parameter]) -> None:
+        """Note which clock is the node's: the clock itself says so too, but takes longer than a law in each cycle."""
+        for parameter in parameters:
+            if parameter.name == USE_SIM_TIME:
+                self._is_told_time = bool(parameter.value)
 
     def text_parameter(self, name: str) -> str:
         """Return a text parameter's value."""
@@ -335,10 +340,20 @@ class ControlNode(DeclaredParameters):
         if self._parent and os.getppid() != self._parent:
             self.get_logger().error("the process that started this node has ended, so the node ends")
             signal.raise_signal(signal.SIGINT)
+        self._await_rest()
         self._mismatches.look()
-        if self.links is not None:
+        if self.links is not None and not self.hosted:
+            self._await_rest()
             self.links.look_outside()
-        self.report()
+        self._await_rest()
+        health = self._health()
+        self._await_rest()
+        self._publish_health(*health)
+
+    def _await_rest(self) -> None:
+        """Wait a little for a time at which loops in this process answer nobody."""
+        if self.links is not None:
+            self.links.await_rest()
 
     def unheard(self, silence: float) -> None:
         """React to a silent service thread; called after each turn with the time since its last heartbeat [s]."""
@@ -373,7 +388,9 @@ class ControlNode(DeclaredParameters):
 
     def report(self) -> None:
         """Publish diagnostics."""
-        level, message, figures = self._health()
+        self._publish_health(*self._health())
+
+    def _publish_health(self, level: bytes, message: str, figures: Mapping[str, Any]) -> None:
         status = DiagnosticStatus(
             level=level,
             # All rigs share /diagnostics: one in another namespace shows it in its nodes' names.

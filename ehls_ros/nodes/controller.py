@@ -18,7 +18,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import Bool, String
 
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
-from ehls_ros.control.controller import Controller, Outlook
+from ehls_ros.control.controller import NOTHING_KNOWN, Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
@@ -69,6 +69,10 @@ HEARING = 0.5
 
 HEARD = 100
 """Messages of the driver topic and commands of others that are kept: many cycles more than a node may be behind."""
+
+
+TO_SI = STATUS_TO_SI.tolist()
+"""Factors of the status, as numbers: ten of them are multiplied faster one by one than as arrays."""
 
 
 class Parameters(NamedTuple):
@@ -382,7 +386,7 @@ class ControllerNode(ControlNode):
         if not (shadow and self._unmeasured()):
             # One that lacks a reading must not be given the valve.
             (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
-        values = (self.controller.status * STATUS_TO_SI).tolist()
+        values = [value * factor for value, factor in zip(self.controller.status.tolist(), TO_SI, strict=True)]
         self.saturated = values[SATURATED] != 0.0
         if not shadow:
             self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, self.fallback)
@@ -394,7 +398,7 @@ class ControllerNode(ControlNode):
     def _outlook(self, cycle: int) -> Outlook:
         """Return what companions know of a cycle."""
         if not self.company:
-            return Outlook()
+            return NOTHING_KNOWN
         actuator = None if self.actuator is None else self.actuator.at(cycle)
         if self.points is None:
             place = self.signal.place(cycle, 1)[0]

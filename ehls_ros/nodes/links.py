@@ -18,6 +18,12 @@ Message = tuple[Any, ...]
 PATIENCE = 1.0
 """Longest wait for readers to have received what was published [s]: one that hangs must not hold up the others for good."""
 
+LULL = 4e-4
+"""Shortest rest of the loops in which the service thread can do a piece of its work [s]."""
+
+RESTLESS = 2e-3
+"""Longest wait for a rest [s]: without one, the service thread must go on too; an emergency stop may be next."""
+
 Encode = Callable[..., bytes]
 Publish = Callable[[bytes], None]
 """How a message is encoded, and published to other processes."""
@@ -101,6 +107,8 @@ class Links:
         self._senders: list[Sender] = []
         self.open = False
         self.apart = False
+        self._wanted = False
+        self._rest = threading.Event()
         self.wait = wait
         self._topics: dict[str, Topic] = {}
         self._later: list[tuple[Publish, Encode, Message]] = []
@@ -128,6 +136,22 @@ class Links:
         with self._looking:
             outside = [reader.look_outside() for reader in self._readers]
         self.apart = any(outside)
+
+    def await_rest(self) -> None:
+        """Wait until the loops begin to rest; for the service thread, which would delay an answer while it has the interpreter.
+
+        In lockstep they never rest, and nobody asks when an answer comes.
+        """
+        if not self._patient:
+            self._rest.clear()
+            self._wanted = True
+            self._rest.wait(RESTLESS)
+
+    def begin_rest(self, seconds: float) -> None:
+        """Tell the service thread that the loops rest now, at most for a time [s]."""
+        if self._wanted and seconds > LULL:
+            self._wanted = False
+            self._rest.set()
 
     def later(self, publish: Publish, encode: Encode, message: Message, *, answers: bool = False) -> None:
         """Publish a message with the next :meth:`publish`.

@@ -322,9 +322,10 @@ class PlantNode(ControlNode):
 
     def _change_driver(self, cycle: int) -> None:
         """Hand over to the successor, if there is one, and tell which controller the gate obeys from a cycle on."""
-        silence, owner = self.gate.command_age, self.gate.owner
-        if not self.successor and owner and self.gate.driving and 0.0 < self.take_over_after <= silence and self.standby.ready:
-            self._succeed(owner, f"has been silent for {silence:.3f} s")
+        if self.take_over_after > 0.0 and not self.successor and self.gate.driving:
+            silence, owner = self.gate.command_age, self.gate.owner
+            if owner and silence >= self.take_over_after and self.standby.ready:
+                self._succeed(owner, f"has been silent for {silence:.3f} s")
         if self.successor:
             self.gate.hand_over(self.successor)
             self.successor, self.first = "", cycle

@@ -13,7 +13,7 @@ from std_msgs.msg import Float64, Header
 
 from ehls_ros.nodes.codec import NANOSECONDS, Template
 from ehls_ros.nodes.frames import JOINT, loader_frame
-from ehls_ros.nodes.transport import message_class
+from ehls_ros.nodes.transport import links_of, message_class
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.topics import FORCE, JOINT_STATES, LOAD_PRESSURE, OIL_TEMPERATURE, SUPPLY_PRESSURE, WRENCH, Topic
 
@@ -57,6 +57,7 @@ class Telemetry:
             measured: the signals of ``SENSED`` that the rig measures.
         """
         self._node = node
+        self._links = links_of(node)
         header = Header(frame_id=loader_frame(node.get_namespace()))
         self._single = [
             _Signal(
@@ -88,12 +89,19 @@ class Telemetry:
         for place, zero, template, publisher in self._single:
             value = measured[place]
             if not math.isnan(value) and publisher.get_subscription_count():
-                publisher.handle.publish_raw(template(stamp_ns, [value - zero]))
+                self._publish(publisher, template, stamp_ns, [value - zero])
         if self._joints.get_subscription_count():
             readings = {field: measured[SENSED.index(signal)] for field, signal in JOINT_SIGNALS.items()}
             known = {field: value for field, value in readings.items() if not math.isnan(value)}
             template = self._joint_templates.get(tuple(known)) or self._joint_template(tuple(known))
-            self._joints.handle.publish_raw(template(stamp_ns, list(known.values())))
+            self._publish(self._joints, template, stamp_ns, list(known.values()))
+
+    def _publish(self, publisher: Any, template: Template, stamp_ns: int, values: Sequence[float]) -> None:
+        """Publish at once, or with what gathers where the node shares its process."""
+        if self._links is None:
+            publisher.handle.publish_raw(template(stamp_ns, values))
+        else:
+            self._links.later(publisher.handle.publish_raw, template, (stamp_ns, values))
 
     def _joint_template(self, known: tuple[str, ...]) -> Template:
         """Return the message of the joint with some of its fields."""
@@ -104,7 +112,9 @@ class Telemetry:
         return self._joint_templates[known]
 
     def destroy(self) -> None:
-        """Destroy the publishers."""
+        """Destroy the publishers, after what has gathered is published."""
+        if self._links is not None:
+            self._links.publish()
         for publisher in (self._joints, *(signal.publisher for signal in self._single)):
             self._node.destroy_publisher(publisher)
 

@@ -61,7 +61,7 @@ def message_class(name: str) -> Any:
     return getattr(import_module(f"{package}.{folder}"), kind)
 
 
-def _links_of(node: Node) -> Links | None:
+def links_of(node: Node) -> Links | None:
     """Return what connects a node to others of its process; None if it is alone there."""
     return getattr(node, "links", None)
 
@@ -100,7 +100,7 @@ class Outbox:
         self._gathered: list[bytes] = []
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
         self._sender = (sender,) if sender else ()
-        self._links = _links_of(node)
+        self._links = links_of(node)
         if self._links is not None:
             self._local = self._links.topic(topic)
             self._local.senders += 1
@@ -120,8 +120,9 @@ class Outbox:
             return
         if self._opens or self._answers:
             self._links.open = self._opens
-        self._local.hand_over((stamp_ns, *values, *self._sender))
-        self._links.later(self._publish, self._encode, (stamp_ns, *values), answers=self._answers)
+        message = (stamp_ns, *values)
+        self._local.hand_over(message + self._sender)
+        self._links.later(self._publish, self._encode, message, answers=self._answers)
 
     def wait_until_heard(self, seconds: float) -> None:
         """Wait until all readers have received what was published, at most for a time [s]."""
@@ -159,7 +160,7 @@ class Notice:
             depth: messages kept for readers that come later.
         """
         self._node = node
-        links = _links_of(node)
+        links = links_of(node)
         self._local = None if links is None else links.topic(topic)
         if self._local is not None:
             self._local.senders += 1
@@ -214,7 +215,7 @@ class Inbox:
         self._widening = False
         self._taken_ns: set[int] = set()
         self._handlers: Sequence[Any] = []
-        self.links = _links_of(node)
+        self.links = links_of(node)
         self.queue: deque[Message] = deque(maxlen=0)
         if self.links is not None:
             self._local = self.links.topic(topic)

@@ -268,7 +268,7 @@ class Simulator:
         """
         self.rig, parts, self.constants, self.state = at_rest(rig, period, step, **start)
         plant = plant_kernel(parts)
-        self._plant, self._hold = plant, plant.hold
+        self._plant = plant
         self.period = self.constants.period
         self.y, self.mode, self.inputs, self.truth = self.state.y, self.state.mode, self.state.inputs, self.state.truth
         self.cycle = 0
@@ -277,7 +277,9 @@ class Simulator:
         self._sense = direct(plant.sense, 0, self.constants, trial, np.zeros(len(SENSED)))
         self._advance = direct(plant.advance, 0, self.constants, trial)
         self._sense(0, self.constants, trial, np.zeros(len(SENSED)))
-        self._hold(trial.inputs, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        still = (0.0,) * 6
+        self._hold = direct(plant.hold, trial.inputs, *still)
+        self._hold(trial.inputs, *still)
         self._advance(0, self.constants._replace(steps=0), trial)
 
     def measure(self, noise: Array) -> Array:

@@ -2,7 +2,9 @@
 
 import json
 import signal
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ehls_msgs.msg import Driver, LoaderState, ValveCommand
 from ehls_msgs.srv import SwitchController
 from ehls_ros.cli.main import main
+from ehls_ros.nodes import links
+from ehls_ros.nodes.plant_sim_node import PlantSimNode
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import STANDBY_COMMAND
 
@@ -141,3 +145,36 @@ def test_an_estimator_apart_is_waited_for(spec_file, graph, participant, tmp_pat
     wanted = read_bag(Path(json.loads((reference / "metrics.json").read_text())["bag"]))["valve_command_m"]
     sent = np.array([command.spool for command in commands[:501]])
     assert np.max(np.abs(sent - wanted)) <= 1e-9 * np.max(np.abs(wanted))
+
+
+def test_a_cycle_that_begins_after_its_end_still_asks_those_in_its_process():
+    asked = []
+    late = SimpleNamespace(
+        answered=3,
+        cycle=4,
+        answer=SimpleNamespace(wait=asked.append),
+        _remaining=lambda: 0.0,
+        _is_complete=lambda: False,
+        _take=lambda: asked.append("taken"),
+    )
+    PlantSimNode._await_inputs(late)
+    assert asked == [0.0, "taken"]
+
+
+def test_the_service_thread_waits_for_a_rest_that_is_long_enough(monkeypatch):
+    monkeypatch.setattr(links, "RESTLESS", 3600.0)
+    connected = links.Links(lambda waiter, seconds: None)
+    serving = threading.Thread(target=connected.await_rest, daemon=True)
+    serving.start()
+    for _ in range(20):
+        connected.begin_rest(0.5 * links.LULL)
+        serving.join(1e-3)
+    assert serving.is_alive()
+    while serving.is_alive():
+        connected.begin_rest(2.0 * links.LULL)
+        serving.join(1e-3)
+
+
+def test_in_lockstep_the_service_thread_waits_for_no_rest(monkeypatch):
+    monkeypatch.setattr(links, "RESTLESS", 3600.0)
+    links.Links(lambda waiter, seconds: None, patient=True).await_rest()
