@@ -488,8 +488,8 @@ def test_explicit_law_diverges_beyond_23_microseconds(rig):
     assert np.max(np.abs(s[200:])) < 0.005
     _, s = sliding_run(rig, 24e-6, 40, implicitness=0.0, s=0.1)
     assert s[31:] / s[30:-1] == pytest.approx(1.0 - RATE * 24e-6, rel=5e-3)  # -1.1065
-    # At 1 ms a cycle multiplies s by -87, less what the valve's lag and the orifice take off so large a step: in the fifth cycle,
-    # with the valve open as far as no valve is, most of it.
+    # At 1 ms a cycle multiplies s by -87, less what the valve's lag and the orifice take off so large a step; in a fifth cycle
+    # the valve would be open so far that this is most of it.
     _, s = sliding_run(rig, 1e-3, 4, implicitness=0.0)
     assert np.all(s[2:] / s[1:-1] < -50.0)
     run = closed_loop(rig, controller(rig, limit=rig.limits.spool, implicitness=0.0), 1000, lambda t: [5e3, 0.0, 0.0])
