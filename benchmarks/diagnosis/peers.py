@@ -146,8 +146,8 @@ def library(evidence: Evidence, rig: Rig) -> list[Term]:
         }
         if "element_stiffness" in changes:
             changed["element_stiffness"] = tuple(changes["element_stiffness"] * k for k in rig.friction.element_stiffness)
-        moved: Array = comparison.friction(rig._replace(friction=rig.friction._replace(**changed)).effective())[:, 0]
-        return moved - friction
+        moved: Array = comparison.friction(rig._replace(friction=rig.friction._replace(**changed)).effective())[:, 0] - friction
+        return moved
 
     def read_wrong(effect: str, pressure: Array) -> None:
         """Add the effect of an error in the measured pressure."""

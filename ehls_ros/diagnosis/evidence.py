@@ -7,7 +7,7 @@ coefficients fitted to the others.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from ehls_ros.diagnosis.noise import deviations, largest_terms, scatter, with_no
 from ehls_ros.diagnosis.record import POSITION, VELOCITY, Record
 from ehls_ros.diagnosis.resolution import coarseness
 from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, formed_of, usable
+from ehls_ros.duals import tangents_of, value_of
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
 
@@ -278,6 +279,25 @@ def whitened(
         e = (values[masks[channel]] - (0.0 if given is None else given.mean)) / floor[channel]
         e = np.clip(np.nan_to_num(e, nan=far, posinf=far, neginf=-far), -far, far)
         out[channel] = e if given is None else given.whitened(e)
+    return out
+
+
+def whitened_slopes(evidence: Evidence, raw: Mapping[Channel, Any], parameters: int) -> dict[Channel, Array]:
+    """Return the derivatives of what :func:`whitened` returns where nothing is allowed for, by channel, shape (n, parameters).
+
+    Args:
+        evidence: the recording compared with a model.
+        raw: residuals of all windows, as :meth:`Comparison.residuals` returns them, of duals.
+        parameters: how many there are.
+    """
+    out = {}
+    for channel, values in raw.items():
+        mask, floor = evidence.masks[channel], evidence.floor[channel]
+        out[channel] = np.zeros((len(floor), parameters))
+        far = ~(np.abs(value_of(values)[mask] / floor) < rules.FARTHEST)
+        for parameter, tangent in tangents_of(values).items():
+            column = np.broadcast_to(tangent, mask.shape)[mask] / floor
+            out[channel][:, parameter] = np.where(far, 0.0, np.nan_to_num(column))
     return out
 
 

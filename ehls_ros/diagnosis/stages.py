@@ -38,7 +38,8 @@ from ehls_ros.diagnosis.record import (
 )
 from ehls_ros.diagnosis.resolution import command_seen, friction_known, presliding_travel
 from ehls_ros.diagnosis.windows import Window, smooth_window
-from ehls_ros.physics.along import PARTS, part_kernel
+from ehls_ros.duals import linear, value_of, values_of
+from ehls_ros.physics.along import PARTS, run_part
 from ehls_ros.physics.along.base import ModelRun, Motion
 from ehls_ros.physics.along.friction import FrictionInputs
 from ehls_ros.physics.along.load import Piston
@@ -138,15 +139,15 @@ class Comparison:
         self.setup = setup
         self._kept: dict[str, dict[Any, Any]] = {}
 
-    def residuals(self, rig: Rig, channels: tuple[Channel, ...] | None = None) -> dict[Channel, Array]:
+    def residuals(self, rig: Rig, channels: tuple[Channel, ...] | None = None) -> dict[Channel, Any]:
         """Lay a rig's model beside the recording.
 
         Args:
-            rig: the rig, with effects.
+            rig: the rig, with effects; its numbers may be duals, those of sensors only in the channels of sensors.
             channels: the residuals wanted; all that can be formed where nothing is said.
 
         Returns:
-            Measured minus modelled of each channel in its unit, one a window.
+            Measured minus modelled of each channel in its unit, one a window; a dual where it depends on one.
         """
         effective = rig.effective()
         wanted = self.setup.channels if channels is None else channels
@@ -193,36 +194,32 @@ class Comparison:
 
     # --- residuals -----------------------------------------------------------------------------
 
-    def _spool(self, rig: EffectiveRig) -> Array:
+    def _spool(self, rig: EffectiveRig) -> Any:
         average = self.setup.average
         return average.mean(self.corrected(rig, "spool_position")) - average.mean(self.simulated_spool(rig))
 
-    def _volume(self, rig: EffectiveRig) -> Array:
+    def _volume(self, rig: EffectiveRig) -> Any:
         terms = self.flow_terms(rig)
         return self._taken_up(rig) - self.setup.window.mean(terms[:, 0] - terms[:, 1])  # (2)
 
-    def _taken_up(self, rig: EffectiveRig) -> Array:
+    def _taken_up(self, rig: EffectiveRig) -> Any:
         """Return the flow that the motion of the piston and the compression of the oil take up, one a window [m^3/s]."""
         window, plant, motion = self.setup.window, rig.plant, self.motion(rig)
         terms = self.flow_terms(rig)
         stored = plant.total_volume / (4.0 * terms[:, 2])
-        pressure = self.pressure(rig)
-        squeezed = np.empty(len(pressure))
-        squeezed[:-1] = 0.5 * (stored[1:] + stored[:-1]) * np.diff(pressure) / self.record.period
-        squeezed[-1] = 0.0
-        middle = np.concatenate([0.5 * (window.weights[1:] + window.weights[:-1]), [0.0]])
-        taken_up: Array = plant.piston_area * self._swept(rig, motion) + window.over(squeezed, middle)
-        return taken_up
+        squeezed = 0.5 * (stored[1:] + stored[:-1]) * linear(np.diff, self.pressure(rig)) / self.record.period
+        middle = 0.5 * (window.weights[1:] + window.weights[:-1])
+        return plant.piston_area * self._swept(rig, motion) + window.over(squeezed, middle)
 
-    def _swept(self, rig: EffectiveRig, motion: Motion) -> Array:
+    def _swept(self, rig: EffectiveRig, motion: Motion) -> Any:
         if POSITION in self.record:
             return self.setup.window.rate(self.corrected(rig, "position"))
         return self.setup.window.mean(motion.velocity)
 
-    def _supply(self, rig: EffectiveRig) -> Array:
+    def _supply(self, rig: EffectiveRig) -> Any:
         return self.setup.average.mean(self.corrected(rig, "supply_pressure") - self.flow_terms(rig)[:, 3])
 
-    def _force(self, rig: EffectiveRig) -> Array:
+    def _force(self, rig: EffectiveRig) -> Any:
         window, plant = self.setup.window, rig.plant
         motion = self.motion(rig)
         if rig.piston_mass() > 0.0:
@@ -236,9 +233,9 @@ class Comparison:
             given - plant.viscous_damping * motion.velocity
         )
         # Where the motion began is not known, nor what the spring pulls there.
-        return balance - float(np.mean(balance))
+        return balance - linear(np.mean, balance)
 
-    def _force_of_parted(self, rig: EffectiveRig, motion: Motion) -> Array:
+    def _force_of_parted(self, rig: EffectiveRig, motion: Motion) -> Any:
         """Return the sum of both balances where load and piston are parted, so that what is between them does not count."""
         window, plant = self.setup.window, rig.plant
         position, _, friction, others = self.load(rig).T
@@ -246,61 +243,56 @@ class Comparison:
             window.acceleration(self.corrected(rig, "position")) if POSITION in self.record else window.rate(motion.velocity)
         )
         inertia = plant.moving_mass * window.acceleration(position) + rig.piston_mass() * acceleration
-        balance: Array = inertia - window.mean(others - friction)  # (3)
-        return balance if POSITION in self.record else balance - float(np.mean(balance))
+        balance = inertia - window.mean(others - friction)  # (3)
+        return balance if POSITION in self.record else balance - linear(np.mean, balance)
 
-    def _driving(self, rig: EffectiveRig, motion: Motion) -> Array:
+    def _driving(self, rig: EffectiveRig, motion: Motion) -> Any:
         """Return the force on the mass but for friction, damping and inertia [N]."""
 
-        def compute() -> Array:
+        def compute() -> Any:
             plant = rig.plant
             pushed = plant.piston_area * self.pressure(rig) - plant.spring_stiffness * motion.position
             return pushed - plant.moving_mass * plant.gravity - motion.disturbance + self.extra_force(rig)[:, 0]
 
-        driving: Array = self._keep("driving", (_beam(rig), self.relevant_parts(rig, "force")), compute)
-        return driving
+        return self._keep("driving", (_beam(rig), self.relevant_parts(rig, "force")), compute)
 
-    def _cell(self, rig: EffectiveRig) -> Array:
+    def _cell(self, rig: EffectiveRig) -> Any:
         return self.setup.average.mean(
             self.corrected(rig, "force") - rig.plant.piston_area * self.corrected(rig, "load_pressure")
         )
 
-    def _velocity(self, rig: EffectiveRig) -> Array:
+    def _velocity(self, rig: EffectiveRig) -> Any:
         window = self.setup.window
         return window.mean(self.corrected(rig, "velocity")) - window.rate(self.corrected(rig, "position"))
 
     # --- parts of the model --------------------------------------------------------------------
 
-    def simulated_spool(self, rig: EffectiveRig) -> Array:
+    def simulated_spool(self, rig: EffectiveRig) -> Any:
         """Return the spool displacement that the model makes of the recorded command, shape (n,) [m]."""
         key = self.relevant_parts(rig, "spool")
-        terms: Array = self._keep("spool", key, lambda: self._run("spool", rig, self._measured_motion(rig)))
-        return terms[:, 0]
+        return self._keep("spool", key, lambda: self._run("spool", rig, self._measured_motion(rig)))[:, 0]
 
-    def flow_terms(self, rig: EffectiveRig) -> Array:
+    def flow_terms(self, rig: EffectiveRig) -> Any:
         """Return load flow, leakage [m^3/s], bulk modulus and supply pressure [Pa], shape (n, 4)."""
         key = (self.relevant_parts(rig, "flow"), None if SPOOL in self.record else self.relevant_parts(rig, "spool"))
-        terms: Array = self._keep("flow", key, lambda: self._run("flow", rig, self.motion(rig)))
-        return terms
+        return self._keep("flow", key, lambda: self._run("flow", rig, self.motion(rig)))
 
-    def extra_force(self, rig: EffectiveRig) -> Array:
+    def extra_force(self, rig: EffectiveRig) -> Any:
         """Return the force of effects beyond (3), shape (n, 1) [N]."""
-        terms: Array = self._keep("force", self.relevant_parts(rig, "force"), lambda: self._run("force", rig, self.motion(rig)))
-        return terms
+        key = self.relevant_parts(rig, "force")
+        return self._keep("force", key, lambda: self._run("force", rig, self._measured_motion(rig)))
 
-    def friction(self, rig: EffectiveRig) -> Array:
+    def friction(self, rig: EffectiveRig) -> Any:
         """Return the friction force along the recorded motion, shape (n, 1) [N]."""
         # What the other forces are says where the elements start, and what a static model balances while it sticks.
         others = (_beam(rig), self.relevant_parts(rig, "force"))
         key = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model, others)
-        terms: Array = self._keep("friction", key, lambda: self._run_friction(rig, self.motion(rig)))
-        return terms
+        return self._keep("friction", key, lambda: self._run_friction(rig, self._measured_motion(rig)))
 
-    def load(self, rig: EffectiveRig) -> Array:
+    def load(self, rig: EffectiveRig) -> Any:
         """Return position [m] and velocity [m/s] of a load separate from the piston, friction and all other forces [N]."""
         key = (self.relevant_parts(rig, "load"), rig.friction, rig.friction_model, rig.plant)
-        terms: Array = self._keep("load", key, lambda: self._run_load(rig, self.motion(rig)))
-        return terms
+        return self._keep("load", key, lambda: self._run_load(rig, self._measured_motion(rig)))
 
     def relevant_parts(self, rig: EffectiveRig, part: str) -> Any:
         """Return what a part's run depends on."""
@@ -312,61 +304,54 @@ class Comparison:
         effects = PARTS[part].effects.parameters(rig.effects)
         return ModelRun(motion, record.fresh, record.period, steps, history, rig.plant, rig.friction, effects)
 
-    def _out(self, part: str) -> Array:
-        return np.empty((len(self.record.time), PARTS[part].columns))
-
     def _memory_steps(self, part: str, rig: EffectiveRig) -> int:
         """Return the steps in a sample that the effects' own states ask for; 0 where there are none."""
         states = sum(getattr(EFFECTS.load(use.name), "STATES", 0) for use in _used(part, rig))
         return max(1, math.ceil(self.record.period / rules.MEMORY_STEP)) if states else 0
 
-    def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Array:
-        out = self._out(part)
-        part_kernel(part, rig).run(self._along(part, rig, motion, self._memory_steps(part, rig)), out)
-        return out
+    def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Any:
+        return run_part(part, rig, self._along(part, rig, motion, self._memory_steps(part, rig)))
 
-    def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Array:
-        out, period = self._out("friction"), self.record.period
+    def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Any:
+        period = self.record.period
         steps = max(
             1, self._memory_steps("friction", rig), math.ceil(period / rules.FRICTION_STEP), self._stiff_steps(rig, motion)
         )
-        scale = getattr(rig.friction, "stribeck_velocity", math.inf)
-        inputs = FrictionInputs(np.ascontiguousarray(self.extra_force(rig)[:, 0]), self._balance(rig, motion), scale)
-        part_kernel("friction", rig).run(self._along("friction", rig, motion, steps), inputs, out)
-        return out
+        scale = value_of(getattr(rig.friction, "stribeck_velocity", math.inf))
+        extra = linear(np.ascontiguousarray, self.extra_force(rig)[:, 0])
+        inputs = FrictionInputs(extra, self._balance(rig, motion), scale)
+        return run_part("friction", rig, self._along("friction", rig, motion, steps), inputs)
 
-    def _run_load(self, rig: EffectiveRig, motion: Motion) -> Array:
-        out, piston = self._out("load"), rig.piston_mass()
-        lighter = min(piston, rig.plant.moving_mass)
-        longest = min(rules.LOAD_STEP, rules.GUIDED_STEP * lighter / (piston + rig.plant.moving_mass) / (2.0 * GUIDE))
+    def _run_load(self, rig: EffectiveRig, motion: Motion) -> Any:
+        piston = rig.piston_mass()
+        mass, moving = value_of(piston), value_of(rig.plant.moving_mass)
+        longest = min(rules.LOAD_STEP, rules.GUIDED_STEP * min(mass, moving) / (mass + moving) / (2.0 * GUIDE))
         longest = max(longest, rules.SHORTEST_STEP)
         steps = max(math.ceil(self.record.period / longest), self._stiff_steps(rig, motion))
         effects, joint = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
         others = rig._replace(effects=tuple(use for use in rig.effects if use not in joint))
         side = Piston(effects.parameters(joint), effects.piston_state(joint[0].name), piston, GUIDE)
-        part_kernel("load", rig).run(self._along("load", others, motion, steps), side, out)
-        return out
+        return run_part("load", rig, self._along("load", others, motion, steps), side)
 
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:
         """Return the steps in a sample that the friction model's relaxation asks for."""
         speed: float = self._keep(
             "speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), rules.FASTEST_SHARE))
         )
-        fastest = rig.friction_law.relaxation_rate(rig.friction, speed)
+        fastest = rig.friction_law.relaxation_rate(values_of(rig.friction), speed)
         return min(rules.MOST_STEPS, max(1, math.ceil(fastest * self.record.period / rules.RELAXED)))
 
-    def _balance(self, rig: EffectiveRig, motion: Motion) -> Array:
-        """Return the friction that the other forces ask for, from smoothed motion [N]."""
+    def _balance(self, rig: EffectiveRig, motion: Motion) -> Any:
+        """Return the friction that the other forces ask for, from smoothed motion, at the start of each stretch [N]."""
         acceleration = self._keep("acceleration", self._moves(rig), lambda: np.gradient(motion.velocity, self.record.period))
-        plant = rig.plant
-        inertia = (
-            plant.moving_mass * acceleration + (plant.viscous_damping + rig.friction.viscous_coefficient) * motion.velocity
-        )
-        return self._driving(rig, motion) - inertia
+        plant, fresh = rig.plant, self.record.fresh
+        damping = plant.viscous_damping + rig.friction.viscous_coefficient
+        inertia = plant.moving_mass * acceleration[fresh] + damping * motion.velocity[fresh]
+        return self._driving(rig, motion)[fresh] - inertia
 
     # --- the recording's signals, as the rig's sensors say they have to be read -----------------
 
-    def corrected(self, rig: EffectiveRig, sensor: str) -> Array:
+    def corrected(self, rig: EffectiveRig, sensor: str) -> Any:
         """Return a signal with its sensor's gain, bias, lag and delay taken out, shape (n,)."""
         description = rig.sensors.get(sensor, Sensor())
         raw = self.record.values(SENSED[sensor])
@@ -374,7 +359,7 @@ class Comparison:
         if gain == 1.0 and bias == 0.0 and bandwidth == 0.0 and delay == 0.0:
             return raw
 
-        def compute() -> Array:
+        def compute() -> Any:
             values = (raw - bias) / gain
             if bandwidth > 0.0:
                 values = values + self.local_fit(values, 1) / bandwidth
@@ -383,10 +368,9 @@ class Comparison:
                 values = scipy.ndimage.shift(values, -delay / self.record.period, order=5, mode="nearest")
             return values
 
-        corrected: Array = self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay), compute)
-        return corrected
+        return self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay), compute)
 
-    def pressure(self, rig: EffectiveRig) -> Array:
+    def pressure(self, rig: EffectiveRig) -> Any:
         """Return the load pressure, from the load cell where there is no other sensor, shape (n,) [Pa]."""
         if PRESSURE in self.record:
             return self.corrected(rig, "load_pressure")

@@ -4,13 +4,15 @@ The residual at one instant needs derivatives. Weighted by a smooth window φ th
 integrated by parts, the derivatives fall on the window: ∫φ dx/dt = -∫φ' x, ∫φ d²x/dt² = ∫φ'' x.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
+from ehls_ros.duals import linear
 
 
 class Window(NamedTuple):
@@ -32,21 +34,25 @@ class Window(NamedTuple):
         """Return the first sample of each window that fits into so many samples."""
         return np.arange(0, max(samples - self.weights.size + 1, 0), self.hop)
 
-    def over(self, values: Array, weights: Array) -> Array:
-        """Return the weighted sum of a signal over each window."""
+    def over(self, values: Any, weights: Array) -> Any:
+        """Return the weighted sum of a signal over each window; of a dual signal a dual."""
+        return linear(partial(self._sums, weights), values)
+
+    def _sums(self, weights: Array, values: Array) -> Array:
         if len(values) < weights.size:
             return np.empty(0)
-        return sliding_window_view(values, weights.size)[:: self.hop] @ weights
+        sums: Array = sliding_window_view(values, weights.size)[:: self.hop] @ weights
+        return sums
 
-    def mean(self, values: Array) -> Array:
+    def mean(self, values: Any) -> Any:
         """Return the weighted mean of a signal over each window."""
         return self.over(values, self.weights)
 
-    def rate(self, values: Array) -> Array:
+    def rate(self, values: Any) -> Any:
         """Return the weighted mean of a signal's derivative over each window."""
         return -self.over(values, self.slopes)
 
-    def acceleration(self, values: Array) -> Array:
+    def acceleration(self, values: Any) -> Any:
         """Return the weighted mean of a signal's second derivative over each window."""
         return self.over(values, self.curvatures)
 

@@ -14,7 +14,19 @@ at once, as vectors of the processor. The last tangent is that by the length of 
 
 from ehls_ros.duals import rules as _rules  # noqa: F401 - registers the rules
 from ehls_ros.duals.events import alike, length_to_event, varies
-from ehls_ros.duals.in_python import Dual, exp, record_rows, rows_of, tangents_of, value_of
+from ehls_ros.duals.in_python import (
+    Dual,
+    exp,
+    joined,
+    linear,
+    numbers_of,
+    parameters_of,
+    record_rows,
+    rows_of,
+    tangents_of,
+    value_of,
+    values_of,
+)
 from ehls_ros.duals.kinds import DualArrayType, DualRecordType, DualType, width_of
 from ehls_ros.duals.known import sloped, value_alone
 from ehls_ros.duals.memory import constant, dual_array, dual_record
@@ -29,13 +41,18 @@ __all__ = [
     "dual_array",
     "dual_record",
     "exp",
+    "joined",
     "length_to_event",
+    "linear",
+    "numbers_of",
+    "parameters_of",
     "record_rows",
     "rows_of",
     "sloped",
     "tangents_of",
     "value_alone",
     "value_of",
+    "values_of",
     "varies",
     "width_of",
 ]

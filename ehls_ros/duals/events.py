@@ -39,6 +39,9 @@ def _without_length(builder: Any, tangents: list[Any]) -> list[Any]:
 @intrinsic
 def _implied(typingctx: Any, length: Any, event: Any) -> Any:
     """Return a length at which an event function is zero, with the tangents that follow; zero where it only touches zero."""
+    if not isinstance(event, DualType):
+        # The system has no events.
+        return length(length, event), lambda context, builder, sig, args: args[0]
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         value = read(context, builder, length, args[0]).value

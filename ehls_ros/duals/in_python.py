@@ -1,63 +1,79 @@
-"""Duals for what is computed once and in Python, such as the parameters of a rig from those of its effects."""
+"""Duals for what is computed once and in Python: the parameters of a rig from those of its effects, signals from these."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 
+Tangents = Mapping[int, Any]
+"""Derivatives by the number of the parameter."""
+
 
 class Dual:
-    """A number and its derivatives by some parameters; comparisons go by value.
+    """A number, or an array of them, and its derivatives by some parameters; comparisons go by value.
 
     Attributes:
         value: its value.
-        tangents: derivatives by the parameters, shape (parameters,).
+        tangents: derivatives by the parameters that it depends on, each a number or an array that broadcasts to the value.
     """
 
-    __hash__ = None  # type: ignore[assignment]  # as for all that can change its value
+    __array_ufunc__ = None
+    """Arrays leave arithmetic with duals to these."""
 
-    def __init__(self, value: float, tangents: Array) -> None:
+    def __init__(self, value: Any, tangents: Tangents) -> None:
         """Take value and tangents."""
         self.value = value
         self.tangents = tangents
 
-    def __add__(self, other: "float | Dual") -> "Dual":
+    def __add__(self, other: Any) -> "Dual":
         """Return the sum."""
-        return Dual(self.value + value_of(other), self.tangents + tangents_of(other))
+        return _chain(self.value + value_of(other), (1.0, self), (1.0, other))
 
-    def __sub__(self, other: "float | Dual") -> "Dual":
+    def __sub__(self, other: Any) -> "Dual":
         """Return the difference."""
-        return Dual(self.value - value_of(other), self.tangents - tangents_of(other))
+        return _chain(self.value - value_of(other), (1.0, self), (-1.0, other))
 
-    def __rsub__(self, other: float) -> "Dual":
+    def __rsub__(self, other: Any) -> "Dual":
         """Return the difference."""
-        return Dual(other - self.value, -self.tangents)
+        return _chain(other - self.value, (-1.0, self))
 
-    def __mul__(self, other: "float | Dual") -> "Dual":
+    def __mul__(self, other: Any) -> "Dual":
         """Return the product."""
         factor = value_of(other)
-        return Dual(self.value * factor, factor * self.tangents + self.value * tangents_of(other))
+        return _chain(self.value * factor, (factor, self), (self.value, other))
 
-    def __truediv__(self, other: "float | Dual") -> "Dual":
+    def __truediv__(self, other: Any) -> "Dual":
         """Return the quotient."""
-        quotient = self.value / value_of(other)
-        return Dual(quotient, (self.tangents - quotient * tangents_of(other)) / value_of(other))
+        divisor = value_of(other)
+        quotient = self.value / divisor
+        return _chain(quotient, (1.0 / divisor, self), (-quotient / divisor, other))
 
-    def __rtruediv__(self, other: float) -> "Dual":
+    def __rtruediv__(self, other: Any) -> "Dual":
         """Return the quotient."""
-        return Dual(other / self.value, -other / self.value**2 * self.tangents)
+        quotient = other / self.value
+        return _chain(quotient, (-quotient / self.value, self))
 
     def __neg__(self) -> "Dual":
         """Return the negative."""
-        return Dual(-self.value, -self.tangents)
+        return _chain(-self.value, (-1.0, self))
+
+    def __getitem__(self, index: Any) -> "Dual":
+        """Return a part of an array, without the tangents that are zero there."""
+        part = _each(lambda array: array[index], self)
+        return Dual(part.value, {i: tangent for i, tangent in part.tangents.items() if np.any(tangent)})
+
+    @property
+    def T(self) -> "Dual":  # noqa: N802 - numpy's name
+        """The transpose of an array."""
+        return _each(np.transpose, self)
 
     def exp(self) -> "Dual":
         """Return the exponential; numpy calls it so."""
         value = math.exp(self.value)
-        return Dual(value, value * self.tangents)
+        return _chain(value, (value, self))
 
     def __lt__(self, other: "float | Dual") -> bool:
         """Compare by value."""
@@ -78,19 +94,48 @@ class Dual:
     def __eq__(self, other: object) -> bool:
         """Tell whether both are the same and neither varies."""
         same = self.value == (other.value if isinstance(other, Dual) else other)
-        return same and not any(np.any(tangents_of(number)) for number in (self, other) if isinstance(number, Dual))
+        return same and not any(tangents_of(number) for number in (self, other))
+
+    def __hash__(self) -> int:
+        """Return the hash of the value."""
+        return hash(self.value)
 
     __radd__, __rmul__ = __add__, __mul__
 
 
-def value_of(number: float | Dual) -> float:
-    """Return the value of a number."""
+def _chain(value: Any, *parts: tuple[Any, Any]) -> Dual:
+    """Return a value whose derivatives are the sum of those of some numbers, each times a factor."""
+    tangents = dict[int, Any]()
+    for factor, number in parts:
+        for parameter, tangent in tangents_of(number).items():
+            term = factor * tangent
+            tangents[parameter] = tangents[parameter] + term if parameter in tangents else term
+    return Dual(value, tangents)
+
+
+def _each(function: Callable[[Any], Any], dual: Dual) -> Dual:
+    shape = np.shape(dual.value)
+    return Dual(function(dual.value), {i: function(np.broadcast_to(t, shape)) for i, t in dual.tangents.items()})
+
+
+def linear(function: Callable[[Any], Any], signal: Any) -> Any:
+    """Return a linear function of a signal; of a signal of duals, with its derivatives.
+
+    Args:
+        function: the function of an array.
+        signal: the array, or a dual of it.
+    """
+    return _each(function, signal) if isinstance(signal, Dual) else function(signal)
+
+
+def value_of(number: Any) -> Any:
+    """Return the value of a number or an array."""
     return number.value if isinstance(number, Dual) else number
 
 
-def tangents_of(number: float | Dual) -> Array | float:
-    """Return the tangents of a number; 0 for a float."""
-    return number.tangents if isinstance(number, Dual) else 0.0
+def tangents_of(number: Any) -> Tangents:
+    """Return the tangents of a number or an array; none of a float."""
+    return number.tangents if isinstance(number, Dual) else {}
 
 
 def exp(number: Any) -> Any:
@@ -98,23 +143,56 @@ def exp(number: Any) -> Any:
     return number.exp() if isinstance(number, Dual) else math.exp(number)
 
 
-def rows_of(numbers: Iterable[Any], width: int) -> Array:
+def values_of(parameters: Any) -> Any:
+    """Return a named tuple of numbers, and of tuples of them, with the values alone."""
+    return type(parameters)(*(tuple(map(value_of, p)) if isinstance(p, tuple) else value_of(p) for p in parameters))
+
+
+def joined(numbers: Iterable[Any]) -> Any:
+    """Return numbers as an array, shape (n,); a dual if one of them is."""
+    all_of_them = list(numbers)
+    values = np.array([value_of(number) for number in all_of_them], dtype=np.float64)
+    varied = parameters_of(all_of_them)
+    if not varied:
+        return values
+    return Dual(values, {i: np.array([tangents_of(number).get(i, 0.0) for number in all_of_them]) for i in varied})
+
+
+def numbers_of(parameters: Any) -> list[Any]:
+    """Return what a named tuple holds: its numbers first and then the entries of its lists."""
+    lists = [entry for value in parameters if isinstance(value, tuple) for entry in value]
+    return [*(value for value in parameters if not isinstance(value, tuple)), *lists]
+
+
+def parameters_of(numbers: Iterable[Any]) -> list[int]:
+    """Return the numbers of the parameters that some numbers or arrays depend on, in order."""
+    return sorted({parameter for number in numbers for parameter in tangents_of(number)})
+
+
+def rows_of(numbers: Any, width: int, parameters: Sequence[int] | None = None) -> Array:
     """Return numbers as duals in memory, shape (n, width).
 
     Args:
-        numbers: floats and duals of Python.
+        numbers: floats and duals of Python, or an array or a dual of it, shape (n,).
         width: of a dual.
+        parameters: the parameters whose tangents follow the value, by number; by default all, each at its number.
     """
-    all_of_them = list(numbers)
-    out = np.zeros((len(all_of_them), width))
-    for row, number in zip(out, all_of_them, strict=True):
-        row[0] = value_of(number)
-        if isinstance(number, Dual):
-            row[1 : 1 + len(number.tangents)] = number.tangents
+    signal = numbers if isinstance(numbers, Dual | np.ndarray) else joined(numbers)
+    values, tangents = value_of(signal), tangents_of(signal)
+    out = np.zeros((len(values), width))
+    out[:, 0] = values
+    for place, parameter in enumerate(range(width - 1) if parameters is None else parameters):
+        if parameter in tangents:
+            out[:, 1 + place] = tangents[parameter]
     return out
 
 
-def record_rows(parameters: Any, width: int) -> Array:
-    """Return a named tuple as duals in memory, its numbers first and then its lists, shape (n, width)."""
-    lists = [entry for value in parameters if isinstance(value, tuple) for entry in value]
-    return rows_of([*(value for value in parameters if not isinstance(value, tuple)), *lists], width)
+def record_rows(parameters: Any, width: int, varied: Sequence[int] | None = None) -> Array:
+    """Return a named tuple as duals in memory, its numbers first and then its lists, shape (n, width).
+
+    Args:
+        parameters: the named tuple.
+        width: of a dual.
+        varied: as the parameters of :func:`rows_of`.
+    """
+    return rows_of(numbers_of(parameters), width, varied)

@@ -27,10 +27,23 @@ def _load(context: Any, builder: Any, kind: DualType, data: Any, index: Any) -> 
     return written(context, builder, kind, CodeDual(value, tangents))
 
 
+LEAST = 1e-290
+"""Least tangent that is kept: what an initial state did fades to numbers that processors are slow with."""
+
+
+def _without_dust(builder: Any, tangents: Any) -> Any:
+    """Return a vector of tangents, zero where they are next to nothing."""
+    kind = tangents.type
+    above, below = (ir.Constant(kind, [sign * LEAST] * kind.count) for sign in (1.0, -1.0))
+    # Unordered, so that what is no number stays.
+    kept = builder.or_(builder.fcmp_unordered(">=", tangents, above), builder.fcmp_unordered("<=", tangents, below))
+    return builder.select(kept, tangents, zeros(kind.count))
+
+
 def _store(context: Any, builder: Any, kind: DualType, data: Any, index: Any, dual: CodeDual) -> None:
     place = _row(context, builder, kind, data, index)
     for i, lanes in enumerate(kind.lanes):
-        vector = zeros(lanes) if dual.tangents is None else dual.tangents[i]
+        vector = zeros(lanes) if dual.tangents is None else _without_dust(builder, dual.tangents[i])
         if i == 0:
             vector = builder.insert_element(vector, dual.value, ir.Constant(ir.IntType(32), 0))
         part = builder.gep(place, [context.get_constant(types.intp, i * LANES)])

@@ -42,6 +42,17 @@ def diagnosis_jobs(rig: Rig) -> list[Job]:
     return [Job(partial(part_kernel, name, effective), partial(compile_part, name, effective)) for name in reversed(PARTS)]
 
 
+def identification_jobs(rig: Rig) -> list[Job]:
+    """Return the kernels that identify a whole rig: its parts, and the same with derivatives."""
+    effective = rig.effective()
+    needed = [name for name in reversed(PARTS) if name != "load" or effective.piston_mass() > 0.0]
+    return [
+        Job(partial(part_kernel, name, effective, duals=duals), partial(compile_part, name, effective, duals=duals))
+        for duals in (True, False)
+        for name in needed
+    ]
+
+
 def consequences_jobs(diagnosis: Diagnosis) -> list[Job]:
     """Return the kernels of the experiments that follow a diagnosis."""
     given, extended = diagnosis.rig, diagnosis.extended

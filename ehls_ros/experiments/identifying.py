@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, identification_jobs
 from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.parallel import Workers
@@ -27,7 +27,7 @@ def identify_whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, *, seed: 
     """
     _check(recordings, rig)
     with Workers() as workers:
-        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
+        compile_in_parallel(identification_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
     return identify_rig(recordings, rig, seed=seed, progress=lambda doing, done, total: progress(done, total, doing))
 
 

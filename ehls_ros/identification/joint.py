@@ -177,9 +177,9 @@ class Problem:
         searched = np.flatnonzero(self._searched)
         for first in range(0, len(free), MOST_TANGENTS):
             varied = searched[first : first + MOST_TANGENTS]
-            lanes = np.zeros((len(z), len(varied)))
-            lanes[varied] = np.eye(len(varied))
-            friction = self._coordinates.unpack(np.array([Dual(value, lane) for value, lane in zip(z, lanes, strict=True)]))
+            lanes = {int(place): lane for lane, place in enumerate(varied)}
+            duals = [Dual(value, {lanes[i]: 1.0} if i in lanes else {}) for i, value in enumerate(z)]
+            friction = self._coordinates.unpack(np.array(duals, dtype=np.object_))
             slopes = [self._coordinates.slopes(m, friction)[:, : len(varied)] for m in self._recorded.motions]
             columns.append(-self._stacked(slopes))
         return np.concatenate(columns, axis=1) if columns else np.empty((len(self.rows), 0))

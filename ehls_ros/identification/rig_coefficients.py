@@ -1,12 +1,13 @@
 """The coefficients of a whole rig that recordings can tell: where each stands in a rig file, and how it is searched for."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.duals import exp
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import EffectUse, Rig
@@ -116,15 +117,15 @@ def read(rig: Rig, path: str) -> float:
     return float(sum(value)) if isinstance(value, tuple) else float(value)
 
 
-def placed(rig: Rig, values: Mapping[str, float]) -> Rig:
+def placed(rig: Rig, values: Mapping[str, Any]) -> Rig:
     """Return a rig with other values of some coefficients; effects that become neutral are switched off.
 
     Args:
         rig: the rig.
-        values: by path.
+        values: by path; numbers or duals.
     """
-    sections: dict[str, dict[str, float]] = {"plant": {}, "friction": {}}
-    effects, sensors = dict[str, dict[str, float]](), dict[str, dict[str, float]]()
+    sections: dict[str, dict[str, Any]] = {"plant": {}, "friction": {}}
+    effects, sensors = dict[str, dict[str, Any]](), dict[str, dict[str, Any]]()
     for path, value in values.items():
         section, name, *rest = path.split(".")
         if rest:
@@ -143,7 +144,7 @@ def placed(rig: Rig, values: Mapping[str, float]) -> Rig:
     )
 
 
-def _with(uses: Sequence[EffectUse], changes: Mapping[str, Mapping[str, float]]) -> tuple[EffectUse, ...]:
+def _with(uses: Sequence[EffectUse], changes: Mapping[str, Mapping[str, Any]]) -> tuple[EffectUse, ...]:
     """Return effects with other parameters; one that becomes neutral is left out."""
     added = [EffectUse(name, EFFECTS.load(name).Parameters()) for name in changes if name not in {use.name for use in uses}]
     out = [u._replace(parameters=u.parameters._replace(**changes.get(u.name, {}))) for u in (*uses, *added)]
@@ -221,20 +222,20 @@ def _signal_unit(path: str, unit: str) -> str:
     return {"sensors.force.bias": "N", "sensors.velocity.bias": "m/s"}.get(path, unit)
 
 
-def values_at(rig: Rig, chosen: Sequence[Coefficient], z: Array) -> dict[str, float]:
-    """Return the values of coefficients at coordinates ``z``, shape (coefficients,); others are those of the rig."""
-    out = {c.path: float(x) * c.scale if c.scale else math.exp(float(x)) for c, x in zip(chosen, z, strict=True)}
+def values_at(rig: Rig, chosen: Sequence[Coefficient], z: Iterable[Any]) -> dict[str, Any]:
+    """Return the values of coefficients at coordinates ``z``, numbers or duals; others are those of the rig."""
+    out = {c.path: x * c.scale if c.scale else exp(x) for c, x in zip(chosen, z, strict=True)}
     if STATIC in out:
         out[STATIC] *= out.get(COULOMB, read(rig, COULOMB))
     return out
 
 
-def model_at(rig: Rig, chosen: Sequence[Coefficient], z: Array) -> Rig:
-    """Return a rig with coefficients at coordinates ``z``; static friction keeps its ratio to Coulomb friction."""
+def model_at(rig: Rig, chosen: Sequence[Coefficient], z: Iterable[Any]) -> Rig:
+    """Return a rig with coefficients at coordinates ``z``, numbers or duals; static keeps its ratio to Coulomb friction."""
     return placed(rig, with_ratio(rig, values_at(rig, chosen, z)))
 
 
-def with_ratio(rig: Rig, values: Mapping[str, float]) -> dict[str, float]:
+def with_ratio(rig: Rig, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return values with a static friction that keeps its ratio to Coulomb friction, where only this changes."""
     out = dict(values)
     if COULOMB in out and STATIC not in out and "static_force" in rig.friction._fields:
@@ -244,7 +245,7 @@ def with_ratio(rig: Rig, values: Mapping[str, float]) -> dict[str, float]:
 
 def slopes_at(rig: Rig, chosen: Sequence[Coefficient], z: Array) -> Array:
     """Return the derivatives of the values of coefficients by all coordinates, shape (coefficients, coefficients)."""
-    values = values_at(rig, chosen, z)
+    values = values_at(rig, chosen, z.tolist())
     out = np.diag([c.scale or values[c.path] for c in chosen])
     paths = [c.path for c in chosen]
     if STATIC in paths and COULOMB in paths:

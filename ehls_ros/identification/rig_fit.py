@@ -1,29 +1,21 @@
 """Fitting the coefficients of a rig to the residuals of all stages of its recordings."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.evidence import Evidence, Residuals
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, whitened_slopes
 from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss
 from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.stages import Channel, Comparison
+from ehls_ros.duals import Dual
 from ehls_ros.identification.rig_coefficients import Coefficient, model_at
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import GAUSS
-
-CHANGE = 5.0
-"""Norm of the change in whitened residuals that a difference quotient's step should make."""
-
-FIRST_STEP, LEAST_STEP, LONGEST_STEP = 1e-3, 1e-4, 0.03
-"""First, shortest and longest step of a difference quotient, in coordinates."""
-
-LEAST_FRICTION_STEP = 5e-3
-"""The shortest of a coefficient of friction: elements break away from one sample to the next, so that the loss is rough."""
 
 LONGEST_MOVE = 1.0
 """Longest move of a logarithm in one step."""
@@ -75,6 +67,20 @@ class Stack:
         pairs = zip(self.evidences, self._comparisons, nothing if known is None else known, strict=True)
         return tuple(e.residuals(comparison, rig, before) for e, comparison, before in pairs)
 
+    def slopes(self, rig: Rig, channels: Collection[Channel], parameters: int) -> Array:
+        """Return the derivatives of the whitened residuals of some channels, shape (their rows, parameters).
+
+        Args:
+            rig: the model, of duals.
+            channels: the channels.
+            parameters: how many the duals depend on.
+        """
+        parts = [np.empty((0, parameters))]
+        for e, comparison in zip(self.evidences, self._comparisons, strict=True):
+            raw = comparison.residuals(rig, tuple(c for c in e.channels if c in channels))
+            parts += whitened_slopes(e, raw, parameters).values()
+        return np.concatenate(parts)
+
     def joined(self, residuals: Sequence[Residuals]) -> Array:
         """Return the rows of all recordings, shape (rows,)."""
         parts = [r.joined(e.channels) for r, e in zip(residuals, self.evidences, strict=True)]
@@ -114,7 +120,6 @@ class RigFit(NamedTuple):
         jacobian: derivatives of ``e`` by the coordinates, shape (n, p).
         scales: of these rows, shape (n,).
         loss: of ``e`` [nats].
-        steps: of the difference quotients, by path.
         settled: whether the loss decreased no further.
     """
 
@@ -126,7 +131,6 @@ class RigFit(NamedTuple):
     jacobian: Array
     scales: Array
     loss: float
-    steps: Mapping[str, float]
     settled: bool
 
     @property
@@ -146,7 +150,6 @@ def fit(
     chosen: Sequence[Coefficient],
     channels: Collection[Channel],
     iterations: int = 20,
-    steps: Mapping[str, float] | None = None,
     freedoms: float = math.inf,
 ) -> RigFit:
     """Fit coefficients by damped Gauss-Newton steps of Huber's loss.
@@ -160,7 +163,6 @@ def fit(
         chosen: the coefficients to fit.
         channels: the channels to fit to.
         iterations: most steps; 0: the derivatives where it starts.
-        steps: of the difference quotients by path, from an earlier fit.
         freedoms: number of windows of a channel, in effect, over which errors of the model's form average out; by default all.
     """
     rows = stack.rows(channels)
@@ -168,44 +170,33 @@ def fit(
     guess = np.array([c.given for c in chosen])
     logarithm = np.array([c.scale == 0.0 for c in chosen], dtype=np.bool_)
     z = np.clip(np.array([c.coordinate(rig) for c in chosen]), low, high)
-    rough = np.array([c.path.startswith("friction.") for c in chosen], dtype=np.bool_)
-    shortest = np.where(rough, LEAST_FRICTION_STEP, LEAST_STEP)
-    step_of = np.maximum(np.array([(steps or {}).get(c.path, FIRST_STEP) for c in chosen]), shortest)
 
     def model(at: Array) -> Rig:
-        return model_at(rig, chosen, at)
+        return model_at(rig, chosen, at.tolist())
+
+    def slopes(at: Array) -> Array:
+        duals = [Dual(x, {i: 1.0}) for i, x in enumerate(at.tolist())]
+        return stack.slopes(model_at(rig, chosen, duals), channels, len(chosen))
 
     residuals = stack.residuals(model(z))
     whole = stack.joined(residuals)
     scales = stack.scales(whole, freedoms)[rows]
-    jacobian = np.empty((int(rows.sum()), len(chosen)))
     settled = not chosen
     for iteration in range(iterations + 1):
         e = whole[rows] / scales
-        for i in range(len(chosen)):
-            up, down = min(z[i] + step_of[i], high[i]), max(z[i] - step_of[i], low[i])
-            if iterations or not rough[i]:
-                up, down = (up, z[i]) if up > z[i] else (z[i], down)
-            ends = [
-                whole if end == z[i] else stack.joined(stack.residuals(model(_moved(z, i, end)), residuals))
-                for end in (up, down)
-            ]
-            jacobian[:, i] = (ends[0] - ends[1])[rows] / scales / (up - down)
-        jacobian[:] = np.nan_to_num(jacobian)
-        size = np.sqrt(np.sum((jacobian * scales[:, np.newaxis]) ** 2, axis=0))
-        step_of = np.clip(CHANGE / np.maximum(size, 1e-300), shortest, LONGEST_STEP)
+        jacobian = slopes(z) / scales[:, np.newaxis]
         if settled or iteration == iterations:
             break
         # The first guess counts as one measurement, of a factor of e; it decides where the data do not.
-        with_guess, slopes = np.concatenate([e, z - guess]), np.vstack([jacobian, np.eye(len(chosen))])
+        with_guess, directions = np.concatenate([e, z - guess]), np.vstack([jacobian, np.eye(len(chosen))])
         before = float(np.sum(loss(with_guess)))
         taken = None
         for damping in DAMPINGS:
-            step = gauss_newton(slopes, with_guess, damping, z, low, high)
+            step = gauss_newton(directions, with_guess, damping, z, low, high)
             longest = float(np.max(np.abs(step[logarithm]), initial=0.0))
             step *= min(1.0, LONGEST_MOVE / longest) if longest > 0.0 else 1.0
             trial = np.clip(z + step, low, high)
-            if before - linear_loss(with_guess, slopes, trial - z) < SETTLED + SETTLED_FRACTION * before:
+            if before - linear_loss(with_guess, directions, trial - z) < SETTLED + SETTLED_FRACTION * before:
                 break
             new = stack.residuals(model(trial), residuals)
             joined = stack.joined(new)
@@ -224,11 +215,4 @@ def fit(
         scales = now
         settled = steady and before - after < SETTLED + SETTLED_FRACTION * before
     e = whole[rows] / scales
-    used = {c.path: float(step) for c, step in zip(chosen, step_of, strict=True)}
-    return RigFit(tuple(chosen), z, model(z), rows, e, jacobian, scales, float(np.sum(loss(e))), used, settled)
-
-
-def _moved(z: Array, index: int, value: float) -> Array:
-    out = z.copy()
-    out[index] = value
-    return out
+    return RigFit(tuple(chosen), z, model(z), rows, e, jacobian, scales, float(np.sum(loss(e))), settled)

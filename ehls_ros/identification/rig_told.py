@@ -162,7 +162,7 @@ def estimated(stack: Stack, fit: RigFit, doubtful: int = 0, spread: Mapping[str,
         doubtful: number of leading coefficients that were not fitted; what depends on them is as doubtful.
         spread: by path, further standard errors of coordinates.
     """
-    values, slopes = values_at(fit.rig, fit.chosen, fit.z), slopes_at(fit.rig, fit.chosen, fit.z)
+    values, slopes = values_at(fit.rig, fit.chosen, fit.z.tolist()), slopes_at(fit.rig, fit.chosen, fit.z)
     slower = max([1.0, *((e.record.period / ACCURATE_PERIOD) ** 2 for e in stack.evidences)])
     wrong = np.array([slower * ACCURACY.get(c.path, 0.0) * values[c.path] for c in fit.chosen])
     apart = np.array([(spread or {}).get(path, 0.0) for path in fit.paths])

@@ -228,13 +228,13 @@ def _fitted(
     now = fit(stack, start, told, channels)
     reasons, doubtful = dict[str, str](), list[Coefficient]()
     for _ in range(ROUNDS):
-        whole = fit(stack, now.rig, [*doubtful, *told], channels, iterations=0, steps=now.steps)
+        whole = fit(stack, now.rig, [*doubtful, *told], channels, iterations=0)
         found = estimated(stack, whole, len(doubtful), spread)
         none = {c.path: c.neutral for c in told if c.neutral is not None and _is_none(c, found.by_path[c.path], given, least)}
         if none:
             absent |= {path: found.by_path[path] for path in none}
             told = [c for c in told if c.path not in none]
-            now = fit(stack, placed(now.rig, none), told, channels, steps=now.steps)
+            now = fit(stack, placed(now.rig, none), told, channels)
             continue
         doubts = () if doubtful else untold(stack, now, {c.path: i for i, c in enumerate(chosen)})
         if not doubts:
@@ -242,11 +242,11 @@ def _fitted(
         reasons = {d.path: d.reason for d in doubts}
         doubtful = [c for c in told if c.path in reasons]
         told = [c for c in told if c.path not in reasons]
-        again = fit(stack, _given_again(now.rig, given, list(reasons)), told, channels, steps=now.steps)
+        again = fit(stack, _given_again(now.rig, given, list(reasons)), told, channels)
         if again.comparable > now.comparable + CONTRADICTS:
             # What no residual depends on is given again; of a combination, the values that fit are kept.
             unseen = [d.path for d in doubts if not d.excited]
-            again = fit(stack, _given_again(now.rig, given, unseen), told, channels, steps=now.steps)
+            again = fit(stack, _given_again(now.rig, given, unseen), told, channels)
             reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in doubts if d.excited}
         now = again
     vague = [c.path for c in told if c.path in found.vague]

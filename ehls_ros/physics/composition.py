@@ -27,6 +27,7 @@ from numba.core.dispatcher import Dispatcher
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
+from ehls_ros.duals import joined
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
@@ -158,13 +159,16 @@ class Effects(NamedTuple):
         return self.first_state(name) + int(effect.PISTON)
 
     def parameters(self, uses: Iterable[EffectUse]) -> Any:
-        """Return ``p`` of the chains for effects in use; of an effect used twice, switched chains take the last."""
+        """Return ``p`` of the chains for effects in use; of an effect used twice, switched chains take the last.
+
+        Values of switched chains may be duals.
+        """
         if not self.switched:
             used = [use for use in uses if use.name in self.names]
             return np.array([value for use in used for value in use.parameters], dtype=np.float64)
         last = {use.name: use.parameters for use in uses}
         on = np.array([name in last for name in self.names], dtype=np.int8)
-        return Switched(on, np.array([v for n in self.names for v in last.get(n, _neutral(n))], dtype=np.float64))
+        return Switched(on, joined(v for n in self.names for v in last.get(n, _neutral(n))))
 
 
 @cache

@@ -134,14 +134,13 @@ def _numbers(rig: Rig) -> dict[str, float]:
 
 def _varied(rig: Rig, coefficients: Sequence[str]) -> Rig:
     """Return a rig whose chosen numbers are duals."""
-    lanes = np.eye(len(coefficients))
 
     def part(section: str, parameters: Any) -> Any:
         def number(name: str, value: Any) -> Any:
             if isinstance(value, tuple):
                 return tuple(number(f"{name}_{i + 1}", v) for i, v in enumerate(value))
             path = f"{section}.{name}"
-            return Dual(value, lanes[coefficients.index(path)]) if path in coefficients else value
+            return Dual(value, {coefficients.index(path): 1.0}) if path in coefficients else value
 
         return parameters._replace(**{name: number(name, value) for name, value in parameters._asdict().items()})
 
@@ -248,7 +247,8 @@ class Prepared(NamedTuple):
             sensor = self.sensors[signal]
             seen = (found[:, column, 0] - value_of(sensor.bias)) / value_of(sensor.gain)
             for part, factor in ((sensor.gain, seen), (sensor.bias, np.ones(len(seen)))):
-                found[:, column, 1:] += np.multiply.outer(factor, np.broadcast_to(tangents_of(part), self.chosen))
+                for lane, tangent in tangents_of(part).items():
+                    found[:, column, 1 + lane] += factor * tangent
         return found
 
 

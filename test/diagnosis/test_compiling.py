@@ -10,6 +10,7 @@ from ehls_ros.arrays import kernel
 from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import Comparison
+from ehls_ros.duals import Dual
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.compiling import Job, compile_in_parallel, consequences_jobs, diagnosis_jobs
 from ehls_ros.experiments.controller_benefit import controller_benefit
@@ -40,6 +41,18 @@ def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, re
     assert before
     assert run.signatures == before
     assert is_compiled(part_kernel(part, effective))
+
+
+def test_the_friction_is_compiled_for_the_arguments_an_identification_gives_its_derivatives(rig, recorded):
+    r = recorded({}, "rich", duration=2.0, seed=1)
+    record = prepare(Trajectory(r.time, r.columns), rig, "case")
+    compile_part("friction", rig.effective(), duals=True)
+    run = part_kernel("friction", rig.effective(), duals=True).run
+    before = list(run.signatures)
+    varied = rig._replace(friction=rig.friction._replace(coulomb_force=Dual(rig.friction.coulomb_force, {3: 1.0})))
+    assert list(Comparison(record, stages.setup(record, rig)).friction(varied.effective()).tangents) == [3]
+    assert before
+    assert run.signatures == before
 
 
 def test_only_what_is_not_kept_is_compiled_and_only_then_the_user_is_told(rig, tmp_path, monkeypatch):

@@ -68,5 +68,4 @@ class PowerCoordinates(NamedTuple):
         level, exponent = friction.level, friction.exponent
         power = np.sign(made.velocity) * np.abs(made.velocity) ** exponent.value
         bent = level.value * power * np.log(np.maximum(np.abs(made.velocity), 1e-300))
-        slopes: Array = np.multiply.outer(power, level.tangents) + np.multiply.outer(bent, exponent.tangents)
-        return slopes
+        return np.column_stack([power * level.tangents.get(i, 0.0) + bent * exponent.tangents.get(i, 0.0) for i in range(2)])

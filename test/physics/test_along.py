@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig_runs import PERIOD
 
-from ehls_ros.physics.along import PARTS, part_kernel
+from ehls_ros.physics.along import PARTS, run_part
 from ehls_ros.physics.along.base import ModelRun, Motion
 from ehls_ros.physics.along.friction import FrictionInputs
 
@@ -20,14 +20,12 @@ def still(**signals):
     return Motion(**(rest | {name: np.array(values, dtype=np.float64) for name, values in signals.items()}))
 
 
-def along(part, rig, motion, given=(), steps=0, history=0, fresh=(0,)):
+def along(part, rig, motion, given=None, steps=0, history=0, fresh=(0,)):
     effective, kind = rig.effective(), PARTS[part]
     begins = np.isin(np.arange(SAMPLES), fresh)
     effects = kind.effects.parameters(rig.effects)
     a = ModelRun(motion, begins, PERIOD, steps, history, effective.plant, effective.friction, effects)
-    out = np.empty((SAMPLES, kind.columns))
-    part_kernel(part, effective).run(a, *given, out)
-    return out
+    return run_part(part, effective, a, given)
 
 
 def test_the_spool_follows_a_step_exponentially(make_rig):
@@ -66,7 +64,7 @@ def test_elements_that_stick_are_springs(make_rig):
     rig = make_rig()
     velocity = 1e-6 * np.arange(SAMPLES)
     nothing = FrictionInputs(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
-    force = along("friction", rig, still(velocity=velocity), (nothing,), steps=1)[:, 0]
+    force = along("friction", rig, still(velocity=velocity), nothing, steps=1)[:, 0]
     way = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) * PERIOD
     expected = sum(rig.friction.element_stiffness) * way + rig.friction.viscous_coefficient * velocity
     np.testing.assert_allclose(force, expected, rtol=1e-9, atol=1e-12)
@@ -78,7 +76,7 @@ def test_a_static_model_at_rest_holds_what_is_applied(make_rig):
     velocity = np.where(np.arange(SAMPLES) < 20, 1e-3, 0.0)
     nothing = FrictionInputs(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
     motion = still(velocity=velocity, pressure=np.full(SAMPLES, 1e5))
-    force = along("friction", rig, motion, (nothing,), steps=1)[:, 0]
+    force = along("friction", rig, motion, nothing, steps=1)[:, 0]
     assert force[5] > rig.friction.coulomb_force
     np.testing.assert_allclose(force[21:], rig.plant.piston_area * 1e5, rtol=1e-12)
 
@@ -87,5 +85,5 @@ def test_a_static_model_at_rest_holds_what_is_applied(make_rig):
 def test_a_start_balances_the_other_forces_as_far_as_it_can(make_rig, balance):
     rig = make_rig()
     inputs = FrictionInputs(np.zeros(SAMPLES), np.full(SAMPLES, balance), 1.0)
-    force = along("friction", rig, still(), (inputs,), steps=1)[0, 0]
+    force = along("friction", rig, still(), inputs, steps=1)[0, 0]
     assert force == pytest.approx(max(balance, -rig.friction.static_force))

@@ -14,7 +14,7 @@ import pytest
 from numba import njit
 
 from ehls_ros.arrays import lean
-from ehls_ros.physics.along import PARTS, part_kernel
+from ehls_ros.physics.along import PARTS, run_part
 from ehls_ros.physics.along.base import ModelRun, Motion
 from ehls_ros.physics.along.friction import FrictionInputs
 from ehls_ros.physics.along.load import Piston
@@ -142,7 +142,7 @@ def motion(given, out):
     return Motion(TIME, *(np.ascontiguousarray(column) for column in columns), np.full(SAMPLES, WARM))
 
 
-def along(part, rig, measured, given=(), every=1):
+def along(part, rig, measured, given=None, every=1):
     """Run a part along every so many samples of a recording; return its columns."""
     effective = rig.effective()
     effects, history = PARTS[part].effects, earlier_commands(rig, STEP) if part == "spool" else 0
@@ -152,17 +152,14 @@ def along(part, rig, measured, given=(), every=1):
     own = effects.parameters(tuple(use for use in rig.effects if use not in joint))
     fresh = np.arange(samples) == 0
     a = ModelRun(measured, fresh, every * STEP, 1, history, effective.plant, effective.friction, own)
-    out = np.empty((samples, PARTS[part].columns))
     if part == "load":
-        piston = Piston(effects.parameters(joint), effects.piston_state(joint[0].name), effective.piston_mass(), 157.0)
-        given = (piston,)
-    part_kernel(part, effective).run(a, *given, out)
-    return out
+        given = Piston(effects.parameters(joint), effects.piston_state(joint[0].name), effective.piston_mass(), 157.0)
+    return run_part(part, effective, a, given)
 
 
 def _nothing(every):
     """Return the inputs of a part that has none besides the recording."""
-    return ()
+    return
 
 
 def extrapolated(part, rig, measured, given=_nothing):
@@ -253,4 +250,4 @@ def test_the_simulators_own_recording_leaves_nothing(name, model, make_rig, plai
 def _friction_inputs(force, scale, every):
     """Return the inputs of the friction part: the effects' force, and no friction at the start."""
     extra = np.ascontiguousarray(force[::every])
-    return (FrictionInputs(extra, np.zeros(len(extra)), scale),)
+    return FrictionInputs(extra, np.zeros(len(extra)), scale)

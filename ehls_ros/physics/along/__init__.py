@@ -17,18 +17,19 @@ part            integrates                                     writes, one row p
 ==============  =============================================  ==========================================================
 """
 
-from collections.abc import Callable
 from functools import cache
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehls_ros.physics.along import flow, force, friction, load, spool
+from ehls_ros.arrays import Array
+from ehls_ros.duals import Dual, numbers_of, parameters_of, record_rows, rows_of, value_of, values_of, width_of
+from ehls_ros.physics.along import flow, force, friction, load, running, spool
 from ehls_ros.physics.along.base import ModelRun, Motion
 from ehls_ros.physics.along.friction import FrictionInputs
 from ehls_ros.physics.along.load import Piston
-from ehls_ros.physics.composition import Effects, compiled, effects_with, rig_elements
+from ehls_ros.physics.composition import Effects, Switched, compiled, effects_with, rig_elements
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.rig import EffectiveRig
 
@@ -38,16 +39,16 @@ class Part(NamedTuple):
 
     Attributes:
         hooks: the hooks that act in it.
-        build: builder of its compiled functions.
-        entries: arguments of these functions, by name.
+        module: its module, with the builder.
         columns: number of values it writes per sample.
+        at_once: most parameters that one run of duals is differentiated by; more are divided among several.
         has_friction: whether it contains a friction model.
     """
 
     hooks: tuple[str, ...]
-    build: Callable[..., Any]
-    entries: dict[str, str]
+    module: ModuleType
     columns: int
+    at_once: int = 6
     has_friction: bool = False
 
     @property
@@ -56,38 +57,103 @@ class Part(NamedTuple):
         return effects_with(*self.hooks)
 
 
-_RUN = {"run": "a, out"}
-
 PARTS = {
-    "spool": Part(("received", "command"), spool.build, _RUN, 1),
-    "flow": Part(("opening", "supply_pressure", "bulk_modulus", "leakage"), flow.build, _RUN, 4),
-    "force": Part(("force",), force.build, _RUN, 1),
-    "friction": Part(("friction_level",), friction.build, {"run": "a, inputs, out"}, 1, has_friction=True),
-    "load": Part(("friction_level", "force"), load.build, {"run": "a, piston, out"}, 4, has_friction=True),
+    "spool": Part(("received", "command"), spool, 1),
+    "flow": Part(("opening", "supply_pressure", "bulk_modulus", "leakage"), flow, 4),
+    "force": Part(("force",), force, 1),
+    "friction": Part(("friction_level",), friction, 1, 14, has_friction=True),
+    "load": Part(("friction_level", "force"), load, 4, 14, has_friction=True),
 }
 """The parts by name."""
 
+VARIED = ("position", "velocity", "pressure", "spool")
+"""Signals of a motion that may be duals."""
 
-def part_kernel(name: str, rig: EffectiveRig) -> ModuleType:
-    """Return the compiled functions of a part of :data:`PARTS`, with the rig's friction model if it contains one."""
-    return _kernel(name, rig.friction_model, rig_elements(rig)) if PARTS[name].has_friction else _kernel(name, "", 0)
+Inputs = FrictionInputs | Piston | None
+"""What a part is given besides the recording."""
+
+
+def part_kernel(name: str, rig: EffectiveRig, *, duals: bool = False, moved: bool = False) -> ModuleType:
+    """Return the compiled functions of a part of :data:`PARTS`, with the rig's friction model if it contains one.
+
+    Args:
+        name: the part.
+        rig: the rig.
+        duals: whether it is differentiated.
+        moved: whether the motion varies too.
+    """
+    model, elements = (rig.friction_model, rig_elements(rig)) if PARTS[name].has_friction else ("", 0)
+    return _kernel(name, model, elements, duals, moved)
 
 
 @cache
-def _kernel(name: str, model: str, elements: int) -> ModuleType:
+def _kernel(name: str, model: str, elements: int, duals: bool, moved: bool) -> ModuleType:
     part = PARTS[name]
+    members: dict[str, Any] = {"part": part.module}
     numbers = {"states": part.effects.states}
-    if not part.has_friction:
-        return compiled(part.build, part.entries, numbers=numbers, effects=part.effects, threads=True)
-    members, numbers = {"friction": FRICTION_MODELS.load(model)}, {"elements": elements, **numbers}
-    return compiled(part.build, part.entries, members, numbers, part.effects, threads=True)
+    if part.has_friction:
+        members["friction"], numbers["elements"] = FRICTION_MODELS.load(model), elements
+    if not duals:
+        return compiled(running.build, {"run": "a, inputs, out"}, members, numbers, part.effects, threads=True)
+    numbers |= {"width": width_of(part.at_once), "moved": int(moved)}
+    return compiled(running.build_duals, {"run": "a, inputs, rows, out, found"}, members, numbers, part.effects, threads=True)
 
 
-def compile_part(name: str, rig: EffectiveRig) -> None:
-    """Compile or load a part by running it along two samples at rest."""
+def run_part(name: str, rig: EffectiveRig, a: ModelRun, inputs: Inputs = None) -> Any:
+    """Run a part along a recording.
+
+    Args:
+        name: the part.
+        rig: the rig.
+        a: the recording and the model; its coefficients, and the signals in :data:`VARIED`, may be duals.
+        inputs: what the part is given besides.
+
+    Returns:
+        Its columns, shape (n, columns), a dual if anything given varies.
+    """
+    moving = [getattr(a.motion, signal) for signal in VARIED]
+    beside = () if inputs is None else inputs.varied
+    varied = parameters_of([*numbers_of(a.plant), *numbers_of(a.friction), a.effects.values, *moving, *beside])
+    motion = a.motion._replace(**{signal: value_of(values) for signal, values in zip(VARIED, moving, strict=True)})
+    effects = Switched(a.effects.on, value_of(a.effects.values))
+    plain = a._replace(motion=motion, plant=values_of(a.plant), friction=values_of(a.friction), effects=effects)
+    given = None if inputs is None else inputs.plain
+    part, width = PARTS[name], width_of(PARTS[name].at_once)
+    shape = len(a.motion.time), part.columns
+    if not varied:
+        out = np.empty(shape)
+        part_kernel(name, rig).run(plain, given, out)
+        return out
+    moved = bool(parameters_of(moving))
+    values, tangents = np.empty(0), dict[int, Array]()
+    for first in range(0, len(varied), part.at_once):
+        group, out = varied[first : first + part.at_once], np.empty((*shape, width))
+        found = np.empty((1 + len(group), *reversed(shape)))
+        rows = running.Rows(
+            record_rows(a.plant, width, group),
+            record_rows(a.friction, width, group),
+            rows_of(a.effects.values, width, group),
+            tuple(rows_of(signal, width, group) for signal in beside),
+            np.stack([rows_of(s, width, group) for s in moving]) if moved else np.empty((0, 0, 0)),
+        )
+        part_kernel(name, rig, duals=True, moved=moved).run(plain, given, rows, out, found)
+        values = found[0].T
+        tangents |= {parameter: tangent.T for parameter, tangent in zip(group, found[1:], strict=True)}
+    return Dual(values, tangents)
+
+
+def compile_part(name: str, rig: EffectiveRig, *, duals: bool = False) -> None:
+    """Compile or load a part by running it along two samples at rest.
+
+    Args:
+        name: the part.
+        rig: the rig.
+        duals: whether it is differentiated, by something else than the motion.
+    """
     part, rest = PARTS[name], np.zeros(2)
     none = part.effects.parameters(())
     motion = Motion(np.array([0.0, 1.0]), *(rest for _ in Motion._fields[1:]))
-    a = ModelRun(motion, np.array([True, False]), 1.0, 0, 0, rig.plant, rig.friction, none)
-    inputs = {"friction": (FrictionInputs(rest, rest, 1.0),), "load": (Piston(none, 0, 1.0, 1.0),)}
-    part_kernel(name, rig).run(a, *inputs.get(name, ()), np.empty((2, part.columns)))
+    varied: dict[str, Any] = {"piston_area": Dual(rig.plant.piston_area, {0: 1.0})} if duals else {}
+    a = ModelRun(motion, np.array([True, False]), 1.0, 0, 0, rig.plant._replace(**varied), rig.friction, none)
+    inputs: dict[str, Inputs] = {"friction": FrictionInputs(rest, rest, 1.0), "load": Piston(none, 0, 1.0, 1.0)}
+    run_part(name, rig, a, inputs.get(name))

@@ -165,13 +165,23 @@ def effect_integrator(equations: Relations, states: int) -> Callable[..., int]:
     return integrator(evaluate, no_switch, size=FRICTION + states)
 
 
-class CompiledPart(NamedTuple):
-    """The compiled ``run`` of a part; its last argument is the output, shape (n, columns)."""
+class Body(NamedTuple):
+    """What the builder of a part returns, for floats and for duals.
+
+    Attributes:
+        run: ``run(a, inputs, s, own, out)`` writes the output, shape (n, columns), from a :class:`ModelRun` and the part's
+            inputs besides, with working arrays of its own.
+        states, modes: lengths of the state and of the modes in ``s``.
+        own: the same of both in ``own``.
+    """
 
     run: Callable[..., None]
+    states: int
+    modes: int = 0
+    own: int = 0
 
 
-def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[..., None]]) -> CompiledPart:
+def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[..., None]]) -> Body:
     """Build a part whose only states are the effects' own.
 
     Args:
@@ -180,13 +190,13 @@ def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[.
         write: returns, for given relations, a compiled ``write(t, y, z, c, row)`` that writes one sample's values.
 
     Returns:
-        The part, with ``run(a, out)``.
+        The part, which has no inputs besides.
     """
     equations = relations(chains)
     advance, write_row = effect_integrator(equations, states), write(equations)
 
     @lean
-    def run_samples(a: ModelRun, s: Scratch, out: Array) -> None:
+    def run_samples(a: ModelRun, inputs: None, s: Scratch, own: Scratch, out: Array) -> None:
         y, w, slope = s.y, s.w, s.slope
         for k in range(a.motion.time.size):
             set_sample(k, a, y, w)
@@ -198,8 +208,4 @@ def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[.
                 write_slopes(k, a, slope)
                 advance(t, y, s.mode, Imposed(c, slope), a.period / a.steps, a.steps, s.work)
 
-    @kernel
-    def run(a: ModelRun, out: Array) -> None:
-        run_samples(a, scratch(FRICTION + states, 0, a.history), out)
-
-    return CompiledPart(run)
+    return Body(run_samples, FRICTION + states)

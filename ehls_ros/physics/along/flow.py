@@ -3,11 +3,11 @@
 from collections.abc import Callable
 
 from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.along.base import CompiledPart, sampled
+from ehls_ros.physics.along.base import Body, sampled
 from ehls_ros.physics.plant import PL, Chains, Coefficients, Relations
 
 
-def build(states: int, chains: Chains) -> CompiledPart:
+def build(states: int, chains: Chains) -> Body:
     """Build the part, see :func:`~ehls_ros.physics.along.base.sampled`.
 
     Its columns are load flow [m^3/s], total leakage [m^3/s], bulk modulus [Pa] and supply pressure [Pa].

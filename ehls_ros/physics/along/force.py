@@ -3,11 +3,11 @@
 from collections.abc import Callable
 
 from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.along.base import CompiledPart, sampled
+from ehls_ros.physics.along.base import Body, sampled
 from ehls_ros.physics.plant import Chains, Coefficients, Relations
 
 
-def build(states: int, chains: Chains) -> CompiledPart:
+def build(states: int, chains: Chains) -> Body:
     """Build the part, see :func:`~ehls_ros.physics.along.base.sampled`; its column is the force along +x [N]."""
     return sampled(states, chains, _writer)
 

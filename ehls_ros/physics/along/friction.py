@@ -5,16 +5,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel, lean
-from ehls_ros.physics.along.base import (
-    CompiledPart,
-    Imposed,
-    ModelRun,
-    Scratch,
-    effect_integrator,
-    scratch,
-    set_sample,
-    write_slopes,
-)
+from ehls_ros.duals import dual_array, value_of
+from ehls_ros.physics.along.base import Body, Imposed, ModelRun, Scratch, effect_integrator, set_sample, write_slopes
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.plant import FRICTION, Chains, Coefficients, U, V, balance_with, relations
 
@@ -31,13 +23,33 @@ class FrictionInputs(NamedTuple):
 
     Attributes:
         extra: force of the effects beyond (3), shape (n,) [N].
-        balance: friction that balances the other forces, for the start of each stretch, shape (n,) [N].
+        balance: friction that balances the other forces at the start of each stretch, shape (stretches,) [N].
         velocity_scale: velocity over which the Stribeck level changes; infinite if it is constant [m/s].
     """
 
     extra: Array
     balance: Array
     velocity_scale: float
+
+    @property
+    def varied(self) -> tuple[Any, ...]:
+        """Arrays that may be duals."""
+        return self.extra, self.balance
+
+    @property
+    def plain(self) -> "FrictionInputs":
+        """The inputs without derivatives."""
+        return self._replace(extra=value_of(self.extra), balance=value_of(self.balance))
+
+
+def of_duals(width: int) -> Callable[..., FrictionInputs]:
+    """Build the function that returns the inputs as duals from what :attr:`FrictionInputs.varied` is in memory."""
+
+    @kernel
+    def inputs_of(inputs: FrictionInputs, rows: tuple[Array, Array]) -> FrictionInputs:
+        return FrictionInputs(dual_array(rows[0], width), dual_array(rows[1], width), inputs.velocity_scale)
+
+    return inputs_of
 
 
 class Interval(NamedTuple):
@@ -89,8 +101,8 @@ def friction_integrator(friction: Any, elements: int) -> Callable[..., int]:
     return integrator(evaluate, switch, size=elements, order=2)
 
 
-def build(friction: Any, elements: int, states: int, chains: Chains) -> CompiledPart:
-    """Build the part; its ``run(a, inputs, out)`` writes the friction force [N].
+def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
+    """Build the part, which writes the friction force [N]; its inputs are :class:`FrictionInputs`.
 
     Args:
         friction: module of the friction model.
@@ -105,7 +117,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
     def run_samples(a: ModelRun, inputs: FrictionInputs, measured: Scratch, own: Scratch, out: Array) -> None:
         y, w, slope, forces, mode = measured.y, measured.w, measured.slope, own.y, own.mode
         last = a.motion.time.size - 1
-        level, applied = 0.0, 0.0
+        level, applied, stretch = 0.0, 0.0, 0
         set_sample(0, a, y, w)
         for k in range(last + 1):
             t, z = a.motion.time[k], y[FRICTION:]
@@ -113,7 +125,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
                 z[:] = 0.0
                 mode[:] = 0.0
                 level, applied = balance(inputs.extra[k], t, y, z, Coefficients(a.plant, a.friction, w, a.effects, w[U]))
-                begin(inputs.balance[k], level, a.friction, forces)
+                begin(inputs.balance[stretch], level, a.friction, forces)
+                stretch += 1
                 if y[V] != 0.0:
                     # It moves, so an infinite applied force releases a static model.
                     change(y[V], math.copysign(math.inf, y[V]), level, forces, mode, a.friction)
@@ -147,8 +160,4 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
                 advance(0.0, forces, mode, interval, step, 1, own.work)
                 level, applied = level_then, applied_then
 
-    @kernel
-    def run(a: ModelRun, inputs: FrictionInputs, out: Array) -> None:
-        run_samples(a, inputs, scratch(FRICTION + states, 0, a.history), scratch(elements, elements, 0), out)
-
-    return CompiledPart(run)
+    return Body(run_samples, FRICTION + states, own=elements)

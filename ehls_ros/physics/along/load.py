@@ -4,12 +4,12 @@ The load's motion is not measured. Piston and load follow the simulator's own eq
 piston tracks its measured position.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ehls_ros.arrays import Array, kernel, lean
-from ehls_ros.physics.along.base import CompiledPart, ModelRun, Scratch, scratch, set_sample, write_slopes
+from ehls_ros.duals import dual_array, joined, value_of
+from ehls_ros.physics.along.base import Body, ModelRun, Scratch, set_sample, write_slopes
 from ehls_ros.physics.composition import Switched
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, U, V, X, balance_with, motion, relations
@@ -37,6 +37,27 @@ class Piston(NamedTuple):
     mass: float
     tracking_rate: float
 
+    @property
+    def varied(self) -> tuple[Any, ...]:
+        """Arrays that may be duals."""
+        return self.joint.values, joined([self.mass])
+
+    @property
+    def plain(self) -> "Piston":
+        """The same without derivatives."""
+        return self._replace(joint=Switched(self.joint.on, value_of(self.joint.values)), mass=value_of(self.mass))
+
+
+def of_duals(width: int) -> Callable[..., Piston]:
+    """Build the function that returns the piston as duals from what :attr:`Piston.varied` is in memory."""
+
+    @kernel
+    def inputs_of(piston: Piston, rows: tuple[Array, Array]) -> Piston:
+        joint = Switched(piston.joint.on, dual_array(rows[0], width))
+        return Piston(joint, piston.state, dual_array(rows[1], width)[0], piston.tracking_rate)
+
+    return inputs_of
+
 
 class Interval(NamedTuple):
     """Coefficients of the equations between two samples.
@@ -58,8 +79,8 @@ class Interval(NamedTuple):
     piston: Piston
 
 
-def build(friction: Any, elements: int, states: int, chains: Chains) -> CompiledPart:
-    """Build the part; its ``run(a, piston, out)`` writes the columns listed in :mod:`ehls_ros.physics.along`.
+def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
+    """Build the part, which writes the columns listed in :mod:`ehls_ros.physics.along`; its input is the :class:`Piston`.
 
     Args:
         friction: module of the friction model.
@@ -125,8 +146,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
         piston_force(0.5 * (low + high), t, y, c)
 
     @lean
-    def run_samples(a: ModelRun, piston: Piston, s: Scratch, sample: Array, out: Array) -> None:
-        y, mode, w, slope, m = s.y, s.mode, s.w, s.slope, a.motion
+    def run_samples(a: ModelRun, piston: Piston, s: Scratch, own: Scratch, out: Array) -> None:
+        y, mode, w, slope, m, sample = s.y, s.mode, s.w, s.slope, a.motion, own.y
         for k in range(m.time.size):
             set_sample(k, a, sample, w)
             write_slopes(k, a, slope)
@@ -150,8 +171,4 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Compiled
             out[k, 3] = others - piston.mass * a.plant.gravity
             advance(t, y, mode, c, a.period / a.steps, a.steps, s.work)
 
-    @kernel
-    def run(a: ModelRun, piston: Piston, out: Array) -> None:
-        run_samples(a, piston, scratch(end + states, elements, a.history), np.zeros(FRICTION), out)
-
-    return CompiledPart(run)
+    return Body(run_samples, end + states, elements, own=FRICTION)

@@ -3,8 +3,8 @@
 import math
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import Array, kernel, lean
-from ehls_ros.physics.along.base import CompiledPart, Imposed, ModelRun, Scratch, no_switch, scratch, set_sample, write_slopes
+from ehls_ros.arrays import Array, lean
+from ehls_ros.physics.along.base import Body, Imposed, ModelRun, Scratch, no_switch, set_sample, write_slopes
 from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, cycle_stepper, relations
@@ -20,8 +20,8 @@ class _Interval(NamedTuple):
     slope: Array
 
 
-def build(states: int, chains: Chains) -> CompiledPart:
-    """Build the part; its ``run(a, out)`` writes the spool displacement [m].
+def build(states: int, chains: Chains) -> Body:
+    """Build the part, which writes the spool displacement [m]; it has no inputs besides the recording.
 
     With ``a.steps`` = 0, for effects without states, commands are constant between jumps and (4) is solved exactly.
 
@@ -55,7 +55,7 @@ def build(states: int, chains: Chains) -> CompiledPart:
     step_numerically, step_exactly = cycle_stepper(stepped, chains, FRICTION), cycle_stepper(exact, chains, FRICTION)
 
     @lean
-    def run_samples(a: ModelRun, s: Scratch, out: Array) -> None:
+    def run_samples(a: ModelRun, inputs: None, s: Scratch, own: Scratch, out: Array) -> None:
         y, w, slope = s.y, s.w, s.slope
         for k in range(a.motion.time.size):
             reached = y[XV]
@@ -72,8 +72,4 @@ def build(states: int, chains: Chains) -> CompiledPart:
             else:
                 step_exactly(t, y, s.mode, c, a.period, 1, s.work)
 
-    @kernel
-    def run(a: ModelRun, out: Array) -> None:
-        run_samples(a, scratch(FRICTION + states, 0, a.history), out)
-
-    return CompiledPart(run)
+    return Body(run_samples, FRICTION + states)

@@ -1,0 +1,65 @@
+"""The derivatives of a rig's fit, by every coefficient, against central differences."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from ehls_ros.diagnosis.evidence import gather
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.stages import setup
+from ehls_ros.duals import Dual
+from ehls_ros.identification.rig_coefficients import BIASES, DEAD_ZONE, DELAY, coefficients, model_at, placed
+from ehls_ros.identification.rig_fit import Stack
+from ehls_ros.identification.rig_stages import sizes
+from ehls_ros.physics.rig import rig_from_mapping
+from ehls_ros.trajectory import Trajectory
+from truth_generator import record
+
+RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
+USED = dict(zip((DELAY, *DEAD_ZONE, *BIASES), (3.3e-3, 1.0437e-5, 1.3571e-5, 1.0123e-6, 2.317e-6, 20.0), strict=True))
+"""Effects in the rig, at no value of the recorded spool, where the flow has corners."""
+
+STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-7)
+"""Long ones for what is small, as events are located to 1e-9 of a step; short ones where corners are near."""
+
+
+@pytest.fixture(scope="module")
+def recording():
+    rig = yaml.safe_load(RIG_FILE.read_text(encoding="utf-8"))
+    made = record(rig, {"command_delay": {"delay": 3.3e-3}}, "rich", seed=3, duration=5.0)
+    return rig, Trajectory(made.time, made.columns)
+
+
+@pytest.mark.parametrize("missing", ["", "spool_m"])
+def test_the_derivatives_are_those_of_central_differences(recording, missing):
+    given, trajectory = recording
+    rig = placed(rig_from_mapping(given, "rig"), USED)
+    left = {name: values for name, values in trajectory.signals.items() if name != missing}
+    read = prepare(Trajectory(trajectory.time_s, left), rig, "case")
+    stack = Stack([gather(read, rig, setup(read, rig), seed=0)])
+    # Without a spool, it is the flow that differs: its spool varies too.
+    for channel in ("volume", "supply") if missing else stack.channels:
+        chosen = [
+            c
+            for c in coefficients(rig, sizes([read], rig))
+            if c.path.startswith("sensors") == (channel in ("cell", "velocity"))
+        ]
+        z, rows = np.array([c.coordinate(rig) for c in chosen]), stack.rows([channel])
+        duals = [Dual(x, {i: 1.0}) for i, x in enumerate(z.tolist())]
+        exact = stack.slopes(model_at(rig, chosen, duals), [channel], len(chosen))
+        assert np.any(exact)
+        base = stack.residuals(rig)
+
+        def at(i, moved, z=z, chosen=chosen, rows=rows, base=base):
+            values = z.copy()
+            values[i] += moved
+            return stack.joined(stack.residuals(model_at(rig, chosen, values.tolist()), base))[rows]
+
+        for i, c in enumerate(chosen):
+            size, errors = float(np.linalg.norm(exact[:, i])), []
+            for h in STEPS:
+                difference = (8.0 * (at(i, h) - at(i, -h)) - (at(i, 2.0 * h) - at(i, -2.0 * h))) / (12.0 * h)
+                errors.append(float(np.linalg.norm(difference - exact[:, i])))
+            assert min(errors) <= 1e-6 * size, (channel, c.path)
