@@ -83,7 +83,8 @@ class ElementCoordinates(NamedTuple):
     def unpack(self, z: Array) -> Friction:
         """Return the friction at coordinates ``z``, without its viscous part."""
         coulomb, rise, velocity, exponent, rate, *stiffness = np.exp(z[: 5 + self.elements]).tolist()
-        weight = np.append(np.exp(z[5 + self.elements :]), 1.0)
+        weight = [*np.exp(z[5 + self.elements :]).tolist(), 1.0]
+        total = sum(weight)
         return Friction(
             coulomb_force=coulomb,
             static_force=coulomb + rise,
@@ -91,7 +92,7 @@ class ElementCoordinates(NamedTuple):
             stribeck_exponent=exponent,
             viscous_coefficient=0.0,
             element_stiffness=tuple(stiffness),
-            element_weight=tuple((weight / weight.sum()).tolist()),
+            element_weight=tuple(one / total for one in weight),
             attraction_rate=rate,
         )
 
