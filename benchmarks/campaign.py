@@ -10,7 +10,6 @@ On a busy machine, judge by processor time: it is what two processes would take 
 """
 
 import argparse
-import ctypes
 import json
 import multiprocessing
 import os
@@ -65,31 +64,16 @@ def campaign(file: Path, *options: str) -> Cost:
     """Run the campaign as a user does, in an empty folder."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "ehls_ros.cli.main", "campaign", str(file), "--out", folder, "--json", *options]
-        before, start = set(_children()), time.perf_counter()
+        start = time.perf_counter()
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         output = process.stdout.read() if process.stdout is not None else ""
         _, status, usage = os.wait4(process.pid, 0)
         wall = time.perf_counter() - start
         process.returncode = os.waitstatus_to_exitcode(status)
-        used, memory = usage.ru_utime + usage.ru_stime, usage.ru_maxrss
-        for orphan in set(_children()) - before:
-            # The process that forks the workers, which it has waited for.
-            _, _, usage = os.wait4(orphan, 0)
-            used += usage.ru_utime + usage.ru_stime
     summary = json.loads(output.splitlines()[-1])
     if summary["failed"] or summary["made"] != summary["runs"]:
         raise SystemExit(f"the campaign is incomplete: {summary}")
-    return Cost(wall, used, summary["wall_s"], memory / 1024)
-
-
-def adopt_orphans() -> None:
-    """Have the processes that a campaign leaves behind as children, to learn how much time they took."""
-    PR_SET_CHILD_SUBREAPER = 36
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-
-
-def _children() -> list[int]:
-    return [child.pid for child in psutil.Process().children()]
+    return Cost(wall, usage.ru_utime + usage.ru_stime, summary["wall_s"], usage.ru_maxrss / 1024)
 
 
 @contextmanager
@@ -132,7 +116,6 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=250, help="draws at each of the four points (%(default)s)")
     parser.add_argument("--repeats", type=int, default=3, help="turns of each variant (%(default)s)")
     options = parser.parse_args()
-    adopt_orphans()
     with tempfile.TemporaryDirectory() as folder, cluster(2) as (address, processes):
         file = Path(folder, "campaign.yaml")
         content = {**load_plan(CAMPAIGN).file, "runs": options.draws}

@@ -1,39 +1,18 @@
 """Independent tasks on all processors, with progress."""
 
-import itertools
 import os
 import signal
-import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
-from multiprocessing import forkserver, get_context
-from multiprocessing.context import BaseContext
-from types import ModuleType, TracebackType
+from multiprocessing import get_context
+from types import TracebackType
 from typing import Any, Self
 
 Task = partial[Any]
 """A call of a module's function, which can be sent to another process."""
 
 Progress = Callable[[int, int], None]
-
-READY = "ehls_ros.ready"
-"""Module that makes a process ready to load kernels."""
-
-AHEAD = 2
-"""Tasks of a stream handed out per process."""
-
-
-def prepare(*modules: str) -> BaseContext:
-    """Begin to import what processes will need, in a process of its own that they are forked from; return their context.
-
-    A process forked from this one could inherit a lock held by the thread that draws the progress. The fork server has no
-    threads, and imports the modules once for all processes; one that runs already stays as it is.
-    """
-    context = get_context("forkserver")
-    context.set_forkserver_preload([*modules, READY])
-    forkserver.ensure_running()
-    return context
 
 
 class Workers:
@@ -70,45 +49,19 @@ class Workers:
                 if progress is not None:
                     progress(index + 1, len(tasks))
             return results
-        modules = sorted({task.func.__module__ for task in tasks})
-        numbers = {self._submit(task, modules): index for index, task in enumerate(tasks)}
+        if self._pool is None:
+            # A process forked from this one could inherit a lock held by the thread that draws the progress. The fork
+            # server has no threads, and imports the tasks' modules once for all processes.
+            context = get_context("forkserver")
+            context.set_forkserver_preload(sorted({task.func.__module__ for task in tasks}))
+            # Ctrl-C ends a process even inside compiled code, where Python would notice it only afterwards.
+            self._pool = ProcessPoolExecutor(self._count, context, signal.signal, (signal.SIGINT, signal.SIG_DFL))
+        numbers = {self._pool.submit(task): index for index, task in enumerate(tasks)}
         for done, future in enumerate(as_completed(numbers), start=1):
             results[numbers[future]] = future.result()
             if progress is not None:
                 progress(done, len(tasks))
         return results
-
-    def stream(self, tasks: Iterable[Task]) -> Iterator[Any]:
-        """Run tasks, which are taken as they are needed, a few ahead of the work.
-
-        Yields:
-            Their results, in the order in which they are done.
-        """
-        if self._count == 1:
-            yield from (task() for task in tasks)
-            return
-        waiting = iter(tasks)
-        under_way: set[Future[Any]] = set()
-        while True:
-            for task in itertools.islice(waiting, AHEAD * self._count - len(under_way)):
-                under_way.add(self._submit(task, [task.func.__module__]))
-            if not under_way:
-                return
-            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            yield from (future.result() for future in done)
-
-    def _submit(self, task: Task, modules: list[str]) -> Future[Any]:
-        """Have a task run by processes that have imported some modules."""
-        if self._pool is None:
-            context = prepare(*modules)
-            # Ctrl-C ends a process even inside compiled code, where Python would notice it only afterwards.
-            self._pool = ProcessPoolExecutor(self._count, context, signal.signal, (signal.SIGINT, signal.SIG_DFL))
-        # A process runs the script anew that its parent runs, unless there is none; one without a guard would begin again.
-        script, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
-        try:
-            return self._pool.submit(task)
-        finally:
-            sys.modules["__main__"] = script
 
 
 def run_tasks(tasks: Sequence[Task], workers: int | None = None, progress: Progress | None = None) -> list[Any]:

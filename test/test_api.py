@@ -162,6 +162,7 @@ def test_signals_of_one_unit_share_a_row_whose_axis_has_the_unit(run):
 
 
 def test_a_campaign_is_a_table_with_a_row_for_a_run_that_fails(run):
+    pytest.importorskip("joblib")
     pytest.importorskip("pyarrow")
     worn = run.spec._replace(rig=run.spec.rig.with_effects((EffectUse("viscous_asymmetry", Asymmetry(0.0)),)))
     found = ehls.campaign({"base": worn, "vary": {"rig.effects.0.asymmetry": [0.0, -1e6]}}, jobs=1)

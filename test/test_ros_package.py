@@ -42,7 +42,7 @@ WITH_NUMBA = {"llvmlite"}
 OPTIONAL = {"distributed", "fastapi", "foxglove", "nicegui", "orjson", "pyarrow", "pymoo", "pyswarms", "starlette", "uvicorn"}
 """What the extras bring."""
 
-BY_NAME = {"plotly", "shtab"}
+BY_NAME = {"joblib", "plotly", "shtab"}
 """Imported by name where they are used, and not asked for: rosdep does not know them, or noble's is too old."""
 
 LATE = {"pandas"}

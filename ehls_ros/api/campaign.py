@@ -83,7 +83,7 @@ def campaign(
         The table. A run that fails is a row with the reason in ``error``.
 
     Raises:
-        BadInput: the plan is wrong, or pyarrow is not installed.
+        BadInput: the plan is wrong, or pyarrow or joblib is not installed.
     """
     check_kind(plan, (Mapping, str, Path), "plan", "a path, the name of a plan that comes with the package, or a mapping")
     check_least(jobs, 1, "jobs")

@@ -194,7 +194,9 @@ def test_a_damaged_part_is_named(tmp_path):
         make(path, tmp_path / "out")
 
 
-@pytest.mark.parametrize(("module", "options"), [("pyarrow.parquet", []), ("distributed", ["--dask", "tcp://127.0.0.1:1"])])
+@pytest.mark.parametrize(
+    ("module", "options"), [("pyarrow.parquet", []), ("joblib", []), ("distributed", ["--dask", "tcp://127.0.0.1:1"])]
+)
 def test_a_missing_package_names_its_extra(tmp_path, capsys, monkeypatch, module, options):
     monkeypatch.setitem(sys.modules, module, None)
     assert main(["campaign", str(write(tmp_path)), "--out", str(tmp_path / "out"), *options]) == 2

@@ -1,7 +1,5 @@
 """The paper's study: Table 3 held to the values reached, the law to its bounds, the competitors to their best."""
 
-import subprocess
-import sys
 from functools import partial
 from math import inf
 
@@ -14,7 +12,7 @@ from ehls_ros.experiments.reproduction import choices, continuous, drift, paper,
 from ehls_ros.experiments.reproduction.cases import DIVERGED, Change, case, evaluated, largest_error, run
 from ehls_ros.experiments.reproduction.paper import CELLS, Cell
 from ehls_ros.experiments.reproduction.results import Searches, TriedGains, TriedWidth
-from ehls_ros.parallel import AHEAD, Workers, run_tasks
+from ehls_ros.parallel import run_tasks
 
 REACHED = {
     ("SIC", "constant", "fd1"): 12.8,
@@ -229,32 +227,6 @@ def test_tasks_come_back_in_order_from_one_process_and_from_two():
     assert run_tasks(tasks, 1) == [i * i for i in range(7)]
     assert run_tasks(tasks, 2, lambda done, total: seen.append((done, total))) == [i * i for i in range(7)]
     assert seen == [(i + 1, 7) for i in range(7)]
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_stream_of_tasks_is_taken_as_it_is_needed(count):
-    taken: list[int] = []
-
-    def tasks():
-        for number in range(20):
-            taken.append(number)
-            yield partial(square, number)
-
-    with Workers(count) as workers:
-        results = workers.stream(tasks())
-        first = next(results)
-        assert len(taken) <= AHEAD * count
-        assert sorted([first, *results]) == [number**2 for number in range(20)]
-
-
-def test_processes_do_not_run_a_script_without_a_guard_anew(tmp_path):
-    script = tmp_path / "unguarded.py"
-    script.write_text(
-        "from functools import partial\nfrom ehls_ros.parallel import run_tasks\n"
-        "print('begun', run_tasks([partial(abs, -1), partial(abs, -2)], 2))\n"
-    )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
-    assert done.stdout == "begun [1, 2]\n", done.stderr
 
 
 def test_a_users_mistake_travels_out_of_a_process():

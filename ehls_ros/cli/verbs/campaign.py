@@ -8,15 +8,14 @@ from pathlib import Path
 
 from ehls_ros.cli.configured import Configured
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.campaign import work
 from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import Outcome, conduct
 from ehls_ros.experiments.campaign.plan import Plan, load_plan
 from ehls_ros.experiments.campaign.results import CampaignResults, Summary, quantile, results_of
 from ehls_ros.experiments.campaign.store import Folder, opened, read_results
+from ehls_ros.experiments.campaign.work import code_version
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.yaml_files import spec_text
-from ehls_ros.parallel import prepare
 from ehls_ros.progress import progress_bar
 from ehls_ros.report.campaign import write_campaign_report
 from ehls_ros.report.campaign_findings import verdict_sentence
@@ -41,15 +40,11 @@ def run(options: Namespace) -> int:
     """Run it."""
     if options.jobs is not None and options.jobs < 1:
         raise BadInput(f"--jobs is {options.jobs}", "command line", "1 or more")
-    jobs = options.jobs or len(os.sched_getaffinity(0))
-    if jobs > 1 and not options.dask and options.spec is None:
-        # Half a second of imports, meanwhile.
-        prepare(work.__name__)
     plan = load_plan(options.campaign)
     if options.spec is not None:
         print(spec_text(json.loads(plan.run(options.spec).spec)), end="")
         return 0
-    place = dask(options.dask) if options.dask else local(jobs)
+    place = dask(options.dask) if options.dask else local(options.jobs or len(os.sched_getaffinity(0)))
     with opened(options.out or Path("runs") / options.campaign.stem) as folder:
         try:
             with progress_bar(plan.settings.title) as progress:
@@ -58,7 +53,7 @@ def run(options: Namespace) -> int:
             print(f"finished runs are kept in {folder.parts}; start again to continue", file=sys.stderr)
             raise
         results = results_of(plan.columns, read_results(folder.results))
-        making = [*_summary_facts(outcome), ("Seed", str(plan.settings.seed)), ("ehls_ros", work.code_version())]
+        making = [*_summary_facts(outcome), ("Seed", str(plan.settings.seed)), ("ehls_ros", code_version())]
         write_campaign_report(results, plan.file, making, folder.report)
     _print(plan, folder, outcome, results, machine=options.json)
     return 0

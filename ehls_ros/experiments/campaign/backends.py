@@ -4,21 +4,25 @@ Both take chunks of runs as they need them, a few ahead of the work, and give ea
 """
 
 import itertools
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
+from importlib import import_module
 from typing import Any, NamedTuple
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.campaign.work import Row, code_version, run_chunk
-from ehls_ros.extras import library
-from ehls_ros.parallel import AHEAD, Workers
+from ehls_ros.extras import library, missing
 from ehls_ros.recording.reason import reason
 
 CONNECTING_S, JOINING_S = 10.0, 60.0
 """Time limits for a scheduler to answer, and for its first worker to join [s]."""
+
+OLDEST_JOBLIB = (1, 4)
+
+AHEAD = 2
+"""Chunks handed out per slot."""
 
 
 class Chunk(NamedTuple):
@@ -64,18 +68,43 @@ def local(jobs: int) -> Iterator[Backend]:
         jobs: processes; with 1 the work is done in this one.
 
     Raises:
+        BadInput: joblib is not installed, or too old.
         WorkFailed: a process was killed.
     """
-    with Workers(jobs) as workers:
+    joblib = _joblib()
+    loky: Any = import_module("joblib.externals.loky.process_executor")
+    processes: dict[str, Any] = {"inner_max_num_threads": 1, "initializer": _leave_interrupts_to_the_parent}
+    with joblib.parallel_config("loky" if jobs > 1 else "sequential", **(processes if jobs > 1 else {})):
+        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch=AHEAD * jobs)
 
-        def work(chunks: Iterator[Chunk]) -> Iterator[Done]:
-            version = code_version()
-            yield from workers.stream(partial(_done, chunk, version) for chunk in chunks)
+    def work(chunks: Iterator[Chunk]) -> Iterator[Done]:
+        version = code_version()
+        yield from parallel(joblib.delayed(_done)(chunk, version) for chunk in chunks)
 
-        try:
-            yield Backend(jobs, work, own_kernels=True)
-        except BrokenProcessPool:
-            raise WorkFailed("a worker process was killed, perhaps for want of memory; start again to go on") from None
+    try:
+        yield Backend(jobs, work, own_kernels=True)
+    except loky.TerminatedWorkerError:
+        raise WorkFailed("a worker process was killed, perhaps for want of memory; start again to go on") from None
+    finally:
+        if jobs > 1:
+            joblib.externals.loky.get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
+
+
+def _joblib() -> Any:
+    try:
+        joblib: Any = import_module("joblib")
+    except ImportError:
+        found = "joblib is not installed"
+    else:
+        if tuple(map(int, joblib.__version__.split(".")[:2])) >= OLDEST_JOBLIB:
+            return joblib
+        found = f"joblib is {joblib.__version__}, which returns nothing before all is done"
+    raise missing(found, "campaign", "campaign")
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    # Ctrl-C reaches all processes; a worker interrupted while it returns a result would keep the queue locked.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _done(chunk: Chunk, version: str) -> Done:
