@@ -9,7 +9,7 @@ import pytest
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.reproduction import choices, continuous, drift, paper, robustness, sampling, searches, study
-from ehls_ros.experiments.reproduction.cases import DIVERGED, Change, case, evaluated, largest_error, run
+from ehls_ros.experiments.reproduction.cases import DIVERGED, Change, case, evaluated, largest_error, largest_errors, run
 from ehls_ros.experiments.reproduction.paper import CELLS, Cell
 from ehls_ros.experiments.reproduction.results import Searches, TriedGains, TriedWidth
 from ehls_ros.parallel import run_tasks
@@ -164,6 +164,15 @@ def test_a_coefficient_a_fifth_off_keeps_the_force_within_2_percent(section, nam
     assert nominal < off < 200.0
 
 
+def test_cells_side_by_side_have_the_errors_they_have_alone():
+    lost = Change({"duration": 0.5, "effects": [{"name": "viscous_asymmetry", "asymmetry": -1e6}]})
+    short = Change({"duration": 0.5}, plant={"moving_mass": 1.1})
+    runs = [*((cell, short) for cell in robustness.CELLS), (robustness.CELLS[0], lost)]
+    errors = [largest_error(*each) for each in runs]
+    assert errors[-1] == inf
+    assert largest_errors(runs) == errors
+
+
 def test_the_drifting_friction_is_the_one_asked_for():
     spec = case(drift.CASES[0], Change(drift._drift()))
     (effect,) = spec.rig.effects
@@ -178,8 +187,11 @@ def test_summaries_put_results_where_they_belong():
     rows = choices.summary(numbered)
     assert [error for row in rows for error in row.errors_n.values()] == numbered
     single = [float(i) for i in range(len(robustness.one_at_a_time()))]
-    draws = [1.0] * (len(robustness.drawn()) - 1) + [inf]
-    out = robustness.summary(single, draws)
+    errors = single + [1.0] * (len(robustness.drawn()) - 1) + [inf]
+    asked = [len(task.args[0]) for task in robustness.tasks()]
+    assert sum(asked) == len(errors)
+    left = iter(errors)
+    out = robustness.summary([next(left) for _ in range(count)] for count in asked)
     assert [error for row in out.parameters for error in row.errors_n] == single
     assert out.draws.diverged == 1
     assert out.draws.count == robustness.DRAWS

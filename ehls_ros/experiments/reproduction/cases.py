@@ -1,13 +1,15 @@
 """The paper's cases as experiments, with one tuning for all of them."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import Implausible, run_in_process
-from ehls_ros.experiments.metrics import Metrics, evaluate
+from ehls_ros.experiments.metrics import Metrics, evaluate, evaluate_errors
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.paper import Cell
 from ehls_ros.experiments.spec import Spec, load_rig, spec_from_mapping
@@ -101,7 +103,21 @@ def evaluated(cell: Cell, change: Change = AS_PUBLISHED) -> Metrics:
 def largest_error(cell: Cell, change: Change = AS_PUBLISHED) -> float:
     """Run one cell and return its largest steady error [N]; infinite when it diverged."""
     try:
-        error = evaluated(cell, change).max_error_n
+        return _finite(evaluated(cell, change).max_error_n)
     except Implausible:
-        return float("inf")
-    return error if error < DIVERGED else float("inf")
+        return math.inf
+
+
+def largest_errors(runs: Sequence[tuple[Cell, Change]]) -> list[float]:
+    """Run cells side by side and return what :func:`largest_error` returns for each."""
+    errors = [math.inf] * len(runs)
+    for place, result in run_batch((case(*each) for each in runs), brief=True):
+        if isinstance(result, Trajectory):
+            errors[place] = _finite(evaluate_errors(result).max_error_n)
+        elif not isinstance(result, Implausible):
+            raise result
+    return errors
+
+
+def _finite(error: float) -> float:
+    return error if error < DIVERGED else math.inf

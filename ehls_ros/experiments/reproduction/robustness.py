@@ -1,15 +1,16 @@
 """FASMC II on a rig other than the one it was designed for."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 import numpy as np
 
 from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, largest_error, paper_rig
+from ehls_ros.experiments.reproduction.cases import Change, largest_errors, paper_rig
 from ehls_ros.experiments.reproduction.results import CoefficientOff, Draws, Place, Robustness
 from ehls_ros.parallel import Task
 from ehls_ros.physics.friction.gms import Parameters as Friction
+from ehls_ros.physics.lane_memory import LANES
 
 CELLS = tuple(cell for cell in paper.CELLS if cell.controller == paper.FASMC_2)
 
@@ -18,6 +19,9 @@ FACTORS = (0.8, 1.2)
 
 DRAWS, SPREAD, SEED = 100, 0.1, 2018
 """Number of rigs drawn at random, largest relative deviation of a coefficient, and seed."""
+
+TOGETHER = 4 * LANES
+"""Runs of one task."""
 
 FRICTION = tuple(name for name in Friction._fields if name not in {"element_stiffness", "element_weight"})
 """The friction's coefficients that are single numbers."""
@@ -29,33 +33,40 @@ def coefficients() -> list[tuple[str, str]]:
     return [*(("plant", name) for name in plant), *(("friction", name) for name in FRICTION)]
 
 
-def one_at_a_time() -> list[Task]:
+Run = tuple[paper.Cell, Change]
+"""A cell on another rig."""
+
+
+def one_at_a_time() -> list[Run]:
     """Return a run a coefficient, factor and cell."""
     return [
-        partial(largest_error, cell, Change(**{section: {name: factor}}))
-        for section, name in coefficients()
-        for factor in FACTORS
-        for cell in CELLS
+        (cell, Change(**{section: {name: factor}})) for section, name in coefficients() for factor in FACTORS for cell in CELLS
     ]
 
 
-def drawn() -> list[Task]:
+def drawn() -> list[Run]:
     """Return a run a drawn rig and cell."""
     random = np.random.default_rng(SEED)
-    tasks: list[Task] = []
+    runs: list[Run] = []
     for _ in range(DRAWS):
         change: dict[str, dict[str, float]] = {"plant": {}, "friction": {}}
         for section, name in coefficients():
             change[section][name] = float(random.uniform(1.0 - SPREAD, 1.0 + SPREAD))
-        tasks += [partial(largest_error, cell, Change(**change)) for cell in CELLS]
-    return tasks
+        runs += [(cell, Change(**change)) for cell in CELLS]
+    return runs
 
 
-def summary(single: Sequence[float], draws: Sequence[float]) -> Robustness:
-    """Return all errors, from the results of :func:`one_at_a_time` and :func:`drawn`; an infinite error diverged."""
-    rows = np.reshape(single, (-1, len(CELLS)))
+def tasks() -> list[Task]:
+    """Return tasks that make all these runs side by side, some in each."""
+    runs = [*one_at_a_time(), *drawn()]
+    return [partial(largest_errors, runs[first : first + TOGETHER]) for first in range(0, len(runs), TOGETHER)]
+
+
+def summary(results: Iterable[Sequence[float]]) -> Robustness:
+    """Return all errors, from the results of :func:`tasks`; an infinite error diverged."""
+    rows = np.reshape([error for errors in results for error in errors], (-1, len(CELLS)))
     keys = [(section, name, factor) for section, name in coefficients() for factor in FACTORS]
-    errors = np.reshape(draws, (-1, len(CELLS)))
+    rows, errors = rows[: len(keys)], rows[len(keys) :]
     # Picked, not interpolated: an infinite error has no neighbours to lie between.
     median, p95, largest = (tuple(np.quantile(errors, q, axis=0, method="inverted_cdf").tolist()) for q in (0.5, 0.95, 1.0))
     return Robustness(

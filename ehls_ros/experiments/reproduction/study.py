@@ -21,7 +21,7 @@ from ehls_ros.experiments.reproduction import (
     sampling,
     searches,
 )
-from ehls_ros.experiments.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, paper_rig, run
+from ehls_ros.experiments.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, largest_errors, paper_rig, run
 from ehls_ros.experiments.reproduction.paper import CELLS, Cell
 from ehls_ros.experiments.reproduction.results import (
     Beyond,
@@ -64,6 +64,7 @@ def compile_everything(workers: int | None = None) -> float:
     kernels: list[Task] = [
         *(partial(run, Cell(controller, "constant", "fd1"), Change(short)) for controller in paper.CONTROLLERS),
         partial(run, Cell(paper.FASMC_2, "constant", "fd1"), Change(heated)),
+        partial(largest_errors, [(cell, Change(short)) for cell in robustness.CELLS]),
     ]
     run_tasks(kernels, workers)
     return time.perf_counter() - start
@@ -77,7 +78,7 @@ def reproduce(
     Args:
         quick: Table 3 for the constant and the sine reference only.
         workers: number of processes; None: one per processor.
-        progress: called with the runs done and the total number of runs.
+        progress: called with the tasks done, a run or some side by side each, and their number.
         compile_s: wall time of :func:`compile_everything`, for the results [s].
     """
     start = time.perf_counter()
@@ -90,8 +91,7 @@ def reproduce(
             "drift": drift.tasks(),
             "searches": searches.tasks(),
             "choices": choices.tasks(),
-            "single": robustness.one_at_a_time(),
-            "draws": robustness.drawn(),
+            "robustness": robustness.tasks(),
         }
     sections["table"] = [partial(run, cell, AS_PUBLISHED) for cell in cells]
     tasks = [task for section in sections.values() for task in section]
@@ -109,7 +109,7 @@ def reproduce(
             sampling.summary(out["sampling"]),
             drift.summary(out["drift"]),
             choices.summary(out["choices"]),
-            robustness.summary(out["single"], out["draws"]),
+            robustness.summary(out["robustness"]),
         )
     results = Results(
         version=__version__,
