@@ -113,12 +113,10 @@ def test_a_controller_apart_takes_over_and_gives_back(graph, participant, spec_f
     every = range(commands[0].cycle, commands[-1].cycle + 1)
     participant.until(lambda: set(every) <= {command.cycle for command in commands})
 
-    def drives(cycle):
-        return max(
-            (driver for driver in drivers if driver.cycle <= cycle), key=lambda driver: driver.cycle, default=drivers[0]
-        ).sender
+    def driver_of(cycle):
+        return [driver.sender for driver in drivers if driver.cycle <= cycle][-1]
 
-    obeyed = [command.cycle for command in commands if command.cycle in every and command.sender == drives(command.cycle)]
+    obeyed = [command.cycle for command in commands if command.cycle in every and command.sender == driver_of(command.cycle)]
     assert sorted(obeyed) == list(every)
     taken_over = [command.cycle for command in commands if "sic_node" in command.sender]
     assert taken_over == list(range(taken_over[0], taken_over[-1] + 1))
