@@ -16,7 +16,7 @@ import scipy
 import yaml
 
 from ehls_ros.arrays import Array
-from ehls_ros.physics.rig import rig_from_mapping
+from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -28,12 +28,17 @@ STEPS = (1e-3, 5e-4, 1e-3 / 3, 2.5e-4, 2e-4, 1e-4, 5e-5)
 LOOSER = (1e-6, 1e-8, 1e-10)
 
 
-def simulator_of(case: Case, step: float) -> Simulator:
-    """Return the package's simulator of a case."""
+def rig_of(case: Case) -> Rig:
+    """Return a case's rig."""
     data = yaml.safe_load((ROOT / "config" / "rig_paper.yaml").read_text(encoding="utf-8"))
     data["friction"]["model"] = case.law
     data["effects"] = case.effects
-    return Simulator(rig_from_mapping(data, case.name), case.period, step)
+    return rig_from_mapping(data, case.name)
+
+
+def simulator_of(case: Case, step: float) -> Simulator:
+    """Return the package's simulator of a case."""
+    return Simulator(rig_of(case), case.period, step)
 
 
 def simulate(case: Case, step: float) -> tuple[Array, float, int]:

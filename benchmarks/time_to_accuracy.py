@@ -20,19 +20,17 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 import scipy
-import yaml
 from scipy.integrate import solve_ivp
 
 from benchmarks.batch import equations, rig_constants, turns
-from benchmarks.kernel_vs_c import HERE, RIG
+from benchmarks.physics_accuracy import ROOT, errors, rig_of
 from ehls_ros.arrays import Array, lean
 from ehls_ros.physics import simulator
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import FRICTION, Chains, Coefficients, U
-from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.physics.simulator import Constants, Simulator, State, at_rest
 
-sys.path.insert(0, str(HERE.parent / "test" / "physics"))
+sys.path.insert(0, str(ROOT / "test" / "physics"))
 
 from reference_solver import ABSOLUTE_TOLERANCE, FORCE_TOLERANCE, RELATIVE_TOLERANCE, Case, cases, solve
 
@@ -85,14 +83,6 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Equation
 
 
 ENTRIES = {"evaluate": "t, y, constants, state, rate", "switch": "t, y, constants, state"}
-
-
-def rig_of(case: Case) -> Rig:
-    """Return a case's rig."""
-    data = yaml.safe_load(RIG.read_text(encoding="utf-8"))
-    data["friction"]["model"] = case.law
-    data["effects"] = case.effects
-    return rig_from_mapping(data, case.name)
 
 
 def ours(case: Case) -> Solver:
@@ -186,12 +176,6 @@ def with_diffrax(case: Case) -> Solver:
     return lambda tolerance: np.asarray(run(tolerance))
 
 
-def deviation(states: Array, reference: Array) -> float:
-    """Return the largest deviation of any state, relative to its range."""
-    compared = states[:, : reference.shape[1]]
-    return float(np.max(np.abs(compared - reference).max(axis=0) / np.abs(reference).max(axis=0)))
-
-
 class Contestant(NamedTuple):
     """A solver with its coarsest setting within the bound.
 
@@ -216,7 +200,7 @@ def contestants(case: Case, reference: Array) -> Iterator[tuple[str, Contestant 
         best: Contestant | None = None
         for setting in settings:
             try:
-                error = deviation(solver(setting), reference)
+                error = float(errors(solver(setting), reference).max())
             except Stuck:
                 continue
             if error <= BOUND:
