@@ -21,6 +21,7 @@ from ehls_ros.recording.bag_writer import BagWriter, Storage
 from ehls_ros.recording.topics import (
     CLOCK,
     CYCLE_TOPICS,
+    LOADER_STATE,
     PARAMETER_EVENTS,
     ROSOUT,
     TELEMETRY_TOPICS,
@@ -204,12 +205,15 @@ class RecorderNode(ControlNode):
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report how much has been written and lost."""
-        figures = {"bag": self.path, "written": self.written, "lost": self.lost, "nodes_known": self.stock.known}
+        cycles = self.taken[LOADER_STATE.name]
+        figures = {"bag": self.path, "written": self.written, "cycles": cycles, "lost": self.lost, "nodes_known": self.stock.known}
         if self.failure:
             return ERROR, f"not recording: {self.failure}", figures
         if self.lost:
             return WARN, "messages were lost before they reached the recorder", figures
-        return OK, "recording" if self._active.is_set() else "inactive", figures
+        if not self._active.is_set():
+            return OK, "inactive", figures
+        return OK, "recording" if cycles else "recording, no snapshot yet", figures
 
 
 def _wanted(topic: Topic) -> QoSProfile:

@@ -334,7 +334,7 @@ def test_a_recording_holds_the_signals(tab, shown):
     tab.click("[data-name=tab-nodes]")
     tab.until(
         "[...document.querySelectorAll('[data-name=node-recorder_node] dt')]"
-        ".some(name => name.textContent === 'written' && Number(name.nextElementSibling.textContent) > 1000)"
+        ".some(name => name.textContent === 'cycles' && Number(name.nextElementSibling.textContent) > 100)"
     )
     tab.click("[data-name=tab-experiment]")
     tab.click("[data-name=record]")
