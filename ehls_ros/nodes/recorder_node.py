@@ -206,7 +206,8 @@ class RecorderNode(ControlNode):
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report how much has been written and lost."""
         cycles = self.taken[LOADER_STATE.name]
-        figures = {"bag": self.path, "written": self.written, "cycles": cycles, "lost": self.lost, "nodes_known": self.stock.known}
+        counts = {"written": self.written, "cycles": cycles, "lost": self.lost, "nodes_known": self.stock.known}
+        figures = {"bag": self.path} | counts
         if self.failure:
             return ERROR, f"not recording: {self.failure}", figures
         if self.lost:
