@@ -7,7 +7,9 @@ enum { X, V, PL, XV, FRICTION, ELEMENTS = 3, STATES = FRICTION + ELEMENTS };
 enum { U, FD, FD_RATE, XD, VD, TEMPERATURE, START };
 
 static const int MOST_EVENTS = 16;
-static const int MOST_ITERATIONS = 64;
+static const int HALVINGS = 18;
+static const int SLOW = 3;
+static const int MOST_ITERATIONS = 128;
 static const double EVENT_TOLERANCE = 1e-9;
 
 typedef struct {
@@ -134,27 +136,56 @@ static inline void take_step(double t, const double *y, const double *mode, cons
                 + 11.0 / 84 * k6[i]);
 }
 
+static double foresee(
+    double t, const double *y, const double *mode, const Coefficients *c, double step, Work *w, const double *end_rate)
+{
+    double between[STATES], rate[STATES], early = 0.0, late = 1.0;
+    for (int halving = 0; halving < HALVINGS; halving++) {
+        const double s = 0.5 * (early + late);
+        for (int i = 0; i < STATES; i++) {
+            const double outer = y[i] + s * s * (3.0 - 2.0 * s) * (w->end[i] - y[i]), rise = s * (1.0 - s) * step;
+            between[i] = outer + rise * ((1.0 - s) * w->k1[i] - s * end_rate[i]);
+        }
+        if (evaluate(t + s * step, between, mode, c, rate) > 0.0)
+            late = s;
+        else
+            early = s;
+    }
+    return late * step;
+}
+
 static double locate(
     double t, const double *y, const double *mode, const Coefficients *c, double step, double after, Work *w)
 {
+    double past[STATES], end_rate[STATES];
+    for (int i = 0; i < STATES; i++) {
+        past[i] = w->end[i];
+        end_rate[i] = w->k1[i];
+    }
     double before = fmin(evaluate(t, y, mode, c, w->k1), 0.0);
+    const double foreseen = foresee(t, y, mode, c, step, w, end_rate), error = pow(0.5, HALVINGS) * step;
     double low = 0.0, high = step;
     const double tolerance = EVENT_TOLERANCE * step;
-    int side = 0, halve = 0;
+    int side = 0, slow = 0;
     for (int iteration = 0; iteration < MOST_ITERATIONS; iteration++) {
         const double width = high - low;
         if (width <= tolerance)
             break;
         double middle;
-        if (halve) {
+        if (iteration < 2) {
+            middle = foreseen + (iteration == 0 ? error : -2.0 * error);
+        } else if (slow == SLOW) {
             middle = low + 0.5 * width;
+            slow = 0;
         } else {
-            middle = high - after * width / (after - before) + 0.5 * tolerance;
-            middle = fmin(fmax(middle, low + 0.25 * tolerance), high - 0.25 * tolerance);
+            middle = high - after * width / (after - before);
         }
+        middle = fmin(fmax(middle, low + 0.75 * tolerance), high - 0.75 * tolerance);
         take_step(t, y, mode, c, middle, w);
         const double value = evaluate(t + middle, w->end, mode, c, w->stage);
         if (value > 0.0) {
+            for (int i = 0; i < STATES; i++)
+                past[i] = w->end[i];
             high = middle;
             after = value;
             if (side == 1)
@@ -167,9 +198,10 @@ static double locate(
                 after *= 0.5;
             side = -1;
         }
-        halve = high - low > 0.5 * width;
+        slow = high - low > 0.5 * width ? slow + 1 : 0;
     }
-    take_step(t, y, mode, c, high, w);
+    for (int i = 0; i < STATES; i++)
+        w->end[i] = past[i];
     return high;
 }
 

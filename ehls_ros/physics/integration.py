@@ -18,8 +18,11 @@ from numba import njit
 from ehls_ros.arrays import Array, lean
 from ehls_ros.duals import alike, length_to_event, varies
 
-WORK_ROWS = 8
-"""Rows of an integrator's workspace, each as long as the state."""
+STEP_ROWS = 8
+"""Rows of workspace that a step needs, each as long as the state."""
+
+WORK_ROWS = STEP_ROWS + 1
+"""Rows of an integrator's workspace: in the last one it keeps the state after an event that it has not enclosed yet."""
 
 MOST_EVENTS = 16
 """Most events located within one step; further ones are stepped over."""
@@ -27,8 +30,14 @@ MOST_EVENTS = 16
 EVENT_TOLERANCE = 1e-9
 """Tolerance of an event's time, as a fraction of the step."""
 
-MOST_ITERATIONS = 64
-"""Enough to halve a step down to the tolerance at every second iteration."""
+HALVINGS = 18
+"""How often a step is halved to foresee an event: each is one evaluation, and later iterations a whole step."""
+
+SLOW = 3
+"""Iterations without halving the bracket after which it is halved."""
+
+MOST_ITERATIONS = 128
+"""Enough to halve a step down to the tolerance at every fourth iteration."""
 
 
 class Steps(NamedTuple):
@@ -112,13 +121,40 @@ def steps_of(
 
     take_step = {2: midpoint, 4: runge_kutta, 5: dormand_prince}[order]
 
+    @lean
+    def foresee(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> float:
+        """Return about where in a step the event is: where it is on the cubic through both ends and their rates.
+
+        Halving needs no more than the sign of the event function. Its size is that of the condition nearest to being met, and
+        these have different units, so that between two evaluations of it there is often a sharp bend.
+
+        Args:
+            t, y, mode, c, step: as those of ``locate``.
+            work: workspace with the state at the end in ``work[0]``, the rates there in ``work[3]``, at the start in ``work[2]``.
+
+        Returns:
+            Time from ``t`` [s].
+        """
+        end, between, start_rate, end_rate = work[0], work[1], work[2], work[3]
+        early, late = 0.0, 1.0
+        for _ in range(HALVINGS):
+            s = 0.5 * (early + late)
+            for i in range(size or y.size):
+                outer, rise = y[i] + s * s * (3.0 - 2.0 * s) * (end[i] - y[i]), s * (1.0 - s) * step
+                between[i] = outer + rise * ((1.0 - s) * start_rate[i] - s * end_rate[i])
+            if evaluate(t + s * step, between, mode, c, work[4]) > 0.0:
+                late = s
+            else:
+                early = s
+        return late * step
+
     # Rarely called and long, so not inlined into the loop.
     @njit(error_model="numpy")
     def locate(t: float, y: Array, mode: Array, c: Any, step: float, after: float, work: Array) -> float:
         """Find where in a step the event function crosses zero.
 
-        This is regula falsi in the Illinois variant. An iteration that does not halve the bracket, as with a flat event
-        function, is followed by a bisection.
+        Two tries enclose where the event is foreseen. What follows is regula falsi in the Illinois variant; where that is slow,
+        as with a flat event function, the bracket is halved.
 
         Args:
             t: time at the start of the step [s].
@@ -127,31 +163,39 @@ def steps_of(
             c: coefficients of the system.
             step: length of the step [s], which contains the event.
             after: event function at the end of the step, positive.
-            work: workspace; on return ``work[0]`` holds the state at the event.
+            work: workspace with the state at the end of the step in ``work[0]`` and its rates in ``work[2]``; on return
+                ``work[0]`` holds the state at the event.
 
         Returns:
             Time from ``t`` to just after the event [s].
         """
+        end, past = work[0], work[STEP_ROWS]
+        for i in range(size or y.size):
+            past[i] = end[i]
+            work[3, i] = work[2, i]
         before = min(evaluate(t, y, mode, c, work[2]), 0.0)
+        foreseen, error = foresee(t, y, mode, c, step, work), 0.5**HALVINGS * step
         low, high = 0.0, step
         tolerance = EVENT_TOLERANCE * step
-        side, halve = 0, False
-        for left in range(MOST_ITERATIONS, -1, -1):
+        side = slow = 0
+        for iteration in range(MOST_ITERATIONS):
             width = high - low
-            found = width <= tolerance or left == 0
-            if found:
-                middle = high
-            elif halve:
-                middle = low + 0.5 * width
-            else:
-                # Half a tolerance past the estimate, so that both ends of the bracket close in.
-                middle = high - after * width / (after - before) + 0.5 * tolerance
-                middle = min(max(middle, low + 0.25 * tolerance), high - 0.25 * tolerance)
-            take_step(t, y, mode, c, middle, work)
-            if found:
+            if width <= tolerance:
                 break
-            value = evaluate(t + middle, work[0], mode, c, work[1])
+            if iteration < 2:
+                middle = foreseen + (error if iteration == 0 else -2.0 * error)
+            elif slow == SLOW:
+                middle = low + 0.5 * width
+                slow = 0
+            else:
+                middle = high - after * width / (after - before)
+            # Next to an end that is as good as the event, a step of almost the tolerance closes the bracket.
+            middle = min(max(middle, low + 0.75 * tolerance), high - 0.75 * tolerance)
+            take_step(t, y, mode, c, middle, work)
+            value = evaluate(t + middle, end, mode, c, work[1])
             if value > 0.0:
+                for i in range(size or y.size):
+                    past[i] = end[i]
                 high, after = middle, value
                 before *= 0.5 if side == 1 else 1.0
                 side = 1
@@ -159,7 +203,9 @@ def steps_of(
                 low, before = middle, value
                 after *= 0.5 if side == -1 else 1.0
                 side = -1
-            halve = high - low > 0.5 * width
+            slow = slow + 1 if high - low > 0.5 * width else 0
+        for i in range(size or y.size):
+            end[i] = past[i]
         return length_to_event(take_step, evaluate, t, y, mode, c, high, work)
 
     @lean

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 from numba import njit
 
 from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.integration import MOST_EVENTS, WORK_ROWS, steps_of
+from ehls_ros.physics.integration import MOST_EVENTS, STEP_ROWS, steps_of
 from ehls_ros.physics.lane_memory import LANES, Rows, column, stack, wide_vectors
 
 RATE = 2
@@ -73,7 +73,7 @@ def lanes_integrator(
         :func:`~ehls_ros.physics.integration.integrator` does for one.
     """
     take_step, located_step = steps_of(evaluate, switch, size, most_events, order)
-    w0, w1, w2, w3, w4, w5, w6, w7 = (stack(size) for _ in range(WORK_ROWS))
+    w0, w1, w2, w3, w4, w5, w6, w7 = (stack(size) for _ in range(STEP_ROWS))
     states, modes_of = column(size), column(modes)
     MODE, Y, RATE_ROW, CHANGED, END, END_RATE, AFTER = rows
     carried = 2 * size + 1
