@@ -5,7 +5,7 @@
     python -m benchmarks.monitor hidden --cases 80                   # effects that begin while the rig runs
     python -m benchmarks.monitor hidden --cases 40 --drift           # that grow
     python -m benchmarks.monitor hidden --cases 40 --closed-loop     # under the adaptive controller, in the package's simulator
-    python -m benchmarks.monitor peers --healthy FILE --hidden FILE  # simpler detectors on the same streams
+    python -m benchmarks.monitor peers --healthy FILE --hidden FILE  # simpler detectors; the first with --powers
     python -m benchmarks.monitor cost                                # time by part
     python -m benchmarks.monitor healthy --summary FILE…             # the tables of such files without running anything
 
@@ -52,6 +52,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--hours", type=float, default=1.0, help="healthy: hours, episodes together (%(default)s)")
     parser.add_argument("--minutes", type=float, default=60.0, help="healthy: length of an episode (%(default)s)")
     parser.add_argument("--forms", type=float, help="healthy: largest form error, as a fraction of the largest terms")
+    parser.add_argument("--powers", action="store_true", help="healthy: keep what `peers` needs, which takes as long again")
     parser.add_argument("--cases", type=int, default=40, help="hidden: number of cases, all effects in turn (%(default)s)")
     parser.add_argument("--drift", action="store_true", help="hidden: effects that grow")
     parser.add_argument("--closed-loop", action="store_true", help="hidden: under the adaptive controller")
@@ -92,7 +93,7 @@ def work(options: argparse.Namespace) -> tuple[str, Callable[[int], Row], int]:
     if options.part == "healthy":
         duration = 60.0 * options.minutes
         name = "healthy" if options.forms is None else f"healthy-forms{options.forms:g}"
-        one = partial(healthy.run, options.seed, duration=duration, form=options.forms, with_powers=True)
+        one = partial(healthy.run, options.seed, duration=duration, form=options.forms, with_powers=options.powers)
         return name, one, round(3600.0 * options.hours / duration)
     if options.closed_loop:
         return "closed-loop", partial(closed_loop.run, options.seed), options.cases

@@ -47,7 +47,7 @@ def line_of(row: Row) -> str:
     if "largest" in row:
         kinds = ", ".join(f"{e['kind']} at {e['time']:.0f} s ({e['text']})" for e in row["events"] if e["kind"] not in _USUAL)
         most = max(row["largest"], default=0.0)
-        took = f"{row['watched_h']:.2f} h in {row['wall_s']:.0f} s"
+        took = f"{row['watched_h']:.2f} h in {row['processor_s']:.0f} s of a processor"
         return f"{row['number']:4d} {row['kind']} {took}, largest {most:.1f}; {kinds}"
     j = judge(row)
     return f"{row['number']:4d} {'ok   ' if j.right else 'WRONG' if j.counts else '-    '} {row['effect']}: {j.words}"
@@ -77,11 +77,12 @@ def show_healthy(rows: Sequence[Row], console: Console) -> None:
         )  # fmt: skip
     console.print(table)
     _show_tail(good, console)
-    took, hours = sum(row["wall_s"] for row in good), sum(row["watched_h"] for row in good)
+    took, hours = sum(row["processor_s"] for row in good), sum(row["watched_h"] for row in good)
     if took:
         speed = 3600.0 * hours / sum(row["monitor_s"] for row in good)
         ahead = LONG * took / max(hours, 1e-9) / 3600.0
-        console.print(f"{speed:.0f} × real time, all of it {took / 60.0:.0f} min; {LONG:g} h take {ahead:.0f} h of one core")
+        both = f"with the streams {took / 60.0:.0f} min of a processor; {LONG:g} h take {ahead:.0f} h of one"
+        console.print(f"the monitor {speed:.0f} × real time, {both}")
     errors = [row for row in rows if "error" in row]
     for row in errors:
         console.print(f"episode {row['number']} went wrong: {row['error'].strip().splitlines()[-1]}")
