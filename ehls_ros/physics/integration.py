@@ -125,8 +125,8 @@ def steps_of(
     def foresee(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> float:
         """Return about where in a step the event is: where it is on the cubic through both ends and their rates.
 
-        Halving needs no more than the sign of the event function. Its size is that of the condition nearest to being met, and
-        these have different units, so that between two evaluations of it there is often a sharp bend.
+        Halving needs only the sign of the event function: that is the largest of several conditions in different units, so it
+        bends sharply where another of them becomes the largest.
 
         Args:
             t, y, mode, c, step: as those of ``locate``.
