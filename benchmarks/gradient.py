@@ -6,8 +6,8 @@ One run is the simulator's own compiled functions with floats: plant and sensors
 same functions with duals. Both are interleaved; a ratio is the median of
 the ratios of neighbouring runs. Central differences take two runs a coefficient. The error is the largest deviation from them
 (fourth order, integration step 10 µs), relative to the largest derivative of its signal, with the best of six steps of the
-differences, where they change the signal by more than 1e-7: an event is located to 1e-9 of a step, and no closer. Over a step in
-which a bend that is no event, as of an end stop's force, moves to another integration step, they are wrong.
+differences, where they change the signal by more than 1e-7: an event is located to 1e-9 of a step, and no closer. Too long a
+step moves a bend that is no event, as of an end stop's force, to another integration step.
 """
 
 import argparse

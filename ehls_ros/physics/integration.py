@@ -129,8 +129,13 @@ def steps_of(
         bends sharply where another of them becomes the largest.
 
         Args:
-            t, y, mode, c, step: as those of ``locate``.
-            work: workspace with the state at the end in ``work[0]``, the rates there in ``work[3]``, at the start in ``work[2]``.
+            t: time at the start of the step [s].
+            y: state at the start of the step.
+            mode: modes during the step.
+            c: coefficients of the system.
+            step: length of the step [s].
+            work: workspace with the state at the end of the step in ``work[0]``, its rates in ``work[3]``, and those at the
+                start in ``work[2]``.
 
         Returns:
             Time from ``t`` [s].
