@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from ehls_ros.errors import BadInput
-from ehls_ros.nodes import controller_of
+from ehls_ros.errors import BadInput, one_of
+from ehls_ros.nodes import controller_of, node_names
 
 PLUS = "+"
 """Stands between the names of nodes that are to be one process."""
@@ -37,10 +37,12 @@ def in_order(names: Sequence[str]) -> list[str]:
     """Return the names of the nodes of one process in the order in which they become active.
 
     Raises:
-        BadInput: these nodes cannot be one process.
+        BadInput: these nodes cannot be one process, or one of them does not exist.
     """
     where = PLUS.join(names)
     for name in names:
+        if name not in node_names():
+            raise BadInput(f"there is no node '{name}'", where, one_of(name, node_names()))
         if not may_be_together(name):
             raise BadInput(f"{name} cannot share a process", where, f"{', '.join((*BEFORE, *HOSTS))} or a controller's node")
     hosts, laws = [name for name in names if name in HOSTS], [name for name in names if controller_of(name) is not None]

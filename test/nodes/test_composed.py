@@ -127,6 +127,7 @@ def test_a_controller_apart_takes_over_and_gives_back(graph, participant, spec_f
 @pytest.mark.parametrize(
     ("names", "word"),
     [
+        ("plant_sim_node+fasmc_nod", "did you mean 'fasmc_node'"),
         ("plant_sim_node+recorder_node", "recorder_node cannot share"),
         ("fasmc_node+reference_node", "0 plant nodes"),
         ("plant_sim_node+fasmc_node+sic_node", "2 controllers"),

@@ -17,8 +17,8 @@ class _Joinable(tuple[str, ...]):
     __slots__ = ()
 
     def __contains__(self, names: object) -> bool:
-        """Tell whether these are names of nodes, or one is."""
-        return all(tuple.__contains__(self, name) for name in str(names).split(PLUS))
+        """Tell whether this is the name of a node, or several names, which are looked at one by one later."""
+        return PLUS in str(names) or tuple.__contains__(self, names)
 
 
 def arguments(parser: ArgumentParser) -> None:
