@@ -139,7 +139,12 @@ def _over_dds(spec: Spec, folder: RunFolder, options: Namespace, progress: Calla
             f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced or `make setup`; or --in-process"
         ) from None
     plant = Plant(options.plant, options.bridge)
-    wall = run_graph(spec, folder, options.timing, options.storage, progress, plant, compose=options.compose)
+    try:
+        wall = run_graph(spec, folder, options.timing, options.storage, progress, plant, compose=options.compose)
+    except KeyboardInterrupt:
+        if folder.bag.exists():
+            print(f"what was recorded is kept in {folder.bag}", file=sys.stderr)
+        raise
     return _Done(read_bag(folder.bag), wall)
 
 
