@@ -125,7 +125,7 @@ class ControlNode(DeclaredParameters):
         self.add_post_set_parameters_callback(self._note_clock)
         declare(self, Common, live=False)
         self.spec = chosen_spec(self.text_parameter("spec"), self.text_parameter("rig"))
-        self.kept = kept_at(self.spec.settings.control_period)
+        self.cycles_kept = kept_at(self.spec.settings.control_period)
         timing = self.text_parameter("timing")
         if timing not in TIMINGS:
             raise BadInput(f"timing is '{timing}'", self.get_name(), f"one of {', '.join(TIMINGS)}")

@@ -80,7 +80,7 @@ def links_of(node: Node) -> Links | None:
 
 def _kept_by(node: Node) -> int:
     """Return how many messages a node's control-path topics keep."""
-    return int(getattr(node, "kept", DEPTH))
+    return int(getattr(node, "cycles_kept", DEPTH))
 
 
 class Outbox:
