@@ -1,17 +1,17 @@
 """Latency and missed cycles of the graph on a rig behind UDP, compared with an empty rclpy echo at the same rate.
 
 usage: python -m benchmarks.bridge_timing [--seconds 60] [--rounds 1] [--controller fasmc_output_feedback]
-                                          [--monitor | --compose]
+                                          [--period 1e-3] [--monitor | --compose [--only composed]]
 
-Each node is a process, over Fast DDS; the rig is `ehls rig-emulator` at 1 kHz on its own clock. A round is echo, graph, echo,
-so that both see the same state of the machine. The echo is the round trip of one small, reliable message per millisecond
-between two processes with rclpy's events executor, at the nodes' realtime priority.
+Each node is a process, over Fast DDS; the rig is `ehls rig-emulator` on its own clock. A round is echo, graph, echo, so that
+both see the same state of the machine. The echo is the round trip of one small, reliable message per control period between two
+processes with rclpy's events executor, at the nodes' realtime priority.
 
 With --monitor, each round runs the graph twice, with and without `monitor_node`, in alternating order; the last line says what
 the monitor itself took.
 
 With --compose, each round runs the graph twice, with each node in a process and with those of the cycle in one, in alternating
-order. The response times of both are then the plant's: from snapshot to command taken.
+order, or in one of these ways only. The response times are then the plant's: from snapshot to command taken.
 """
 
 import argparse
@@ -34,7 +34,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
 from benchmarks.graph_timing import answer_echoes, percentiles
-from benchmarks.processes import PARTS, Meter, Told, told_by_plant
+from benchmarks.processes import APART, COMPOSED, PARTS, WAYS, Meter, Told, told_by_plant
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
@@ -86,11 +86,12 @@ def be_asker(period: float = PERIOD) -> None:
     time.sleep(0.5)
 
 
-def echo() -> np.ndarray:
-    """Return the round trips of an empty echo between two processes [s]."""
+def echo(period: float) -> np.ndarray:
+    """Return the round trips of an empty echo between two processes, one per period [s]."""
     environment = graph_environment()
     answering = subprocess.Popen([*ITSELF, "--be", "echo"], cwd=ROOT, env=environment)
-    asking = subprocess.run([*ITSELF, "--be", "asker"], cwd=ROOT, env=environment, check=True, capture_output=True, text=True)
+    asker = [*ITSELF, "--be", "asker", "--period", str(period)]
+    asking = subprocess.run(asker, cwd=ROOT, env=environment, check=True, capture_output=True, text=True)
     answering.send_signal(signal.SIGINT)
     answering.wait(10)
     return np.array([float(trip) for trip in asking.stdout.splitlines()[-1].split()])
@@ -109,7 +110,7 @@ class Cost(NamedTuple):
 
 
 def graph(
-    seconds: float, controller: str, watched: bool = False, compose: bool = False
+    options: argparse.Namespace, watched: bool = False, compose: bool = False
 ) -> tuple[Trajectory, Cost | None, Told, float]:
     """Run the graph on the emulated rig.
 
@@ -119,33 +120,41 @@ def graph(
     """
     spec = load_spec(SPEC)
     spec = spec._replace(
-        settings=spec.settings._replace(duration=seconds), controller=spec.controller._replace(name=controller)
+        settings=spec.settings._replace(duration=options.seconds, control_period=options.period),
+        controller=spec.controller._replace(name=options.controller),
     )
+    with tempfile.TemporaryDirectory() as folder:
+        run_folder = RunFolder.create(Path(folder) / "run", "bridge", overwrite=True)
+        run_folder.write_spec(spec)
+        with _emulator(run_folder.spec), _monitor(run_folder) if watched else nullcontext() as process:
+            meter = Meter()
+            wall = run_graph(spec, run_folder, "realtime", "mcap", meter, Plant("bridge"), compose=compose)
+            cost = None if process is None else _cost(process.pid)
+        per_cycle = sum(taken for name, taken in meter.per_cycle(spec.cycles / wall).items() if name != EMULATOR)
+        return read_bag(run_folder.bag), cost, told_by_plant(run_folder.bag), per_cycle
+
+
+@contextmanager
+def _emulator(spec: Path) -> Iterator[None]:
+    """Run the emulated rig of an experiment."""
     emulator = subprocess.Popen(
-        [sys.executable, "-m", "ehls_ros.cli.main", "rig-emulator", "--spec", str(SPEC)], stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "ehls_ros.cli.main", "rig-emulator", "--spec", str(spec)], stdout=subprocess.DEVNULL
     )
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            run_folder = RunFolder.create(Path(folder) / "run", "bridge", overwrite=True)
-            run_folder.write_spec(spec)
-            with _monitor(Path(folder)) if watched else nullcontext() as process:
-                meter = Meter()
-                wall = run_graph(spec, run_folder, "realtime", "mcap", meter, Plant("bridge"), compose=compose)
-                cost = None if process is None else _cost(process.pid)
-            per_cycle = sum(taken for name, taken in meter.per_cycle(spec.cycles / wall).items() if name != EMULATOR)
-            return read_bag(run_folder.bag), cost, told_by_plant(run_folder.bag), per_cycle
+        yield
     finally:
         emulator.send_signal(signal.SIGINT)
         emulator.wait(20)
 
 
 @contextmanager
-def _monitor(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+def _monitor(folder: RunFolder) -> Iterator[subprocess.Popen[bytes]]:
     """Run a monitor beside the graph that comes up."""
     environment = graph_environment()
     os.environ["ROS_DOMAIN_ID"] = environment["ROS_DOMAIN_ID"]
-    own = {"monitor_node": {"spec": str(SPEC), "folder": str(folder / "monitor"), "learning_time": 30.0}}
-    with node_processes(["monitor_node"], own, folder, environment) as [running]:
+    beside = folder.path.parent
+    own = {"monitor_node": {"spec": str(folder.spec), "folder": str(beside / "monitor"), "learning_time": 30.0}}
+    with node_processes(["monitor_node"], own, beside, environment) as [running]:
         yield running.process
 
 
@@ -169,7 +178,8 @@ def main() -> None:
     parser.add_argument(
         "--compose", action="store_true", help="run each round with the nodes apart and with the cycle in one process"
     )
-    parser.add_argument("--period", type=float, default=PERIOD, help=argparse.SUPPRESS)
+    parser.add_argument("--only", choices=WAYS, help="with --compose, run in this way only")
+    parser.add_argument("--period", type=float, default=PERIOD, help="control period [s]")
     parser.add_argument("--be", choices=("echo", "asker"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.be:
@@ -179,13 +189,13 @@ def main() -> None:
     print(f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}")
     print("                                     p50      p99    p99.9      max  [us]")
     for number in range(options.rounds):
-        before = echo()
+        before = echo(options.period)
         if options.compose:
             composed(options, number, before)
             continue
         kinds = [False, True] if options.monitor else [False]
-        runs = [(watched, *graph(options.seconds, options.controller, watched)) for watched in kinds[:: (-1) ** number]]
-        floor = np.concatenate([before, echo()])
+        runs = [(watched, *graph(options, watched)) for watched in kinds[:: (-1) ** number]]
+        floor = np.concatenate([before, echo(options.period)])
         for watched, trajectory, cost, _, _ in sorted(runs, key=lambda run: run[0]):
             tell(f"{number + 1} snapshot to command" + (", monitored" if watched else ""), trajectory, floor)
             if cost is not None:
@@ -197,17 +207,18 @@ def main() -> None:
 
 def composed(options: argparse.Namespace, number: int, before: np.ndarray) -> None:
     """Run the graph apart and composed, and print what its plant says of the answers beside the echo's round trips [s]."""
-    order = (False, True)[:: (-1) ** number]
-    runs = {compose: graph(options.seconds, options.controller, compose=compose) for compose in order}
-    floor = np.concatenate([before, echo()])
-    for compose, (trajectory, _, told, cost) in sorted(runs.items()):
-        what = f"{number + 1} {'composed' if compose else 'apart'}"
+    order = [options.only] if options.only else WAYS[:: (-1) ** number]
+    runs = {way: graph(options, compose=way == COMPOSED) for way in order}
+    floor = np.concatenate([before, echo(options.period)])
+    for way, (trajectory, _, told, cost) in sorted(runs.items()):
+        what = f"{number + 1} {way}"
         print(f"{what:34s}{''.join(f'{1e6 * told.response[part]:9.0f}' for part in PARTS)}")
         lost = int(np.sum(~np.isfinite(trajectory["force_n"])))
         print(
             f"  {told.missed} missed of {len(trajectory)} cycles, {lost} lost in the bag, processor {1e6 * cost:.0f} us a cycle"
         )
-    print(f"  ratio of processor time {runs[True][3] / runs[False][3]:.2f}")
+    if not options.only:
+        print(f"  ratio of processor time {runs[COMPOSED][3] / runs[APART][3]:.2f}")
     print(f"  empty rclpy echo, round trip      {percentiles(floor)}")
 
 

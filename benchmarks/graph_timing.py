@@ -1,13 +1,14 @@
 """Speed of the node graph: lockstep cycles per second and realtime latency, compared with an empty rclpy echo.
 
 usage: python -m benchmarks.graph_timing [--lockstep-seconds 10] [--realtime-seconds 30] [--rounds 5]
-                                         [--compose] [--period 1e-3]
+                                         [--compose [--only composed]] [--period 1e-3]
 
 Each node is a process, over Fast DDS on this host. The echo is the lower bound: the round trip of one small, reliable message
 between two processes with rclpy's events executor. It has two hops, a cycle has three.
 
 With --compose, each round has a lockstep run and a realtime run with each node in a process and with those of the cycle in one,
 in alternating order, and an echo at one message per period; the table has medians and quartiles, and ratios within a round.
+With --only, the runs are those of one way. A cycle is missed if it has no answer, and late if it ended more than a period late.
 Response times are the plant's: from snapshot to command taken. Processor time is that of all processes and threads.
 """
 
@@ -19,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,13 +30,13 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from benchmarks.processes import PARTS, Meter, Told, processor_time, spread, told_by_plant
+from benchmarks.processes import APART, COMPOSED, PARTS, WAYS, Meter, Told, processor_time, spread, told_by_plant
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.hardware.realtime import claim, exact_wake_ups
-from ehls_ros.nodes.control import TIMINGS
+from ehls_ros.nodes.control import LOCKSTEP, TIMINGS
 from ehls_ros.nodes.graph import graph_environment, run_graph
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
@@ -165,16 +167,15 @@ def paced_echo(period: float) -> tuple[np.ndarray, float]:
     return trips, (after - before) / len(trips)
 
 
-def compare(lockstep: Spec, realtime: Spec, rounds: int) -> None:
-    """Print what the cycle in one process gains over each node in its own."""
+def compare(lockstep: Spec, realtime: Spec, rounds: int, ways: Sequence[str] = WAYS) -> None:
+    """Print what the cycle in one process gains over each node in its own, or how one of both ways does."""
     period = realtime.settings.control_period
-    runs: dict[str, list[Run]] = {f"{timing}, {how}": [] for timing in TIMINGS for how in ("apart", "composed")}
+    runs: dict[str, list[Run]] = {f"{timing}, {way}": [] for timing in TIMINGS for way in ways}
     echoes = []
     for number in range(rounds):
         for timing, spec in zip(TIMINGS, (lockstep, realtime), strict=True):
-            for compose in (False, True)[:: (-1) ** number]:
-                how = "composed" if compose else "apart"
-                runs[f"{timing}, {how}"].append(measured_run(spec, timing, compose=compose))
+            for way in ways[:: (-1) ** number]:
+                runs[f"{timing}, {way}"].append(measured_run(spec, timing, compose=way == COMPOSED))
         echoes.append(paced_echo(period))
     print(f"{rounds} rounds: median (quartiles); load {os.getloadavg()[0]:.1f}")
     for name, done in runs.items():
@@ -183,14 +184,16 @@ def compare(lockstep: Spec, realtime: Spec, rounds: int) -> None:
         print(f"{'':20s} processor, us a cycle {spread([1e6 * one.cost for one in done], '.0f')}")
         for part in PARTS:
             print(f"{'':20s} response {part:6s} us {spread([1e6 * one.response[part] for one in told], '.0f')}")
-        print(f"{'':20s} missed {[one.missed for one in told]}, not in the bag {[one.lost for one in done]}")
+        cycles = (lockstep if name.startswith(LOCKSTEP) else realtime).cycles
+        print(f"{'':20s} of {cycles} cycles missed {[one.missed for one in told]}, late {[one.late for one in told]},", end=" ")
+        print(f"not in the bag {[one.lost for one in done]}; slipped {spread([one.slipped for one in told], '.3f')} s")
     for part, quantile in zip(PARTS, (50, 99, 99.9, 100), strict=True):
         print(
             f"{'empty echo':20s} round trip {part:6s} us {spread([1e6 * np.percentile(t, quantile) for t, _ in echoes], '.0f')}"
         )
     print(f"{'':20s} processor, us a round trip {spread([1e6 * cost for _, cost in echoes], '.0f')}")
-    for timing in TIMINGS:
-        pairs = list(zip(runs[f"{timing}, composed"], runs[f"{timing}, apart"], strict=True))
+    for timing in TIMINGS if set(WAYS) == set(ways) else ():
+        pairs = list(zip(runs[f"{timing}, {COMPOSED}"], runs[f"{timing}, {APART}"], strict=True))
         print(f"{timing}: composed / apart: rate {spread([one.rate / two.rate for one, two in pairs], '.2f')},", end=" ")
         print(f"processor {spread([one.cost / two.cost for one, two in pairs], '.2f')}")
 
@@ -202,6 +205,7 @@ def main() -> None:
     parser.add_argument("--realtime-seconds", type=float, default=30.0, help="plant time of the realtime run")
     parser.add_argument("--rounds", type=int, default=5, help="lockstep runs")
     parser.add_argument("--compose", action="store_true", help="compare the cycle in one process with each node in its own")
+    parser.add_argument("--only", choices=WAYS, help="with --compose, run in this way only")
     parser.add_argument("--period", type=float, default=1e-3, help="control period [s]")
     parser.add_argument("--echo", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -218,7 +222,7 @@ def main() -> None:
     lockstep = spec._replace(settings=settings._replace(duration=options.lockstep_seconds))
     realtime = spec._replace(settings=settings._replace(duration=options.realtime_seconds))
     if options.compose:
-        compare(lockstep, realtime, options.rounds)
+        compare(lockstep, realtime, options.rounds, (options.only,) if options.only else WAYS)
         return
     rates = []
     for number in range(options.rounds):

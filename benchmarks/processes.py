@@ -14,6 +14,9 @@ from ehls_ros.recording.typestore import typestore
 LOOK = 0.2
 """Time between two looks at the processes [s]."""
 
+APART, COMPOSED = WAYS = ("apart", "composed")
+"""Each node in a process of its own, or those of the cycle in one."""
+
 PARTS = ("p50", "p99", "p99.9", "max")
 """Parts of the answers in the plant's diagnostics, as ``response_<part>_us``."""
 
@@ -65,10 +68,14 @@ class Told(NamedTuple):
     Attributes:
         response: from snapshot to command taken [s], by :data:`PARTS`.
         missed: cycles without an answer.
+        late: cycles of a simulated rig that ended more than a period late; 0 for another.
+        slipped: time by which a simulated rig is behind the wall clock [s].
     """
 
     response: Mapping[str, float]
     missed: int
+    late: int
+    slipped: float
 
 
 def told_by_plant(bag: Path) -> Told:
@@ -81,7 +88,7 @@ def told_by_plant(bag: Path) -> Told:
                 if status.name in {"plant_sim_node", "hardware_bridge_node"}:
                     values = {pair.key: pair.value for pair in status.values}
     response = {part: 1e-6 * float(values.get(f"response_{part}_us", "nan")) for part in PARTS}
-    return Told(response, int(values.get("missed", 0)))
+    return Told(response, int(values.get("missed", 0)), int(values.get("late", 0)), float(values.get("slipped_s", 0.0)))
 
 
 def spread(values: list[float], form: str) -> str:

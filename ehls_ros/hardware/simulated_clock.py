@@ -2,7 +2,11 @@
 
 After one late answer the last command is held, as on a rig. From the second late answer in a row simulated time waits for the
 answers and does not catch up, because a loop with growing dead time diverges. Waiting ends with a window in which the cycles
-kept up with wall time.
+kept up with wall time. It also begins that way: a computer that is too slow would miss the first answers, when the commands
+change most from cycle to cycle.
+
+Where the controller shares the plant's process, a cycle that begins late has its answer as soon as any other. There is no dead
+time that grows, and simulated time catches up.
 """
 
 from ehls_ros.hardware.pace import Pace
@@ -13,6 +17,9 @@ BEARABLE = 2
 HOPE = 2.0
 """Longest wait for an answer; after that the controller is taken to be gone [s]. A busy computer may well stop it for half a
 second, and a loop that goes on without it diverges within a few cycles."""
+
+CATCH_UP = 0.01
+"""Delay of the cycles that is still caught up where it delays no answer [s]."""
 
 SPARE = 0.25
 """Idle time after an awaited answer, as a fraction of the time it took."""
@@ -43,7 +50,7 @@ class SimulatedClock:
         self._unanswered = 0
         self._overdue = False
         self._rested: float | None = None
-        self.waiting = False
+        self.waiting = True
         self.slipped = 0.0
         self.missed = 0
         self.late = 0
@@ -69,13 +76,14 @@ class SimulatedClock:
         self._overdue = True
         return self._end + HOPE - now
 
-    def end(self, now: float, *, answered: bool, expected: bool) -> bool:
+    def end(self, now: float, *, answered: bool, expected: bool, prompt: bool = False) -> bool:
         """End the cycle and begin the next.
 
         Args:
             now: current time.
             answered: whether the cycle has been answered.
             expected: whether any cycle has been answered yet.
+            prompt: whether a cycle that begins late is answered no later after its begin.
 
         Returns:
             Whether the complaint of :attr:`pace` has changed.
@@ -87,7 +95,7 @@ class SimulatedClock:
             self._unanswered += 1
         behind = now - self._end
         self.late += behind > self._period
-        long_ago = behind > BEARABLE * self._period
+        long_ago = behind > max(BEARABLE * self._period, CATCH_UP if prompt else 0.0)
         # A controller that seems to be gone is not waited for until it answers again.
         self.waiting = answered if self.waiting else self._unanswered == BEARABLE or (answered and long_ago)
         if self._overdue or long_ago:

@@ -67,7 +67,8 @@ class Composition:
         self._answering = [node for node in partners if node.answers]
         self._ahead = [node for node in partners if not node.answers]
         lockstep = self._host.lockstep
-        self._links = Links(self._wait, KEPT_IN_LOCKSTEP if lockstep else DEPTH, patient=lockstep)
+        kept, period = KEPT_IN_LOCKSTEP if lockstep else self._host.cycles_kept, self._host.spec.settings.control_period
+        self._links = Links(self._wait, kept, patient=lockstep, period=period)
         self._inside = False
         for node in nodes:
             node.links = self._links

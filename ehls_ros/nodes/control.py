@@ -32,7 +32,7 @@ from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups, keep_to
 from ehls_ros.nodes.links import Links
 from ehls_ros.nodes.mismatches import Mismatches
 from ehls_ros.nodes.parameters import DeclaredParameters, declare
-from ehls_ros.nodes.transport import Waiter
+from ehls_ros.nodes.transport import Waiter, kept_at
 from ehls_ros.process import Stopping, end
 from ehls_ros.recording.topics import CLOCK
 from ehls_ros.schema import quantity, text
@@ -125,6 +125,7 @@ class ControlNode(DeclaredParameters):
         self.add_post_set_parameters_callback(self._note_clock)
         declare(self, Common, live=False)
         self.spec = chosen_spec(self.text_parameter("spec"), self.text_parameter("rig"))
+        self.cycles_kept = kept_at(self.spec.settings.control_period)
         timing = self.text_parameter("timing")
         if timing not in TIMINGS:
             raise BadInput(f"timing is '{timing}'", self.get_name(), f"one of {', '.join(TIMINGS)}")

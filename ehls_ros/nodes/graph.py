@@ -72,6 +72,9 @@ SHUTDOWN_TIME = 60.0
 ENABLE_TIME = 60.0
 """Longest wait for the gate of a rig to open [s]."""
 
+ASK_AGAIN = 0.1
+"""Time after which a gate that stays closed is asked again [s]: each question takes time that the cycles need."""
+
 BACKGROUND = (RECORDER, REFERENCE, PROGRAMME, DISTURBANCE)
 """Nodes whose output no cycle waits for; they run at lower priority."""
 
@@ -446,10 +449,11 @@ class Conductor:
         """Open the rig's gate, as soon as it allows that."""
         client = self._node.create_client(SetBool, "enable")
         deadline = time.monotonic() + ENABLE_TIME
-        refusal = "the service did not come up"
-        while time.monotonic() < deadline:
+        refusal, ask = "the service did not come up", 0.0
+        # A plant that has run all its cycles opens no more.
+        while time.monotonic() < deadline and not self._ended:
             self._spin()
-            if not client.service_is_ready():
+            if not client.service_is_ready() or time.monotonic() < ask:
                 continue
             future = client.call_async(SetBool.Request(data=True))
             # The answer may get lost; the gate may be enabled twice.
@@ -458,7 +462,7 @@ class Conductor:
                 self._spin()
             if future.done() and future.result().success:
                 return
-            refusal = future.result().message if future.done() else "no answer"
+            refusal, ask = future.result().message if future.done() else "no answer", time.monotonic() + ASK_AGAIN
         raise WorkFailed(f"the rig's safety gate does not open: {refusal}")
 
     def _on_transition(self, event: TransitionEvent) -> None:

@@ -26,6 +26,9 @@ LOCKSTEP_PATIENCE = 0.1
 SILENCE = 2.0
 """Periods without a sample after which the gate is stepped anyway."""
 
+OTHER_RATE = 0.25
+"""Deviation of the samples' rate from the control period's, as a fraction, at which they are not meant for each other."""
+
 
 def now() -> float:
     """Return a monotonic time that includes the time the computer was suspended [s]."""
@@ -150,7 +153,15 @@ class HardwareBridgeNode(PlantNode):
             return None
         if self.pace.asked == 0.0 and not self.pace.complaint:
             return "no fresh command: the rate of answers is still being measured"
-        return f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else None
+        return self._other_rate() or (f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else None)
+
+    def _other_rate(self) -> str:
+        """Return what is wrong with the device's rate, for which the law is not made; empty if nothing is."""
+        asked = self.pace.asked
+        if asked == 0.0 or abs(asked * self.period - 1.0) <= OTHER_RATE:
+            return ""
+        wanted = f"control_period {self.period:g} s means {1.0 / self.period:.0f}"
+        return f"the device samples {asked:.0f} times a second, {wanted}: set one of them to the other's"
 
     def _time(self) -> float:
         """Return the gate's time [s]: the wall clock's, or in lockstep, where the device waits, that of the cycles."""
@@ -204,6 +215,8 @@ class HardwareBridgeNode(PlantNode):
             return ERROR, self.failure, figures
         if level == OK and self.at_null and self.gate.state != DISABLED:
             return WARN, "the device keeps the valve closed: commands do not reach it", figures
+        if level != ERROR and self._active.is_set() and (wrong := self._other_rate()):
+            return WARN, wrong, figures
         if level != ERROR and self._active.is_set() and self.pace.complaint:
             return WARN, f"{self.pace.complaint}: {ADVICE}", figures
         if level == OK and self.saturated:

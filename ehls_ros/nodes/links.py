@@ -4,6 +4,7 @@
 know whether its partners are in its process. :mod:`ehls_ros.nodes.composed` runs the loops.
 """
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -19,7 +20,10 @@ PATIENCE = 1.0
 """Longest wait for readers to have received what was published [s]: one that hangs must not hold up the others for good."""
 
 LULL = 4e-4
-"""Shortest rest of the loops in which the service thread can do a piece of its work [s]."""
+"""Shortest rest of the loops in which the service thread can do a piece of its work [s], or if that is shorter:"""
+
+LULL_SHARE = 0.4
+"""The same as a fraction of the control period: the loops of a fast one never rest for longer."""
 
 RESTLESS = 2e-3
 """Longest wait for a rest [s]: without one, the service thread must go on too; an emergency stop may be next."""
@@ -92,7 +96,9 @@ class Links:
         wait: what a loop does in place of waiting: ``wait(waiter, seconds)`` lets the other nodes do their part first.
     """
 
-    def __init__(self, wait: Callable[[Any, float], None], kept: int = DEPTH, *, patient: bool = False) -> None:
+    def __init__(
+        self, wait: Callable[[Any, float], None], kept: int = DEPTH, *, patient: bool = False, period: float = math.inf
+    ) -> None:
         """Start without topics.
 
         Args:
@@ -100,7 +106,9 @@ class Links:
             kept: see above.
             patient: whether to wait for the readers before a message is dropped that one has not received; where cycles
                 follow the wall clock, they cannot.
+            period: control period [s].
         """
+        self._lull = min(LULL, LULL_SHARE * period)
         self.kept = kept
         self._patient = patient
         self._unheard = 0
@@ -149,7 +157,7 @@ class Links:
 
     def begin_rest(self, seconds: float) -> None:
         """Tell the service thread that the loops rest now, at most for a time [s]."""
-        if self._wanted and seconds > LULL:
+        if self._wanted and seconds > self._lull:
             self._wanted = False
             self._rest.set()
 

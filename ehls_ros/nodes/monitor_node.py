@@ -72,8 +72,11 @@ from ehls_ros.trajectory import Trajectory
 REST = 0.1
 """Time for which messages gather before they are read in bulk [s]; the middleware holds them meanwhile."""
 
-DEPTH = 20_000
-"""Messages that gather while the monitor computes something else: 20 s at 1 kHz."""
+HELD_UP = 20.0
+"""Longest time for which messages gather while the monitor computes something else [s]."""
+
+MOST_GATHERED = 100_000
+"""Most messages of a topic that gather: 20 s at 5 kHz."""
 
 TELL = 2.5
 """Shortest time between two messages, if nothing happens [s]."""
@@ -192,7 +195,8 @@ class MonitorNode(ControlNode):
         """
         if self.lockstep:
             return Inbox(self, message, topic.name, control_qos(RECORDER_DEPTH))
-        return Inbox(self, message, topic.name, QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
+        depth = min(round(HELD_UP / self.spec.settings.control_period), MOST_GATHERED)
+        return Inbox(self, message, topic.name, QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT))
 
     def release(self) -> None:
         """Close the topics, and end what is computed."""

@@ -116,7 +116,10 @@ class PlantSimNode(PlantNode):
         self._await_inputs()
         if self._remaining() > 0.0:
             return
-        changed = self.time.end(time.perf_counter(), answered=self._is_complete(), expected=self.answered >= 0)
+        # What another process has to answer takes its time.
+        prompt = self.links is not None and not self.links.apart
+        complete = self._is_complete()
+        changed = self.time.end(time.perf_counter(), answered=complete, expected=self.answered >= 0, prompt=prompt)
         self.missed = self.time.missed
         self._advance()
         if self.is_to_run:

@@ -29,6 +29,18 @@ from ehls_ros.recording.topics import DEPTH
 RECORDER_DEPTH = 50_000
 """Queue depth of the recorder, which reads in bulk."""
 
+MOST_KEPT = 10_000
+"""Most messages that a control-path topic keeps."""
+
+
+def kept_at(period: float) -> int:
+    """Return how many messages a control-path topic keeps: one second of cycles, so that a busy machine may stop a reader.
+
+    Args:
+        period: control period [s].
+    """
+    return min(max(DEPTH, round(1.0 / period)), MOST_KEPT)
+
 
 def control_qos(depth: int = DEPTH) -> QoSProfile:
     """Return the quality of service that every control-path topic offers, and that its readers ask for.
@@ -64,6 +76,11 @@ def message_class(name: str) -> Any:
 def links_of(node: Node) -> Links | None:
     """Return what connects a node to others of its process; None if it is alone there."""
     return getattr(node, "links", None)
+
+
+def _kept_by(node: Node) -> int:
+    """Return how many messages a node's control-path topics keep."""
+    return int(getattr(node, "cycles_kept", DEPTH))
 
 
 class Outbox:
@@ -105,7 +122,7 @@ class Outbox:
             self._local = self._links.topic(topic)
             self._local.senders += 1
             self._local.named.update(self._sender)
-        kept = DEPTH if self._links is None else self._links.kept
+        kept = _kept_by(node) if self._links is None else self._links.kept
         self._publisher = node.create_publisher(message, topic, control_qos(kept))
         if self._links is not None:
             self._links.join(self)
@@ -208,7 +225,7 @@ class Inbox:
         self._node = node
         self._message = message
         self._topic = topic
-        self._qos = qos or control_qos()
+        self._qos = qos or control_qos(_kept_by(node))
         self._decode = decode or Decoder(message)
         self.malformed = 0
         self._wider: Any = None

@@ -8,7 +8,7 @@ NAMESPACE = "/ehls"
 """Default namespace of the graph."""
 
 DEPTH = 1000
-"""Messages that a control-path topic keeps: one second of cycles."""
+"""Messages that a control-path topic keeps at least: one second of cycles at 1 kHz."""
 
 LOADER_FRAME = "loader"
 """Frame of every message about the loading cylinder: fixed to its piston, x along the piston's positive direction."""

@@ -240,3 +240,16 @@ def test_a_valve_at_its_limit_all_the_time_is_told():
     assert told(saturated=(np.arange(101) < 70).astype(float)) == ()
     [warning] = told(saturated=(np.arange(101) > 20).astype(float))
     assert "at its limit for 100 % of the last half" in warning
+
+
+@pytest.mark.parametrize("period", [1e-3, 2.5e-4])
+def test_the_pace_is_asked_by_the_period_wherever_the_stamps_were_set_to_the_clock(period):
+    time = np.arange(4001) * period
+    # Simulated time took 5 s of wall time; twice its stamps were set to the clock.
+    time[1500:] += 1.0
+    time[3000:] += 1.0
+    signals = {"valve_command_m": np.zeros(len(time))}
+    metrics = evaluate(Trajectory(time, signals, {"timing": "realtime", "wall_s": 5.0}))
+    assert metrics.cycles_per_second_asked == pytest.approx(1.0 / period)
+    assert metrics.cycles_per_second_reached == pytest.approx(800.0)
+    assert not metrics.in_real_time

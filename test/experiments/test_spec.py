@@ -114,6 +114,8 @@ SPEC_ERRORS = [
     (("duration",), math.nan, "spec.yaml", "duration is nan", "finite"),
     (("duration",), "long", "spec.yaml", "duration is 'long'", "number"),
     (("control_period",), 1.0, "spec.yaml", "control_period is 1.0", "0.1"),
+    (("control_period",), 4000.0, "spec.yaml", "control_period is 4000.0", "time between two control cycles"),
+    (("control_period",), 1e-7, "spec.yaml", "control_period is 1e-07", "greater than or equal to 1e-06"),
     (("seed",), 1.5, "spec.yaml", "seed is 1.5", "integer"),
     (("seed",), -1, "spec.yaml", "seed is -1", "0"),
     (("title",), 5, "spec.yaml", "title is 5", "string"),

@@ -2,7 +2,8 @@
 
 import pytest
 
-from ehls_ros.hardware.simulated_clock import HOPE, SPARE, SimulatedClock
+from ehls_ros.hardware.pace import WINDOW
+from ehls_ros.hardware.simulated_clock import CATCH_UP, HOPE, SPARE, SimulatedClock
 
 PERIOD = 1e-3
 LATE = 5e-6
@@ -10,11 +11,13 @@ LATE = 5e-6
 
 
 class Rig:
-    """A clock and a controller with a given response time."""
+    """A clock and a controller with a given response time, which it has from the beginning of each cycle if it is prompt."""
 
-    def __init__(self) -> None:
-        self.now = 10.0
-        self.clock = SimulatedClock(PERIOD, self.now)
+    def __init__(self, period: float = PERIOD, prompt: bool = False) -> None:
+        self.now = self.start = 10.0
+        self.clock = SimulatedClock(period, self.now)
+        self.prompt = prompt
+        self.expected = False
         self.cycles = 0
         self.reported: list[tuple[float, str]] = []
 
@@ -26,15 +29,49 @@ class Rig:
             while (remaining := self.clock.remaining(self.now, answered=comes <= self.now)) > 0.0:
                 wakes = self.now + remaining
                 self.now = (comes if self.now < comes < wakes else wakes) + LATE
-            if self.clock.end(self.now, answered=comes <= self.now, expected=True):
-                self.reported.append((self.now - 10.0, self.clock.pace.complaint))
+            if self.prompt:
+                # The plant asks for the answer also where the cycle is over already.
+                self.now = max(self.now, comes)
+            self.expected |= comes <= self.now
+            if self.clock.end(self.now, answered=comes <= self.now, expected=self.expected, prompt=self.prompt):
+                self.reported.append((self.now - self.start, self.clock.pace.complaint))
             self.cycles += 1
         return self.now - start
 
 
+def settled(period: float = PERIOD, prompt: bool = False) -> Rig:
+    """Return a rig whose computer has kept up for more than the window in which it is counted."""
+    rig = Rig(period, prompt)
+    rig.run(round(1.2 * WINDOW / period), 0.4 * period)
+    rig.start = rig.now
+    return rig
+
+
 @pytest.fixture
 def rig() -> Rig:
-    return Rig()
+    return settled()
+
+
+def test_the_first_answers_are_awaited():
+    rig = Rig()
+    rig.run(100, 2.5e-3)
+    assert rig.clock.missed == 0
+
+
+def test_the_start_is_held_up_once_if_nobody_answers():
+    assert Rig().run(100, None) == pytest.approx(0.1 + HOPE, abs=0.01)
+
+
+@pytest.mark.parametrize("period", [1e-3, 2.5e-4])
+def test_time_catches_up_after_a_delay_that_delays_no_answer(period):
+    rig = settled(period, prompt=True)
+    rig.now += 0.8 * CATCH_UP
+    cycles = round(0.1 / period)
+    assert rig.run(cycles, 0.4 * period) == pytest.approx(0.1 - 0.8 * CATCH_UP, abs=2 * period)
+    assert (rig.clock.missed, rig.clock.slipped) == (0, 0.0)
+    rig.now += 1.5 * CATCH_UP
+    assert rig.run(cycles, 0.4 * period) == pytest.approx(0.1, abs=2 * period)
+    assert rig.clock.slipped == pytest.approx(1.5 * CATCH_UP, abs=2 * period)
 
 
 def test_on_a_computer_that_keeps_up_no_time_is_lost(rig):
@@ -48,7 +85,7 @@ def test_a_single_late_answer_costs_no_time(rig):
         rig.run(1, 1.5e-3)
     assert rig.clock.missed == 100
     assert rig.clock.slipped == 0.0
-    assert rig.now - 10.0 == pytest.approx(2.0, abs=2 * LATE)
+    assert rig.now - rig.start == pytest.approx(2.0, abs=2 * LATE)
 
 
 @pytest.mark.parametrize("takes", [2.5e-3, 5e-3, 20e-3])

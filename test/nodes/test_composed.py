@@ -168,17 +168,20 @@ def test_a_cycle_that_begins_after_its_end_still_asks_those_in_its_process():
     assert asked == [0.0, "taken"]
 
 
-def test_the_service_thread_waits_for_a_rest_that_is_long_enough(monkeypatch):
+@pytest.mark.parametrize(
+    ("period", "lull"), [(1e-2, links.LULL), (1e-3, links.LULL), (2.5e-4, 1e-4)], ids=["100 Hz", "1 kHz", "4 kHz"]
+)
+def test_the_service_thread_waits_for_a_rest_that_is_long_enough(period, lull, monkeypatch):
     monkeypatch.setattr(links, "RESTLESS", 3600.0)
-    connected = links.Links(lambda waiter, seconds: None)
+    connected = links.Links(lambda waiter, seconds: None, period=period)
     serving = threading.Thread(target=connected.await_rest, daemon=True)
     serving.start()
     for _ in range(20):
-        connected.begin_rest(0.5 * links.LULL)
+        connected.begin_rest(0.5 * lull)
         serving.join(1e-3)
     assert serving.is_alive()
     while serving.is_alive():
-        connected.begin_rest(2.0 * links.LULL)
+        connected.begin_rest(2.0 * lull)
         serving.join(1e-3)
 
 
