@@ -150,18 +150,19 @@ class HardwareBridgeNode(PlantNode):
     def refusal(self) -> str | None:
         """Return why the gate must stay closed: this computer or the controller is too slow; None if it may open."""
         if self.lockstep:
-            return None
-        if self.pace.asked == 0.0 and not self.pace.complaint:
+            return self._other_rate() or None
+        if self.samples.rate == 0.0 or (self.pace.asked == 0.0 and not self.pace.complaint):
             return "no fresh command: the rate of answers is still being measured"
         return self._other_rate() or (f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else None)
 
     def _other_rate(self) -> str:
         """Return what is wrong with the device's rate, for which the law is not made; empty if nothing is."""
-        asked = self.pace.asked
-        if asked == 0.0 or abs(asked * self.period - 1.0) <= OTHER_RATE:
+        # By the device's own clock: one that a busy computer emulates has fewer samples a second, but of the right period.
+        rate = self.samples.rate
+        if rate == 0.0 or abs(rate * self.period - 1.0) <= OTHER_RATE:
             return ""
         wanted = f"control_period {self.period:g} s means {1.0 / self.period:.0f}"
-        return f"the device samples {asked:.0f} times a second, {wanted}: set one of them to the other's"
+        return f"the device samples {rate:.0f} times a second, {wanted}: set one of them to the other's"
 
     def _time(self) -> float:
         """Return the gate's time [s]: the wall clock's, or in lockstep, where the device waits, that of the cycles."""

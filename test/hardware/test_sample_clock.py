@@ -54,6 +54,20 @@ def test_plausible_intervals_are_those_of_the_devices_clock():
     assert [interval for _, interval in seen[1:]] == pytest.approx([1.2e-3, 1e-3, 1.9e-3])
 
 
+@pytest.mark.parametrize("slower", [1.0, 3.0])
+def test_the_rate_is_the_devices_own_however_late_its_samples_come(slower):
+    clock = SampleClock(PERIOD)
+    for k in range(249):
+        clock.take(k, round(5e8 * k * PERIOD), slower * k * PERIOD)
+    assert clock.rate == 0.0
+    # Every tenth sample is lost, and the clock is set meanwhile.
+    for k in range(249, 2000):
+        if k % 10:
+            clock.take(k, round(5e8 * k * PERIOD) + (3600 * 10**9 if k > 900 else 0), slower * k * PERIOD)
+        if k in (300, 850, 1999):
+            assert clock.rate == pytest.approx(2000.0)
+
+
 def test_a_restarted_device_restarts_the_clock():
     seen = fed([*prompt(100), *[(k, k * PERIOD, 9.0 + k * PERIOD) for k in range(100)]])
     assert all(lag == pytest.approx(0.0, abs=1e-9) for lag, _ in seen)
