@@ -1,4 +1,4 @@
-"""Age of a device's samples, from its own clock and sequence numbers: a sample that queued on the way is not fresh."""
+"""Age and rate of a device's samples, from its own clock and sequence numbers: a sample that queued on the way is not fresh."""
 
 import math
 
@@ -21,8 +21,8 @@ class SampleClock:
     Attributes:
         elapsed: time between the last two samples [s].
         lag: delay of the last sample relative to the fastest recent one [s].
-        rate: samples per second of the device's clock in the last :data:`COUNTED` seconds of samples; 0 before, and the expected
-            rate if its clock does not go.
+        rate: samples per second of the device's clock in the last :data:`COUNTED` seconds of samples; 0 before, and the
+            expected rate if that clock stands still.
     """
 
     def __init__(self, period: float) -> None:
