@@ -36,6 +36,11 @@ def lean(function: _Function) -> _Function:
     return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False}))
 
 
+def apart(function: _Function) -> _Function:
+    """Compile like :func:`lean`, but for a function that is rarely called and long: it is not inlined."""
+    return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False, "forceinline": False}))
+
+
 def direct(compiled: _Function, *arguments: Any) -> _Function:
     """Return a compiled function's entry for arguments of certain types, compiled or loaded.
 

@@ -97,7 +97,7 @@ def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c:
     return length
 
 
-_LEAN: Any = {"_nrt": False, "error_model": "numpy"}
+_LEAN: Any = {"_nrt": False, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """As :func:`~ehls_ros.arrays.lean`."""
 
 

@@ -267,13 +267,8 @@ for _comparison in (operator.lt, operator.le, operator.gt, operator.ge):
     _by_value(_comparison, count=2)
 _equality(operator.eq, equal=True)
 _equality(operator.ne, equal=False)
-for _function in (math.ceil, math.floor, math.isfinite, math.isnan):
+for _function in (math.ceil, math.floor, np.rint, math.isfinite, math.isnan):
     _by_value(_function, count=1)
-
-
-@overload(np.round, inline="always", strict=False)
-def _rounded(a: Any, decimals: int = 0, out: Any = None) -> Any:
-    return (lambda a, decimals=0, out=None: np.round(value_alone(a))) if isinstance(a, DualType) else None
 
 
 @lower_cast(types.Number, DualType)
