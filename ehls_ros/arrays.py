@@ -37,8 +37,9 @@ def lean(function: _Function) -> _Function:
 
 
 def apart(function: _Function) -> _Function:
-    """Compile like :func:`lean`, but for a function that is rarely called and long: it is not inlined."""
-    return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False, "forceinline": False}))
+    """Compile a long and rarely called function for compiled callers, which it need not be inlined into."""
+    compile_with: Any = numba.njit
+    return cast(_Function, compile_with(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function))
 
 
 def direct(compiled: _Function, *arguments: Any) -> _Function:

@@ -42,11 +42,12 @@ def _signatures_remembered() -> Iterator[None]:
     It tries each of its dozens of implementations at each call in the code. An implementation in Python is compiled with the
     options of its caller and is asked for each time; what the others return depends on the types alone.
     """
-    if "get_call_type" in vars(types.Function):
+    functions: Any = types.Function
+    if "get_call_type" in vars(functions):
         # It compiles a function for another one that is being compiled.
         yield
         return
-    find = types.Function.get_call_type
+    find = functions.get_call_type
     known: dict[Any, Any] = {}
 
     def remembered(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
@@ -60,11 +61,11 @@ def _signatures_remembered() -> Iterator[None]:
             known[call] = found
         return known[call]
 
-    types.Function.get_call_type = remembered
+    functions.get_call_type = remembered
     try:
         yield
     finally:
-        del types.Function.get_call_type
+        del functions.get_call_type
 
 
 class _IntermediateCode(CPUCodeLibrary):

@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin, lower_cast, overload
+from numba.extending import lower_builtin, lower_cast
 
 from ehls_ros.duals.code import (
     MINUS,
@@ -26,7 +26,6 @@ from ehls_ros.duals.code import (
     zeros,
 )
 from ehls_ros.duals.kinds import DualType
-from ehls_ros.duals.known import value_alone
 
 _Rule = Callable[..., CodeDual | tuple[ir.Value, list[tuple[Any, CodeDual]]]]
 """``rule(builder, plain, *duals)`` returns the dual, or its value and the partial derivatives, each with its argument."""

@@ -13,7 +13,6 @@ holds through stick and slip. The evaluation that checks for an event at the end
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
-
 from ehls_ros.arrays import Array, apart, lean
 from ehls_ros.duals import alike, length_to_event, varies
 
