@@ -10,12 +10,28 @@ import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 from numba import config, njit, types
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
+
+
+def take_scipy_for_granted() -> None:
+    """Let numba load its functions without a look whether scipy is there, which this package needs anyway.
+
+    That look imports scipy's linear algebra, and takes more time than all else in loading a kernel; what calls BLAS looks again.
+    """
+    # Numba too loads them with the first function that it compiles or loads, not before.
+    linalg: Any = import_module("numba.np.linalg")
+    ensure_blas = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = ensure_blas
 
 
 @contextmanager
