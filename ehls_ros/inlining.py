@@ -22,7 +22,7 @@ from numba.core.registry import CPUDispatcher
 def take_scipy_for_granted() -> None:
     """Let numba load its functions without a look whether scipy is there, which this package needs anyway.
 
-    That look imports scipy's linear algebra, and takes more time than all else in loading a kernel; what calls BLAS looks again.
+    That look imports scipy's linear algebra and takes more time than all else in loading a kernel. What calls BLAS looks again.
     """
     # Numba too loads them with the first function that it compiles or loads, not before.
     linalg: Any = import_module("numba.np.linalg")
