@@ -36,6 +36,22 @@ def lean(function: _Function) -> _Function:
     return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False}))
 
 
+@kernel
+def copy(source: Array, target: Array) -> None:
+    """Copy an array of one dimension, for compiled callers.
+
+    Where one assigns a slice instead, numba compiles the message for arrays that differ in shape, which takes over a second.
+    """
+    for i in range(source.size):
+        target[i] = source[i]
+
+
+def apart(function: _Function) -> _Function:
+    """Compile a long and rarely called function for compiled callers, which it need not be inlined into."""
+    compile_with: Any = numba.njit
+    return cast(_Function, compile_with(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function))
+
+
 def direct(compiled: _Function, *arguments: Any) -> _Function:
     """Return a compiled function's entry for arguments of certain types, compiled or loaded.
 

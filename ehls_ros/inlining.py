@@ -6,14 +6,82 @@ function called from Python is optimised, once and as a whole. The machine code 
 to compile.
 """
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
-from numba import config, njit
+from numba import config, njit, types
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
+
+
+def take_scipy_for_granted() -> None:
+    """Let numba load its functions without a look whether scipy is there, which this package needs anyway.
+
+    That look imports scipy's linear algebra and takes more time than all else in loading a kernel. What calls BLAS looks again.
+    """
+    # Numba too loads them with the first function that it compiles or loads, not before.
+    linalg: Any = import_module("numba.np.linalg")
+    ensure_blas = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = ensure_blas
+
+
+@contextmanager
+def swiftly() -> Iterator[None]:
+    """Spare numba a quarter of its work while it compiles a function and its callees; what it makes is the same.
+
+    The caller holds numba's lock.
+    """
+    collecting = gc.isenabled()
+    # Hundreds of thousands of new objects stay, and would be looked through again and again.
+    gc.disable()
+    try:
+        with _signatures_remembered():
+            yield
+    finally:
+        if collecting:
+            gc.enable()
+
+
+@contextmanager
+def _signatures_remembered() -> Iterator[None]:
+    """Let numba find only once what an operator or another function of its own returns for arguments of given types.
+
+    It tries each of its dozens of implementations at each call in the code. An implementation in Python is compiled with the
+    options of its caller and is asked for each time; what the others return depends on the types alone.
+    """
+    functions: Any = types.Function
+    if "get_call_type" in vars(functions):
+        # It compiles a function for another one that is being compiled.
+        yield
+        return
+    find = functions.get_call_type
+    known: dict[Any, Any] = {}
+
+    def remembered(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
+        if keywords:
+            return find(function, context, arguments, keywords)
+        call = function, tuple(arguments)
+        if call not in known:
+            found = find(function, context, arguments, keywords)
+            if function.get_impl_key(found) is not function.typing_key:
+                return found
+            known[call] = found
+        return known[call]
+
+    functions.get_call_type = remembered
+    try:
+        yield
+    finally:
+        del functions.get_call_type
 
 
 class _IntermediateCode(CPUCodeLibrary):

@@ -44,10 +44,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import expm
-from scipy.optimize import minimize_scalar
-from scipy.special import erf
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
@@ -222,7 +220,7 @@ def expected_largest(changes: Array, deviations: Array, counts: Array) -> float:
     limit = float(np.max(np.abs(changes) + 8.0 * deviations))
     amplitude = np.linspace(0.0, limit, 257)[:, np.newaxis]
     scale = math.sqrt(2.0) * np.maximum(deviations, FORGOTTEN * limit)
-    inside = 0.5 * (erf((amplitude - changes) / scale) + erf((amplitude + changes) / scale))
+    inside = 0.5 * (scipy.special.erf((amplitude - changes) / scale) + scipy.special.erf((amplitude + changes) / scale))
     with np.errstate(divide="ignore"):
         below = np.exp(np.log(np.clip(inside, 0.0, 1.0)) @ counts)
     return float(np.trapezoid(1.0 - below, amplitude[:, 0]))
@@ -304,7 +302,7 @@ def _best(whole: _Case, order: int) -> _Best:
     powers = np.linspace(WEAKEST, STRONGEST, STEPS)
     best = int(np.argmin([largest(power) for power in powers]))
     around = powers[max(best - 1, 0)], powers[min(best + 1, STEPS - 1)]
-    minimize_scalar(largest, bounds=around, method="bounded", options={"xatol": PRECISE})
+    scipy.optimize.minimize_scalar(largest, bounds=around, method="bounded", options={"xatol": PRECISE})
     power = min(outcomes, key=lambda tried: outcomes[tried].largest)
     return _Best(whole, order, unit * 10.0**power, outcomes[power])
 
@@ -371,7 +369,7 @@ def _predictor(case: _Case, order: int, intensity: float) -> _Predictor:
     both = np.zeros((2 * size, 2 * size))
     both[:size, :size], both[size:, size:] = -rates, rates.T
     both[size - 1, 2 * size - 1] = intensity**2
-    exponential = expm(both)
+    exponential = scipy.linalg.expm(both)
     transition = np.ascontiguousarray(exponential[size:, size:].T)
     added = transition @ exponential[:size, size:]
     reading = np.eye(size)[case.reads]

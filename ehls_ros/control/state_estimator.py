@@ -24,9 +24,7 @@ Systems, 1997, section 3.2.
 import math
 from typing import Annotated, NamedTuple
 
-from numba import njit
-
-from ehls_ros.arrays import Array, kernel
+from ehls_ros.arrays import Array, apart, copy, kernel
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics import sensors
 from ehls_ros.physics.beam import applied_force
@@ -249,7 +247,7 @@ def switch(y: Array, mode: Array, friction: Friction) -> None:
 
 
 # Long and called from several places: not inlined.
-@njit(error_model="numpy")
+@apart
 def move(
     y: Array, mode: Array, command: float, supply: float, duration: float, model: Model, p: Assumptions, work: Array
 ) -> None:
@@ -329,7 +327,7 @@ def multiply(a: Array, b: Array, product: Array) -> None:
                 product[i, j] += a[i, k] * b[k, j]
 
 
-@njit(error_model="numpy")
+@apart
 def spread(state: State, command: float, supply: float, duration: float, model: Model, p: Assumptions) -> None:
     """Advance the covariance by ``duration`` [s], at most :data:`PIECE`."""
     covariance, jacobian, transition, product = state.covariance, state.matrices[0], state.matrices[1], state.matrices[2]
@@ -361,7 +359,7 @@ def spread(state: State, command: float, supply: float, duration: float, model: 
     covariance[CELL_OFFSET, CELL_OFFSET] += p.offset_noise**2 * duration
 
 
-@njit(error_model="numpy")
+@apart
 def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
     """Advance mean and covariance by a period under the commands that arrived in it."""
     for i in range(SENT):
@@ -375,7 +373,7 @@ def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
         t += duration
 
 
-@njit(error_model="numpy")
+@apart
 def correct(reading: float, signal: int, scale: float, offset: float, noise: float, state: State) -> None:
     """Take in one reading: ``scale`` times the mean at ``signal`` plus ``offset`` times o, with noise ``noise``.
 
@@ -406,7 +404,7 @@ FIRST_GAIN, FIRST_DISCHARGE, FIRST_FLOW, FIRST_OFFSET = 0.1, 0.1, 1e7, 100.0
 """Standard deviations of the errors of valve gain and discharge coefficient [1], flow [Pa/s] and load cell [N]."""
 
 
-@njit(error_model="numpy")
+@apart
 def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
     """Start at rest from the first measurement, with the external force that balances it."""
     plant, y, covariance = model.plant, state.mean, state.covariance
@@ -466,7 +464,7 @@ def expect(foreseen: Array, period: float, state: State) -> None:
         expected[i] = foreseen[i] if known else 0.0
 
 
-@njit(error_model="numpy")
+@apart
 def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, state: State) -> bool:
     """Take in one more measurement, a period after the last.
 
@@ -501,11 +499,11 @@ def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, stat
     return True
 
 
-@njit(error_model="numpy")
+@apart
 def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
     """Predict the mean, under the commands on their way, to when one sent now acts; into ``state.foreseen``."""
-    state.foreseen[:] = state.mean
-    state.foreseen_mode[:] = state.mode
+    copy(state.mean, state.foreseen)
+    copy(state.mode, state.foreseen_mode)
     t = 0.0
     while t < p.command_delay - ROUNDING:
         command, until = arrived(t, p.command_delay, state)

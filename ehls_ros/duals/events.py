@@ -4,11 +4,10 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.extending import overload
+from numba.extending import lower_builtin, overload, type_callable
 
 from ehls_ros.duals.code import ONE, CodeDual, any_tangent, chain, intrinsic, number, or_zero, read, written, zeros
 from ehls_ros.duals.kinds import DualArrayType, DualType
-from ehls_ros.duals.memory import constant
 
 
 @intrinsic
@@ -66,16 +65,6 @@ def _after(typingctx: Any, value: Any, length: Any) -> Any:
     return value(value, length), lower
 
 
-@intrinsic
-def _varies(typingctx: Any, value: Any) -> Any:
-    """Return whether a tangent is not zero."""
-
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return any_tangent(builder, read(context, builder, value, args[0]).tangents or [])
-
-    return types.boolean(value), lower
-
-
 def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any) -> Any:
     """Return the length of a step that ends on an event; of duals, with the derivatives of the event's time.
 
@@ -97,7 +86,7 @@ def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c:
     return length
 
 
-_LEAN: Any = {"_nrt": False, "error_model": "numpy"}
+_LEAN: Any = {"_nrt": False, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """As :func:`~ehls_ros.arrays.lean`."""
 
 
@@ -123,12 +112,14 @@ def alike(array: Any, number: Any) -> Any:
     return number
 
 
-@overload(alike, inline="always", strict=False)
-def _alike(array: Any, number: Any) -> Any:
-    if not isinstance(array, DualArrayType) or isinstance(number, DualType):
-        return lambda array, number: number
-    width = array.dtype.width
-    return lambda array, number: constant(number, width)
+@type_callable(alike)
+def _alike(context: Any) -> Any:
+    return lambda array, number: array.dtype if isinstance(array, DualArrayType) else number
+
+
+@lower_builtin(alike, types.Any, types.Any)
+def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return context.cast(builder, args[1], sig.args[1], sig.return_type)
 
 
 def varies(value: Any) -> bool:
@@ -136,12 +127,14 @@ def varies(value: Any) -> bool:
     return False
 
 
-@overload(varies, inline="always", strict=False)
-def _varies_of(value: Any) -> Any:
-    if not isinstance(value, DualType):
-        return lambda value: False
+@type_callable(varies)
+def _varies(context: Any) -> Any:
+    return lambda value: types.boolean
 
-    def of_dual(value: Any) -> Any:
-        return _varies(value)
 
-    return of_dual
+@lower_builtin(varies, types.Any)
+def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    [kind], [value] = sig.args, args
+    if not isinstance(kind, DualType):
+        return context.get_constant(types.boolean, False)
+    return any_tangent(builder, read(context, builder, kind, value).tangents or [])

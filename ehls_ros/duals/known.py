@@ -3,28 +3,10 @@
 from typing import Any
 
 from numba import types
-from numba.extending import overload
+from numba.extending import lower_builtin, type_callable
 
-from ehls_ros.duals.code import ONE, CodeDual, chain, intrinsic, read, written
+from ehls_ros.duals.code import ONE, CodeDual, chain, read, written
 from ehls_ros.duals.kinds import DualType
-
-
-@intrinsic
-def _value(typingctx: Any, dual: Any) -> Any:
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return read(context, builder, dual, args[0]).value
-
-    return types.float64(dual), lower
-
-
-@intrinsic
-def _sloped(typingctx: Any, value: Any, slope: Any, number: Any) -> Any:
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        whole, factor, varying = (read(context, builder, kind, arg) for kind, arg in zip(sig.args, args, strict=True))
-        tangents = chain(builder, (ONE, whole), (factor.value, varying))
-        return written(context, builder, sig.return_type, CodeDual(whole.value, tangents))
-
-    return number(value, slope, number), lower
 
 
 def value_alone(number: Any) -> Any:
@@ -32,15 +14,15 @@ def value_alone(number: Any) -> Any:
     return number
 
 
-@overload(value_alone, inline="always", strict=False)
-def _value_alone(number: Any) -> Any:
-    if not isinstance(number, DualType):
-        return lambda number: number
+@type_callable(value_alone)
+def _value_alone_of(context: Any) -> Any:
+    return lambda number: types.float64 if isinstance(number, DualType) else number
 
-    def of_dual(number: Any) -> Any:
-        return _value(number)
 
-    return of_dual
+@lower_builtin(value_alone, types.Any)
+def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    [kind], [number] = sig.args, args
+    return read(context, builder, kind, number).value if isinstance(kind, DualType) else number
 
 
 def sloped(value: Any, slope: float, number: Any) -> Any:
@@ -54,12 +36,15 @@ def sloped(value: Any, slope: float, number: Any) -> Any:
     return value
 
 
-@overload(sloped, inline="always", strict=False)
-def _sloped_by(value: Any, slope: Any, number: Any) -> Any:
-    if not isinstance(number, DualType):
-        return lambda value, slope, number: value
+@type_callable(sloped)
+def _sloped_by(context: Any) -> Any:
+    return lambda value, slope, number: number if isinstance(number, DualType) else value
 
-    def of_dual(value: Any, slope: Any, number: Any) -> Any:
-        return _sloped(value, slope, number)
 
-    return of_dual
+@lower_builtin(sloped, types.Any, types.Any, types.Any)
+def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    if not isinstance(sig.args[2], DualType):
+        return args[0]
+    whole, factor, varying = (read(context, builder, kind, arg) for kind, arg in zip(sig.args, args, strict=True))
+    tangents = chain(builder, (ONE, whole), (factor.value, varying))
+    return written(context, builder, sig.return_type, CodeDual(whole.value, tangents))

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.duals import joined
+from ehls_ros.inlining import swiftly, take_scipy_for_granted
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
@@ -111,7 +112,8 @@ def _compile_in_turn(entry: Any, seal: Path, code: Path) -> None:
 
     def in_turn(signature: Any) -> Any:
         # Numba's lock first, to avoid a deadlock: its holder may need the file lock of a kernel it calls.
-        with global_compiler_lock, sealed(seal, code, f"{seal.stem}-*"):
+        with global_compiler_lock, swiftly(), sealed(seal, code, f"{seal.stem}-*"):
+            take_scipy_for_granted()
             try:
                 return compile_or_load(signature)
             except OSError:

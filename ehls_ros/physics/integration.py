@@ -13,9 +13,7 @@ holds through stick and slip. The evaluation that checks for an event at the end
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
-from numba import njit
-
-from ehls_ros.arrays import Array, lean
+from ehls_ros.arrays import Array, apart, lean
 from ehls_ros.duals import alike, length_to_event, varies
 
 STEP_ROWS = 8
@@ -154,7 +152,7 @@ def steps_of(
         return late * step
 
     # Rarely called and long, so not inlined into the loop.
-    @njit(error_model="numpy")
+    @apart
     def locate(t: float, y: Array, mode: Array, c: Any, step: float, after: float, work: Array) -> float:
         """Find where in a step the event function crosses zero.
 
@@ -279,8 +277,8 @@ def integrator(
         """
         dense = 0
         t, step = alike(y, t), alike(y, step)
-        # Inputs may have jumped since the last call.
-        changed = True
+        # Inputs may have jumped since the last call. A constant would let numba compile a step for it as well.
+        changed = steps > 0
         for index in range(steps):
             changed, more = located_step(t + index * step, y, mode, c, step, changed, work)
             dense += more

@@ -19,8 +19,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.polynomial.legendre import legvander
-from scipy.signal import savgol_filter
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.controllers.base import Model
@@ -276,7 +276,9 @@ class Reversals:
         """
         plant, friction, around = self._model.plant, self._model.friction, self._surroundings
         period, level = self._model.period, self._level
-        position, velocity = (savgol_filter(rows[:, POSITION], 2 * self._half + 1, 2, deriv=d, delta=period) for d in (0, 1))
+        position, velocity = (
+            scipy.signal.savgol_filter(rows[:, POSITION], 2 * self._half + 1, 2, deriv=d, delta=period) for d in (0, 1)
+        )
         sliding = [_slide(position, velocity, tried, period, friction) for tried in (level, HIGHER_BY * level)]
         window = np.column_stack((rows, *sliding))[before:]
         smooth = _twice_averaged(window, width)

@@ -22,8 +22,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.learning.robustness import MARGIN
@@ -235,7 +235,7 @@ class PeakValley:
         delayed = self._mean + self._delayed(lag, 0)
         remaining = self._wanted + error - delayed
         samples = max(round(SMOOTHED * min(np.sum(self._near(delayed, TOP)), np.sum(self._near(-delayed, TOP)))), 1)
-        force = delayed + uniform_filter1d(remaining, samples, mode="wrap")
+        force = delayed + scipy.ndimage.uniform_filter1d(remaining, samples, mode="wrap")
         top, bottom = self._judged(self._near(delayed, NEAR)), self._judged(self._near(-delayed, NEAR))
         peak = float(np.max(force[top]) - np.max(delayed[top]))
         valley = float(np.min(force[bottom]) - np.min(delayed[bottom]))

@@ -17,9 +17,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 
-from ehls_ros.arrays import Array, kernel
+from ehls_ros.arrays import Array, apart, copy, kernel
 from ehls_ros.control import state_estimator, unrest
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.state_estimator import (
@@ -106,7 +105,7 @@ def history() -> History:
     )
 
 
-@njit(error_model="numpy")
+@apart
 def _advance(supply: float, model: Model, p: Assumptions, state: State, transition: Array, product: Array) -> None:
     """Advance the filter by a period as :func:`ehls_ros.control.state_estimator.advance` does, and write the transition."""
     transition[:] = 0.0
@@ -120,12 +119,13 @@ def _advance(supply: float, model: Model, p: Assumptions, state: State, transiti
         duration = min(until, 0.0, t + PIECE) - t
         spread(state, command, supply, duration, model, p)
         multiply(state.matrices[1], transition, product)
-        transition[:] = product
+        for i in range(len(product)):
+            copy(product[i], transition[i])
         move(state.mean, state.mode, command, supply, duration, model, p, state.work)
         t += duration
 
 
-@njit(error_model="numpy")
+@apart
 def _read(reading: float, signal: int, scale: float, offset: float, noise: float, state: State, kept: Array) -> None:
     """Take in one reading as :func:`ehls_ros.control.state_estimator.correct` does, and write gain and innovation."""
     missed = reading - scale * state.mean[signal] - offset * state.mean[CELL_OFFSET]
@@ -151,7 +151,7 @@ def _back(signal: int, scale: float, offset: float, kept: Array, adjoint: Array)
     adjoint[CELL_OFFSET] -= offset * total
 
 
-@njit(error_model="numpy")
+@apart
 def smooth(history: History, area: float, found: Array) -> None:
     """Write the smoothed force of the block, and drop the block.
 
@@ -178,12 +178,14 @@ def smooth(history: History, area: float, found: Array) -> None:
         for j in range(STATES):
             for i in range(STATES):
                 turned[i] += history.transitions[k, j, i] * adjoint[j]
-        adjoint[:] = turned
+        copy(turned, adjoint)
     for k in range(LATER):
-        history.transitions[k] = history.transitions[BLOCK + k]
-        history.readings[k] = history.readings[BLOCK + k]
+        for i in range(STATES):
+            copy(history.transitions[BLOCK + k, i], history.transitions[k, i])
+        for i in range(READINGS):
+            copy(history.readings[BLOCK + k, i], history.readings[k, i])
         history.forces[k] = history.forces[BLOCK + k]
-        history.rows[k] = history.rows[BLOCK + k]
+        copy(history.rows[BLOCK + k], history.rows[k])
     history.steps[0] = LATER
 
 
@@ -230,7 +232,7 @@ def build(law: ForeseeingLaw) -> Compiled:
                         state.mean[STATES + i] += model.friction.element_stiffness[i] * (state.mean[X] - position)
             send(command[k], state)
             history.forces[n] = now[k] = state.mean[EXTERNAL]
-            history.rows[n] = state.covariance[EXTERNAL]
+            copy(state.covariance[EXTERNAL], history.rows[n])
             history.steps[0] = n + 1.0
             if n + 1 == BLOCK + LATER:
                 smooth(history, model.plant.piston_area, found[done : done + BLOCK])

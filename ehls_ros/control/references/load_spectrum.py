@@ -4,7 +4,7 @@ from functools import lru_cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
@@ -24,7 +24,7 @@ class Parameters(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _spline(p: Parameters) -> BSpline:
+def _spline(p: Parameters) -> "scipy.interpolate.BSpline":
     """Return the spline through the points; it is needed once per block of cycles."""
     points = np.asarray(p.points, dtype=np.float64)
     if len(points) < 2:
@@ -36,7 +36,7 @@ def _spline(p: Parameters) -> BSpline:
             raise BadInput(
                 f"points[{index}] is at {time:g} s after {points[index - 1, 0]:g} s", "load_spectrum", "increasing times"
             )
-    return make_interp_spline(points[:, 0], points[:, 1], k=DEGREE, bc_type=(AT_REST, AT_REST))
+    return scipy.interpolate.make_interp_spline(points[:, 0], points[:, 1], k=DEGREE, bc_type=(AT_REST, AT_REST))
 
 
 def sample(t: Array, p: Parameters) -> Array:

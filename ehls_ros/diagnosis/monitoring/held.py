@@ -7,7 +7,7 @@ a block: residuals of many windows have one error in common. Each stretch theref
 from typing import NamedTuple
 
 import numpy as np
-import scipy.ndimage
+import scipy
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array

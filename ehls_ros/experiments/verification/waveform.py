@@ -36,7 +36,7 @@ class Waveform(NamedTuple):
         variance: of a sample's residual.
     """
 
-    curve: scipy.interpolate.Akima1DInterpolator
+    curve: "scipy.interpolate.Akima1DInterpolator"
     delay: float = 0.0
     gain: float = 1.0
     offset: float = 0.0
