@@ -82,7 +82,7 @@ def threads() -> set[int]:
 
 
 def prefer(chosen: Iterable[int], priority: int) -> None:
-    """Give threads the scheduling class SCHED_FIFO.
+    """Give threads the scheduling class SCHED_FIFO; those that have ended are left out.
 
     Args:
         chosen: their native ids.
@@ -92,7 +92,8 @@ def prefer(chosen: Iterable[int], priority: int) -> None:
         PermissionError: the system does not permit it.
     """
     for thread in chosen:
-        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+        with suppress(ProcessLookupError):
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
 
 
 def processors_of(text: str, where: str) -> frozenset[int]:
@@ -244,7 +245,7 @@ def restore_priority(had: Mapping[int, int]) -> None:
         had: the result of :func:`drop_priority`.
     """
     for thread, priority in had.items():
-        with suppress(ProcessLookupError, PermissionError):
+        with suppress(PermissionError):
             prefer([thread], priority)
 
 

@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from ehls_ros.errors import BadInput
-from ehls_ros.hardware.realtime import keep_to, processors_of, threads
+from ehls_ros.hardware.realtime import keep_to, processors_of
 
 
 @pytest.mark.parametrize("text", ["no", "1-", "-1", "2-1", "4095", ","])
@@ -37,7 +37,6 @@ def test_all_threads_keep_to_them_and_so_do_those_that_start():
         late.join()
         assert {max(before)} == os.sched_getaffinity(thread.native_id) == found[0]
     finally:
-        for one in threads():
-            os.sched_setaffinity(one, before)
+        keep_to(before)
         ended.set()
         thread.join()
