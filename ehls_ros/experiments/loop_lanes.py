@@ -7,7 +7,9 @@ instructions of it; what it cannot, such as a law that calls the C library, goes
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import Array, apart, lean
+from numba import njit
+
+from ehls_ros.arrays import Array, lean
 from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.controllers.base import STATUS_SIZE, Model
 from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
@@ -315,7 +317,7 @@ def _observation(observer: Any, believed: Any, rows: LoopRows, sizes: Sizes) -> 
     together = lanes_integrator(evaluate, switch, motion, rows.elements, size, size)
     alone = integrator(evaluate, switch, size)
 
-    @apart
+    @njit(error_model="numpy", forceinline=False)
     def run_alone(block: Array, like: Known, timing: Timing, lane: int, work: Array) -> None:
         state, steps = observed(block, lane, work), int(block[STEPS * LANES + lane])
         if steps > 0:

@@ -8,7 +8,9 @@ it has alone, to the last bit.
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
-from ehls_ros.arrays import Array, apart, lean
+from numba import njit
+
+from ehls_ros.arrays import Array, lean
 from ehls_ros.physics.integration import MOST_EVENTS, STEP_ROWS, steps_of
 from ehls_ros.physics.lane_memory import LANES, Rows, column, stack, wide_vectors
 
@@ -102,7 +104,7 @@ def lanes_integrator(
             copy(work[0], states(block, END, lane))
             copy(work[RATE], states(block, END_RATE, lane))
 
-    @apart
+    @njit(error_model="numpy", forceinline=False)
     def step_one(t: float, block: Array, like: Any, step: float, lane: int, work: Array) -> int:
         """Take a step of one lane, with its events located."""
         y, mode = w0(), modes_of(block, MODE, lane)
@@ -115,7 +117,7 @@ def lanes_integrator(
         block[AFTER * LANES + lane] = 1.0 if changed else 0.0
         return dense
 
-    @apart
+    @njit(error_model="numpy", forceinline=False)
     def advance(t: float, block: Array, like: Any, step: float, steps: int, work: Array) -> int:
         """Advance all lanes.
 
