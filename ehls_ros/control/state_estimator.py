@@ -24,7 +24,6 @@ Systems, 1997, section 3.2.
 import math
 from typing import Annotated, NamedTuple
 
-
 from ehls_ros.arrays import Array, apart, copy, kernel
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics import sensors
