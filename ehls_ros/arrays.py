@@ -47,7 +47,7 @@ def copy(source: Array, target: Array) -> None:
 
 
 def apart(function: _Function) -> _Function:
-    """Compile a long and rarely called function for compiled callers, which it need not be inlined into."""
+    """Compile a function for compiled callers as numba would by itself, with none of its wrappers for others."""
     compile_with: Any = numba.njit
     return cast(_Function, compile_with(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function))
 

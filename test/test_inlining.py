@@ -1,12 +1,16 @@
-"""Functions that are compiled only as parts of others."""
+"""Functions that are compiled only as parts of others, and what numba is spared while it compiles."""
 
+import gc
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
-from numba import njit
+from numba import njit, types
 
-from ehls_ros.arrays import in_python, kernel, lean
+from ehls_ros.arrays import copy, in_python, kernel, lean
+from ehls_ros.inlining import swiftly
 
 
 @kernel
@@ -87,3 +91,74 @@ def test_a_mistake_in_the_types_is_told_where_it_is():
 
     with pytest.raises(Exception, match="stretched"):
         wrong()
+
+
+def cubed(x, y):
+    return x * x * x + y * y * y
+
+
+def instructions(function):
+    """Return the instructions of a function compiled for two floats, without what they act on."""
+    compiled = njit(error_model="numpy")(function)
+    compiled.compile((types.float64, types.float64))
+    [code] = compiled.inspect_asm().values()
+    return [line.split()[0] for line in code.splitlines() if line.startswith("\t") and line[1] != "."]
+
+
+def test_compiled_swiftly_it_is_the_same_machine_code_and_numba_is_asked_once(monkeypatch):
+    asked = []
+    find = types.Function.__mro__[1].get_call_type
+
+    def counted(function, context, arguments, keywords):
+        asked.append((function, tuple(arguments)))
+        return find(function, context, arguments, keywords)
+
+    monkeypatch.setattr(types.Function.__mro__[1], "get_call_type", counted)
+    plain = instructions(cubed)
+    assert len(asked) > len(set(asked))
+    asked.clear()
+    with swiftly():
+        swift = instructions(cubed)
+    assert len(asked) == len(set(asked)) == 2
+    assert swift == plain
+
+
+def test_numba_and_the_garbage_collector_are_left_as_they_were():
+    def fail():
+        with swiftly(), swiftly():
+            assert not gc.isenabled()
+            raise KeyError
+
+    assert gc.isenabled()
+    with pytest.raises(KeyError):
+        fail()
+    assert gc.isenabled()
+    assert "get_call_type" not in vars(types.Function)
+    gc.disable()
+    try:
+        with swiftly():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_arrays_are_copied(values):
+    target = np.empty(values.size)
+    copy(values, target)
+    assert np.array_equal(target, values)
+
+
+def test_scipy_is_imported_only_by_code_that_needs_it():
+    code = """
+import sys
+import numpy as np
+from numba import njit
+from ehls_ros.inlining import take_scipy_for_granted
+take_scipy_for_granted()
+assert njit(lambda x: 2.0 * x)(2.0) == 4.0
+print("scipy.linalg" in sys.modules)
+assert njit(lambda a, b: np.dot(a, b))(np.ones(3), np.ones(3)) == 3.0
+print("scipy.linalg" in sys.modules)
+"""
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\nTrue\n"

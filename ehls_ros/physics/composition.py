@@ -112,7 +112,7 @@ def _compile_in_turn(entry: Any, seal: Path, code: Path) -> None:
 
     def in_turn(signature: Any) -> Any:
         # Numba's lock first, to avoid a deadlock: its holder may need the file lock of a kernel it calls.
-        with global_compiler_lock, swiftly(), sealed(seal, code, f"{seal.stem}-*"):
+        with global_compiler_lock, sealed(seal, code, f"{seal.stem}-*"), swiftly():
             take_scipy_for_granted()
             try:
                 return compile_or_load(signature)
