@@ -246,7 +246,6 @@ def switch(y: Array, mode: Array, friction: Friction) -> None:
             mode[i] = 0.0
 
 
-# Long and called from several places: not inlined.
 @apart
 def move(
     y: Array, mode: Array, command: float, supply: float, duration: float, model: Model, p: Assumptions, work: Array

@@ -151,7 +151,6 @@ def steps_of(
                 early = s
         return late * step
 
-    # Rarely called and long, so not inlined into the loop.
     @apart
     def locate(t: float, y: Array, mode: Array, c: Any, step: float, after: float, work: Array) -> float:
         """Find where in a step the event function crosses zero.
