@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin, lower_cast
+from numba.extending import lower_builtin, lower_cast, overload
 
 from ehls_ros.duals.code import (
     MINUS,
@@ -26,6 +26,7 @@ from ehls_ros.duals.code import (
     zeros,
 )
 from ehls_ros.duals.kinds import DualType
+from ehls_ros.duals.known import value_alone
 
 _Rule = Callable[..., CodeDual | tuple[ir.Value, list[tuple[Any, CodeDual]]]]
 """``rule(builder, plain, *duals)`` returns the dual, or its value and the partial derivatives, each with its argument."""
@@ -266,8 +267,13 @@ for _comparison in (operator.lt, operator.le, operator.gt, operator.ge):
     _by_value(_comparison, count=2)
 _equality(operator.eq, equal=True)
 _equality(operator.ne, equal=False)
-for _function in (math.ceil, math.floor, np.rint, math.isfinite, math.isnan):
+for _function in (math.ceil, math.floor, math.isfinite, math.isnan):
     _by_value(_function, count=1)
+
+
+@overload(np.round, inline="always", strict=False)
+def _rounded(a: Any, decimals: int = 0, out: Any = None) -> Any:
+    return (lambda a, decimals=0, out=None: np.round(value_alone(a))) if isinstance(a, DualType) else None
 
 
 @lower_cast(types.Number, DualType)

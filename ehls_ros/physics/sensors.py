@@ -94,5 +94,5 @@ def measure(cycle: int, truth: Array, noise: Array, state: SensorState, measured
         older = state.past[row, now - 1 if now > 0 else columns - 1]
         value = gain * (newer + fraction * (older - newer)) + bias + deviation * noise[row]
         if resolution > 0.0:
-            value = np.rint(value / resolution) * resolution
+            value = np.round(value / resolution) * resolution
         measured[row] = value
