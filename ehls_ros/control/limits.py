@@ -223,7 +223,7 @@ def expected_largest(changes: Array, deviations: Array, counts: Array) -> float:
     inside = 0.5 * (scipy.special.erf((amplitude - changes) / scale) + scipy.special.erf((amplitude + changes) / scale))
     with np.errstate(divide="ignore"):
         below = np.exp(np.log(np.clip(inside, 0.0, 1.0)) @ counts)
-    return float(np.trapezoid(1.0 - below, amplitude[:, 0]))
+    return float(scipy.integrate.trapezoid(1.0 - below, amplitude[:, 0]))
 
 
 def _case(rig: EffectiveRig, period: float, disturbance: Array, flow_pressure: float, *, velocity_read: bool) -> _Case:
