@@ -33,6 +33,9 @@ from ehls_ros.recording.columns import read_columns
 from ehls_ros.schema import declarations
 
 EVERYTHING = os.environ.get("EHLS_DOCS") == "all"
+LIBRARIES = {"docs/how_to/programme.md": "rainflow"}
+"""What the snippets of a page need that an installation of ROS does not bring."""
+
 _counts: Counter[str] = Counter()
 _skipped: list[str] = []
 
@@ -69,6 +72,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.mark.parametrize("page", [page for page in pages() if blocks(page)])
 def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    if page in LIBRARIES:
+        pytest.importorskip(LIBRARIES[page], reason=f"needs {LIBRARIES[page]}, which `make setup` installs")
     names: dict[str, Any] = {}
     made: list[str] = []
     printed = ""

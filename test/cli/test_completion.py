@@ -27,6 +27,7 @@ printf '%s\\n' "${COMPREPLY[@]}"
 @pytest.fixture
 def script(tmp_path, capsys):
     """Return a function that writes the completion for a shell to a file."""
+    pytest.importorskip("shtab", reason="needs `pip install shtab`, or on Ubuntu python3-shtab")
 
     def write(shell: str) -> Path:
         with pytest.raises(SystemExit) as ended:

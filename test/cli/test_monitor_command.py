@@ -124,5 +124,5 @@ def test_limits_come_from_a_file_too(again, well, tmp_path):
 )
 def test_what_cannot_be_meant_is_refused(arguments, said, well, capsys):
     assert main(["monitor", str(well), "--rig", str(RIG), *arguments]) == 2
-    [line] = capsys.readouterr().err.splitlines()
+    [line] = capsys.readouterr().err.strip().splitlines()
     assert said in line

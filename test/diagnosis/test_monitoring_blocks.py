@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis import rules, stages
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.monitoring.blocks import scores, telling
 from ehls_ros.diagnosis.monitoring.directions import directions
 from ehls_ros.diagnosis.monitoring.held import FRICTION
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, WANTED, readings, tracked
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import setup
 from ehls_ros.trajectory import Trajectory
 
 SECONDS = 20.0
@@ -23,7 +22,7 @@ def compared(rig, recording, begin=0.0, end=SECONDS) -> Evidence:
     time = recording.time[part] - recording.time[part][0]
     trajectory = Trajectory(time, {name: values[part] for name, values in recording.columns.items()})
     prepared = prepare(trajectory, rig, "test")
-    return gather(prepared, rig, setup(prepared, rig), 0, rules.MONITOR_REALISATIONS)
+    return gather(prepared, rig, stages.setup(prepared, rig), 0, rules.MONITOR_REALISATIONS)
 
 
 @pytest.fixture(scope="module")

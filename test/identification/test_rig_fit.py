@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
+from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import setup
 from ehls_ros.duals import Dual
 from ehls_ros.identification.rig_coefficients import BIASES, DEAD_ZONE, DELAY, coefficients, model_at, placed
 from ehls_ros.identification.rig_fit import Stack
@@ -38,7 +38,7 @@ def test_the_derivatives_are_those_of_central_differences(recording, missing):
     rig = placed(rig_from_mapping(given, "rig"), USED)
     left = {name: values for name, values in trajectory.signals.items() if name != missing}
     read = prepare(Trajectory(trajectory.time_s, left), rig, "case")
-    stack = Stack([gather(read, rig, setup(read, rig), seed=0)])
+    stack = Stack([gather(read, rig, stages.setup(read, rig), seed=0)])
     # Without a spool, it is the flow that differs: its spool varies too.
     for channel in ("volume", "supply") if missing else stack.channels:
         chosen = [
