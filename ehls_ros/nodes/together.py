@@ -39,10 +39,10 @@ def in_order(names: Sequence[str]) -> list[str]:
     Raises:
         BadInput: these nodes cannot be one process, or one of them does not exist.
     """
-    where = PLUS.join(names)
+    where, known = PLUS.join(names), node_names()
     for name in names:
-        if name not in node_names():
-            raise BadInput(f"there is no node '{name}'", where, one_of(name, node_names()))
+        if name not in known:
+            raise BadInput(f"there is no node '{name}'", where, one_of(name, known))
         if not may_be_together(name):
             raise BadInput(f"{name} cannot share a process", where, f"{', '.join((*BEFORE, *HOSTS))} or a controller's node")
     hosts, laws = [name for name in names if name in HOSTS], [name for name in names if controller_of(name) is not None]
