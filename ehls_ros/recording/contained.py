@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,7 +28,12 @@ SMALLER = "a file whose variables fit in memory, or the data as CSV"
 
 
 def contained(
-    read: Callable[[Path, Argument], Result], path: Path, argument: Argument, expected: str, kind: type[Result]
+    read: Callable[[Path, Argument], Result],
+    path: Path,
+    argument: Argument,
+    expected: str,
+    kind: type[Result],
+    library: str = "",
 ) -> Result:
     """Read a file in a separate process.
 
@@ -37,6 +43,7 @@ def contained(
         argument: what else the reader takes; it can be pickled.
         expected: what the file should be, for errors.
         kind: type of the result.
+        library: module that the reader imports; the memory and the threads that it takes by itself do not count as the file's.
 
     Returns:
         The result of ``read``.
@@ -49,7 +56,7 @@ def contained(
     half = os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() // 2
     memory = min(limits.COPIES * min(limits.EXPANDED + limits.EXPANSION * size, 8 * limits.VALUES), half)
     deadline = Deadline(size, str(path))
-    done = _run_reader(pickle.dumps((read, path, argument, memory, deadline.seconds)), path, deadline)
+    done = _run_reader(pickle.dumps((read, path, argument, memory, deadline.seconds, library)), path, deadline)
     if done.returncode == -signal.SIGXCPU:
         raise deadline.error()
     if done.returncode or not done.stdout:
@@ -70,6 +77,7 @@ def _run_reader(request: bytes, path: Path, deadline: Deadline) -> subprocess.Co
         **os.environ,
         "PYTHONPATH": os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH")))),
         "ARROW_DEFAULT_MEMORY_POOL": "system",  # the other pools reserve more than they use
+        "MALLOC_ARENA_MAX": "1",  # a second arena reserves 64 MB
         "OPENBLAS_NUM_THREADS": "1",
     }
     try:
@@ -93,7 +101,9 @@ def _serve() -> None:
     """Serve the request of the parent process."""
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # libraries may print
-    read, path, argument, memory, seconds = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent process
+    read, path, argument, memory, seconds, library = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent process
+    if library:
+        import_module(library)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     limit(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
     limit(resource.RLIMIT_CPU, int(seconds) + 1)

@@ -17,6 +17,9 @@ from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.text_layout import is_number
 from ehls_ros.recording.times import seconds_of_moments
 
+LIBRARY = "python_calamine"
+"""Module that reads it."""
+
 EXPECTED_FILE = "an Excel file, or the data as CSV"
 
 LOOKED_AT = 1000
@@ -37,15 +40,15 @@ def read_excel(path: Path, pick: Pick | None = None) -> RawTable:
     Raises:
         BadInput: python-calamine is missing, the file cannot be read, or a cell is wrong.
     """
-    check_library("python_calamine", "python-calamine", path)
-    return contained(read_here, path, pick, EXPECTED_FILE, RawTable)
+    check_library(LIBRARY, "python-calamine", path)
+    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, LIBRARY)
 
 
 def read_here(path: Path, pick: Pick | None) -> RawTable:
     """Read an Excel file in this process, without a memory limit; see :func:`read_excel`."""
     where = str(path)
     try:
-        with import_module("python_calamine").CalamineWorkbook.from_path(path) as book:
+        with import_module(LIBRARY).CalamineWorkbook.from_path(path) as book:
             sheets = [(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
             name, sheet = next(((name, sheet) for name, sheet in sheets if sheet.height > 1), sheets[0])
             check_length(sheet.height, sheet.width, where)

@@ -16,6 +16,9 @@ from ehls_ros.recording.times import seconds_of_moments
 OLDEST = (14, 0, 1)
 """The first pyarrow that does not run code from a file."""
 
+LIBRARY = "pyarrow.parquet"
+"""Module that reads it."""
+
 EXPECTED_FILE = "a Parquet file"
 
 
@@ -32,8 +35,8 @@ def read_parquet(path: Path, pick: Pick | None = None) -> RawTable:
     Raises:
         BadInput: pyarrow is missing, the file cannot be read, or a column is wrong.
     """
-    check_library("pyarrow.parquet", "pyarrow", path)
-    return contained(read_here, path, pick, EXPECTED_FILE, RawTable)
+    check_library(LIBRARY, "pyarrow", path)
+    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, LIBRARY)
 
 
 def read_here(path: Path, pick: Pick | None) -> RawTable:
@@ -64,7 +67,7 @@ def _arrow(path: Path) -> Any:
 @contextmanager
 def _open(path: Path) -> Iterator[Any]:
     try:
-        with import_module("pyarrow.parquet").ParquetFile(path) as file:
+        with import_module(LIBRARY).ParquetFile(path) as file:
             yield file
     except BadInput:
         raise

@@ -14,6 +14,9 @@ from ehls_ros.recording.reason import reason
 from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.times import seconds_of_moments
 
+LIBRARY = "nptdms"
+"""Module that reads it."""
+
 EXPECTED_FILE = "a TDMS file"
 
 UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
@@ -40,15 +43,15 @@ def read_tdms(path: Path, pick: Pick | None = None) -> RawTable:
     Raises:
         BadInput: npTDMS is missing, or the file cannot be read.
     """
-    check_library("nptdms", "npTDMS", path)
-    return contained(read_here, path, pick, EXPECTED_FILE, RawTable)
+    check_library(LIBRARY, "npTDMS", path)
+    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, LIBRARY)
 
 
 def read_here(path: Path, pick: Pick | None) -> RawTable:
     """Read a TDMS file in this process, without a memory limit; see :func:`read_tdms`."""
     where = str(path)
     try:
-        with import_module("nptdms").TdmsFile.open(path) as file:
+        with import_module(LIBRARY).TdmsFile.open(path) as file:
             return _table([channel for group in file.groups() for channel in group.channels()], pick, where)
     except BadInput:
         raise

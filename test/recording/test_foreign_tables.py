@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
 from ehls_ros.recording.columns import Column, ColumnMap, read_columns
 from ehls_ros.recording.load import load, raw
 from ehls_ros.recording.proposal import look, proposed_map
@@ -188,6 +189,13 @@ def as_parquet(path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def a_quarter_of_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave a small file less memory than its library takes by itself."""
+    monkeypatch.setattr(limits, "EXPANDED", limits.EXPANDED // 4)
+
+
+@pytest.mark.usefixtures("a_quarter_of_the_memory")
 @pytest.mark.parametrize(
     ("name", "make"), [("a.mat", as_mat_7_3), ("a.xlsx", as_excel), ("a.tdms", as_tdms), ("a.parquet", as_parquet)]
 )
