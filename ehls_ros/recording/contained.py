@@ -10,7 +10,7 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TypeVar
@@ -33,7 +33,7 @@ def contained(
     argument: Argument,
     expected: str,
     kind: type[Result],
-    library: str = "",
+    libraries: Sequence[str] = (),
 ) -> Result:
     """Read a file in a separate process.
 
@@ -43,7 +43,7 @@ def contained(
         argument: what else the reader takes; it can be pickled.
         expected: what the file should be, for errors.
         kind: type of the result.
-        library: module that the reader imports; the memory and the threads that it takes by itself do not count as the file's.
+        libraries: modules that the reader imports; memory and threads that they take themselves do not count as the file's.
 
     Returns:
         The result of ``read``.
@@ -56,7 +56,7 @@ def contained(
     half = os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() // 2
     memory = min(limits.COPIES * min(limits.EXPANDED + limits.EXPANSION * size, 8 * limits.VALUES), half)
     deadline = Deadline(size, str(path))
-    done = _run_reader(pickle.dumps((read, path, argument, memory, deadline.seconds, library)), path, deadline)
+    done = _run_reader(pickle.dumps((read, path, argument, memory, deadline.seconds, libraries)), path, deadline)
     if done.returncode == -signal.SIGXCPU:
         raise deadline.error()
     if done.returncode or not done.stdout:
@@ -101,8 +101,8 @@ def _serve() -> None:
     """Serve the request of the parent process."""
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # libraries may print
-    read, path, argument, memory, seconds, library = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent process
-    if library:
+    read, path, argument, memory, seconds, libraries = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent process
+    for library in libraries:
         import_module(library)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     limit(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)

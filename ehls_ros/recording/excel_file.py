@@ -41,7 +41,7 @@ def read_excel(path: Path, pick: Pick | None = None) -> RawTable:
         BadInput: python-calamine is missing, the file cannot be read, or a cell is wrong.
     """
     check_library(LIBRARY, "python-calamine", path)
-    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, LIBRARY)
+    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, [LIBRARY])
 
 
 def read_here(path: Path, pick: Pick | None) -> RawTable:

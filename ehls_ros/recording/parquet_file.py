@@ -36,7 +36,8 @@ def read_parquet(path: Path, pick: Pick | None = None) -> RawTable:
         BadInput: pyarrow is missing, the file cannot be read, or a column is wrong.
     """
     check_library(LIBRARY, "pyarrow", path)
-    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, LIBRARY)
+    # pyarrow imports pandas, if there is one, with the first column that it converts.
+    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, [LIBRARY, "pandas"])
 
 
 def read_here(path: Path, pick: Pick | None) -> RawTable:

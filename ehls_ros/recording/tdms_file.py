@@ -44,7 +44,7 @@ def read_tdms(path: Path, pick: Pick | None = None) -> RawTable:
         BadInput: npTDMS is missing, or the file cannot be read.
     """
     check_library(LIBRARY, "npTDMS", path)
-    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, LIBRARY)
+    return contained(read_here, path, pick, EXPECTED_FILE, RawTable, [LIBRARY])
 
 
 def read_here(path: Path, pick: Pick | None) -> RawTable:
