@@ -104,7 +104,8 @@ class PlantNode(ControlNode):
         declare(self, GateParameters, {**sound._asdict(), **self.gate_defaults}, live=True)
         self.awaited: tuple[str, ...] = ()
         self.take_over_after = float(self.get_parameter("take_over_after").value)
-        self.successor = ""
+        # Who is to drive next; the last driver that left or fell silent.
+        self.successor = self.gone = ""
         self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), self.sensed, bounds=self.gate_bounds)
         self.told_gate: tuple[str, int] | None = None
         follow(self, GateParameters, self._retune, self.gate.objection)
@@ -312,6 +313,7 @@ class PlantNode(ControlNode):
     def _succeed(self, owner: str, why: str) -> None:
         """Let the controller that stands by take over; with none, or several, the gate reacts to the lack of commands."""
         ready = [sender for sender in self.standby.ready if sender != owner]
+        self.gone = owner
         self.successor = ready[0] if len(ready) == 1 else ""
         if not ready:
             # So ends every run with one controller.
@@ -327,8 +329,12 @@ class PlantNode(ControlNode):
             if owner and silence >= self.take_over_after and self.standby.ready:
                 self._succeed(owner, f"has been silent for {silence:.3f} s")
         if self.successor:
+            before = self.gate.owner
             self.gate.hand_over(self.successor)
-            self.successor, self.first = "", cycle
+            if before and before != self.gone and cycle > self.standby.cycle:
+                # It follows the other from its first cycle on.
+                self.standby.hear(before, cycle - 1)
+            self.successor, self.gone, self.first = "", "", cycle
         driver = "" if self.gate.vacant else self.gate.owner
         if driver is not None and driver != self.told_driver:
             if driver and not self.told_driver:

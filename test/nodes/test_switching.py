@@ -27,9 +27,6 @@ WITHOUT_COUPLING = "fasmc_output_feedback, coupling_stiffness: 0.0, coupling_dam
 PHASE = 500
 """Cycles that each controller drives at least."""
 
-TRACE = 1.0
-"""Force [N], of 10 kN, that cycles missed before it kept up may leave in what a controller does later."""
-
 
 def law_of(sender):
     """Return the law of a sender, which names its node and process."""
@@ -126,8 +123,8 @@ def test_a_controller_takes_over_gives_back_and_succeeds_one_that_leaves(graph, 
     heard = np.array([(message.cycle, message.force) for message in states])
     assert min(np.histogram(heard[:, 0], [*turns, np.inf])[0]) >= PHASE
     apart = np.abs(heard[:, 1] - forces[heard[:, 0].astype(int)])
-    assert np.max(apart[heard[:, 0] < switched]) <= 1e-6
-    assert np.max(apart) <= TRACE
+    # Only who joins may miss cycles: who drove until now follows the other at once.
+    assert np.max(apart) <= 1e-6
 
     settings = spec.settings._replace(duration=cycles * spec.settings.control_period)
     alone = [
