@@ -427,13 +427,18 @@ class ControlNode(DeclaredParameters):
             self.report()
 
 
-def survive_requests(node: Node, service: Any) -> None:
+def survive_requests(node: Node) -> None:
     """Refuse and log a request whose handler raises; rclpy would let it end the thread of all services.
 
     Args:
-        node: owner of the service, for its log.
-        service: the rclpy service.
+        node: owner of the services.
     """
+    for service in node.services:
+        service.callback = _surviving(node, service)
+
+
+def _surviving(node: Node, service: Any) -> Callable[[Any, Any], Any]:
+    """Return a service's handler, with a refusal in place of what it raises."""
     answer = service.callback
 
     def answer_or_refuse(request: Any, response: Any) -> Any:
@@ -444,7 +449,7 @@ def survive_requests(node: Node, service: Any) -> None:
             node.get_logger().error(f"{service.srv_name}: a request was refused: {reason}")
             return _refusal(request, response, reason)
 
-    service.callback = answer_or_refuse
+    return answer_or_refuse
 
 
 def _refusal(request: Any, response: Any, reason: str) -> Any:
@@ -552,8 +557,7 @@ def run_nodes(
         rclpy.try_shutdown()
         end(2)
     for node in nodes:
-        for service in node.services:
-            survive_requests(node, service)
+        survive_requests(node)
     work = join(nodes)
     services = _Services(nodes, stopping)
     code = 0

@@ -1,6 +1,7 @@
 """The end of a node: by the lifecycle's shutdown, after which it is silent for good, and with the process that started it."""
 
 import os
+import time
 
 import pytest
 
@@ -10,6 +11,7 @@ from patience import PATIENCE
 
 from ehls_msgs.msg import ControllerStatus
 from ehls_ros.nodes.control import PARENT
+from ehls_ros.nodes.shared_memory import leftovers, used_by
 
 TOPICS = {
     "fasmc_node": "valve_command",
@@ -46,3 +48,16 @@ def test_a_node_ends_with_the_process_that_started_it(graph, monkeypatch):
     assert "the process that started this node has ended" in graph.log("disturbance_node")
     assert graph.stop("reference_node") == 0
     assert "has ended" not in graph.log("reference_node")
+
+
+@pytest.mark.parametrize("name", ["fasmc_node", "plant_sim_node"])
+def test_a_node_that_ends_leaves_nothing_in_shared_memory(graph, spec_file, name):
+    node = graph.start(name, spec=spec_file(duration=1000.0), timing="lockstep")
+    deadline = time.monotonic() + PATIENCE
+    while ": up" not in graph.log(name):
+        assert time.monotonic() < deadline, graph.log(name)
+        time.sleep(0.05)
+    files = used_by(node.pid)
+    assert any(file.match("fast*_port*") for file in files)
+    assert graph.stop(name) == 0
+    assert leftovers(files) == []
