@@ -191,7 +191,7 @@ class MonitorNode(ControlNode):
     def _cycle_inbox(self, message: Any, topic: Topic) -> Inbox:
         """Return an inbox that holds up no sender: in realtime none waits for its word, and what it misses is a gap.
 
-        In lockstep nothing is missed, as in a recording.
+        In lockstep it misses only what a publisher no longer keeps by the time that a busy machine lets it read.
         """
         if self.lockstep:
             return Inbox(self, message, topic.name, control_qos(RECORDER_DEPTH))

@@ -332,7 +332,7 @@ class PlantNode(ControlNode):
             before = self.gate.owner
             self.gate.hand_over(self.successor)
             if before and before != self.gone and cycle > self.standby.cycle:
-                # It follows the other from its first cycle on.
+                # It stands by from the other's first cycle on, and is waited for like any that does.
                 self.standby.hear(before, cycle - 1)
             self.successor, self.gone, self.first = "", "", cycle
         driver = "" if self.gate.vacant else self.gate.owner

@@ -36,7 +36,7 @@ def read_parquet(path: Path, pick: Pick | None = None) -> RawTable:
         BadInput: pyarrow is missing, the file cannot be read, or a column is wrong.
     """
     check_library(LIBRARY, "pyarrow", path)
-    # pyarrow imports pandas, if there is one, with the first column that it converts.
+    # pyarrow imports pandas with the first column that it converts.
     return contained(read_here, path, pick, EXPECTED_FILE, RawTable, [LIBRARY, "pandas"])
 
 
