@@ -8,7 +8,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-noble docs lint lock clean
+.PHONY: help setup demo test test-long test-noble docs lint lock clean
 
 help:  ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 20
@@ -24,10 +24,14 @@ demo: setup  ## run one experiment over DDS; bag, metrics and report go to runs/
 # Plug-ins by name only: a sourced ROS brings some that do not work with this pytest. The limit ends tests that hang; no test
 # comes near it on a slow machine, such as `python3 tools/held_back.py 0.33 make test` makes of any.
 TIMEOUT := 1800
-test:  ## run the tests; PYTEST_ARGS='-k name' picks some
+RUN_TESTS = PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile --timeout $(TIMEOUT)
+test:  ## run the quick tests; PYTEST_ARGS='-k name' picks some
 	@$(SETUP) test
-	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/python -m pytest -p xdist -p timeout -n 2 --dist loadfile --timeout $(TIMEOUT) \
-		$(PYTEST_ARGS)
+	$(RUN_TESTS) -m "not long" $(PYTEST_ARGS)
+
+test-long:  ## run the tests that take long: full products, endurance, browsers
+	@$(SETUP) test
+	$(RUN_TESTS) -m long $(PYTEST_ARGS)
 
 test-noble:  ## run them with the versions of Ubuntu 24.04 in .venv-noble/; PYTHON=python3.12
 	@EHLS_VERSIONS=noble $(PYTHON) tools/setup_environment.py
