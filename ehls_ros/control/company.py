@@ -63,6 +63,10 @@ class Company:
         for member in self.members.values():
             member.save()
 
+    def at_bounds(self) -> tuple[str, ...]:
+        """Return a sentence for each estimate of a companion that stands at its bound."""
+        return tuple(sentence for member in self.members.values() for sentence in member.at_bounds())
+
     def report(self) -> dict[str, float | str]:
         """Return figures and sentences, each under its companion's name."""
         return {f"{name}.{key}": value for name, member in self.members.items() for key, value in member.report().items()}

@@ -18,11 +18,13 @@ from rclpy.duration import Duration
 from std_msgs.msg import Bool, String
 
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
+from ehls_ros.control.at_bounds import Bound, bounds_of, sentence
 from ehls_ros.control.controller import NOTHING_KNOWN, Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
+from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import check_law, company_of, signal_kind, untold, uses_actuator
@@ -60,6 +62,9 @@ LOCKSTEP_PATIENCE = 10.0
 """friction_patience in lockstep, and longest wait for another's command and for the word of who drives [s]: nothing is late
 there, and a run must not depend on what else the machine does."""
 
+
+NOTICE = 2.0
+"""Time for which diagnostics go on showing an estimate that has left its bound [s]."""
 
 FAREWELL = 0.2
 """Longest wait for the others to hear that the node leaves [s]."""
@@ -139,13 +144,16 @@ class ControllerNode(ControlNode):
         self.kind = CONTROLLERS.load(law)
         check_law(self.spec, law, self.get_name())
         given = self.spec.controller
-        values = given.parameters._asdict() if given.name == law else {}
-        declare(self, self.kind.Parameters, values, live=True)
-        self.tuning = values_of(self, self.kind.Parameters, self.get_name())
+        declared = self.kind.Parameters
+        same = given.name == law
+        values = given.parameters._asdict() if same else defaults_for(declared, self.spec.controller_rig)
+        declare(self, declared, values, live=True)
+        self.tuning = values_of(self, declared, self.get_name())
         self.new_tuning: Any = None
         self.new_model: Model | None = None
         self.tuned_at = -1
-        follow(self, self.kind.Parameters, self._retune)
+        self.bounds = bounds_of(self.kind, self.tuning)
+        follow(self, declared, self._retune)
 
     def _retune(self, tuning: Any) -> None:
         self.new_tuning = tuning
@@ -163,8 +171,8 @@ class ControllerNode(ControlNode):
         """Compile the law and open the topics."""
         period = self.spec.settings.control_period
         model = model_of(self.spec.controller_rig, period)
-        for sentence in untold(self.spec, self.law):
-            self.get_logger().warning(sentence)
+        for warning in untold(self.spec, self.law):
+            self.get_logger().warning(warning)
         self.company = company_of(self.spec, model, self.get_name(), self.law, self.tuning)
         self.controller = Controller(self.law, self.tuning, model, self.company)
         self.signal = sampled(self.spec.reference, period)
@@ -172,6 +180,7 @@ class ControllerNode(ControlNode):
         self.cycles = Cycles(friction=self.kind.FRICTION, patience=self.friction_patience)
         self.fallback, self.fallbacks = False, 0
         self.saturated = False
+        self.at_bound: dict[Bound, int] = {}
         self.latency = Latency()
         self.states = Inbox(self, LoaderState, "loader_state")
         topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
@@ -354,6 +363,7 @@ class ControllerNode(ControlNode):
             self.told.clear()
         if self.new_tuning is not None:
             self.controller.retune(self.new_tuning)
+            self.bounds = bounds_of(self.kind, self.new_tuning)
             self.new_tuning = None
             self.tuned_at = ready.cycle
         if self.new_model is not None:
@@ -388,8 +398,10 @@ class ControllerNode(ControlNode):
             (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
         values = [value * factor for value, factor in zip(self.controller.status.tolist(), TO_SI, strict=True)]
         self.saturated = values[SATURATED] != 0.0
+        reached = [bound for bound in self.bounds if bound.reached(values[bound.place])]
+        self.at_bound.update(dict.fromkeys(reached, cycle))
         if not shadow:
-            self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, self.fallback)
+            self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, bool(reached), self.fallback)
 
     def _unmeasured(self) -> list[str]:
         """Return the readings that the law needs and the last snapshot lacked."""
@@ -414,6 +426,12 @@ class ControllerNode(ControlNode):
         able = [name for name, law in laws.items() if law.FOLLOWS == self.kind.FOLLOWS and not set(law.NEEDS) & set(unmeasured)]
         return f"usable instead: {', '.join(able)}" if able else "no controller can do without"
 
+    def _at_bounds(self) -> list[str]:
+        """Return a sentence for each estimate, of law and companions, that stands at its bound or did so shortly before."""
+        recent = self.cycles.answered - NOTICE / self.spec.settings.control_period
+        standing = [sentence(bound) for bound, cycle in list(self.at_bound.items()) if recent <= cycle <= self.cycles.answered]
+        return [*standing, *self.company.at_bounds()]
+
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how answering goes."""
         figures = {
@@ -430,6 +448,8 @@ class ControllerNode(ControlNode):
             return WARN, "no friction estimate arrives: the friction of steady sliding takes its place", figures
         if self.cycles.waited(time.perf_counter()) > PATIENCE:
             return WARN, f"no {self.kind.FOLLOWS} reference for the present cycle", figures
+        if self._active.is_set() and (standing := self._at_bounds()):
+            return WARN, "; ".join(standing), figures
         if not self.sent and self._active.is_set():
             return OK, f"stands by: {self._driver_of(self.cycles.answered)} drives", figures
         return OK, "running" if self._active.is_set() else "inactive", figures

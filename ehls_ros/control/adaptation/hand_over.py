@@ -91,10 +91,10 @@ class HandedOver:
     def judge(self, latest: Estimated | None, caution: Caution) -> None:
         """Choose where to go from the latest estimate; None: there is none."""
         self._latest = latest
-        if latest is None or not latest.std <= self._named.rough * caution.certain * self._size:
+        if latest is None or not self._known(latest, caution):
             return
         if abs(latest.value - self._aim) > caution.significance * latest.std or self._aim != self._nominal:
-            reach = max(caution.reach, self._least_reach) * self._size
+            reach = self._reach(caution)
             self._aim = float(min(max(latest.value, self._nominal - reach, 0.0), self._nominal + reach))
 
     def move(self, duration: float, caution: Caution) -> bool:
@@ -107,7 +107,7 @@ class HandedOver:
     def told(self, caution: Caution) -> str:
         """Return the sentence for the user."""
         name, latest = self._named.words, self._latest
-        if latest is None or not latest.std <= self._named.rough * caution.certain * self._size:
+        if latest is None or not self._known(latest, caution):
             how = (
                 ""
                 if latest is None or not math.isfinite(latest.std)
@@ -121,10 +121,28 @@ class HandedOver:
             return f"{about} agrees with this run (± {std})"
         words = ("short", "long") if self._named.unit else ("low", "high")
         amount = self._amount(abs(off) / self._relative(latest.value))
-        reach = max(caution.reach, self._least_reach)
-        capped = abs(off) > reach * self._size
-        end = f"; the controller is given a change of {self._amount(reach * self._size)} at most" if capped else ""
+        most = self._amount(self._reach(caution))
+        end = f"; the controller is given a change of {most} at most" if self.capped(caution) else ""
         return f"{about} seems {amount} {words[int(off < 0.0)]} (± {std}){end}"
+
+    def capped(self, caution: Caution) -> bool:
+        """Return whether the latest estimate is known well enough to be used, and out of reach."""
+        latest = self._latest
+        if latest is None or not self._known(latest, caution):
+            return False
+        off = abs(latest.value - self._nominal)
+        return off > max(self._reach(caution), caution.significance * latest.std)
+
+    def at_bound(self, caution: Caution) -> str:
+        """Return what is to be done about an estimate that is out of reach."""
+        return f"{self.told(caution)}: correct the rig file, for which the run leaves rig_adapted.yaml"
+
+    def _reach(self, caution: Caution) -> float:
+        """Return the largest change, in the coefficient's unit."""
+        return max(caution.reach, self._least_reach) * self._size
+
+    def _known(self, latest: Estimated, caution: Caution) -> bool:
+        return latest.std <= self._named.rough * caution.certain * self._size
 
     def _relative(self, value: float) -> float:
         """Return what an estimate is divided by to speak of the rig file's error: it is this much off the truth."""

@@ -90,6 +90,10 @@ class Adaptation:
         """Return what the controller is given, over the rig file's values, and a sentence for each coefficient."""
         return self._search.report()
 
+    def at_bounds(self) -> tuple[str, ...]:
+        """Return a sentence for each coefficient whose estimate is out of reach."""
+        return self._search.at_bounds()
+
     def save(self) -> None:
         """Store nothing: the rig file to write is in the run's folder."""
 

@@ -7,7 +7,7 @@ run, it may change the rows that the law will follow; after them, it sees what h
 once. What it does depends on the numbers of the cycles alone, so both come to the same.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from ehls_ros.arrays import Array
@@ -97,6 +97,9 @@ class Companion(Protocol):
 
     def report(self) -> Mapping[str, float | str]:
         """Return figures and sentences for diagnostics and run folders."""
+
+    def at_bounds(self) -> Sequence[str]:
+        """Return a sentence for each estimate that stands at its bound, with the remedy."""
 
     def save(self) -> None:
         """Store what is to outlive the run, where its parameters name a file."""

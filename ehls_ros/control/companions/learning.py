@@ -233,6 +233,10 @@ class Learning:
             **file,
         }
 
+    def at_bounds(self) -> tuple[str, ...]:
+        """Return nothing: the report says where a correction ends."""
+        return ()
+
     def save(self) -> None:
         """Write what has been learnt, if there is a file for it that is of this programme."""
         learnt = {block: lesson.stored() for block, lesson in self._lessons.items() if lesson.active}
