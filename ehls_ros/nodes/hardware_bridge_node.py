@@ -196,11 +196,11 @@ class HardwareBridgeNode(PlantNode):
         self._write(self.gate.step(self._time()))
 
     def _write(self, spool: float) -> None:
-        self.tell_driving(self.gate.driving)
         try:
             self.device.write(self.calibration.command(spool), self.sequence)
         except WorkFailed as error:
             self.failure = str(error)
+        self.tell_driving(self.gate.driving)
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
