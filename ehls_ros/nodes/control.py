@@ -240,6 +240,14 @@ class ControlNode(DeclaredParameters):
     def release(self) -> None:
         """Undo :meth:`prepare`."""
 
+    def secure(self) -> None:
+        """Bring the rig into its safe state; run at the end of the process, whatever failed before."""
+
+    def make_safe(self) -> None:
+        """Secure the rig once no loop runs any more, and let a request go on that waits for the end of the loop."""
+        self._idle.set()
+        self.secure()
+
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Return level, message and values for diagnostics; called once the node is configured."""
         return OK, "running" if self._active.is_set() else "inactive", {}
@@ -683,12 +691,18 @@ def _work(
     # Fast DDS occasionally deadlocks while it destroys readers and writers (its issues 4026 and 6193), in a call that
     # holds the interpreter lock; only this watchdog then ends the process. The node's data have been written by now.
     faulthandler.dump_traceback_later(CLOSING, exit=True)
+    _each(nodes, lambda node: node.make_safe())
     services.join()
     services.close(nodes)
+    _each(nodes, lambda node: node.give_back())
+    _each(nodes, lambda node: node.destroy_node())
+    return code
+
+
+def _each(nodes: Sequence[ControlNode], step: Callable[[ControlNode], None]) -> None:
+    """Take all nodes through a step of their end, whichever of them fails."""
     for node in nodes:
         try:
-            node.give_back()
-            node.destroy_node()
+            step(node)
         except Exception as error:  # noqa: BLE001
-            node.report_failure(error, "release")
-    return code
+            node.report_failure(error, "end")
