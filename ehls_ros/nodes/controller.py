@@ -143,7 +143,14 @@ class ControllerNode(ControlNode):
         self.new_tuning = tuning
 
     def _on_accepted(self, message: String) -> None:
-        """Take in a rig that an operator has accepted; one that is wrong changes nothing."""
+        """Take in a rig that an operator has accepted; one that is wrong, or one of several, changes nothing."""
+        publishers = self.get_publishers_info_by_topic(ACCEPTED_RIG.name)
+        if len(publishers) > 1:
+            names = ", ".join(sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers))
+            self.get_logger().error(
+                f"the accepted rig is not used: {names} publish {ACCEPTED_RIG.name}; stop all but one, and accept again"
+            )
+            return
         try:
             rig = rig_from_mapping(parse_yaml(message.data, ACCEPTED_RIG.name, "rig"), ACCEPTED_RIG.name)
         except BadInput as error:
