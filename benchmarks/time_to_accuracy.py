@@ -111,7 +111,7 @@ def with_scipy(case: Case, method: str) -> Solver:
     prepared = at_rest(rig, case.period)
     parts, constants = prepared.parts, prepared.constants
     kernel = compiled(build, ENTRIES, **parts._asdict())
-    hold = simulator.plant_kernel(parts).hold
+    begin = simulator.plant_kernel(parts).begin
     scale = np.array([*ABSOLUTE_TOLERANCE, *[FORCE_TOLERANCE] * (prepared.state.y.size - FRICTION)]) / RELATIVE_TOLERANCE
 
     def run(tolerance: float) -> Array:
@@ -130,7 +130,7 @@ def with_scipy(case: Case, method: str) -> Solver:
         y, states = state.y, [state.y.copy()]
         for cycle, (u, force, force_rate) in enumerate(case.inputs.tolist()):
             t, end = cycle * case.period, (cycle + 1) * case.period
-            hold(state.inputs, t, u, force, force_rate, 0.0, 0.0)
+            begin(cycle, constants, state, u, np.array([force, force_rate, 0.0, 0.0]))
             changes = 0
             while t < end:
                 if kernel.evaluate(t, y, constants, state, rate) > 0.0:

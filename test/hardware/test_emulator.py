@@ -99,14 +99,12 @@ def in_process(cycles):
     signal_of = sampled(spec.disturbance.signal, PERIOD)
     kind = DISTURBANCES.load(spec.disturbance.name)
     disturbance = kind.build(spec.disturbance.parameters, signal_of, spec.rig, PERIOD)
-    row, volts, states = disturbance.first().copy(), 0.0, []
+    rows, volts, states = disturbance.rows(0, cycles), 0.0, []
     for cycle in range(cycles):
         measured = simulator.measure(random.standard_normal(len(SENSED)))
         force = 8e3 * rounded(measured[FORCE] / 8e3, 20.0 / 2**16, -10.0)
         states.append((2e-3 * volts, *simulator.truth[[0, 2, 3]]))
-        position, velocity = simulator.truth[:2].tolist()
-        simulator.advance(2e-3 * volts, *row)
-        row = disturbance.following(cycle, position, velocity).copy()
+        simulator.advance(2e-3 * volts, *rows[cycle])
         volts = rounded(law(force, cycle) / 2e-3, 10.0 / 2**16, -5.0)
     return np.array(states)
 
