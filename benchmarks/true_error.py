@@ -12,6 +12,7 @@ from ehls_ros.experiments.loop import sampled, simulator_of
 from ehls_ros.experiments.spec import Spec, company_of
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import FORCE
+from ehls_ros.physics.simulator import Simulator
 
 
 class Cycles(NamedTuple):
@@ -30,15 +31,16 @@ class Cycles(NamedTuple):
         return float(np.max(np.abs(self.error[len(self.error) // 2 :])))
 
 
-def true_cycles(spec: Spec, added: Array | None = None) -> Cycles:
+def true_cycles(spec: Spec, added: Array | None = None, plant: Simulator | None = None) -> Cycles:
     """Run an experiment whose controller needs no friction estimate, companions included.
 
     Args:
         spec: the experiment.
         added: added to the spool command on its way to the plant [m], shape (cycles,).
+        plant: in place of the experiment's.
     """
     period, cycles = spec.settings.control_period, spec.cycles
-    plant, reference = simulator_of(spec), sampled(spec.reference, period)
+    plant, reference = plant or simulator_of(spec), sampled(spec.reference, period)
     wanted, place = reference.rows(0, cycles), reference.place(0, cycles)
     actuator = sampled(spec.disturbance.signal, period).rows(0, cycles)
     signal = sampled(spec.disturbance.signal, period)

@@ -67,11 +67,11 @@ class PlantSimNode(PlantNode):
         self.time = SimulatedClock(self.period, time.perf_counter())
         self.dense = 0
         self.disturbances: dict[int, tuple[float, float, float, float]] = {}
-        self.last_disturbance = (0.0, 0.0, 0.0, 0.0)
         self.open_topics()
         self.enabled = False
         # A servo's motion is simulated with the loader's, and comes from here.
         moves = self.simulator.servo.size > 0
+        self.last_disturbance = (0.0, 0.0, float(self.simulator.servo[X]) if moves else 0.0, 0.0)
         self.motion = Outbox(self, Disturbance, DISTURBANCE.name) if moves else None
         self.disturbance = Inbox(self, Disturbance, (SERVO_REFERENCE if moves else DISTURBANCE).name)
         self.anything = Waiter([self.commands, self.disturbance])
