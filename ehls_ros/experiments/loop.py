@@ -71,8 +71,8 @@ class Given(NamedTuple):
     Attributes:
         noise: standard normal numbers, shape (n, signals).
         reference: what the law follows, shape (n, :data:`ehls_ros.control.controllers.base.ROW`).
-        disturbance: force, its rate, displacement, velocity, shape (n, 4); of a simulated servo those that it is to follow,
-            which those that it had take the place of.
+        disturbance: force, its rate, displacement, velocity, shape (n, 4). The last two of a simulated servo are those that it
+            is to follow, and are overwritten with those that it has.
     """
 
     noise: Array
@@ -276,8 +276,8 @@ class ClosedLoop:
             BadInput: it has other effects, which the loop is not compiled for.
         """
         settings = self._spec.settings
-        other = self._spec._replace(rig=rig)
-        now = at_rest(other.loader_rig(), *_timing(other), servo=other.servo())
+        # The actuator under test stays the same.
+        now = at_rest(self._spec._replace(rig=rig).loader_rig(), *_timing(self._spec), servo=self._spec.servo())
         if now.parts.effects.names != self._plant.parts.effects.names:
             wanted = ", ".join(self._plant.parts.effects.names) or "none"
             raise BadInput(f"a rig with the effects {now.parts.effects.names}", settings.title, f"those of the loop: {wanted}")
