@@ -16,8 +16,9 @@ import scipy
 import yaml
 
 from ehls_ros.arrays import Array
+from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
+from ehls_ros.physics.simulator import Simulator, build, parts_of
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "test" / "physics"))
@@ -71,7 +72,7 @@ def kernel_time(case: Case, step: float, runs: int) -> float:
     simulator = simulator_of(case, step)
     for u, force, rate in case.inputs[:100].tolist():
         simulator.advance(u, force, rate, 0.0, 0.0)
-    advance = plant_kernel(parts_of(simulator.rig)).advance
+    advance = compiled(build, {"advance": "cycle, constants, state"}, **parts_of(simulator.rig)._asdict()).advance
     long = simulator.constants._replace(steps=1000)
     times = []
     for _ in range(runs):

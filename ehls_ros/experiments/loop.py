@@ -88,7 +88,7 @@ class _Loop(NamedTuple):
 
 def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
     """Build the loop of a compiled plant, a controller, and an observer that believes in a friction model."""
-    sense, begin, advance, update, step = plant.sense, plant.begin, plant.advance, observer.updater(believed), law.step
+    sense, cycle, update, step = plant.sense, plant.cycle, observer.updater(believed), law.step
 
     @kernel
     def run(first: int, constants: Constants, state: State, control: Control, given: Given, record: Array) -> int:
@@ -111,8 +111,7 @@ def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
             for value in status:
                 record[i, column] = value
                 column += 1
-            begin(k, constants, state, u, given.disturbance[i])
-            dense += advance(k, constants, state)
+            dense += cycle(k, constants, state, u, given.disturbance[i])
             state.inputs[TEMPERATURE] += constants.warming * constants.period
         return dense
 

@@ -139,7 +139,7 @@ class _Bench(NamedTuple):
 
 def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Bench:
     """Build a plant under either law, or along a record, of compiled modules."""
-    sense, begin, advance = plant.sense, plant.begin, plant.advance
+    sense, cycle = plant.sense, plant.cycle
     force_step, position_step, update = force_law.step, position_law.step, observer.update
 
     @kernel
@@ -162,8 +162,7 @@ def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Benc
             saturated += abs(u) >= control.model.spool_limit
             out[k, :last] = measured
             out[k, last] = u
-            begin(k, constants, state, u, rows.load[k])
-            advance(k, constants, state)
+            cycle(k, constants, state, u, rows.load[k])
             state.inputs[TEMPERATURE] += constants.warming * constants.period
         return saturated
 

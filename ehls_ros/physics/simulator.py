@@ -99,16 +99,17 @@ class Compiled(NamedTuple):
         advance: ``advance(cycle, constants, state)`` integrates over one control period with the inputs held; returns the
             number of steps with more events than could be located.
         sense: ``sense(cycle, constants, state, noise)`` writes the sensor readings to ``state.measured``.
-        begin: ``begin(cycle, constants, state, command, row)`` sets the inputs of a cycle: the loader's spool command [m] and
-            what the actuator under test does, force [N], its rate [N/s], displacement [m] and velocity [m/s]. If the servo is
-            simulated, the row has the displacement and velocity that it is to follow, and is given those that it has.
+        cycle: ``cycle(number, constants, state, command, row)`` sets the inputs of a control period and advances over it. They
+            are the loader's spool command [m] and what the actuator under test does: force [N], its rate [N/s], displacement
+            [m] and velocity [m/s]. If the servo is simulated, the row has the displacement and velocity that it is to follow,
+            and is given those that it has at the start of the period.
     """
 
     evaluate: Callable[..., float]
     switch: Callable[..., None]
     advance: Callable[..., int]
     sense: Callable[..., None]
-    begin: Callable[..., None]
+    cycle: Callable[..., int]
 
 
 def build(friction: Any, elements: int, states: int, chains: Chains, most_events: int = MOST_EVENTS) -> Compiled:
@@ -138,10 +139,11 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
         return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
     @lean
-    def begin(cycle: int, constants: Constants, state: State, command: float, row: Array) -> None:
-        hold(state.inputs, cycle * constants.period, command, row[0], row[1], row[2], row[3])
+    def cycle(number: int, constants: Constants, state: State, command: float, row: Array) -> int:
+        hold(state.inputs, number * constants.period, command, row[0], row[1], row[2], row[3])
+        return advance(number, constants, state)
 
-    return Compiled(evaluate, switch, advance, sensing(chains, end), begin)
+    return Compiled(evaluate, switch, advance, sensing(chains, end), cycle)
 
 
 def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> Compiled:
@@ -167,14 +169,15 @@ def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> 
         return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
     @lean
-    def begin(cycle: int, constants: Constants, state: State, command: float, row: Array) -> None:
+    def cycle(number: int, constants: Constants, state: State, command: float, row: Array) -> int:
         servo, x, v, pressure = constants.servo, state.y[size + X], state.y[size + V], state.y[size + PL]
         own = state.inputs[-INPUTS:]
         own[U] = servo_command(row[2], row[3], x, pressure, servo.gain, servo.plant, servo.spool_limit)
         row[2], row[3] = x, v
-        hold(state.inputs[:-INPUTS], cycle * constants.period, command, row[0], row[1], x, v)
+        hold(state.inputs[:-INPUTS], number * constants.period, command, row[0], row[1], x, v)
+        return advance(number, constants, state)
 
-    return Compiled(evaluate, switch, advance, sensing(chains, end), begin)
+    return Compiled(evaluate, switch, advance, sensing(chains, end), cycle)
 
 
 def sensing(chains: Chains, end: int) -> Callable[..., None]:
@@ -199,11 +202,7 @@ def sensing(chains: Chains, end: int) -> Callable[..., None]:
     return sense
 
 
-ENTRIES = {
-    "advance": "cycle, constants, state",
-    "sense": "cycle, constants, state, noise",
-    "begin": "cycle, constants, state, command, row",
-}
+ENTRIES = {"sense": "cycle, constants, state, noise", "cycle": "number, constants, state, command, row"}
 """Functions of a compiled plant that Python calls, with their arguments."""
 
 
@@ -359,11 +358,9 @@ class Simulator:
         # Compile now rather than in the first cycle.
         trial = at_rest(rig, period, step, servo=servo).state
         self._sense = direct(plant.sense, 0, self.constants, trial, np.zeros(len(SENSED)))
-        self._advance = direct(plant.advance, 0, self.constants, trial)
-        self._begin = direct(plant.begin, 0, self.constants, trial, 0.0, self._row)
+        self._cycle = direct(plant.cycle, 0, self.constants, trial, 0.0, self._row)
         self._sense(0, self.constants, trial, np.zeros(len(SENSED)))
-        self._begin(0, self.constants, trial, 0.0, np.zeros(4))
-        self._advance(0, self.constants._replace(steps=0), trial)
+        self._cycle(0, self.constants._replace(steps=0), trial, 0.0, np.zeros(4))
 
     def measure(self, noise: Array) -> Array:
         """Read the sensors.
@@ -398,8 +395,7 @@ class Simulator:
         """
         row = self._row
         row[0], row[1], row[2], row[3] = force, force_rate, displacement, velocity
-        self._begin(self.cycle, self.constants, self.state, command, row)
-        dense: int = self._advance(self.cycle, self.constants, self.state)
+        dense: int = self._cycle(self.cycle, self.constants, self.state, command, row)
         self.inputs[TEMPERATURE] += self.constants.warming * self.period
         self.cycle += 1
         return dense
