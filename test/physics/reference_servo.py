@@ -98,6 +98,14 @@ class Pair:
         return np.concatenate([self.loader.rhs(t, first), self.servo.rhs(t, second)])
 
 
+def both_turning(cycles: int, period: float) -> Floats:
+    """Return inputs of :func:`solve_pair` with which both pistons reverse again and again."""
+    t = np.arange(cycles) * period
+    omega = 2.0 * math.pi * 4.0
+    command = 1.2e-4 * np.sin(2.0 * math.pi * 7.0 * t) + 2e-5
+    return np.column_stack([command, 4e-3 * np.sin(omega * t), 4e-3 * omega * np.cos(omega * t)])
+
+
 def solve_pair(
     loader: Constants,
     law: str,

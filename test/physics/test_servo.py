@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from reference_servo import Coupling, solve_pair
+from reference_servo import Coupling, both_turning, solve_pair
 from reference_solver import Constants
 from rig_runs import PERIOD
 
@@ -17,12 +17,7 @@ from ehls_ros.physics.simulator import Simulator
 PARAMETERS = position_servo.Parameters()
 
 
-def both_turning(cycles=300):
-    """Return spool commands of the loader, and a motion of the servo, with which both pistons reverse again and again."""
-    t = np.arange(cycles) * PERIOD
-    omega = 2.0 * math.pi * 4.0
-    command = 1.2e-4 * np.sin(2.0 * math.pi * 7.0 * t) + 2e-5
-    return np.column_stack([command, 4e-3 * np.sin(omega * t), 4e-3 * omega * np.cos(omega * t)])
+INPUTS = both_turning(300, PERIOD)
 
 
 def joined(rig, p=PARAMETERS, start=0.0, step=None, **more):
@@ -46,30 +41,30 @@ def deviation(states, reference):
 
 @pytest.fixture(scope="module")
 def reference():
-    return solve_pair(Constants(), "gms", both_turning(), PERIOD)
+    return solve_pair(Constants(), "gms", INPUTS, PERIOD)
 
 
 def test_both_pistons_are_those_of_the_reference(make_rig, reference):
     assert reference.events > 20
     for velocity in (reference.y[:, V], reference.y[:, 7 + V]):
         assert np.count_nonzero(np.diff(np.sign(velocity))) >= 3
-    states = run(joined(make_rig()), both_turning())
+    states = run(joined(make_rig()), INPUTS)
     assert deviation(states, reference.y) < 1e-6
 
 
 def test_another_servo_that_starts_elsewhere_is_the_references(make_rig):
     p = PARAMETERS._replace(stiffness=8e5, damping=500.0, moving_mass=40.0, supply_pressure=1.4e7, position_gain=60.0)
     coupling = Coupling(8e5, 500.0, 40.0, 1.4e7, 60.0)
-    expected = solve_pair(Constants(), "gms", both_turning(200), PERIOD, (2e-3, -1e-3), coupling)
-    states = run(joined(make_rig(), p, start=-1e-3, position=2e-3), both_turning(200))
+    expected = solve_pair(Constants(), "gms", INPUTS[:200], PERIOD, (2e-3, -1e-3), coupling)
+    states = run(joined(make_rig(), p, start=-1e-3, position=2e-3), INPUTS[:200])
     assert deviation(states, expected.y) < 1e-6
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("model", "own", "tolerance"), [("lugre", 5, 1e-7), ("stribeck", 4, 1e-5)])
 def test_other_friction_of_both_is_the_references(make_rig, model, own, tolerance):
-    expected = solve_pair(Constants(), model, both_turning(), PERIOD)
-    states = run(joined(make_rig(friction={"model": model})), both_turning())
+    expected = solve_pair(Constants(), model, INPUTS, PERIOD)
+    states = run(joined(make_rig(friction={"model": model})), INPUTS)
     # A rigid contact has a state that is never used.
     used = [*range(own), *range(5, 5 + own)]
     assert deviation(states[:, used], expected.y) < tolerance
@@ -78,7 +73,7 @@ def test_other_friction_of_both_is_the_references(make_rig, model, own, toleranc
 def test_shorter_steps_change_nothing(make_rig):
     """Nothing is exchanged once per step or cycle: the order is the integrator's."""
     rig = make_rig(friction={"stribeck_exponent": 2.0})
-    exact, coarse, fine = (run(joined(rig, step=step), both_turning()) for step in (2.5e-5, 1e-3, 2.5e-4))
+    exact, coarse, fine = (run(joined(rig, step=step), INPUTS) for step in (2.5e-5, 1e-3, 2.5e-4))
     assert deviation(fine, exact) < 1e-7
     assert 4.0 < np.log(deviation(coarse, exact) / deviation(fine, exact)) / np.log(4.0) < 6.0
 
