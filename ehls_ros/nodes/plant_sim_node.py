@@ -158,7 +158,7 @@ class PlantSimNode(PlantNode):
     def _take(self) -> None:
         if self.cycle not in self.disturbances:
             while (message := self.disturbance.take()) is not None:
-                self.disturbances[message[1]] = message[2:]
+                self.disturbances[message[1]] = message[2:-1]
         self.take_commands(self.cycle)
 
     def _advance(self) -> None:

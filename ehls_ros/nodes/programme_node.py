@@ -189,9 +189,8 @@ class ProgrammeNode(AheadNode):
             self._fall_out(self.last, f"the rig had no reference from control cycle {self.next} on")
         self._follow_requests()
         self._publish_to(self.last + self.lead)
-        if not self.lockstep:
-            time.sleep(REST)
-        elif time.perf_counter() - self.moved > PATIENCE:
+        time.sleep(REST)
+        if self.lockstep and time.perf_counter() - self.moved > PATIENCE:
             self._repeat()
 
     def stop(self) -> None:
@@ -203,7 +202,7 @@ class ProgrammeNode(AheadNode):
     def _begin(self) -> None:
         """Find out in which control cycle the rig is now, and begin or go on there.
 
-        What is kept of earlier control cycles says nothing of that. In lockstep the clock does, of which one is kept; in
+        What is kept of earlier control cycles says nothing of that. In lockstep the newest kept one does; in
         realtime a snapshot that nobody keeps.
         """
         now = self._present()
@@ -401,7 +400,17 @@ class ProgrammeNode(AheadNode):
         if runner is not None and runner.motions[-1].rests is not None and self.state != State.FINISHED:
             reason = runner.motions[-1].reason
             return OK if reason == ASKED else WARN, f"stopped: {reason}; programme_resume goes on", figures
-        return OK, self.state.name.lower() if self._active.is_set() else "inactive", figures
+        if not self._active.is_set():
+            return OK, "inactive", figures
+        if runner is None and (others := self._other_references()):
+            return WARN, f"waits to begin: {', '.join(others)} publishes {self.outbox.topic}; deactivate or stop it", figures
+        return OK, self.state.name.lower(), figures
+
+    def _other_references(self) -> list[str]:
+        """Return the names of other nodes that publish the reference."""
+        publishers = self.get_publishers_info_by_topic(self.outbox.topic)
+        names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers}
+        return sorted(names - {self.get_fully_qualified_name()})
 
 
 def _entries(rows: Rows) -> Iterator[tuple[int, int, int, float, int]]:
