@@ -5,6 +5,7 @@ import os
 import queue
 import signal
 import sys
+from pathlib import Path
 from typing import NoReturn
 
 PR_SET_PDEATHSIG = 1
@@ -43,6 +44,19 @@ class Stopping:
             except queue.Empty:
                 return self._told
         return True
+
+
+def is_running(number: int) -> bool:
+    """Return whether a process of this host runs; one that has ended and waits for its parent does not.
+
+    Args:
+        number: id of the process.
+    """
+    try:
+        state = Path(f"/proc/{number}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in "ZX"
 
 
 def give_way() -> None:

@@ -7,6 +7,7 @@ layout for a given frame name and given lengths of the sequences.
 
 import struct
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from typing import Any
 
 NANOSECONDS = 1_000_000_000
@@ -62,16 +63,18 @@ class Encoder:
             message: message class; its first field is the header.
             frame_id: frame name in the header.
             lengths: length of each sequence field.
-            sender: content of the text field, which is the last one if there is any.
+            sender: content of the text field, if there is one.
         """
         self._frame = frame_id.encode() + b"\0"
         self._sender: tuple[Any, ...] = ()
+        self._before_sender = 0
         layout = _Layout(len(self._frame))
         for name, kind in message.get_fields_and_field_types().items():
             if name == "header":
                 continue
             if kind in _NUMBERS:
                 layout.add(*_NUMBERS[kind])
+                self._before_sender += not self._sender
             elif kind == "string":
                 text = sender.encode() + b"\0"
                 self._sender = (len(text), text)
@@ -90,8 +93,8 @@ class Encoder:
             stamp_ns: the header's stamp [ns].
             values: the numeric fields in order; for a sequence, its length and then its elements.
         """
-        frame, stamp = self._frame, divmod(stamp_ns, NANOSECONDS)
-        return self._pack(b"\0\1\0\0", *stamp, len(frame), frame, *values, *self._sender)
+        frame, stamp, n = self._frame, divmod(stamp_ns, NANOSECONDS), self._before_sender
+        return self._pack(b"\0\1\0\0", *stamp, len(frame), frame, *values[:n], *self._sender, *values[n:])
 
 
 class Template:
@@ -119,28 +122,32 @@ class Template:
 
 
 class Decoder:
-    """Decodes the leading numbers of one message type, with any frame name.
+    """Decodes the leading numbers of one message type, with any frame name, and the texts after them, such as the sender.
 
-    A command names its sender, since the middleware does not tell who sent a message.
+    Messages name their sender since rclpy does not give the publisher of a message.
+
+    Attributes:
+        texts: number of texts.
     """
 
     MOST_FORMATS = 64
     """Layouts cached, one per length of frame name; the senders of a graph use few."""
 
-    def __init__(self, message: Any, *, sender: bool = False) -> None:
+    def __init__(self, message: Any) -> None:
         """Read the message type.
 
         Args:
             message: message class.
-            sender: whether the text after the numbers is returned as well.
         """
         fields = message.get_fields_and_field_types()
-        self._sender = sender
-        self._kinds = [_NUMBERS[fields[name]] for name in _leading_numbers(fields)]
+        numbers = _leading_numbers(fields)
+        following = [kind for name, kind in fields.items() if name != "header"][len(numbers) :]
+        self.texts = len(list(takewhile("string".__eq__, following)))
+        self._kinds = [_NUMBERS[fields[name]] for name in numbers]
         self._formats: dict[tuple[int, bytes], struct.Struct] = {}
 
     def __call__(self, message: bytes) -> tuple[Any, ...] | None:
-        """Return the header's stamp [ns], the numbers, and the sender if requested; None if the bytes are no such message."""
+        """Return the header's stamp [ns], the numbers and the texts; None for other bytes."""
         order = b"<" if message[1:2] == b"\1" else b">"
         try:
             (frame_length,) = struct.unpack_from(order.decode() + "I", message, _FRAME_LENGTH_AT)
@@ -150,20 +157,26 @@ class Decoder:
                     return None
                 known = self._format(frame_length, order)
             _, seconds, nanoseconds, _, _, *fields = known.unpack_from(message)
+            end = known.size
+            for text in range(self.texts):
+                if text > 0:
+                    begin = end + -(end - _ENCAPSULATION) % 4
+                    fields.append(struct.unpack_from(order.decode() + "I", message, begin)[0])
+                    end = begin + 4
+                begin, end = end, end + fields[-1]
+                if end > len(message):
+                    return None
+                fields[-1] = message[begin:end].rstrip(b"\0").decode(errors="replace")
         except struct.error:
             return None
-        if self._sender:
-            text = message[known.size : known.size + fields[-1]]
-            if len(text) != fields[-1]:
-                return None
-            fields[-1] = text.rstrip(b"\0").decode(errors="replace")
         return (seconds * NANOSECONDS + nanoseconds, *fields)
 
     def _format(self, frame_length: int, order: bytes) -> struct.Struct:
         layout = _Layout(frame_length)
         for kind, size in self._kinds:
             layout.add(kind, size)
-        if self._sender:
+        if self.texts:
+            # The length of the first one.
             layout.add("I", 4)
         if len(self._formats) >= self.MOST_FORMATS:
             self._formats.clear()

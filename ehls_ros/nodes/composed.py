@@ -70,6 +70,8 @@ class Composition:
         kept, period = KEPT_IN_LOCKSTEP if lockstep else self._host.cycles_kept, self._host.spec.settings.control_period
         self._links = Links(self._wait, kept, patient=lockstep, period=period)
         self._inside = False
+        # The node whose code runs at present, and which an exception is reported of.
+        self._acting: ControlNode = self._host
         for node in nodes:
             node.links = self._links
         for node in partners:
@@ -94,12 +96,13 @@ class Composition:
                         self._publish_what_gathered()
                 else:
                     self._turn_without_plant()
+        except Exception as error:  # noqa: BLE001
+            self._acting.report_failure(error, "loop")
         finally:
             gc.enable()
             for node in self._ending:
                 if node.is_running:
                     node.leave()
-            self._links.publish()
 
     def _follow_lifecycle(self) -> None:
         """Begin and end the loops of the nodes that have become active or inactive."""
@@ -108,10 +111,11 @@ class Composition:
         for node in self._ending:
             if node.is_running and not node.is_to_run:
                 node.leave()
-                self._links.publish()
         for node in self._beginning:
             if node.is_to_run and not node.is_running:
+                self._acting = node
                 node.enter()
+                self._acting = self._host
             elif not node.is_running:
                 node.settle()
 
@@ -127,8 +131,10 @@ class Composition:
         reacted = False
         try:
             for node in nodes:
+                self._acting = node
                 if node.is_running and node.react():
                     reacted = True
+            self._acting = self._host
         finally:
             self._inside = False
         return reacted

@@ -1,5 +1,6 @@
 """Base of the control-path nodes: lifecycle, spec, the loop in the main thread, diagnostics, shutdown."""
 
+import contextlib
 import faulthandler
 import gc
 import math
@@ -9,8 +10,8 @@ import signal
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from typing import Annotated, Any, NamedTuple, NoReturn
 
 import rclpy
@@ -18,23 +19,27 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import chosen_spec
 from ehls_ros.hardware.courtesy import Courtesy, statistics_of
 from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups, keep_to, processors_of
+from ehls_ros.nodes.failures import Failures
 from ehls_ros.nodes.links import Links
 from ehls_ros.nodes.mismatches import Mismatches
+from ehls_ros.nodes.owners import DISCOVERY_RANGE, LOCALHOST, Owners
 from ehls_ros.nodes.parameters import DeclaredParameters, declare
-from ehls_ros.nodes.transport import Waiter, kept_at
+from ehls_ros.nodes.transport import Notice, Waiter, kept_at
 from ehls_ros.process import Stopping, end
-from ehls_ros.recording.topics import CLOCK
+from ehls_ros.recording.topics import CLOCK, LEAVING
 from ehls_ros.schema import quantity, text
 
 NAMESPACE = "ehls"
@@ -49,9 +54,6 @@ USE_SIM_TIME = "use_sim_time"
 LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 """Timing modes."""
 
-DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-"""Environment variable that limits how far the middleware discovers other nodes."""
-
 PARENT = "EHLS_PARENT"
 """Environment variable with the id of the process that started a node, which ends with it; unset: the node ends by itself."""
 
@@ -60,6 +62,9 @@ CLOSING = 30.0
 
 WAIT = 0.1
 """Longest time a loop waits before it checks whether to stop [s]."""
+
+FAREWELL = 0.2
+"""Longest wait for the others to hear that a node's loop has ended [s]."""
 
 PATIENCE = 1.0
 """Longest quiet wait [s]: after it, diagnostics say what is missing, and in lockstep messages are repeated to readers that may
@@ -98,6 +103,26 @@ class Common(NamedTuple):
     autostart: Annotated[bool, text("configure and activate at start; false: wait for lifecycle requests")] = True
 
 
+def transition(
+    callback: Callable[[Any, LifecycleState], TransitionCallbackReturn],
+) -> Callable[[Any, LifecycleState], TransitionCallbackReturn]:
+    """Let a lifecycle callback that raises end the process; rclpy drops the exception.
+
+    Args:
+        callback: method of a :class:`ControlNode`.
+    """
+
+    @wraps(callback)
+    def reported(node: "ControlNode", state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return callback(node, state)
+        except Exception as error:  # noqa: BLE001
+            node.report_failure(error, callback.__name__.removeprefix("on_"))
+            return TransitionCallbackReturn.ERROR
+
+    return reported
+
+
 class ControlNode(DeclaredParameters):
     """A lifecycle node whose loop runs in the main thread while it is active.
 
@@ -114,6 +139,9 @@ class ControlNode(DeclaredParameters):
     background = False
     """Whether it takes no priority at all, whatever the parameter says: it has time."""
 
+    announces = True
+    """Whether the end of its loop matters to others: its messages are inputs of the control cycle."""
+
     def __init__(self, name: str) -> None:
         """Declare the common parameters and read the spec.
 
@@ -121,6 +149,8 @@ class ControlNode(DeclaredParameters):
             BadInput: the spec or rig file is wrong.
         """
         super().__init__(name, namespace=NAMESPACE)
+        # The process number tells two nodes of one name apart.
+        self.sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
         self._note_clock([self.get_parameter(USE_SIM_TIME)])
         self.add_post_set_parameters_callback(self._note_clock)
         declare(self, Common, live=False)
@@ -136,6 +166,7 @@ class ControlNode(DeclaredParameters):
         self._processors = processors_of(self.text_parameter("processors"), self.get_name())
         self._parent = int(os.environ.get(PARENT, "0"))
         self.links: Links | None = None
+        self.failures = Failures(Stopping())
         self.hosted = False
         self.is_running = False
         self.configured = False
@@ -151,6 +182,8 @@ class ControlNode(DeclaredParameters):
         self._mismatches = Mismatches(self)
         # Steady time: ROS time may stop.
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.owners = Owners(self)
+        self.refused = ""
         self.create_timer(1.0, self._look_around, clock=self.steady)
         self._beating = self.create_timer(BEAT, self._beat, clock=self.steady)
 
@@ -207,17 +240,52 @@ class ControlNode(DeclaredParameters):
     def release(self) -> None:
         """Undo :meth:`prepare`."""
 
+    def secure(self) -> None:
+        """Bring the rig into its safe state; run at the end of the process, whatever failed before."""
+
+    def make_safe(self) -> None:
+        """Secure the rig once no loop runs any more, and let a request go on that waits for the end of the loop."""
+        self._idle.set()
+        self.secure()
+
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Return level, message and values for diagnostics; called once the node is configured."""
         return OK, "running" if self._active.is_set() else "inactive", {}
 
+    def report_failure(self, error: Exception, activity: str) -> None:
+        """Log an unforeseen exception and let the process end; its valve is closed as when it is stopped.
+
+        Args:
+            error: the exception.
+            activity: during which it was raised.
+        """
+        self.failures.note(error, self, activity)
+
+    def be_refused(self, topic: str, owner: str) -> None:
+        """Deactivate the node: another sender owns an input that this node sends.
+
+        Args:
+            topic: of the input.
+            owner: the sender whose messages are accepted.
+        """
+        self.refused = f"{topic} of this node is refused: {owner} owns it; deactivate or stop that node, then activate this one"
+        if self._active.is_set():
+            self.trigger_deactivate()
+        self.report_change()
+
+    @transition
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Prepare; a wrong configuration leaves the node unconfigured, with the reason in the log."""
+        self._leaving = Notice(self, String, LEAVING.name, 1)
         try:
             self.prepare()
         except (BadInput, OSError) as error:
             self.get_logger().error(str(error))
+            self._release_after_failure()
             return TransitionCallbackReturn.FAILURE
+        except Exception:
+            self._release_after_failure()
+            raise
         # The middleware's receiver threads hold locks that senders need too. Even if the loop itself runs at a lower
         # priority, its receivers must not be preempted while they hold one.
         loops = (
@@ -235,22 +303,27 @@ class ControlNode(DeclaredParameters):
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
+    @transition
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let the loop run."""
+        self.refused = ""
         self._idle.clear()
         self._active.set()
         return super().on_activate(state)
 
+    @transition
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the loop to end its turn."""
         self._active.clear()
         self._idle.wait()
         return super().on_deactivate(state)
 
+    @transition
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End the loop as deactivation does, and release everything."""
         return self._end_and_release(super().on_shutdown, state)
 
+    @transition
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Return to unconfigured: a half-finished transition is not resumed."""
         return self._end_and_release(super().on_error, state)
@@ -263,6 +336,7 @@ class ControlNode(DeclaredParameters):
         self.give_back()
         return proceed(state)
 
+    @transition
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything."""
         self.give_back()
@@ -273,9 +347,17 @@ class ControlNode(DeclaredParameters):
         if self.configured:
             self.configured = False
             self.release()
+            self._leaving.destroy()
             if self.courtesy is not None:
                 self.courtesy.close()
                 self.courtesy = None
+
+    def _release_after_failure(self) -> None:
+        """Release the part that was prepared before an exception."""
+        # What follows the failed step in `prepare` does not exist.
+        with contextlib.suppress(AttributeError):
+            self.release()
+        self._leaving.destroy()
 
     def bring_up(self, stopping: Stopping) -> bool:
         """Configure and activate; return whether both succeeded. If not, the log has the reason.
@@ -299,6 +381,8 @@ class ControlNode(DeclaredParameters):
                 while self.is_to_run and not stopping.is_set():
                     self.once()
                     self.look_after()
+            except Exception as error:  # noqa: BLE001
+                self.report_failure(error, "loop")
             finally:
                 gc.enable()
                 self.leave()
@@ -316,10 +400,22 @@ class ControlNode(DeclaredParameters):
         self.start()
 
     def leave(self) -> None:
-        """End the loop."""
+        """End the loop, and announce that to the readers of this node's messages."""
         self.is_running = False
-        self.stop()
-        self._idle.set()
+        try:
+            self.stop()
+            if self.announces:
+                self._leaving.tell(String(data=self.sender), self.sender)
+                if not self.hosted:
+                    # A process that goes on sends it anyway, and must not wait.
+                    self._leaving.publisher.wait_for_all_acked(Duration(seconds=FAREWELL))
+        except Exception as error:  # noqa: BLE001
+            self.report_failure(error, "end of the loop")
+        finally:
+            if self.links is not None:
+                # Once the node is idle, a request may destroy its publishers.
+                self.links.publish()
+            self._idle.set()
 
     def settle(self) -> None:
         """Note that the loop does not run, as the node was active for too short a time."""
@@ -343,6 +439,7 @@ class ControlNode(DeclaredParameters):
             signal.raise_signal(signal.SIGINT)
         self._await_rest()
         self._mismatches.look()
+        self.owners.look()
         if self.links is not None and not self.hosted:
             self._await_rest()
             self.links.look_outside()
@@ -364,6 +461,8 @@ class ControlNode(DeclaredParameters):
         self._active.clear()
 
     def _health(self) -> tuple[bytes, str, Mapping[str, Any]]:
+        if self.refused:
+            return ERROR, self.refused, {}
         if not self.configured:
             return OK, "unconfigured", {}
         level, message, figures = self.health()
@@ -376,6 +475,8 @@ class ControlNode(DeclaredParameters):
                 level, message = max(level, WARN), f"{self.courtesy.complaint}; {message}"
         if unmatched := self._mismatches.found:
             level, message = max(level, WARN), f"{unmatched[0]}; {message}"
+        if contention := self.owners.complaint():
+            level, message = max(level, WARN), f"{contention}; {message}"
         lists = {"not_permitted": self.not_permitted, "not_matched": unmatched}
         return (
             level,
@@ -468,9 +569,9 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
 class _Services:
     """The thread that serves services and timers of a process's nodes; if it fails, they stop."""
 
-    def __init__(self, nodes: Sequence[ControlNode], stopping: Stopping) -> None:
-        self.failure = ""
-        self._stopping = stopping
+    def __init__(self, nodes: Sequence[ControlNode], failures: Failures) -> None:
+        self._failures = failures
+        self._blamed = nodes[-1]
         self._executor = EventsExecutor()
         for node in nodes:
             self._executor.add_node(node)
@@ -487,20 +588,22 @@ class _Services:
 
     def _serve(self) -> None:
         try:
-            while not self._stopping.is_set():
+            while not self._failures.stopping.is_set():
                 self._executor.spin_once(timeout_sec=WAIT)
-        except BaseException:  # noqa: BLE001
+        except BaseException as error:  # noqa: BLE001
             # A node that can no longer be stopped over ROS must not go on, whatever the error.
-            self.failure = traceback.format_exc()
-            self._stopping.set()
+            self._failures.note(error, self._blamed, "service thread")
 
 
-def _made(makes: Sequence[Callable[[], ControlNode]]) -> tuple[list[ControlNode], str]:
-    """Return the nodes, or what is wrong with their parameters; as a function, it leaves no reference to a failed node."""
+def _made(makes: Sequence[Callable[[], ControlNode]], failures: Failures) -> list[ControlNode]:
+    """Return the nodes; none if one cannot be made. As a function, it leaves no reference to a failed node."""
     try:
-        return [make() for make in makes], ""
+        return [make() for make in makes]
     except (BadInput, ParameterException) as error:
-        return [], str(error)
+        print(error, file=sys.stderr)
+    except Exception as error:  # noqa: BLE001
+        failures.note(error, None, "start")
+    return []
 
 
 def _joined() -> str:
@@ -548,19 +651,33 @@ def run_nodes(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
     # However the node is started, it is visible on this host only unless the variable says otherwise.
-    os.environ[DISCOVERY_RANGE] = os.environ.get(DISCOVERY_RANGE) or "LOCALHOST"
+    os.environ[DISCOVERY_RANGE] = os.environ.get(DISCOVERY_RANGE) or LOCALHOST
+    failures = Failures(stopping)
     complaint = _joined()
-    nodes, complaint = ([], complaint) if complaint else _made(makes)
     if complaint:
         print(complaint, file=sys.stderr)
-        gc.collect()
-        rclpy.try_shutdown()
-        end(2)
+    nodes = [] if complaint else _made(makes, failures)
+    code = _work(nodes, join, failures) if nodes else 2
+    # Objects that refer to the middleware must be collected before it shuts down.
+    del nodes
+    gc.unfreeze()
+    gc.collect()
+    rclpy.try_shutdown()
+    end(1 if failures.noted else code)
+
+
+def _work(
+    nodes: Sequence[ControlNode],
+    join: Callable[[Sequence[ControlNode]], Callable[[Stopping], None]],
+    failures: Failures,
+) -> int:
+    """Run nodes until the process is stopped, and destroy them; return the exit code."""
+    stopping, code = failures.stopping, 0
     for node in nodes:
+        node.failures = failures
         survive_requests(node)
     work = join(nodes)
-    services = _Services(nodes, stopping)
-    code = 0
+    services = _Services(nodes, failures)
     try:
         if all(not node.get_parameter("autostart").value or node.bring_up(stopping) for node in nodes):
             for node in nodes:
@@ -568,22 +685,24 @@ def run_nodes(
             work(stopping)
         else:
             code = 1
-    finally:
-        stopping.set()
-        # Fast DDS occasionally deadlocks while it destroys readers and writers (its issues 4026 and 6193), in a call that
-        # holds the interpreter lock; only this watchdog then ends the process. The node's data have been written by now.
-        faulthandler.dump_traceback_later(CLOSING, exit=True)
-        services.join()
-        if services.failure:
-            nodes[-1].get_logger().fatal(f"the service thread has died, so the node ends: {services.failure}")
-            code = 1
-        services.close(nodes)
-        for node in nodes:
-            node.give_back()
-            node.destroy_node()
-    # Objects that refer to the middleware must be collected before it shuts down.
-    del services, nodes, work, node
-    gc.unfreeze()
-    gc.collect()
-    rclpy.try_shutdown()
-    end(code)
+    except Exception as error:  # noqa: BLE001
+        failures.note(error, nodes[-1], "run")
+    stopping.set()
+    # Fast DDS occasionally deadlocks while it destroys readers and writers (its issues 4026 and 6193), in a call that
+    # holds the interpreter lock; only this watchdog then ends the process. The node's data have been written by now.
+    faulthandler.dump_traceback_later(CLOSING, exit=True)
+    _each(nodes, lambda node: node.make_safe())
+    services.join()
+    services.close(nodes)
+    _each(nodes, lambda node: node.give_back())
+    _each(nodes, lambda node: node.destroy_node())
+    return code
+
+
+def _each(nodes: Sequence[ControlNode], step: Callable[[ControlNode], None]) -> None:
+    """Take all nodes through a step of their end, whichever of them fails."""
+    for node in nodes:
+        try:
+            step(node)
+        except Exception as error:  # noqa: BLE001
+            node.report_failure(error, "end")

@@ -7,15 +7,13 @@ tells on a topic of its own what it would command.
 """
 
 import math
-import os
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from rclpy.duration import Duration
-from std_msgs.msg import Bool, String
+from std_msgs.msg import String
 
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.control.at_bounds import Bound, bounds_of, sentence
@@ -28,19 +26,16 @@ from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import check_law, company_of, signal_kind, untold, uses_actuator
-from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
-from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos, message_class
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED, rig_from_mapping
 from ehls_ros.recording.topics import (
     ACCEPTED_RIG,
     ACTUATOR_TOPICS,
     DRIVER,
-    DRIVING,
-    LEAVING,
     PROGRAMME_POINT,
     REFERENCE_TOPICS,
     STANDBY_COMMAND,
@@ -65,9 +60,6 @@ there, and a run must not depend on what else the machine does."""
 
 NOTICE = 2.0
 """Time for which diagnostics go on showing an estimate that has left its bound [s]."""
-
-FAREWELL = 0.2
-"""Longest wait for the others to hear that the node leaves [s]."""
 
 HEARING = 0.5
 """Time after which a driver that is not heard on the topic of the node's commands counts as one that passes them on [s]."""
@@ -108,7 +100,7 @@ class RowsAhead:
         until = time.perf_counter() + self._patience
         while True:
             while (message := self._inbox.take()) is not None:
-                self._rows[message[1]] = message[2:]
+                self._rows[message[1]] = message[2:-1]
             if cycle in self._rows or time.perf_counter() >= until:
                 break
             self._waiter.wait(TURN)
@@ -159,7 +151,14 @@ class ControllerNode(ControlNode):
         self.new_tuning = tuning
 
     def _on_accepted(self, message: String) -> None:
-        """Take in a rig that an operator has accepted; one that is wrong changes nothing."""
+        """Take in a rig that an operator has accepted; one that is wrong, or one of several, changes nothing."""
+        publishers = self.get_publishers_info_by_topic(ACCEPTED_RIG.name)
+        if len(publishers) > 1:
+            names = ", ".join(sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers))
+            self.get_logger().error(
+                f"the accepted rig is not used: {names} publish {ACCEPTED_RIG.name}; stop all but one, and accept again"
+            )
+            return
         try:
             rig = rig_from_mapping(parse_yaml(message.data, ACCEPTED_RIG.name, "rig"), ACCEPTED_RIG.name)
         except BadInput as error:
@@ -185,17 +184,14 @@ class ControllerNode(ControlNode):
         self.states = Inbox(self, LoaderState, "loader_state")
         topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
         self.reference = Inbox(self, message_class(topic.type), topic.name)
-        # The process number tells two nodes of one name apart.
-        self.sender = sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
-        self.commands = Outbox(self, ValveCommand, "valve_command", sender=sender, answers=True)
-        self.status = Outbox(self, ControllerStatus, "controller_status", sender=sender, together=STATUS_TOGETHER)
-        self.shadow = Outbox(self, ValveCommand, STANDBY_COMMAND.name, sender=sender)
+        self.commands = Outbox(self, ValveCommand, "valve_command", answers=True)
+        self.status = Outbox(self, ControllerStatus, "controller_status", together=STATUS_TOGETHER)
+        self.shadow = Outbox(self, ValveCommand, STANDBY_COMMAND.name)
         accepts = bool(self.get_parameter("accept_rig").value)
         kept = control_qos(ACCEPTED_RIG.depth)
         self.accepted = self.create_subscription(String, ACCEPTED_RIG.name, self._on_accepted, kept) if accepts else None
-        self.leaving = Notice(self, String, LEAVING.name, 1)
-        self.driver = Inbox(self, Driver, DRIVER.name, decode=Decoder(Driver, sender=True))
-        self.others = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
+        self.driver = Inbox(self, Driver, DRIVER.name, owned="loader_state")
+        self.others = Inbox(self, ValveCommand, "valve_command", owned="")
         self.drivers: deque[tuple[int, str]] = deque(maxlen=HEARD)
         self.told: deque[tuple[int, float, str]] = deque(maxlen=HEARD)
         self.heard: set[str] = set()
@@ -205,7 +201,6 @@ class ControllerNode(ControlNode):
         self.sent = True
         self.replied_at = 0.0
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
-        self.driving = Inbox(self, Bool, DRIVING.name, control_qos(1), _is_true)
         patience = PATIENCE if self.lockstep else 0.0
         actuator = ACTUATOR_TOPICS[signal_kind(self.spec.disturbance.name)]
         self.actuator = RowsAhead(self, actuator, patience) if uses_actuator(self.spec) else None
@@ -230,12 +225,12 @@ class ControllerNode(ControlNode):
         """Close the topics."""
         for waiter in (*self.arrivals.values(), self.another):
             waiter.destroy()
-        for inbox in (self.states, self.reference, self.friction, self.driving, self.driver, self.others):
+        for inbox in (self.states, self.reference, self.friction, self.driver, self.others):
             inbox.destroy()
         for ahead in filter(None, (self.actuator, self.points)):
             ahead.destroy()
         self.company.save()
-        for outbox in (self.commands, self.status, self.shadow, self.leaving):
+        for outbox in (self.commands, self.status, self.shadow):
             outbox.destroy()
         if self.accepted is not None:
             self.destroy_subscription(self.accepted)
@@ -246,12 +241,8 @@ class ControllerNode(ControlNode):
             self.status.flush()
 
     def stop(self) -> None:
-        """Say that the node leaves, so that one that stands by can take over."""
+        """Publish the status of the last cycles."""
         self.status.flush()
-        self.leaving.tell(String(data=self.sender), self.sender)
-        if not self.hosted:
-            # A process that goes on sends it anyway, and must not wait.
-            self.leaving.publisher.wait_for_all_acked(Duration(seconds=FAREWELL))
 
     def awaited_inputs(self) -> Waiter:
         """Return what the next cycle lacks."""
@@ -263,11 +254,11 @@ class ControllerNode(ControlNode):
         while (message := self.friction.take()) is not None:
             self.cycles.add_friction(message[1], message[2:4])
         while (message := self.states.take()) is not None:
-            if message == self.answered:
+            if message[:-1] == self.answered:
                 # In lockstep the plant asks again for an answer that has not reached it.
                 (self.commands if self.sent else self.shadow).send(*message[:2], self.command)
                 continue
-            self.cycles.add_snapshot(message[1], message[0], message[2:], arrived)
+            self.cycles.add_snapshot(message[1], message[0], message[2:-1], arrived)
         if self.cycles.lacks_reference:
             self._take_references(math.inf)
         if not self._knows_who_drives():
@@ -297,9 +288,11 @@ class ControllerNode(ControlNode):
         plant: it is no controller.
         """
         while (message := self.driver.take()) is not None:
-            self.drivers.append(message[1:3])
-            # The time of the first answer since then is yet to come.
-            self.named, self.replied = time.perf_counter(), math.nan
+            _, first, self.driven, sender, _ = message
+            if not self.drivers or self.drivers[-1] != (first, sender):
+                self.drivers.append((first, sender))
+                # The time of the first answer since then is yet to come.
+                self.named, self.replied = time.perf_counter(), math.nan
         if not self.drivers:
             return self.driver.publishers() == 0
         newest = self.drivers[-1][1]
@@ -354,8 +347,6 @@ class ControllerNode(ControlNode):
             self.another.wait(TURN)
 
     def _answer(self, ready: Ready) -> None:
-        while (driven := self.driving.take()) is not None:
-            self.driven = driven
         if ready.anew or not self.driven:
             # The law must not adapt to cycles that the valve did not follow, or that belong to an earlier run.
             self.controller.reset()
@@ -453,8 +444,3 @@ class ControllerNode(ControlNode):
         if not self.sent and self._active.is_set():
             return OK, f"stands by: {self._driver_of(self.cycles.answered)} drives", figures
         return OK, "running" if self._active.is_set() else "inactive", figures
-
-
-def _is_true(message: bytes) -> bool:
-    """Return what a Bool says."""
-    return message[4:5] == b"\1"

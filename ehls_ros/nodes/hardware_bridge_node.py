@@ -46,7 +46,13 @@ class Parameters(NamedTuple):
 
 
 class HardwareBridgeNode(PlantNode):
-    """Passes samples to the graph and commands through the gate to the rig. The valve stays closed until `enable`."""
+    """Passes samples to the graph and commands through the gate to the rig. The valve stays closed until `enable`.
+
+    Attributes:
+        opened: whether the device was ever opened.
+    """
+
+    opened = False
 
     def __init__(self) -> None:
         """Declare the parameters and read the bridge file.
@@ -74,6 +80,7 @@ class HardwareBridgeNode(PlantNode):
             self.device = self.bridge.open(self.period)
         except WorkFailed as error:
             raise BadInput(str(error), self.get_name(), "a device that is connected and free") from None
+        self.opened = True
         self.open_topics()
         self.samples = SampleClock(self.period)
         self.cycle = -1
@@ -91,6 +98,11 @@ class HardwareBridgeNode(PlantNode):
         """Close the valve, the device and the topics."""
         self.device.close()
         super().release()
+
+    def secure(self) -> None:
+        """Close the valve and the device, if it was opened."""
+        if self.opened:
+            self.device.close()
 
     def start(self) -> None:
         """Begin with the next sample, disabled."""
@@ -201,11 +213,11 @@ class HardwareBridgeNode(PlantNode):
         self._write(self.gate.step(self._time()))
 
     def _write(self, spool: float) -> None:
-        self.tell_driving(self.gate.driving)
         try:
             self.device.write(self.calibration.command(spool), self.sequence)
         except WorkFailed as error:
             self.failure = str(error)
+        self.tell_driving(self.gate.driving)
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""

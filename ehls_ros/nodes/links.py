@@ -113,6 +113,8 @@ class Links:
         self._patient = patient
         self._unheard = 0
         self._senders: list[Sender] = []
+        # Held while the loops wait for readers: meanwhile, a lifecycle request to a node must not destroy its publishers.
+        self._waiting = threading.Lock()
         self.open = False
         self.apart = False
         self._wanted = False
@@ -179,7 +181,7 @@ class Links:
         return len(self._answers) + len(self._later)
 
     def publish(self) -> None:
-        """Publish what has gathered, in the order of sending; answers come first."""
+        """Publish what has gathered, in the order of sending, answers first; for the thread of the loops only."""
         gathered, self._answers, self._later = [*self._answers, *self._later], [], []
         for publish, encode, message in gathered:
             publish(encode(*message))
@@ -187,14 +189,16 @@ class Links:
         # A cycle has four topics at least, and a bunch of rows ahead is short beside what is kept.
         if self._patient and self._unheard >= 3 * self.kept:
             self._unheard = 0
-            for sender in self._senders:
-                sender.wait_until_heard(PATIENCE)
+            with self._waiting:
+                for sender in self._senders:
+                    sender.wait_until_heard(PATIENCE)
 
     def join(self, sender: Sender) -> None:
         """Add the publisher of a topic."""
-        self._senders = [*self._senders, sender]
+        with self._waiting:
+            self._senders = [*self._senders, sender]
 
     def leave(self, sender: Sender) -> None:
-        """Publish what has gathered, and remove a publisher."""
-        self.publish()
-        self._senders = [other for other in self._senders if other is not sender]
+        """Remove a publisher, which may be destroyed then; the loop of its node has ended and published everything."""
+        with self._waiting:
+            self._senders = [other for other in self._senders if other is not sender]

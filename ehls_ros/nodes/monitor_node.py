@@ -132,6 +132,7 @@ class MonitorNode(ControlNode):
 
     answers = False
     background = True
+    announces = False
 
     def __init__(self) -> None:
         """Declare the parameters and the services."""
@@ -173,12 +174,12 @@ class MonitorNode(ControlNode):
         self.states = self._cycle_inbox(LoaderState, LOADER_STATE)
         self.commands = self._cycle_inbox(ValveCommand, VALVE_COMMAND)
         self.disturbances = self._cycle_inbox(Disturbance, DISTURBANCE)
-        self.drivers = Inbox(self, Driver, DRIVER.name, control_qos(DRIVER.depth), Decoder(Driver, sender=True))
+        self.drivers = Inbox(self, Driver, DRIVER.name, control_qos(DRIVER.depth), owned=LOADER_STATE.name)
         self.driving = Inbox(self, Bool, DRIVING.name, control_qos(DRIVING.depth))
         self.diagnostics = Inbox(self, DiagnosticArray, DIAGNOSTICS.name, QoSProfile(depth=200))
         self.state, self.command, self.disturbance, self.status = (
             Decoder(LoaderState),
-            Decoder(ValveCommand, sender=True),
+            Decoder(ValveCommand),
             Decoder(Disturbance),
             Decoder(ControllerStatus),
         )
@@ -262,13 +263,13 @@ class MonitorNode(ControlNode):
 
     def _follow(self) -> list[Event]:
         """Read all messages, and return what happened."""
-        follower = self.follower
+        follower, plant = self.follower, self.owners.of(LOADER_STATE.name)
         while (driver := self.drivers.take()) is not None:
-            follower.hear_driver(driver[1], driver[2])
+            follower.hear_driver(driver[1], driver[3])
         snapshots = [
-            Snapshot(message[0], message[1], message[2:], info["source_timestamp"])
+            Snapshot(message[0], message[1], message[2:-1], info["source_timestamp"])
             for raw, info in _taken(self.states)
-            if (message := self.state(raw)) is not None
+            if (message := self.state(raw)) is not None and plant.admits(message[-1])
         ]
         # After the snapshots: what was said before the newest of them is here.
         for raw, info in _taken(self.driving):
@@ -279,7 +280,9 @@ class MonitorNode(ControlNode):
             if (message := self.command(raw)) is not None
         )
         follower.hear_disturbances(
-            (message[1], message[2:]) for raw, _ in _taken(self.disturbances) if (message := self.disturbance(raw)) is not None
+            (message[1], message[2:-1])
+            for raw, _ in _taken(self.disturbances)
+            if (message := self.disturbance(raw)) is not None
         )
         self._hear_trips()
         events = self.monitor.add(np.zeros(0), {})

@@ -27,7 +27,7 @@ from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
 from ehls_ros.hardware.stamps import Stamps
 from ehls_ros.hardware.standby import Standby, is_of
-from ehls_ros.nodes.codec import Decoder, decode_text
+from ehls_ros.nodes.codec import decode_text
 from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
@@ -155,16 +155,17 @@ class PlantNode(ControlNode):
         # Topics are discovered in this order: who receives a snapshot is to know who drives.
         self.driver = Notice(self, Driver, DRIVER.name, HANDOVER_DEPTH)
         self.state = Outbox(self, LoaderState, "loader_state", opens=True)
-        self.commands = Inbox(self, ValveCommand, "valve_command", decode=Decoder(ValveCommand, sender=True))
+        self.commands = Inbox(self, ValveCommand, "valve_command", owned="")
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
         # In lockstep the plant waits for each that it has heard of.
         timeout = math.ceil(0.5 * self.gate.parameters.command_timeout / self.period)
         self.standby = Standby(DEPTH if self.lockstep else timeout)
-        self.shadows = Inbox(self, ValveCommand, STANDBY_COMMAND.name, decode=Decoder(ValveCommand, sender=True))
+        self.shadows = Inbox(self, ValveCommand, STANDBY_COMMAND.name, owned="")
         self.shadow = Waiter([self.shadows])
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
         self.told_driver: str | None = None
+        self.drives_from = 0
         # The first cycle that the driving controller answers; until which one others may not know of it; how long they may not.
         self.first = 0
         self.unaware = -1
@@ -248,6 +249,8 @@ class PlantNode(ControlNode):
         if driving != self.told_driving:
             self.told_driving = driving
             self.driving.tell(Bool(data=driving), driving)
+            if self.told_driver is not None:
+                self._publish_driver()
 
     def take_commands(self, cycle: int) -> None:
         """Pass the received commands to the gate.
@@ -345,10 +348,16 @@ class PlantNode(ControlNode):
                 self.unaware = cycle + self.grace
             self.told_driver = driver
             self.standby.forget(driver)
-            message = Driver(cycle=self.first if driver else cycle, sender=driver)
-            now = self.get_clock().now()
-            message.header.stamp = now.to_msg()
-            self.driver.tell(message, (now.nanoseconds, message.cycle, driver))
+            self.drives_from = self.first if driver else cycle
+            self._publish_driver()
+
+    def _publish_driver(self) -> None:
+        """Publish who drives from which cycle on, and whether that reaches the valve."""
+        now = self.get_clock().now()
+        said = self.drives_from, bool(self.told_driving), self.told_driver or "", self.sender
+        message = Driver(cycle=said[0], driving=said[1], sender=said[2], plant=said[3])
+        message.header.stamp = now.to_msg()
+        self.driver.tell(message, (now.nanoseconds, *said))
 
     def end_cycles(self) -> None:
         """Leave the active state from the service thread: the last cycle is done."""

@@ -148,6 +148,8 @@ class ProgrammeNode(AheadNode):
         super().prepare()
         self.states = Inbox(self, LoaderState, LOADER_STATE.name)
         self.present = Inbox(self, LoaderState, LOADER_STATE.name, newest_qos())
+        topic = REFERENCE_TOPICS[self.follows]
+        self.other: Inbox | None = Inbox(self, message_class(topic.type), topic.name)
         self.points = Outbox(self, ProgrammePoint, PROGRAMME_POINT.name)
         self.waiting: list[tuple[Any, ...]] = []
         self.stamped = 0
@@ -162,6 +164,7 @@ class ProgrammeNode(AheadNode):
         """Close topics and log."""
         for part in (self.states, self.present, self.points):
             part.destroy()
+        self._ignore_other_references()
         self.log.close()
         super().release()
 
@@ -188,10 +191,9 @@ class ProgrammeNode(AheadNode):
         if self.last > self.next:
             self._fall_out(self.last, f"the rig had no reference from control cycle {self.next} on")
         self._follow_requests()
-        self._publish_to(self.last + self.lead, None)
-        if not self.lockstep:
-            time.sleep(REST)
-        elif time.perf_counter() - self.moved > PATIENCE:
+        self._publish_to(self.last + self.lead)
+        time.sleep(REST)
+        if self.lockstep and time.perf_counter() - self.moved > PATIENCE:
             self._repeat()
 
     def stop(self) -> None:
@@ -203,12 +205,13 @@ class ProgrammeNode(AheadNode):
     def _begin(self) -> None:
         """Find out in which control cycle the rig is now, and begin or go on there.
 
-        What is kept of earlier control cycles says nothing of that. In lockstep the clock does, of which one is kept; in
+        What is kept of earlier control cycles says nothing of that. In lockstep the newest kept one does; in
         realtime a snapshot that nobody keeps.
         """
         now = self._present()
-        if now is None:
+        if now is None or self._owner_of_reference():
             return
+        self._ignore_other_references()
         measured, cycle = now[2 + MEASURED[self.follows]], now[1]
         run = self._run()
         saved = self.saved
@@ -232,7 +235,7 @@ class ProgrammeNode(AheadNode):
                     self._count()
                     self._fall_out(cycle, "there was no reference while the node was away", saved.published, measured)
         self.run, self.next, self.last = run, cycle, max(cycle, self.last)
-        self._publish_to(cycle + self.lead, None)
+        self._publish_to(cycle + self.lead)
 
     def _present(self) -> tuple[Any, ...] | None:
         """Return the rig's newest snapshot once it is known to be that."""
@@ -304,7 +307,7 @@ class ProgrammeNode(AheadNode):
                 f"programme {request} from control cycle {self.next} on" if done else f"nothing to {request}"
             )
 
-    def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
+    def _publish_to(self, cycle: int) -> None:
         if cycle < self.next:
             return
         first = self.next
@@ -401,7 +404,23 @@ class ProgrammeNode(AheadNode):
         if runner is not None and runner.motions[-1].rests is not None and self.state != State.FINISHED:
             reason = runner.motions[-1].reason
             return OK if reason == ASKED else WARN, f"stopped: {reason}; programme_resume goes on", figures
-        return OK, self.state.name.lower() if self._active.is_set() else "inactive", figures
+        if not self._active.is_set():
+            return OK, "inactive", figures
+        if runner is None and (other := self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)):
+            return WARN, f"waits to begin: {other} owns {self.outbox.topic}; deactivate or stop it", figures
+        return OK, self.state.name.lower(), figures
+
+    def _owner_of_reference(self) -> str | None:
+        """Return the sender that owns the reference at present; None if the programme may begin."""
+        while self.other is not None and self.other.take() is not None:
+            pass
+        return self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)
+
+    def _ignore_other_references(self) -> None:
+        """Read the reference of other nodes no more: it is the programme's."""
+        if self.other is not None:
+            self.other.destroy()
+            self.other = None
 
 
 def _entries(rows: Rows) -> Iterator[tuple[int, int, int, float, int]]:

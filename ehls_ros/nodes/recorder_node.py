@@ -13,7 +13,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import metadata
 from ehls_ros.experiments.spec import with_programme
 from ehls_ros.nodes import node_names
-from ehls_ros.nodes.control import ERROR, OK, WARN, ControlNode, run_node
+from ehls_ros.nodes.control import ERROR, OK, WARN, ControlNode, run_node, transition
 from ehls_ros.nodes.parameter_stock import ParameterStock
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos, message_class
@@ -66,6 +66,7 @@ class RecorderNode(ControlNode):
     """Writes messages byte for byte, stamped with the publisher's sending time."""
 
     answers = False
+    announces = False
 
     def __init__(self) -> None:
         """Declare the parameters."""
@@ -102,6 +103,7 @@ class RecorderNode(ControlNode):
         self.failure = ""
         self.writer: BagWriter | None = None
 
+    @transition
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start once the expected publishers exist, so that even a run shorter than discovery is recorded completely."""
         deadline = time.monotonic() + DISCOVERY

@@ -24,7 +24,8 @@ from rclpy.type_support import check_for_type_support
 from ehls_ros.nodes.codec import Decoder, Encoder
 from ehls_ros.nodes.frames import loader_frame
 from ehls_ros.nodes.links import Links, Message
-from ehls_ros.recording.topics import DEPTH
+from ehls_ros.nodes.owners import owners_of
+from ehls_ros.recording.topics import DEPTH, SENDER
 
 RECORDER_DEPTH = 50_000
 """Queue depth of the recorder, which reads in bulk."""
@@ -84,7 +85,11 @@ def _kept_by(node: Node) -> int:
 
 
 class Outbox:
-    """Publishes one control-path topic; readers in the same process have a message before it is published."""
+    """Publishes one control-path topic; readers in the same process have a message before it is published.
+
+    Attributes:
+        topic: its full name.
+    """
 
     def __init__(
         self,
@@ -92,8 +97,8 @@ class Outbox:
         message: Any,
         topic: str,
         lengths: Mapping[str, int] | None = None,
-        sender: str = "",
         *,
+        sender: str | None = None,
         opens: bool = False,
         answers: bool = False,
         together: int = 1,
@@ -105,7 +110,7 @@ class Outbox:
             message: message class.
             topic: name below the node's namespace.
             lengths: length of each sequence field.
-            sender: content of the text field, if there is one.
+            sender: named in the messages, if their type names one; None: the node's.
             opens: whether its messages are snapshots, each of which opens a cycle.
             answers: whether its messages answer them.
             together: messages that are published together, if nobody waits for them: each that comes alone wakes up a thread in
@@ -115,8 +120,9 @@ class Outbox:
         self._opens, self._answers = opens, answers
         self._together = together
         self._gathered: list[bytes] = []
+        sender = getattr(node, "sender", "") if sender is None else sender
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
-        self._sender = (sender,) if sender else ()
+        self._sender = (sender,) if SENDER in message.get_fields_and_field_types() else ()
         self._links = links_of(node)
         if self._links is not None:
             self._local = self._links.topic(topic)
@@ -124,6 +130,7 @@ class Outbox:
             self._local.named.update(self._sender)
         kept = _kept_by(node) if self._links is None else self._links.kept
         self._publisher = node.create_publisher(message, topic, control_qos(kept))
+        self.topic: str = self._publisher.topic_name
         if self._links is not None:
             self._links.join(self)
         self._publish = self._publisher.handle.publish_raw
@@ -153,7 +160,7 @@ class Outbox:
 
     def has_volatile_reader(self) -> bool:
         """Return whether a reader does not ask for the messages sent before it joined."""
-        return any(map(is_volatile, self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)))
+        return any(map(is_volatile, self._node.get_subscriptions_info_by_topic(self.topic)))
 
     def destroy(self) -> None:
         """Destroy the publisher."""
@@ -210,7 +217,14 @@ class Inbox:
     """
 
     def __init__(
-        self, node: Node, message: Any, topic: str, qos: QoSProfile | None = None, decode: Callable[[bytes], Any] | None = None
+        self,
+        node: Node,
+        message: Any,
+        topic: str,
+        qos: QoSProfile | None = None,
+        decode: Callable[[bytes], Any] | None = None,
+        *,
+        owned: str | None = None,
     ) -> None:
         """Create a subscription without an executor.
 
@@ -219,14 +233,22 @@ class Inbox:
             message: message class.
             topic: name below the node's namespace, or absolute.
             qos: quality of service; that of the control path by default.
-            decode: converts the bytes; by default to a tuple of the leading numbers.
+            decode: converts the bytes; by default to a tuple of the stamp, the leading numbers and the texts after them.
+            owned: the topic whose owner is the only sender that is accepted, by the last of the texts; None: this topic; empty:
+                all senders are accepted, as where ``decode`` is given and where there are no texts.
         """
         check_for_type_support(message)
         self._node = node
         self._message = message
         self._topic = topic
         self._qos = qos or control_qos(_kept_by(node))
-        self._decode = decode or Decoder(message)
+        standard = Decoder(message)
+        self._decode: Callable[[bytes], Any] = decode or standard
+        one_sender = decode is None and standard.texts > 0 and owned != ""
+        owners = owners_of(node) if one_sender else None
+        self._owner = None if owners is None else owners.of(owned or topic)
+        self._refused: deque[Message] = deque(maxlen=self._qos.depth)
+        self._again: deque[Message] = deque()
         self.malformed = 0
         self._wider: Any = None
         self._widening = False
@@ -260,7 +282,24 @@ class Inbox:
             self._node.add_waitable(handler)
 
     def take(self) -> Any:
-        """Return the next decoded message, or None; messages that cannot be decoded are skipped and counted."""
+        """Return the next decoded message of the input's owner, or None.
+
+        Messages that cannot be decoded are skipped and counted. Those of another sender are refused, and returned once that
+        sender is the owner, as rows ahead of the cycles are sent only once.
+        """
+        if self._owner is None:
+            return self._next()
+        if self._refused and self._owner.may_take(self._refused[-1][-1]):
+            self._again.extend(self._refused)
+            self._refused.clear()
+        while True:
+            message = self._again.popleft() if self._again else self._next()
+            if message is None or self._owner.admits(message[-1]):
+                return message
+            self._refused.append(message)
+
+    def _next(self) -> Any:
+        """Return the next decoded message, or None."""
         if self.queue:
             return self.queue.popleft()
         if self.handle is None:

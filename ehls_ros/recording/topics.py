@@ -14,7 +14,7 @@ LOADER_FRAME = "loader"
 """Frame of every message about the loading cylinder: fixed to its piston, x along the piston's positive direction."""
 
 SENDER = "sender"
-"""Field of commands and status that names who sent them; absent in bags of earlier versions."""
+"""Field of the cycles' messages that names who sent them; absent in bags of earlier versions."""
 
 
 class Topic(NamedTuple):
@@ -98,6 +98,10 @@ DISTURBANCE = _cycle_topic(
         "velocity": "disturbance_velocity_m_s",
     },
 )
+SERVO_REFERENCE = Topic("servo_reference", "ehls_msgs/msg/Disturbance", depth=DEPTH, transient_local=True)
+"""Displacement and velocity that a simulated position servo is to follow, ahead of the cycles; not recorded, as the experiment
+has them and ``disturbance`` has the motion itself."""
+
 FRICTION_ESTIMATE = _cycle_topic(
     "friction_estimate",
     "ehls_msgs/msg/FrictionEstimate",
@@ -152,13 +156,16 @@ STANDBY_COMMAND = Topic("standby_command", "ehls_msgs/msg/ValveCommand")
 """What each controller that stands by would command; each command in a bag names who drove."""
 
 LEAVING = Topic("leaving", "std_msgs/msg/String")
-"""Sender of a controller that ends."""
+"""Sender of a node whose loop ends."""
+
+REFUSED = Topic("refused", "ehls_msgs/msg/Refusal", transient_local=True)
+"""Senders that a reader refuses, since another sender owns the input."""
 
 ACCEPTED_RIG = Topic("accepted_rig", "std_msgs/msg/String", depth=1, transient_local=True)
 """The rig file with the changes that an operator has accepted, for controllers that are told of it (``accept_rig``)."""
 
-HANDOVER_TOPICS = (DRIVER, STANDBY_COMMAND, LEAVING, ACCEPTED_RIG)
-"""Between plant, controllers and monitor, for a change of the one that drives or of what it knows; not recorded."""
+HANDOVER_TOPICS = (DRIVER, STANDBY_COMMAND, LEAVING, REFUSED, ACCEPTED_RIG)
+"""Between the nodes, for a change of the one that drives, of an input's owner, or of the accepted rig; not recorded."""
 
 MODEL_HEALTH = Topic("model_health", "ehls_msgs/msg/ModelHealth", depth=1, transient_local=True)
 """What the monitor knows of the rig; published on change and once in a while; not recorded, as a bag can be watched again."""

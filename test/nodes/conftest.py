@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from node_server import NodeServer
 from patience import PATIENCE
 
 from ehls_ros.control.controllers import CONTROLLERS
@@ -55,31 +56,35 @@ def ros() -> None:
 
 
 class Graph:
-    """The processes a test starts."""
+    """The processes a test starts: nodes by the server, if there is one, and other programs by themselves."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+    def __init__(self, folder: Path, server: NodeServer | None = None) -> None:
+        self.folder, self._server = folder, server
+        self.processes: dict[str, Any] = {}
 
-    def start(self, name: str, *, remap: str = "", **parameters: Any) -> subprocess.Popen[bytes]:
+    def start(self, name: str, *, remap: str = "", **parameters: Any) -> Any:
         arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
         arguments += ["-r", remap] if remap else []
         return self.run(name, ["-m", f"ehls_ros.nodes.{name}", "--ros-args", *arguments])
 
-    def run(self, name: str, arguments: list[str]) -> subprocess.Popen[bytes]:
-        """Start a Python process."""
+    def run(self, name: str, arguments: list[str], before: Mapping[str, Any] | None = None) -> Any:
+        """Start a Python process; ``before`` as for the server."""
         from ehls_ros.nodes.graph import graph_environment
 
-        with (self.folder / f"{name}.log").open("ab") as log:
-            process = subprocess.Popen(
+        log, environment = self.folder / f"{name}.log", {"ROS_LOG_DIR": str(self.folder), **graph_environment()}
+        if self._server is not None and self._server.serves(arguments, environment):
+            log.touch()
+            self.processes[name] = self._server.start(arguments, log, environment, before)
+            return self.processes[name]
+        with log.open("ab") as output:
+            self.processes[name] = subprocess.Popen(
                 [sys.executable, *arguments],
-                env=graph_environment(),
+                env=environment,
                 stdin=subprocess.PIPE,
-                stdout=log,
+                stdout=output,
                 stderr=subprocess.STDOUT,
             )
-        self.processes[name] = process
-        return process
+        return self.processes[name]
 
     def limit_files(self, name: str, size: int) -> None:
         """Let no file that a process writes grow beyond ``size`` bytes from now on."""
@@ -99,10 +104,12 @@ class Graph:
         return time.monotonic()
 
     @staticmethod
-    def freeze(process: subprocess.Popen[bytes]) -> float:
-        """Stop a child process with SIGSTOP, and return the monotonic time at which all its threads had stopped [s]."""
+    def freeze(process: Any) -> float:
+        """Stop a process with SIGSTOP, and return the monotonic time at which all its threads had stopped [s]."""
         process.send_signal(signal.SIGSTOP)
-        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+        tasks = Path(f"/proc/{process.pid}/task")
+        while any(_state_of(task) not in "TZX" for task in tasks.iterdir()):
+            time.sleep(1e-4)
         return time.monotonic()
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
@@ -117,9 +124,25 @@ class Graph:
         return (self.folder / f"{name}.log").read_text(encoding="utf-8")
 
 
+def _state_of(task: Path) -> str:
+    """Return the state of a thread, as /proc has it; X if it has ended."""
+    try:
+        return (task / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except OSError:
+        return "X"
+
+
+@pytest.fixture(scope="session")
+def node_server(nothing_left_behind: None) -> Iterator[NodeServer]:
+    """Return the server that starts the nodes of all tests."""
+    server = NodeServer()
+    yield server
+    server.close()
+
+
 @pytest.fixture
-def graph(tmp_path: Path) -> Iterator[Graph]:
-    started = Graph(tmp_path)
+def graph(tmp_path: Path, node_server: NodeServer) -> Iterator[Graph]:
+    started = Graph(tmp_path, node_server)
     yield started
     for process in started.processes.values():
         process.send_signal(signal.SIGINT)

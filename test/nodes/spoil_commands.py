@@ -71,7 +71,7 @@ def main() -> None:
             while not node.stopping.is_set() and node.told() == mode:
                 waiter.wait(0.02)
                 while (command := node.inbox.take()) is not None:
-                    yield command
+                    yield command[:-1]
 
         while not node.stopping.is_set():
             mode = node.told()

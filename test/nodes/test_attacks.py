@@ -136,7 +136,7 @@ def test_a_dead_service_thread_or_an_exception_in_the_loop_closes_the_valve_and_
     assert running.bridge.wait(PATIENCE) == 1
     ended = time.monotonic()
     running.live(3 * SLOW.watchdog)
-    assert "the service thread has died" in graph.log(BRIDGE)
+    assert "service thread failed, so the node ends: SystemExit: 3" in graph.log(BRIDGE)
     running.restart_bridge()
     restarted = time.monotonic()
     running.open()

@@ -20,6 +20,8 @@ PLAIN = [
     msg.Disturbance,
     msg.ControllerStatus,
 ]
+"""Types of a header, numbers and a sender."""
+
 SENDER = "/ehls/fasmc_node-4711"
 FRAMES = ["", "loader", "a", "ab", "abc", "abcdefg", "abcdefgh"]
 
@@ -59,29 +61,30 @@ def test_encoder_writes_what_rclpy_writes(kind, frame):
 @pytest.mark.parametrize("kind", PLAIN)
 def test_decoder_reads_what_rclpy_wrote(kind, frame):
     message, values = filled(kind, frame)
-    assert Decoder(kind)(serialize_message(message)) == (1_700_000_000_123_456_789, *values)
+    assert Decoder(kind)(serialize_message(message)) == (1_700_000_000_123_456_789, *values, SENDER)
 
 
 @pytest.mark.parametrize("elements", [1, 2, 3, 7])
-def test_sequences_are_written_and_the_numbers_before_them_read(elements):
+def test_sequences_are_written_and_what_comes_before_them_read(elements):
     lengths = {"element_forces": elements, "slipping": elements}
     forces = [float(i) for i in range(elements)]
     flags = [i % 2 == 0 for i in range(elements)]
-    encoded = Encoder(msg.FrictionEstimate, "", lengths)(5, 9, 1.5, -2.5, elements, *forces, elements, *flags)
+    encode = Encoder(msg.FrictionEstimate, "", lengths, SENDER)
+    encoded = encode(5, 9, 1.5, -2.5, elements, *forces, elements, *flags)
     message = deserialize_message(encoded, msg.FrictionEstimate)
-    assert (list(message.element_forces), list(message.slipping)) == (forces, flags)
-    assert Decoder(msg.FrictionEstimate)(encoded) == (5, 9, 1.5, -2.5)
+    assert (list(message.element_forces), list(message.slipping), message.sender) == (forces, flags, SENDER)
+    assert Decoder(msg.FrictionEstimate)(encoded) == (5, 9, 1.5, -2.5, SENDER)
 
 
 @pytest.mark.parametrize("sender", ["", "a", "/ehls/fasmc_node-4711", "Größe"])
 def test_the_sender_of_a_command_is_read_after_its_numbers(sender):
     command = msg.ValveCommand(cycle=3, spool=1e-3, sender=sender)
-    assert Decoder(msg.ValveCommand, sender=True)(serialize_message(command)) == (0, 3, 1e-3, sender)
+    assert Decoder(msg.ValveCommand)(serialize_message(command)) == (0, 3, 1e-3, sender)
 
 
 @pytest.mark.parametrize("kind", [msg.LoaderState, msg.ValveCommand])
 def test_what_is_no_message_is_none(kind):
-    decode = Decoder(kind, sender=kind is msg.ValveCommand)
+    decode = Decoder(kind)
     whole = serialize_message(filled(kind, "loader")[0])
     # A message may end with padding, but with no more than that.
     for length in range(len(whole.rstrip(b"\0"))):
@@ -92,7 +95,7 @@ def test_what_is_no_message_is_none(kind):
 
 
 def test_frame_lengths_of_strangers_do_not_fill_the_memory():
-    decode = Decoder(msg.ValveCommand, sender=True)
+    decode = Decoder(msg.ValveCommand)
     for length in range(5000):
         decode(b"\0\1\0\0" + bytes(8) + length.to_bytes(4, "little") + bytes(length))
     assert len(decode._formats) <= Decoder.MOST_FORMATS

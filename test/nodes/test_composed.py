@@ -13,12 +13,14 @@ from ehls_command import ehls, trajectory_of
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import Trigger
 
 from ehls_msgs.msg import Driver, LoaderState, ValveCommand
 from ehls_msgs.srv import SwitchController
 from ehls_ros.cli.main import main
 from ehls_ros.nodes import links
 from ehls_ros.nodes.plant_sim_node import PlantSimNode
+from ehls_ros.nodes.together import HOSTS
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import STANDBY_COMMAND
 
@@ -188,3 +190,47 @@ def test_the_service_thread_waits_for_a_rest_that_is_long_enough(period, lull, m
 def test_in_lockstep_the_service_thread_waits_for_no_rest(monkeypatch):
     monkeypatch.setattr(links, "RESTLESS", 3600.0)
     links.Links(lambda waiter, seconds: None, patient=True).await_rest()
+
+
+PARTNERS = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc_node")
+TRANSITIONS = ("deactivate", "activate", "deactivate", "cleanup", "configure", "activate")
+
+
+@pytest.mark.parametrize("gone", PARTNERS)
+def test_a_node_that_is_shut_down_takes_no_other_node_of_its_process_with_it(graph, participant, spec_file, gone):
+    states = participant.collect(LoaderState, "loader_state")
+    process = start_together(graph, spec_file(duration=1e4), timing="lockstep", speed=2.0)
+    participant.until(lambda: len(states) > 100)
+    assert participant.change(gone, "shutdown")
+    for name in (*PARTNERS, "plant_sim_node"):
+        assert participant.state_of(name) == ("finalized" if name == gone else "active")
+    answer = participant.call(Trigger, "emergency_stop", Trigger.Request())
+    assert answer.success
+    assert process.poll() is None
+    assert graph.stop("composed") == 0
+    assert "failed" not in graph.log("composed")
+
+
+PAIRS = [
+    (plant, partner) for plant in HOSTS for partner in PARTNERS if (plant, partner) != ("hardware_bridge_node", "fasmc_node")
+]
+"""Every two nodes that can share a process; the law of fasmc needs a velocity, which the rig does not measure."""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("plant", "partner"), PAIRS)
+def test_every_transition_of_each_of_two_nodes_leaves_the_other_alone(graph, participant, spec_file, plant, partner):
+    together = f"{plant}+{partner}"
+    process = start_together(graph, spec_file(duration=1e4), together, timing="lockstep")
+    for node, other in ((partner, plant), (plant, partner)):
+        participant.until(lambda node=node: participant.state_of(node) == "active")
+        for transition in TRANSITIONS:
+            assert participant.change(node, transition), (node, transition)
+            assert participant.state_of(other) == "active"
+            assert not participant.change(other, "configure")
+    for node in (partner, plant):
+        assert participant.change(node, "shutdown")
+        assert participant.state_of(node) == "finalized"
+    assert process.poll() is None
+    assert graph.stop("composed") == 0
+    assert "failed" not in graph.log("composed")

@@ -1,0 +1,116 @@
+"""The one sender from which an input of a node is accepted, until it leaves.
+
+Commands have their own rule (:mod:`ehls_ros.hardware.command_intake`), which also knows whether the valve is open. Every other
+input of the control cycle, such as a reference or a disturbance, follows this one:
+
+* The first sender becomes the owner. Messages of others are refused.
+* The input becomes free when the owner announces that it leaves, or is gone from the graph.
+* A sender of the owner's node name takes over once the owner has been silent for :data:`RESTART`: the node was restarted.
+"""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+RESTART = 0.5
+"""Silence of the owner after which a sender of the same node name counts as that node, restarted [s]; a start takes longer."""
+
+REMAINDER = 0.5
+"""Time in which messages may still arrive of an owner that has left or was killed [s]."""
+
+MOST_CONTENDERS = 16
+"""Senders that are remembered; a sender could use a new name in each message."""
+
+SILENT = 1.0
+"""Silence of the owner after which it may have left without an announcement [s]."""
+
+
+def node_of(sender: str) -> str:
+    """Return the node name of a sender ``<full name of the node>-<process>``; the sender itself if it has another form."""
+    name, _, process = sender.rpartition("-")
+    return name if process.isdigit() else sender
+
+
+def process_of(sender: str) -> int | None:
+    """Return the process number in a sender's name; None if there is none."""
+    process = sender.rpartition("-")[2]
+    return int(process) if process.isdigit() else None
+
+
+class Heard(NamedTuple):
+    """Times of the messages of a sender [s].
+
+    Attributes:
+        first: of the first one.
+        last: of the last one.
+    """
+
+    first: float
+    last: float
+
+
+class Ownership:
+    """Owner and contenders of one input.
+
+    Attributes:
+        owner: the sender whose messages are accepted; None: the first to come.
+        contenders: the senders refused since the owner took the input.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin without an owner; ``clock`` returns a monotonic time [s]."""
+        self._clock = clock
+        self._heard = -float("inf")
+        self._left: tuple[str | None, float] = None, -float("inf")
+        self.owner: str | None = None
+        self.contenders: dict[str, Heard] = {}
+
+    def admits(self, sender: str) -> bool:
+        """Return whether a message of a sender is accepted, and note that it came."""
+        now = self._clock()
+        if sender == self.owner:
+            self._heard = now
+            return True
+        owner = self.owner
+        if owner is None or (node_of(owner) == node_of(sender) != "" and now - self._heard > RESTART):
+            if owner is None and self._is_remainder(sender, now):
+                return True
+            self.owner, self._heard = sender, now
+            self.contenders.clear()
+            return True
+        if not self._is_remainder(sender, now):
+            before = self.contenders.get(sender, Heard(now, now))
+            self.contenders[sender] = Heard(now if now - before.last > SILENT else before.first, now)
+            if len(self.contenders) > MOST_CONTENDERS:
+                del self.contenders[min(self.contenders, key=lambda name: self.contenders[name].last)]
+        return False
+
+    def _is_remainder(self, sender: str, now: float) -> bool:
+        """Return whether a message was on its way when its sender left."""
+        left, when = self._left
+        return left == sender and now - when <= REMAINDER
+
+    @property
+    def silent(self) -> bool:
+        """Whether the owner has sent nothing for :data:`SILENT`."""
+        return self.owner is not None and self._clock() - self._heard > SILENT
+
+    def must_yield(self, sender: str) -> bool:
+        """Return whether a contender has to stop: the owner has gone on for :data:`REMAINDER` beside it."""
+        heard = self.contenders.get(sender)
+        return heard is not None and self._heard - heard.first > REMAINDER
+
+    @property
+    def contender(self) -> str | None:
+        """The contender heard last, if that was within :data:`SILENT`; None otherwise."""
+        lately = {
+            sender: heard.last for sender, heard in self.contenders.copy().items() if self._clock() - heard.last <= SILENT
+        }
+        return max(lately, key=lately.__getitem__) if lately else None
+
+    def release(self, sender: str) -> None:
+        """Free the input if a sender owns it: it has left."""
+        self.contenders.pop(sender, None)
+        if sender == self.owner:
+            self._left = sender, self._clock()
+            self.owner = None

@@ -1,0 +1,91 @@
+"""An exception raised on purpose in one method of a node's class, in the process that runs the node."""
+
+import functools
+import inspect
+import itertools
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ehls_ros.hardware.backends.udp import UdpDevice
+from ehls_ros.nodes.control import transition
+
+CLASSES = {
+    "plant_sim_node": "ehls_ros.nodes.plant_sim_node.PlantSimNode",
+    "hardware_bridge_node": "ehls_ros.nodes.hardware_bridge_node.HardwareBridgeNode",
+    "reference_node": "ehls_ros.nodes.reference_node.ReferenceNode",
+    "programme_node": "ehls_ros.nodes.programme_node.ProgrammeNode",
+    "disturbance_node": "ehls_ros.nodes.disturbance_node.DisturbanceNode",
+    "friction_estimator_node": "ehls_ros.nodes.friction_estimator_node.FrictionEstimatorNode",
+    "fasmc_node": "ehls_ros.nodes.controller.ControllerNode",
+    "fasmc_output_feedback_node": "ehls_ros.nodes.controller.ControllerNode",
+    "recorder_node": "ehls_ros.nodes.recorder_node.RecorderNode",
+    "monitor_node": "ehls_ros.nodes.monitor_node.MonitorNode",
+}
+
+BASES = "ehls_ros.nodes."
+"""Classes of other modules, such as rclpy's, are left alone."""
+
+
+class Injected(Exception):
+    """The exception; no code of the project can expect it."""
+
+
+def class_of(node: str) -> type:
+    """Return the class of a node."""
+    module, _, name = CLASSES[node].rpartition(".")
+    found: type = getattr(import_module(module), name)
+    return found
+
+
+def methods_of(node: str) -> Iterator[str]:
+    """Yield the names of all methods of a node's class that are written in this project."""
+    seen = set()
+    for base in class_of(node).__mro__:
+        if not base.__module__.startswith(BASES):
+            continue
+        for name, member in vars(base).items():
+            if inspect.isfunction(member) and name not in seen:
+                seen.add(name)
+                yield name
+
+
+def inject(node: str, method: str, call: int, mark: str, writes: str = "") -> None:
+    """Let a method of a node raise.
+
+    Args:
+        node: name of the node.
+        method: name of the method.
+        call: number of the call that raises, counted from 1.
+        mark: file that is made just before.
+        writes: file to which each command is written that a device is given; empty: none.
+    """
+    if writes:
+        _record_commands(Path(writes))
+    owner = class_of(node)
+    decorated = inspect.getattr_static(owner, method)
+    original = inspect.unwrap(decorated)
+    counted = itertools.count(1)
+
+    @functools.wraps(original)
+    def raising(self: Any, *arguments: Any, **words: Any) -> Any:
+        if next(counted) == call:
+            Path(mark).touch()
+            raise Injected(method)
+        return original(self, *arguments, **words)
+
+    # A transition's guard is around the method, and so around the exception.
+    setattr(owner, method, raising if decorated is original else transition(raising))
+
+
+def _record_commands(path: Path) -> None:
+    """Record the commands that reach the socket of a device."""
+    send = UdpDevice.write
+
+    def write(device: UdpDevice, value: float, sequence: int) -> None:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(f"{value}\n")
+        send(device, value, sequence)
+
+    setattr(UdpDevice, "write", write)  # noqa: B010
