@@ -22,6 +22,11 @@ class Company:
         """Tell whether there is any."""
         return bool(self.members)
 
+    @property
+    def corrects(self) -> bool:
+        """Whether a companion hands the law another model of the rig."""
+        return any(getattr(member, "corrects", False) for member in self.members.values())
+
     def prepare(self) -> None:
         """Compile, or load, all that the cycles need; nothing else changes."""
         for member in self.members.values():

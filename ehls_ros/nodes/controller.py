@@ -143,6 +143,7 @@ class ControllerNode(ControlNode):
         self.tuning = values_of(self, declared, self.get_name())
         self.new_tuning: Any = None
         self.new_model: Model | None = None
+        self.acceptance = ""
         self.tuned_at = -1
         self.bounds = bounds_of(self.kind, self.tuning)
         follow(self, declared, self._retune)
@@ -155,16 +156,28 @@ class ControllerNode(ControlNode):
         publishers = self.get_publishers_info_by_topic(ACCEPTED_RIG.name)
         if len(publishers) > 1:
             names = ", ".join(sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers))
-            self.get_logger().error(
-                f"the accepted rig is not used: {names} publish {ACCEPTED_RIG.name}; stop all but one, and accept again"
-            )
+            self._refuse_rig(f"{names} publish {ACCEPTED_RIG.name}; stop all but one, and accept again")
             return
         try:
             rig = rig_from_mapping(parse_yaml(message.data, ACCEPTED_RIG.name, "rig"), ACCEPTED_RIG.name)
         except BadInput as error:
-            self.get_logger().error(f"the accepted rig is not used: {error}")
+            self._refuse_rig(str(error))
             return
         self.new_model = model_of(rig, self.spec.settings.control_period)
+
+    def _refuse_rig(self, reason: str) -> None:
+        self.acceptance = f"refused: {reason}"
+        self.get_logger().error(f"the accepted rig is not used: {reason}")
+
+    def _accept(self, model: Model, cycle: int) -> None:
+        """Begin the change to an accepted rig, or refuse one that differs too much from the rig file's."""
+        try:
+            duration = self.controller.accept(model)
+        except BadInput as error:
+            self._refuse_rig(str(error))
+        else:
+            self.acceptance = f"in use from cycle {cycle} on"
+            self.get_logger().info(f"the accepted rig is known from control cycle {cycle} on, all of it after {duration:.1f} s")
 
     def prepare(self) -> None:
         """Compile the law and open the topics."""
@@ -358,9 +371,8 @@ class ControllerNode(ControlNode):
             self.new_tuning = None
             self.tuned_at = ready.cycle
         if self.new_model is not None:
-            self.controller.adopt(self.new_model)
+            self._accept(self.new_model, ready.cycle)
             self.new_model = None
-            self.get_logger().info(f"the accepted rig is known from control cycle {ready.cycle} on")
         self.measured[:] = ready.measured
         self.wanted[:] = ready.reference
         fallback = ready.friction is None and self.kind.FRICTION
@@ -430,6 +442,7 @@ class ControllerNode(ControlNode):
             "friction_fallbacks": self.fallbacks,
             "tuned_at_cycle": self.tuned_at,
             "saturated": self.saturated,
+            **({"accepted_rig": self.acceptance} if self.acceptance else {}),
             **self.company.report(),
             **self.latency.figures(),
         }

@@ -65,6 +65,30 @@ class Caution(NamedTuple):
     significance: float
 
 
+class Leeway(NamedTuple):
+    """How far and how fast one coefficient may move.
+
+    Attributes:
+        change: largest change from its nominal value, in its unit.
+        rate: largest change in a second.
+    """
+
+    change: float
+    rate: float
+
+
+def leeway(caution: Caution, nominal: float, least: float = 0.0) -> Leeway:
+    """Return how far and how fast a coefficient may move.
+
+    Args:
+        caution: relative bounds.
+        nominal: the rig file's value.
+        least: smallest change that is always allowed: a delay of none has no relative change.
+    """
+    size = max(abs(nominal), least)
+    return Leeway(max(caution.reach * size, least), caution.rate * size)
+
+
 class HandedOver:
     """One coefficient on its way from the rig file's value to the estimate.
 
@@ -82,9 +106,7 @@ class HandedOver:
         """
         self._named = COEFFICIENTS[name]
         self._nominal = nominal
-        # A delay of none has no relative change: a cycle then is its size.
-        self._size = max(nominal, period) if self._named.unit else nominal
-        self._least_reach = period / self._size if self._named.unit else 0.0
+        self._least = period if self._named.unit else 0.0
         self._aim = self.value = float(nominal)
         self._latest: Estimated | None = None
 
@@ -99,7 +121,7 @@ class HandedOver:
 
     def move(self, duration: float, caution: Caution) -> bool:
         """Go on for a time [s]; return whether anything changed."""
-        most = caution.rate * self._size * duration
+        most = leeway(caution, self._nominal, self._least).rate * duration
         change = min(max(self._aim - self.value, -most), most)
         self.value += change
         return change != 0.0
@@ -139,10 +161,10 @@ class HandedOver:
 
     def _reach(self, caution: Caution) -> float:
         """Return the largest change, in the coefficient's unit."""
-        return max(caution.reach, self._least_reach) * self._size
+        return leeway(caution, self._nominal, self._least).change
 
     def _known(self, latest: Estimated, caution: Caution) -> bool:
-        return latest.std <= self._named.rough * caution.certain * self._size
+        return latest.std <= self._named.rough * caution.certain * max(self._nominal, self._least)
 
     def _relative(self, value: float) -> float:
         """Return what an estimate is divided by to speak of the rig file's error: it is this much off the truth."""

@@ -44,16 +44,22 @@ class Parameters(NamedTuple):
     )
 
 
+def caution_of(p: Parameters) -> Caution:
+    """Return when a coefficient moves, how far and how fast."""
+    return Caution(p.reach, p.rate, p.certain, p.significance)
+
+
 class Adaptation:
     """The companion at work."""
+
+    corrects = True
 
     def __init__(self, p: Parameters, setting: Setting) -> None:
         """Start from what the rig file says."""
         self._wait = p.wait
         self._next = 0
         self._started: int | None = None
-        caution = Caution(p.reach, p.rate, p.certain, p.significance)
-        self._search = Search(setting.model, caution, p.forgetting, _surroundings(setting))
+        self._search = Search(setting.model, caution_of(p), p.forgetting, _surroundings(setting))
 
     @property
     def search(self) -> Search:

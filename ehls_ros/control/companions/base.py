@@ -73,7 +73,7 @@ class Past(NamedTuple):
 
 
 class Companion(Protocol):
-    """A companion at work."""
+    """A companion at work; one that hands the law another model of the rig says so with ``corrects = True``."""
 
     def prepare(self) -> None:
         """Compile, or load, what :meth:`ahead` and :meth:`done` call, so that no cycle waits for it; change nothing."""
