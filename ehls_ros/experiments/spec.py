@@ -27,7 +27,15 @@ from ehls_ros.experiments.points_file import read_points
 from ehls_ros.experiments.programme_file import programme_values
 from ehls_ros.physics.integration_step import LONGEST_STEP, check_step, steps_per_period
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal
-from ehls_ros.physics.rig import EffectUse, Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import (
+    EffectUse,
+    Rig,
+    check_effect_count,
+    check_known,
+    effects_from_list,
+    rig_from_mapping,
+    rig_to_mapping,
+)
 from ehls_ros.physics.servo import Servo
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
@@ -221,6 +229,7 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     believed = data.get("controller_rig")
     controller_rig = rig if believed is None else _rig(believed, f"{where}: controller_rig", folder)
     rig = rig.with_effects(effects_from_list(data.get("effects") or [], f"{where}: effects"))
+    check_effect_count(len(rig.effects), f"{where}: effects")
     disturbance = _disturbance(data.get("disturbance"), f"{where}: disturbance", folder, rig)
     acting = DISTURBANCES.load(disturbance.name).loader_effects(disturbance.parameters)
     known = _known_effects(data.get("known_effects") or [], (*rig.effects, *acting), f"{where}: known_effects")
