@@ -298,7 +298,8 @@ class Ledger:
 def _parsed_head(head: bytes) -> Mapping[str, tuple[int, int]] | None:
     """Return each topic's number and the count of its earlier messages, by full name, from the head of a block."""
     try:
-        return cast(Mapping[str, tuple[int, int]], from_json(Mapping[str, tuple[_Number, _Number]], _expanded(head, LONGEST_HEAD)))
+        text = _expanded(head, LONGEST_HEAD)
+        return cast(Mapping[str, tuple[int, int]], from_json(Mapping[str, tuple[_Number, _Number]], text))
     except (CompressionError, ValueError):
         return None
 

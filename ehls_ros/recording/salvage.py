@@ -10,8 +10,14 @@ LONGEST_NAME = 1024
 """Longest name of a topic [characters]; ROS 2 permits 255."""
 
 MOST_WORK = 16
-"""Bytes copied and compared with the ledger, over the size of the file. Each byte belongs to one message, so a damaged file needs
-about one; a file made for it can have messages that begin inside each other, with the square of its size."""
+"""Bytes copied and compared with the ledger, over the size of the file.
+
+Each byte belongs to one message, so a damaged file needs about one; in a file made for it, messages that begin inside each
+other would take the square of its size.
+"""
+
+SPENT = "messages begin inside each other in too many places: the rest is not searched for more"
+"""Remark on a file that takes more work."""
 
 
 class Found(NamedTuple):
@@ -69,7 +75,7 @@ class Budget:
         if self._left >= 0:
             self._left -= size
             if self._left < 0:
-                self._loss.places.append("messages begin inside each other in too many places: the rest is not searched for more")
+                self._loss.places.append(SPENT)
         return self._left >= 0
 
 

@@ -1,6 +1,5 @@
 """Recovery of files made to cost time, memory or other files: bounded by their true size, and ended by Ctrl-C."""
 
-import os
 import signal
 import struct
 import subprocess
@@ -17,10 +16,9 @@ from ehls_ros.recording import ledger
 from ehls_ros.recording.damaged_bag import JOURNAL_MAGIC, damaged_bag
 from ehls_ros.recording.mcap_salvage import MESSAGE_HEAD
 from ehls_ros.recording.recovery import recover
-from ehls_ros.recording.salvage import MOST_WORK
+from ehls_ros.recording.salvage import MOST_WORK, SPENT
 
 PAGE = 4096
-SPENT = "messages begin inside each other in too many places"
 
 
 @pytest.fixture
@@ -137,4 +135,4 @@ def test_a_search_through_a_large_file_is_ended_by_ctrl_c(tmp_path: Path, name: 
         process.communicate()
     assert process.returncode == 130
     assert "Traceback" not in said
-    assert os.listdir(tmp_path) == [name]
+    assert [path.name for path in tmp_path.iterdir()] == [name]
