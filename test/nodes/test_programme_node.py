@@ -11,7 +11,7 @@ from std_srvs.srv import Trigger
 
 from ehls_msgs.msg import LoaderState, ProgrammePoint
 from ehls_ros.control.programme.motion import State
-from ehls_ros.experiments.programme_log import read_state
+from ehls_ros.experiments.programme_records import read_state
 from ehls_ros.nodes.ahead import LEAD
 from ehls_ros.recording.topics import DEPTH
 
