@@ -7,6 +7,7 @@ range of the rig, hold a value that the programme does not hold, or go along the
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +28,8 @@ MOST_MOTIONS = 100
 MOST_SKIPS = 10_000
 """Most skipped blocks."""
 
-LONGEST_LEG = 1e6
-"""Longest leg: that which leads to the programme's start [s]."""
+SHORTEST_LEG, LONGEST_LEG = 1e-9, 1e6
+"""Shortest leg, whose second derivative is a number, and longest, which leads to the programme's start [s]."""
 
 LONGEST_STOP = notes(Parameters)["stop_time"].maximum or math.inf
 """Longest way of a stop beyond the programme's end [s]."""
@@ -108,8 +109,10 @@ def _check_motion(motion: Motion, programme: Programme, holds: Holds, low: float
     if motion.rests is not None:
         last = motion.rests
         _check_rest(motion.rests, motion.since, programme, holds, low, high)
-    for (_, end), (begin, _) in pairwise([*ends, (last, last)]):
-        _check_step(end, begin, "between two legs")
+    for (_, end), (begin, _) in pairwise([*ends, (_Place(motion.since, last),) * 2]):
+        _check_step(end.value, begin.value, "between two legs")
+        if begin.since < end.since - CLOSE:
+            raise ValueError(f"a leg goes back along the programme, from {end.since:g} s to {begin.since:g} s")
 
 
 def _check_rest(rests: float, since: float, programme: Programme, holds: Holds, low: float, high: float) -> None:
@@ -123,17 +126,25 @@ def _check_rest(rests: float, since: float, programme: Programme, holds: Holds, 
         raise ValueError(f"it rests at {rests:g}, where the programme holds {known}")
 
 
-def _ends(leg: Leg, programme: Programme, low: float, high: float) -> tuple[float, float]:
-    """Check a leg, and return the values at its beginning and end."""
-    if not 0.0 < leg.duration <= LONGEST_LEG:
+class _Place(NamedTuple):
+    """Programme time [s] and value at the beginning or the end of a leg."""
+
+    since: float
+    value: float
+
+
+def _ends(leg: Leg, programme: Programme, low: float, high: float) -> tuple[_Place, _Place]:
+    """Check a leg, and return its beginning and end."""
+    if not SHORTEST_LEG <= leg.duration <= LONGEST_LEG:
         raise ValueError(f"a leg takes {leg.duration:g} s")
     path = along(leg, np.linspace(0.0, leg.duration, SAMPLES))
     if leg.row is None:
         if not (np.all(path.speed >= SLOWEST) and np.all(path.speed <= FASTEST)):
             raise ValueError(f"a leg goes along the programme at up to {np.max(np.abs(path.speed)):g} times its speed")
-        return programme.value(float(path.since[0])), programme.value(float(path.since[-1]))
+        begin, end = (_Place(since, programme.value(since)) for since in (float(path.since[0]), float(path.since[-1])))
+        return begin, end
     middle, half = 0.5 * (low + high), 0.5 * OVERSHOOT * (high - low)
     furthest = float(np.max(np.abs(path.off[:, 0] - middle)))
     if not furthest <= half:
         raise ValueError(f"a leg leads {furthest:g} from the middle of the rig's range, {low:g} to {high:g}")
-    return float(path.off[0, 0]), float(path.off[-1, 0])
+    return _Place(leg.since, float(path.off[0, 0])), _Place(leg.since, float(path.off[-1, 0]))

@@ -90,8 +90,8 @@ class FlightRecorder:
             The flight's folder.
 
         Raises:
-            OSError: the disk is full or fails.
-            NotWritten: the same, of a file.
+            NotWritten: the folder or a file of it cannot be written.
+            OSError: the process cannot be started.
         """
         self._make_room()
         stamp = datetime.fromtimestamp(flight.stamp_ns * 1e-9, UTC).strftime("%Y%m%d-%H%M%S")
@@ -99,10 +99,13 @@ class FlightRecorder:
         folder = next((path for name in names if not os.path.lexists(path := self._folder / name)), None)
         if folder is None:
             raise access.NotWritten(f"{self._folder / stamp}: cannot be made (it is there)")
-        folder.mkdir(parents=True)
+        try:
+            folder.mkdir(parents=True)
+        except OSError as error:
+            raise access.NotWritten(f"{folder}: cannot be made ({error.strerror})") from None
         try:
             self._fill(folder, flight, Origin.of(rig, control_period), rig, baselines, own)
-        except (OSError, access.NotWritten):
+        except access.NotWritten:
             _remove(folder)
             raise
         with (folder / LOG).open("wb") as log:

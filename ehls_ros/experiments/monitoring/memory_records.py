@@ -99,6 +99,8 @@ def readings_of(records: Sequence[ReadingRecord]) -> tuple[Reading, ...]:
     for record in records:
         if record.name not in COEFFICIENTS:
             raise ValueError(f"a reading is of the coefficient {record.name!r}")
+        if record.deviation is not None and record.deviation <= 0.0:
+            raise ValueError(f"a reading of {record.name} has the standard error {record.deviation:g}")
     return tuple(
         Reading(
             record.name,
