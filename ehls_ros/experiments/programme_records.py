@@ -145,9 +145,9 @@ def open_records(folder: Path, programme: Programme, origin: Origin, follows: st
         end = judged.end
         if state is None:
             # The state first: a log without a state begins anew at the next start, too.
-            old = [kept for kept, there in ((file.path, os.path.lexists(file.path)), (path, end > 0)) if there]
+            old = [kept for kept, there in ((file.path, os.path.lexists(file.path)), (path, judged.lines)) if there]
             remarks += [f"{kept} of the programme before is now {access.put_aside(kept).name}" for kept in old]
-            end = 0
+            end = 0 if path in old else end
         return Records(state, CycleLog(path, follows, end), counted, tuple(remarks))
     except access.NotWritten as error:
         raise BadInput(f"the records cannot be written ({error})", str(folder), "a writable folder") from None
