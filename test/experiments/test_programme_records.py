@@ -116,7 +116,7 @@ SPOILT = {
         "load cycle 3 follows load cycle 19",
     ),
     "a log of positions": (spoil_log(lambda log: log.replace(b"peak_n", b"peak_m", 1)), "the log has other columns"),
-    "an empty state": (lambda folder: (folder / STATE).write_bytes(b""), "it is something else"),
+    "an empty state": (lambda folder: (folder / STATE).write_bytes(b""), "it is empty"),
 }
 
 

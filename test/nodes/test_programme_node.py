@@ -1,6 +1,7 @@
 """A programme over DDS: each load cycle is counted once over a stop, a resume, and a node that is killed twice."""
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,10 +10,13 @@ pytest.importorskip("ehls_msgs.msg._programme_point", reason="needs ehls_msgs bu
 from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
 
+from benchmarks.spoilt_memory import PROGRAMME as PROGRAMME_OF_FATIGUE
 from ehls_msgs.msg import LoaderState, ProgrammePoint
-from ehls_ros.control.programme.motion import State
+from ehls_ros.control.programme.motion import Runner, State
 from ehls_ros.experiments.programme_records import read_state
+from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.nodes.ahead import LEAD
+from ehls_ros.nodes.programme_node import ProgrammeNode
 from ehls_ros.recording.topics import DEPTH
 
 CYCLES = 500
@@ -108,3 +112,39 @@ def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(grap
     answer, repeated = participant.ask(Trigger, "programme_resume", Trigger.Request())
     assert answer.success or repeated
     participant.until(lambda: points[-1].state == State.RUNNING and points[-1].load_cycles > stood)
+
+
+def test_the_state_is_kept_whatever_counting_raises():
+    saved = list[int]()
+    node = SimpleNamespace(runner=object(), next=7, synced=object(), _count=lambda: 1 // 0, _save=saved.append)
+    with pytest.raises(ZeroDivisionError):
+        ProgrammeNode.stop(node)
+    assert saved == [6]
+    assert node.synced is None
+
+
+def test_a_programme_stops_where_its_records_cannot_be_written():
+    runner = Runner(PROGRAMME_OF_FATIGUE, 1e-3, (Runner.beginning(PROGRAMME_OF_FATIGUE, 0),))
+    log = list[str]()
+    logger = SimpleNamespace(error=log.append)
+    node = SimpleNamespace(
+        unwritten="",
+        counter=SimpleNamespace(complaint=""),
+        next=500,
+        asked=[],
+        _running=lambda: runner,
+        get_logger=lambda: logger,
+    )
+    for _ in range(3):
+        with ProgrammeNode._writing(node):
+            raise NotWritten("state.json: cannot be written (No space left on device)")
+        ProgrammeNode._follow_requests(node)
+    assert runner.motions[-1].kind == "stop"
+    assert runner.motions[-1].reason == "state.json: cannot be written (No space left on device)"
+    assert len(log) == 2
+    # Once they can be written again, it can go on.
+    with ProgrammeNode._writing(node):
+        node.unwritten = ""
+    assert runner.resume(900)
+    ProgrammeNode._follow_requests(node)
+    assert runner.motions[-1].kind == "resume"

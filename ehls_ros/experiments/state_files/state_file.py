@@ -139,6 +139,8 @@ class StateFile:
         content = access.read(self.path, self.kind.largest, self.kind.expected, self._what)
         if content is None:
             return None
+        if not content:
+            raise self.refusal("it is empty")
         try:
             held = archive.read(content, self.kind.arrays) if self.kind.arrays else archive.Archive(content, {})
             return self._checked(held)
