@@ -138,7 +138,6 @@ class ProgrammeNode(AheadNode):
         self.holds = tuple(dict.fromkeys(held))[-MOST_HOLDS:]
         self.digest = digest(self.programme)
         self.counter = Counter(self.programme, records.counted, self.saved.stiffness if self.saved else ())
-        self.synced: Motion | None = None
         self.unwritten = ""
         self.runner: Runner | None = None
         self.samples: dict[int, tuple[int, int, int, float, int, float]] = {}
@@ -202,8 +201,7 @@ class ProgrammeNode(AheadNode):
             try:
                 self._count()
             finally:
-                self.synced = None
-                self._save(self.next - 1)
+                self._save(self.next - 1, durable=True)
 
     def _begin(self) -> None:
         """Find out in which control cycle the rig is now, and begin or go on there.
@@ -345,24 +343,23 @@ class ProgrammeNode(AheadNode):
         if self.outbox.has_volatile_reader():
             self._send(max(self.last, 0), self.next - 1)
 
-    def _save(self, published: int) -> None:
+    def _save(self, published: int, *, durable: bool = False) -> None:
+        """Replace the state; ``durable`` only after the loop: a busy disk takes longer than the rig has reference."""
         runner = self._running()
         counting = self.counting if self.counter.since is None else self.counter.since
         runner.forget(min(counting, self.next))
         seen = max(self.counting - 1, 0)
         if not self.certain:
             self.run = self._run()
-        p, motion = self.programme.parameters, runner.motions[-1]
+        p = self.programme.parameters
         state = ProgrammeState(
             self.digest, p.hold, p.stop_time, p.hold_time, self.holds, self.run, seen, published, counting, self.counter.done,
             tuple(runner.motions), self.counter.stiffness,
         )  # fmt: skip
-        # A disk takes too long for each publication; a stop or resumption must survive a power failure.
-        durable = motion != self.synced
         with self._writing():
             self.log.flush(durable=durable)
             self.file.write(plain(state), durable=durable)
-            self.synced, self.unwritten = motion, ""
+            self.unwritten = ""
 
     @contextmanager
     def _writing(self) -> Iterator[None]:

@@ -115,12 +115,12 @@ def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(grap
 
 
 def test_the_state_is_kept_whatever_counting_raises():
-    saved = list[int]()
-    node = SimpleNamespace(runner=object(), next=7, synced=object(), _count=lambda: 1 // 0, _save=saved.append)
+    saved = list[tuple[int, bool]]()
+    node = SimpleNamespace(runner=object(), next=7, _count=lambda: 1 // 0)
+    node._save = lambda published, *, durable: saved.append((published, durable))
     with pytest.raises(ZeroDivisionError):
         ProgrammeNode.stop(node)
-    assert saved == [6]
-    assert node.synced is None
+    assert saved == [(6, True)]
 
 
 def test_a_programme_stops_where_its_records_cannot_be_written():

@@ -99,8 +99,8 @@ def replace(path: Path, write: Callable[[BinaryIO], object], *, durable: bool = 
     Args:
         path: the file; its folder exists.
         write: writes the content.
-        durable: whether the content must survive a power failure from now on. It costs the time of a disk; without it the
-            newest seconds may be missing after a power failure, on a file system that orders data before names.
+        durable: whether the content must survive a power failure from now on. That waits for the disk, for which no control
+            loop has the time; without it, a file system that orders data before names (ext4, btrfs) may lose the newest seconds.
 
     Raises:
         NotWritten: with the path and the reason; the old file is as it was.
