@@ -100,7 +100,7 @@ def replace(path: Path, write: Callable[[BinaryIO], object], *, durable: bool = 
         path: the file; its folder exists.
         write: writes the content.
         durable: whether the content must survive a power failure from now on. That waits for the disk, for which no control
-            loop has the time; without it, a file system that orders data before names (ext4, btrfs) may lose the newest seconds.
+            loop has the time; without it, a file system that orders data before names (ext4, btrfs) may lose some seconds.
 
     Raises:
         NotWritten: with the path and the reason; the old file is as it was.
