@@ -64,6 +64,11 @@ class Owners:
         """Return the owner of an input, which all readers of the node share."""
         return Owner(self, topic, self._inputs.setdefault(topic, Ownership()))
 
+    def owner_of(self, topic: str) -> str | None:
+        """Return the owner of an input; None if it is free, or no input of this node."""
+        ownership = self._inputs.get(topic)
+        return None if ownership is None else ownership.owner
+
     def refuse(self, topic: str, sender: str) -> None:
         """Publish that a sender is refused, once it is certain that the owner goes on."""
         ownership, now = self._inputs[topic], time.monotonic()

@@ -150,6 +150,8 @@ class ProgrammeNode(AheadNode):
         super().prepare()
         self.states = Inbox(self, LoaderState, LOADER_STATE.name)
         self.present = Inbox(self, LoaderState, LOADER_STATE.name, newest_qos())
+        topic = REFERENCE_TOPICS[self.follows]
+        self.other: Inbox | None = Inbox(self, message_class(topic.type), topic.name)
         self.points = Outbox(self, ProgrammePoint, PROGRAMME_POINT.name)
         self.waiting: list[tuple[Any, ...]] = []
         self.stamped = 0
@@ -164,6 +166,7 @@ class ProgrammeNode(AheadNode):
         """Close topics and log."""
         for part in (self.states, self.present, self.points):
             part.destroy()
+        self._ignore_other_references()
         self.log.close()
         super().release()
 
@@ -210,8 +213,9 @@ class ProgrammeNode(AheadNode):
         realtime a snapshot that nobody keeps.
         """
         now = self._present()
-        if now is None:
+        if now is None or self._owner_of_reference():
             return
+        self._ignore_other_references()
         measured, cycle = now[2 + MEASURED[self.follows]], now[1]
         if not math.isfinite(measured):
             # No place to lead the reference in from.
@@ -425,15 +429,21 @@ class ProgrammeNode(AheadNode):
             return OK if reason == ASKED else WARN, f"stopped: {reason}; programme_resume goes on", figures
         if not self._active.is_set():
             return OK, "inactive", figures
-        if runner is None and (others := self._other_references()):
-            return WARN, f"waits to begin: {', '.join(others)} publishes {self.outbox.topic}; deactivate or stop it", figures
+        if runner is None and (other := self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)):
+            return WARN, f"waits to begin: {other} owns {self.outbox.topic}; deactivate or stop it", figures
         return OK, self.state.name.lower(), figures
 
-    def _other_references(self) -> list[str]:
-        """Return the names of other nodes that publish the reference."""
-        publishers = self.get_publishers_info_by_topic(self.outbox.topic)
-        names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers}
-        return sorted(names - {self.get_fully_qualified_name()})
+    def _owner_of_reference(self) -> str | None:
+        """Return the sender that owns the reference at present; None if the programme may begin."""
+        while self.other is not None and self.other.take() is not None:
+            pass
+        return self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)
+
+    def _ignore_other_references(self) -> None:
+        """Read the reference of other nodes no more: it is the programme's."""
+        if self.other is not None:
+            self.other.destroy()
+            self.other = None
 
 
 def _entries(rows: Rows) -> Iterator[tuple[int, int, int, float, int]]:

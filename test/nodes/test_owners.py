@@ -104,7 +104,8 @@ def test_a_programme_beside_a_reference_does_not_begin(sources):
     two.graph.start(
         "programme_node", spec=two.specs["first"], timing="lockstep", programme=file, folder=two.folder / "programme"
     )
-    participant.until(lambda: "/ehls/reference_node publishes /ehls/force_reference" in two.said("programme_node")[1])
+    owner = f"/ehls/reference_node-{two.graph.processes['reference_node'].pid}"
+    participant.until(lambda: f"waits to begin: {owner} owns /ehls/force_reference" in two.said("programme_node")[1])
     two.states.clear()
     participant.until(lambda: two.follows(FORCE))
     assert max(abs(state.force - FORCE) for state in two.states) < FOLLOWED
