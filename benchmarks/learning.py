@@ -129,7 +129,7 @@ class Run:
         return error
 
     def keep_learnt(self) -> None:
-        """Write what was learnt to its file."""
+        """Write the learnt file."""
         learnt_files.keep(self.controller.company, self._spec)
 
     def soften(self, share: float) -> None:

@@ -110,7 +110,7 @@ class Memorised(NamedTuple):
     """A kind of memory.
 
     Attributes:
-        name: what it is called.
+        name: its name in the table.
         make: writes healthy files into a folder, and returns the one that is spoilt.
         use: starts a program on the folder and ends it; returns one of :data:`TAKEN`, :data:`REFUSED` and :data:`ASIDE`.
         stays: whether a file that is refused must stay as it is.
@@ -122,7 +122,7 @@ class Memorised(NamedTuple):
     stays: bool = True
 
 
-# --- what companions have learnt ------------------------------------------------------------------------
+# --- learnt files ---------------------------------------------------------------------------------------
 
 SIZE = 400
 
@@ -187,7 +187,7 @@ def forged(content: bytes, law: str) -> bytes:
 
 
 def make_learnt(folder: Path, method: str, law: str) -> Path:
-    """Write what was learnt."""
+    """Write a learnt file."""
     path = folder / "learnt.npz"
     path.write_bytes(_learnt(method, law))
     return path
@@ -207,7 +207,7 @@ def use_learnt(folder: Path, method: str, law: str) -> str:
 
 
 def check_commands(company: Company) -> None:
-    """Check that what is added to the reference is finite and a share of it."""
+    """Check that the correction of the reference is finite and a share of it."""
     companion, nowhere = company.members["learning"], np.full((1, PLACE), np.nan)
     for cycle in range(0, SIZE, 10):
         rows = np.full((1, ROW), np.nan)
@@ -263,7 +263,7 @@ def make_programme(folder: Path, name: str) -> Path:
     records = open_records(folder, PROGRAMME, ORIGIN, "force", RIG.limits, anew=False)
     records.log.add(found, 1.7e9)
     records.log.flush()
-    records.log.close()
+    records.close()
     p = PROGRAMME.parameters
     state = ProgrammeState(
         digest(PROGRAMME), p.hold, p.stop_time, p.hold_time, (p.hold,), "a run", 1999, 2199, 1950, counter.done,
@@ -294,7 +294,7 @@ def use_programme(folder: Path) -> str:
         end = state._replace(counted=counter.done, seen=state.seen + 2999, published=state.seen + 2999)
         state_file(folder, ORIGIN).write(plain(end))
     finally:
-        records.log.close()
+        records.close()
     return TAKEN
 
 
@@ -302,7 +302,7 @@ def use_programme(folder: Path) -> str:
 
 
 def remembered() -> Remembered:
-    """Return what a monitor of a healthy rig knows after a while."""
+    """Return the memory of a monitor that has watched a healthy rig for a while."""
     leak = Candidate(
         name="internal_leakage_shift",
         number=0,
@@ -713,11 +713,11 @@ def link(draw: random.Random, path: Path) -> None:
 
 
 def left_alone(draw: random.Random, path: Path) -> None:
-    """The file as it should be; what is wrong is the disk or the folder."""
+    """The file as it should be, on a disk or in a folder that is not."""
 
 
 class Surroundings(NamedTuple):
-    """What is wrong beside the file.
+    """Disk and folder of the file.
 
     Attributes:
         full: whether no file can become larger than :data:`SMALL_DISK`.
@@ -745,12 +745,12 @@ WAYS: tuple[tuple[Callable[[random.Random, Path], None], Surroundings], ...] = (
 
 
 class Case(NamedTuple):
-    """What became of one file.
+    """The result of one file.
 
     Attributes:
-        outcome: what the program did with it.
+        outcome: one of :data:`TAKEN`, :data:`REFUSED` and :data:`ASIDE`; empty: the program failed.
         unwritten: whether something could not be written at the end.
-        failure: the traceback's last line, or what was too much; empty: none.
+        failure: the traceback's last line, or the bound that was exceeded; empty: none.
         changed: foreign files that are not as they were.
     """
 
@@ -781,7 +781,7 @@ FOREIGN: Mapping[str, bytes] = {
 
 
 def _print_of(path: Path) -> str:
-    """Return what a file is and holds, without opening anything but regular files of some size."""
+    """Return a fingerprint of a file's kind and content; only regular files of bounded size are opened."""
     if not os.path.lexists(path):
         return "nothing"
     mode = os.lstat(path).st_mode
@@ -800,7 +800,7 @@ def foreign_prints(folder: Path) -> dict[str, str]:
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    """Interrupt what takes too long."""
+    """Interrupt a case that takes too long."""
 
     def on_time_up(number: int, frame: FrameType | None) -> None:
         raise Hang
@@ -882,7 +882,7 @@ def spoil_kind(kind: Memorised, files: int, seed: int, folder: Path, numbers: Se
         kind: of the memory.
         files: number of files.
         seed: of the cases.
-        folder: for the files; what it holds is removed.
+        folder: for the files; they are removed.
         numbers: the cases that are run; None: all of them.
     """
     cases = []
@@ -933,8 +933,8 @@ def main() -> None:
             cases = spoil_kind(kind, options.files, options.seed, folder)
             print(row(kind, cases, time.monotonic() - began), flush=True)
             for number, case in enumerate(cases):
-                told = [case.failure, *(f"changed {path}" for path in case.changed)]
-                failures += [f"{kind.name} {number}: {what}" for what in told if what]
+                found = [case.failure, *(f"changed {path}" for path in case.changed)]
+                failures += [f"{kind.name} {number}: {failure}" for failure in found if failure]
     print("\n".join(itertools.islice(failures, 40)))
     sys.exit(bool(failures))
 

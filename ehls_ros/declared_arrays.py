@@ -35,7 +35,7 @@ def check_arrays(arrays: Arrays, declared: Mapping[str, Entry], lengths: Mapping
 
     Args:
         arrays: the arrays by name.
-        declared: what each must be; no other array is accepted, and none may be absent.
+        declared: declaration of each; no other array is accepted, and none may be absent.
         lengths: lengths that are known beforehand, by the names used in ``shape``.
 
     Returns:

@@ -1,5 +1,6 @@
 """The rig with the changes that an operator has accepted, on its way from the monitor to controllers."""
 
+import os
 from pathlib import Path
 
 from ehls_ros.control.adaptation.reach import check_reach
@@ -28,13 +29,14 @@ def write_accepted(path: Path, text: str) -> None:
     Raises:
         NotWritten: with the path and the reason.
     """
-    if path.exists() and access.begins_with(path, len(MARK)) != MARK.encode():
+    there = os.path.exists(path)  # noqa: PTH110 - Path.exists raises where nobody may look
+    if there and access.begins_with(path, len(MARK)) != MARK.encode():
         raise access.NotWritten(f"{path}: is not replaced (it is no accepted rig); put it elsewhere")
     access.replace(path, lambda file: file.write(f"{MARK}{text}".encode()))
 
 
 def accepted_model(text: str, own: Rig, period: float, where: str) -> Model:
-    """Return what a controller knows of the rig from now on.
+    """Return the model of an accepted rig for a controller.
 
     Args:
         text: content of a rig file.

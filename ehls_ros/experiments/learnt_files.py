@@ -1,4 +1,4 @@
-"""Files of what companions have learnt: read before a run, tried for writing then, and replaced at its end."""
+"""Files of the learnt arrays of companions: read before a run, tried for writing then, and replaced at its end."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -44,7 +44,7 @@ def recall(company: Company, spec: Spec) -> None:
 
 
 def keep(company: Company, spec: Spec) -> None:
-    """Write what companions have learnt to their files; a companion that has learnt nothing leaves its file as it is.
+    """Write the learnt arrays of companions to their files; a companion that has learnt nothing leaves its file as it is.
 
     Args:
         company: the companions, after the last cycle.

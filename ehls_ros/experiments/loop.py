@@ -324,7 +324,7 @@ class ClosedLoop:
             first += count
 
     def keep_learnt(self) -> None:
-        """Write what the companions have learnt to their files.
+        """Write the learnt arrays of the companions to their files.
 
         Raises:
             NotKept: one cannot be written.
@@ -377,7 +377,7 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
 def run_as_far_as_it_goes(
     spec: Spec, progress: Callable[[int, int], None] | None = None
 ) -> tuple[Trajectory, RunFailed | None]:
-    """Run an experiment without ROS, and keep what there is of a run that fails.
+    """Run an experiment without ROS, and keep the cycles of a run that fails.
 
     Args:
         spec: the experiment.

@@ -1,13 +1,14 @@
-"""What a running programme leaves beside the run: the log of its load cycles, and the state from which it goes on.
+"""The records of a running programme: the log of its load cycles, and the state from which it goes on.
 
-Both are judged before either is changed: a state that is another rig's or programme's, or that no run of this programme could
-have left, is refused, and so is a log that does not go with it.
+Both are judged before either is changed: a state that is another rig's or programme's, or impossible for this programme, is
+refused, and so is a log that does not go with it.
 """
 
 import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +18,7 @@ from ehls_ros.control.programme.motion import Runner
 from ehls_ros.control.programme.motion_check import check_motions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.state_files import access, table
+from ehls_ros.experiments.state_files.folder_lock import FolderLock
 from ehls_ros.experiments.state_files.kinds import PROGRAMME, ProgrammeState
 from ehls_ros.experiments.state_files.state_file import Origin, StateFile
 from ehls_ros.physics.parameters import Limits
@@ -32,7 +34,7 @@ UNITS: Mapping[str, Mapping[str, str]] = {
     "force": {"value": "n", "stiffness": "n_m"},
     "position": {"value": "m", "stiffness": "1"},
 }
-"""Ends of the columns' names by what the programme is of."""
+"""Ends of the columns' names by the quantity that the programme prescribes."""
 
 REMEDY = "the log as it was, another folder, or anew:=true to begin the programme anew"
 
@@ -49,23 +51,30 @@ SETTINGS = ("hold", "stop_time", "hold_time")
 
 
 class Records(NamedTuple):
-    """The records of a programme, ready to go on.
+    """The records of a programme, ready to go on; no other program may change them until they are closed.
 
     Attributes:
         state: where the programme was; None: it begins.
         log: open for further load cycles.
         counted: load cycles that are not counted again.
-        remarks: what the operator must know, a sentence each.
+        remarks: sentences for the operator.
+        lock: of the folder.
     """
 
     state: ProgrammeState | None
     log: "CycleLog"
     counted: int
     remarks: tuple[str, ...]
+    lock: FolderLock
+
+    def close(self) -> None:
+        """Close the log, and release the folder."""
+        self.log.close()
+        self.lock.release()
 
 
 def digest(programme: Programme) -> str:
-    """Return a digest of what a programme's course depends on; its limits may change between two starts."""
+    """Return a digest of a programme's course; its limits may change between two starts."""
     p = programme.parameters
     course = [_without_limits(p.blocks), p.start, p.transition]
     return hashlib.blake2b(json.dumps(course, sort_keys=True).encode(), digest_size=16).hexdigest()
@@ -106,51 +115,70 @@ def plain(state: ProgrammeState) -> dict[str, Any]:
 
 
 def open_records(folder: Path, programme: Programme, origin: Origin, follows: str, limits: Limits, *, anew: bool) -> Records:
-    """Judge state and log of a folder, and open the log.
+    """Lock a folder, judge its state and log, and open the log.
 
     Args:
         folder: of the programme; made if it is missing.
         programme: the programme.
         origin: rig and control period.
-        follows: ``force`` or ``position``, what the programme is of.
+        follows: quantity that the programme prescribes, ``force`` or ``position``.
         limits: of the rig.
         anew: begin the programme anew.
 
     Raises:
-        BadInput: the folder cannot be written; the state or the log cannot be used, or they do not go together.
+        BadInput: the folder cannot be written, or another programme runs in it; the state or the log cannot be used, or they do
+            not go together.
     """
     file, path = state_file(folder, origin), folder / LOG
     file.check_writable()
-    state = None if anew else read_state(folder, origin)
-    check = LineCheck(len(programme.leaves), programme.load_cycles)
-    # What a log that is put aside holds does not matter, but it must be a log.
-    judged = table.judge(path, heading(follows), check if state else _anything, REMEDY if state else FOREIGN, "the log")
-    remarks: list[str] = []
-    counted = 0
-    if state is not None:
+    with ExitStack() as undo:
+        lock = FolderLock(folder, "programme")
+        undo.callback(lock.release)
+        state = None if anew else read_state(folder, origin)
+        check = LineCheck(len(programme.leaves), programme.load_cycles)
+        # The lines of a log that is put aside do not matter, but it must be a log.
+        judged = table.judge(path, heading(follows), check if state else _anything, REMEDY if state else FOREIGN, "the log")
+        counted, remarks = 0, [lock.remark] if lock.remark else []
+        if state is not None:
+            try:
+                check_state(state, programme, origin.control_period, value_range(limits, follows))
+            except ValueError as error:
+                raise file.refusal(str(error)) from None
+            counted = _counted(programme, state, origin.control_period, check.last, path)
+            if check.last < state.counted:
+                remarks.append(f"{path} lacks the load cycles {check.last + 1} to {state.counted}, which were counted")
+            remarks += _changes(state, programme)
         try:
-            check_state(state, programme, origin.control_period, value_range(limits, follows))
-        except ValueError as error:
-            raise file.refusal(str(error)) from None
-        logged = check.last
-        reached = _reached(programme, state, origin.control_period)
-        if logged > reached:
-            what = f"the log has load cycle {logged}, the programme has reached {reached}"
-            raise BadInput(what, str(path), REMEDY)
-        counted = max(logged, state.counted)
-        if logged < state.counted:
-            remarks.append(f"{path} lacks the load cycles {logged + 1} to {state.counted}, which were counted")
-        remarks += _changes(state, programme)
-    try:
-        end = judged.end
-        if state is None:
-            # The state first: a log without a state begins anew at the next start, too.
-            old = [kept for kept, there in ((file.path, os.path.lexists(file.path)), (path, judged.lines)) if there]
-            remarks += [f"{kept} of the programme before is now {access.put_aside(kept).name}" for kept in old]
-            end = 0 if path in old else end
-        return Records(state, CycleLog(path, follows, end), counted, tuple(remarks))
-    except access.NotWritten as error:
-        raise BadInput(f"the records cannot be written ({error})", str(folder), "a writable folder") from None
+            end = judged.end
+            if state is None:
+                # The state first: a log without a state begins anew at the next start, too.
+                old = [kept for kept, there in ((file.path, os.path.lexists(file.path)), (path, judged.lines)) if there]
+                remarks += [f"{kept} of the programme before is now {access.put_aside(kept).name}" for kept in old]
+                end = 0 if path in old else end
+            records = Records(state, CycleLog(path, follows, end), counted, tuple(remarks), lock)
+        except access.NotWritten as error:
+            raise BadInput(f"the records cannot be written ({error})", str(folder), "a writable folder") from None
+        undo.pop_all()
+        return records
+
+
+def _counted(programme: Programme, state: ProgrammeState, period: float, logged: int, path: Path) -> int:
+    """Return the load cycles that are not counted again.
+
+    Args:
+        programme: the programme.
+        state: where it was.
+        period: of the control cycles [s].
+        logged: last load cycle in the log.
+        path: of the log, for the error.
+
+    Raises:
+        BadInput: the log is ahead of the state.
+    """
+    reached = int(Runner(programme, period, state.motions).rows(max(state.published, 0), 1).points.load_cycles[0])
+    if logged > reached:
+        raise BadInput(f"the log has load cycle {logged}, the programme has reached {reached}", str(path), REMEDY)
+    return max(logged, state.counted)
 
 
 def _anything(_: list[str]) -> None:
@@ -207,12 +235,6 @@ def value_range(limits: Limits, follows: str) -> tuple[float, float]:
     return (low, high) if low < high else (-LARGEST_HOLD, LARGEST_HOLD)
 
 
-def _reached(programme: Programme, state: ProgrammeState, period: float) -> int:
-    """Return the load cycles that are complete in the last published control cycle."""
-    runner = Runner(programme, period, state.motions)
-    return int(runner.rows(max(state.published, 0), 1).points.load_cycles[0])
-
-
 class LineCheck:
     """Check of a log's lines.
 
@@ -261,8 +283,8 @@ class CycleLog:
 
         Args:
             path: the file.
-            follows: ``force`` or ``position``, what the programme is of.
-            end: of what is kept of it [B]; 0: it begins.
+            follows: quantity that the programme prescribes, ``force`` or ``position``.
+            end: size of the part that is kept [B]; 0: it begins.
 
         Raises:
             access.NotWritten: it cannot be written.
@@ -276,13 +298,13 @@ class CycleLog:
             self._table.add(f"{','.join(numbers)},{stamp_s:.6f}")
 
     def flush(self, *, durable: bool = False) -> None:
-        """Hand what was added to the system.
+        """Hand the added lines to the system.
 
         Args:
             durable: let it survive a power failure, too.
 
         Raises:
-            access.NotWritten: what is not written yet is kept.
+            access.NotWritten: lines not written yet are kept.
         """
         self._table.flush()
         if durable:

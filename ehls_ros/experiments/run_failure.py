@@ -18,7 +18,7 @@ class RunFailed(WorkFailed):
 
 
 class Implausible(RunFailed):
-    """A run that came to what no rig can: its numbers are lost, or far beyond the rig's limits."""
+    """A run in an impossible state: its numbers are not finite, or far beyond the rig's limits."""
 
 
 class NotKept(RunFailed):
@@ -45,7 +45,7 @@ class NodeFailed(RunFailed):
 def with_failure(metrics: Metrics, failure: RunFailed | None) -> Metrics:
     """Return the metrics of a run with the reason why it failed among their warnings.
 
-    What a run that is not complete is warned of is of no use.
+    Other warnings are dropped where the run is not complete: they follow from that.
     """
     if failure is None:
         return metrics

@@ -30,7 +30,7 @@ HOLDS = (
 """Files and folders of a run."""
 
 LEFT = re.compile(r"(load_cycles\.[0-9]+\.csv|programme_state\.[0-9]+\.json|\.(load_cycles|programme_state)\..+\.part)")
-"""Names of what a programme that began anew has put aside in it, and of files that a killed program has not finished."""
+"""Names of files that a programme begun anew has put aside, and of those that a killed program has not finished."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a full disk, an exhausted quota and a file too large."""

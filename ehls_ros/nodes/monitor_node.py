@@ -44,6 +44,7 @@ from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
 from ehls_ros.experiments.monitoring.rates import MOST_HISTORY
 from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, today, word
 from ehls_ros.experiments.state_files.access import NotWritten
+from ehls_ros.experiments.state_files.folder_lock import FolderLock
 from ehls_ros.experiments.state_files.kinds import LEARNS_ANEW
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text
@@ -158,7 +159,7 @@ class MonitorNode(ControlNode):
         """Read the baselines and what was known before, and open the topics.
 
         Raises:
-            BadInput: a baseline cannot be read, or the folder cannot be made.
+            BadInput: a baseline cannot be read, or the folder cannot be made or is another monitor's.
         """
         be_modest()
         namespace = self.get_namespace().strip("/")
@@ -166,6 +167,9 @@ class MonitorNode(ControlNode):
         self.folder = Path(self.own.folder or Path("runs") / below)
         self.baselines, period = _baselines(self.own.baseline), self.spec.settings.control_period
         self.memory = Memory(self.folder, Origin.of(self.spec.controller_rig, period), tuple(self.baselines))
+        self.lock = FolderLock(self.folder, "monitor")
+        if self.lock.remark:
+            self.get_logger().warning(self.lock.remark)
         self.recorder = FlightRecorder(self.folder / "flights", self.own.flights, self.own.flight_size)
         self.held = HeldLevel()
         self.word = Word(0, "no samples yet")
@@ -204,17 +208,19 @@ class MonitorNode(ControlNode):
         return Inbox(self, message, topic.name, QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT))
 
     def release(self) -> None:
-        """Close the topics, and end what is computed."""
+        """Close memory and topics, and end a diagnosis under way."""
+        # The folder first: topics that `prepare` did not come to open do not exist.
+        self.memory.close()
+        self.lock.release()
         for inbox in (self.states, self.commands, self.disturbances, self.drivers, self.driving, self.diagnostics):
             inbox.destroy()
         self._end_benefit()
         self.destroy_publisher(self.telling)
         self.destroy_publisher(self.accepted)
-        self.memory.close()
         self.monitor.close()
 
     def _begin_monitor(self) -> None:
-        """Make a monitor that goes on where the folder's ended; what cannot be used of the folder is put aside."""
+        """Make a monitor that goes on with the folder's memory; files that cannot be used are put aside."""
         self.monitor = self._new_monitor()
         kept = self._recall()
         try:
@@ -354,19 +360,21 @@ class MonitorNode(ControlNode):
             return "there is no change with a cause to accept"
         self.rig_told = rig_text(rig_to_mapping(rig))
         path = self.folder / ACCEPTED
+        kept = f"the rig with its changes is {path}"
         try:
             write_accepted(path, self.rig_told)
         except NotWritten as error:
-            self._fail(f"the accepted rig cannot be written: {error}")
+            kept = f"the rig with its changes is in no file: {error}"
+            self._fail(kept)
         self._end_benefit()
         period = self.spec.settings.control_period
         try:
             accepted_model(self.rig_told, self.spec.controller_rig, period, "accepted rig")
         except BadInput as error:
-            return f"the rig with its changes is {path}; no controller is told: {error}"
+            return f"{kept}; no controller is told: {error}"
         self.benefit = Benefit(round(BENEFIT / period))
         self.errors = self._cycle_inbox(ControllerStatus, CONTROLLER_STATUS)
-        return f"the rig with its changes is {path}; controllers with accept_rig are told in {BENEFIT:g} s"
+        return f"{kept}; controllers with accept_rig are told in {BENEFIT:g} s"
 
     def _measure_benefit(self) -> list[Event]:
         """Measure the force error before and after controllers are told of an accepted rig."""

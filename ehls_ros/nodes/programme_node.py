@@ -120,17 +120,17 @@ class ProgrammeNode(AheadNode):
         return "the programme is not stopped" if request == "resume" and not stopped else ""
 
     def prepare(self) -> None:
-        """Open log and topics.
+        """Open records and topics.
 
         Raises:
-            BadInput: log or state cannot be read or written, or are another programme's.
+            BadInput: log or state cannot be read or written, are another programme's, or are in use by another process.
         """
         chosen = self.text_parameter("folder")
         title = "".join(letter if letter.isalnum() else "_" for letter in self.programme.parameters.title)
         self.folder = Path(chosen) if chosen else Path("runs") / title
         origin = Origin.of(self.spec.rig, self.spec.settings.control_period)
         anew, limits = bool(self.get_parameter("anew").value), self.spec.rig.limits
-        records = open_records(self.folder, self.programme, origin, self.follows, limits, anew=anew)
+        self.records = records = open_records(self.folder, self.programme, origin, self.follows, limits, anew=anew)
         for remark in records.remarks:
             self.get_logger().warning(remark)
         self.saved, self.log, self.file = records.state, records.log, state_file(self.folder, origin)
@@ -163,11 +163,12 @@ class ProgrammeNode(AheadNode):
         return Outbox(self, message_class(topic.type), topic.name)
 
     def release(self) -> None:
-        """Close topics and log."""
+        """Close records and topics."""
+        # The records first: topics that `prepare` did not come to open do not exist.
+        self.records.close()
         for part in (self.states, self.present, self.points):
             part.destroy()
         self._ignore_other_references()
-        self.log.close()
         super().release()
 
     def start(self) -> None:

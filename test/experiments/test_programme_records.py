@@ -30,7 +30,7 @@ def folder(left: Path, tmp_path: Path) -> Path:
 
 def opened(folder: Path, *, anew: bool = False, programme: Programme = PROGRAMME, origin: Origin = ORIGIN) -> Records:
     records = open_records(folder, programme, origin, "force", RIG.limits, anew=anew)
-    records.log.close()
+    records.close()
     return records
 
 
@@ -185,6 +185,23 @@ def test_lines_that_a_power_failure_took_are_said_and_not_counted_again(folder: 
     assert records.remarks == (f"{folder / LOG} lacks the load cycles 15 to 19, which were counted",)
     # The torn line is gone.
     assert (folder / LOG).read_bytes() == b"".join(lines[:15])
+
+
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_second_programme_in_a_folder_is_refused_and_changes_nothing(folder: Path, anew: bool):
+    records = open_records(folder, PROGRAMME, ORIGIN, "force", RIG.limits, anew=False)
+    before = contents(folder)
+    with pytest.raises(BadInput, match="runs another programme in the folder; expected another folder, or that process"):
+        opened(folder, anew=anew)
+    assert contents(folder) == before
+    records.close()
+    assert opened(folder).counted == 19
+
+
+def test_records_that_are_refused_leave_the_folder_free(folder: Path):
+    with pytest.raises(BadInput, match="it is of another programme"):
+        opened(folder, programme=altered(start=600.0))
+    assert opened(folder).counted == 19
 
 
 def test_a_folder_that_cannot_be_written_is_said_at_the_start(tmp_path: Path):

@@ -4,6 +4,8 @@ import io
 import json
 import os
 import resource
+import subprocess
+import sys
 import time
 import zipfile
 import zlib
@@ -18,6 +20,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.state_files import access, archive, table
 from ehls_ros.experiments.state_files.access import NotWritten
+from ehls_ros.experiments.state_files.folder_lock import LOCKS, FolderLock
 from ehls_ros.experiments.state_files.state_file import Kind, OfAnotherOrigin, Origin, StateFile
 
 RIG = load_rig(Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml")
@@ -269,6 +272,49 @@ def test_lines_that_a_full_disk_did_not_take_are_written_later(tmp_path):
     grown.flush()
     grown.close()
     assert [cells[0] for cells in table.rows(path, HEADING, check, "a table", "the table")] == [str(n) for n in range(1, 9)]
+
+
+def refusal(folder: Path) -> str:
+    with pytest.raises(BadInput) as refused:
+        FolderLock(folder, "test")
+    return str(refused.value)
+
+
+def test_a_locked_folder_names_its_process_and_is_free_after_it(tmp_path):
+    held = FolderLock(tmp_path, "test")
+    assert not held.remark
+    holder = f"process {os.getpid()}" if LOCKS.exists() else "another process"
+    said = f"{tmp_path}: {holder} runs another test in the folder; expected another folder, or that process stopped first"
+    assert refusal(tmp_path) == said
+    # By another name, too.
+    link = tmp_path.parent / "link"
+    link.symlink_to(tmp_path)
+    assert holder in refusal(link)
+    held.release()
+    held.release()
+    FolderLock(link, "test").release()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_killed_process_holds_no_folder(tmp_path):
+    program = "import sys, pathlib; from ehls_ros.experiments.state_files.folder_lock import FolderLock\n"
+    program += "lock = FolderLock(pathlib.Path(sys.argv[1]), 'test'); print('locked', flush=True); sys.stdin.read()"
+    command = [sys.executable, "-c", program, str(tmp_path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout.readline() == b"locked\n"
+        said = refusal(tmp_path)
+        holder.kill()
+    assert (f"process {holder.pid} runs" if LOCKS.exists() else "another process runs") in said
+    FolderLock(tmp_path, "test").release()
+
+
+@pytest.mark.parametrize("made", [lambda path: None, lambda path: path.write_bytes(b"")])
+def test_a_folder_that_cannot_be_locked_is_said(tmp_path, made):
+    made(tmp_path / "folder")
+    lock = FolderLock(tmp_path / "folder", "test")
+    assert lock.remark.startswith(f"{tmp_path / 'folder'} cannot be locked (N")
+    assert lock.remark.endswith("): start no other test in it")
+    lock.release()
 
 
 def test_what_is_put_aside_gets_a_name_that_nothing_has(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("ehls_msgs.msg._programme_point", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
+from patience import PATIENCE
 from std_srvs.srv import Trigger
 
 from benchmarks.spoilt_memory import PROGRAMME as PROGRAMME_OF_FATIGUE
@@ -15,6 +16,7 @@ from ehls_msgs.msg import LoaderState, ProgrammePoint
 from ehls_ros.control.programme.motion import Runner, State
 from ehls_ros.experiments.programme_records import read_state
 from ehls_ros.experiments.state_files.access import NotWritten
+from ehls_ros.experiments.state_files.folder_lock import LOCKS
 from ehls_ros.nodes.ahead import LEAD
 from ehls_ros.nodes.programme_node import ProgrammeNode
 from ehls_ros.recording.topics import DEPTH
@@ -89,6 +91,19 @@ CYCLES_PER_LOAD_CYCLE = 50
 """Control cycles of a millisecond in a load cycle of the steady programme."""
 
 
+def assert_a_second_is_refused(graph, own, tmp_path):
+    """Start another node in the folder of the one that runs: even ``anew`` takes nothing from it."""
+    words = [word for key, value in (own | {"anew": True}).items() for word in ("-p", f"{key}:={value}")]
+    names = ["-r", "__node:=programme_node_2"]
+    second = graph.run("second", ["-m", "ehls_ros.nodes.programme_node", "--ros-args", *words, *names])
+    assert second.wait(PATIENCE) != 0
+    first = f"process {graph.processes['programme_node'].pid}" if LOCKS.exists() else "another process"
+    said = f"{tmp_path / 'run'}: {first} runs another programme in the folder; expected another folder, or that process stopped"
+    assert graph.log("second").count(said) == 1
+    assert "Traceback" not in graph.log("second")
+    assert sorted(path.name for path in (tmp_path / "run").glob("[!.]*")) == ["load_cycles.csv", "programme_state.json"]
+
+
 def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(graph, participant, spec_file, tmp_path):
     """In realtime, after its node was killed and had been away for long; the rig's gate closes meanwhile, its cycles go on."""
     file, spec = tmp_path / "programme.yaml", spec_file(duration=100.0, controller="sic")
@@ -98,6 +113,7 @@ def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(grap
     graph.start("programme_node", **own)
     graph.start("plant_sim_node", spec=spec)
     participant.until(lambda: states and points and points[-1].load_cycles >= 5)
+    assert_a_second_is_refused(graph, own, tmp_path)
     graph.kill("programme_node")
     # The state tells what was published last: a node that is killed takes with it what it had not delivered yet.
     saved = read_state(tmp_path / "run")

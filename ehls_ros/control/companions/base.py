@@ -39,10 +39,10 @@ class Setting(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What a companion has learnt, to be kept for the next run.
+    """Learnt arrays of a companion, to be kept for the next run.
 
     Attributes:
-        about: what it is learnt with, by name, in words; of another run it must be the same.
+        about: conditions of the learning, by name, in words; another run must have the same.
         parts: arrays of each part, such as a block of a programme; empty: nothing is learnt.
     """
 
@@ -115,16 +115,16 @@ class Companion(Protocol):
         """Return figures and sentences for diagnostics and run folders."""
 
     def kept(self) -> Kept:
-        """Return what is to outlive the run. It is written to the file that the parameter ``file`` names, if there is one."""
+        """Return the learnt arrays. They are written to the file that the parameter ``file`` names, if there is one."""
 
     def recall(self, kept: Kept) -> None:
-        """Go on from what an earlier run has kept; called before the first cycle.
+        """Take up the learnt arrays of an earlier run; called before the first cycle.
 
         Args:
             kept: with the same ``about``; the arrays may be anything.
 
         Raises:
-            ValueError: an array is missing, of another type or shape, not finite, or beyond what the rig allows.
+            ValueError: an array is missing, of another type or shape, not finite, or beyond the bounds of the rig.
         """
 
 

@@ -233,15 +233,15 @@ class Learning:
         }
 
     def kept(self) -> Kept:
-        """Return what has been learnt, by block; nothing if the file is of another programme."""
+        """Return the learnt arrays by block; none if the file is of another programme."""
         learnt = {} if self._foreign else {block: lesson.stored() for block, lesson in self._lessons.items() if lesson.active}
         return Kept(self._about, learnt)
 
     def recall(self, kept: Kept) -> None:
-        """Go on from what was learnt before.
+        """Take up the learnt arrays of an earlier run.
 
         Raises:
-            ValueError: it cannot have been learnt with these parameters on this rig.
+            ValueError: they cannot have been learnt with these parameters on this rig.
         """
         for block, stored in kept.parts.items():
             check_block(stored, self._p.method, self._bounds, foresees=self._smoother is not None)

@@ -1,7 +1,7 @@
-"""What is kept of learning from one run to the next: the declaration of each block's arrays, and their bounds.
+"""Learnt arrays that are kept from one run to the next: the declaration of each block's arrays, and their bounds.
 
-The forces are bounded by the rig: what was learnt is added to what a controller follows from the first load cycle on, before
-any error could show that it is wrong.
+The forces are bounded by the rig: a correction is added to the reference from the first load cycle on, before any error could
+show that it is wrong.
 """
 
 import math
@@ -48,7 +48,7 @@ BLOCK: Mapping[str, Entry] = {
     "largest": Entry(shape=(2,), least=0.0, most=LARGEST),
     "errors": Entry(shape=(2,), least=0.0, most=LARGEST),
 }
-"""Of each block, whatever the method."""
+"""Arrays of each block with any method."""
 
 SAMPLED: Mapping[str, Entry] = {
     "cycles": _COUNT,
@@ -58,7 +58,7 @@ SAMPLED: Mapping[str, Entry] = {
     "cross": _COMPLEX,
     "power": _POSITIVE,
 }
-"""Of a correction by waveform or harmonics."""
+"""Arrays of a correction by waveform or harmonics."""
 
 FORCE: Mapping[str, Entry] = {
     "cycles": _COUNT,
@@ -68,7 +68,7 @@ FORCE: Mapping[str, Entry] = {
     "latest": _COMPLEX,
     "share": Entry(shape=(), least=0.0, most=LARGEST),
 }
-"""Of the force that is foreseen."""
+"""Arrays of the foreseen force."""
 
 PEAK_VALLEY: Mapping[str, Entry] = {
     "cycles": _COUNT,
@@ -82,7 +82,7 @@ PEAK_VALLEY: Mapping[str, Entry] = {
     "useless": _NUMBERS_POSITIVE,
     "rest": _NUMBERS_POSITIVE,
 }
-"""Of a correction of peaks, valleys and phase."""
+"""Arrays of a correction of peaks, valleys and phase."""
 
 
 class Bounds(NamedTuple):
@@ -99,7 +99,7 @@ class Bounds(NamedTuple):
 
 
 def bounds_of(setting: Setting) -> Bounds:
-    """Return the bounds that a controller's rig implies; what the rig file does not limit is not bounded."""
+    """Return the bounds that a controller's rig implies; infinite where the rig file has no limit."""
     limits = setting.limits
     if limits is None:
         return Bounds()
@@ -155,7 +155,7 @@ def check_block(arrays: Arrays, method: Method, bounds: Bounds, *, foresees: boo
 
 
 def out_of_bounds(lesson: Lesson, method: Method, bounds: Bounds) -> str:
-    """Return in words how far what was learnt of a block exceeds its bounds; empty: it does not.
+    """Return in words how far a block's correction or foreseen force exceeds its bounds; empty: neither does.
 
     Args:
         lesson: the block's.

@@ -13,10 +13,10 @@ from ehls_ros.control.programme.expansion import Programme
 from ehls_ros.control.programme.motion import State
 
 UNMEASURED = 10
-"""Control cycles on end without a finite measurement that violate each limit of what is not measured."""
+"""Control cycles on end without a finite measurement after which each limit on that measurement is violated."""
 
 VALUE, POSITION = "measured value", "position of the piston"
-"""What is measured: what the programme prescribes, and the position."""
+"""Names of the measurements: force or position that the programme prescribes, and the position of the piston."""
 
 
 class LoadCycle(NamedTuple):

@@ -54,14 +54,14 @@ def check_motions(
 
     Args:
         motions: in the order of their control cycles.
-        programme: what they move.
+        programme: the programme that they move.
         period: of the control cycles [s].
         holds: values held after a stop, as the programme's settings were when the motions were made; None: where it stood.
         low: smallest value of the rig [N] or [m].
         high: largest value.
 
     Raises:
-        ValueError: naming what is impossible.
+        ValueError: naming the first impossible value.
     """
     if not motions:
         raise ValueError("no motion holds")
@@ -101,7 +101,7 @@ def _check_motion(motion: Motion, programme: Programme, holds: Holds, low: float
     if len(motion.skipped) > MOST_SKIPS or sum(skip.load_cycles for skip in motion.skipped) > programme.load_cycles:
         raise ValueError("more is skipped than the programme holds")
     if any(not 0.0 <= skip.to <= latest or skip.load_cycles < 0 for skip in motion.skipped):
-        raise ValueError("what is skipped is not in the programme")
+        raise ValueError("a skipped block is not in the programme")
     if (motion.rests is None) == (motion.kind == "stop"):
         raise ValueError(f"a motion of the kind {motion.kind!r} rests at {motion.rests}")
     ends = [_ends(leg, programme, low, high) for leg in motion.legs]

@@ -2,7 +2,7 @@
 
 Writing the bag and the diagnosis are another process's work, which gives way to all others and survives the monitor's end.
 Run as a module, with a folder that :meth:`FlightRecorder.begin` has filled, this file is that process; it becomes
-``ehls diagnose``. Of the folder of all flights only what a flight recorder has written is ever removed.
+``ehls diagnose``. Only files that a flight recorder has written are ever removed.
 """
 
 import os
@@ -120,7 +120,7 @@ class FlightRecorder:
     def _fill(
         folder: Path, flight: Flight, origin: Origin, rig: Rig, baselines: Sequence[Path], own: Trajectory | None
     ) -> None:
-        """Write what another process makes a bag and a diagnosis of."""
+        """Write the files from which another process makes a bag and a diagnosis."""
         record = FlightRecord(flight.cause, flight.stamp_ns, tuple(str(path.resolve()) for path in baselines), own is not None)
         StateFile(folder / MARK, FLIGHT, origin).write(record._asdict(), durable=False)
         content = rig_text(rig_to_mapping(rig)).encode()
@@ -162,7 +162,7 @@ def _size(flight: Path) -> int:
 
 
 def _remove(flight: Path) -> None:
-    """Remove what a flight recorder and its diagnosis have written; what somebody else has put beside it stays."""
+    """Remove the files of a flight recorder and its diagnosis; files of others beside them stay."""
     for name in (BAG, BASELINE, RESULTS):
         shutil.rmtree(flight / name, ignore_errors=True)
     for name in (SIGNALS, RIG, LOG, MARK):

@@ -1,8 +1,8 @@
-"""What a monitor keeps in a folder, so that one that was killed and started again goes on where it was.
+"""The memory of a monitor in a folder, so that one that was killed and started again goes on where it was.
 
 ``memory.json`` is replaced atomically, and names the files of arrays that go with it; whatever ends the process, one whole
-state is there. ``coefficients.csv`` grows by one line for each coefficient that the data told. What cannot be used is put aside
-as it is, and no file is replaced or removed that a monitor has not written.
+state is there. ``coefficients.csv`` grows by one line for each coefficient that was identified. A file that cannot be used is
+put aside as it is, and no file is replaced or removed that a monitor has not written.
 """
 
 import math
@@ -63,7 +63,7 @@ COEFFICIENTS = "coefficients.csv"
 HEADING = ("time", "name", "value", "deviation", "unit")
 
 ASIDE = "aside"
-"""First part of the names of folders with what could not be used."""
+"""First part of the names of folders with files that could not be used."""
 
 ARRAYS = re.compile(r"(learnt|blocks)_[0-9]{1,4}\.npz")
 """Names of the files of arrays."""
@@ -160,7 +160,7 @@ class Memory:
         return kept
 
     def put_aside(self, reason: BadInput) -> str:
-        """Move what cannot be used into a folder of its own, as it is.
+        """Move files that cannot be used into a separate folder, as they are.
 
         Args:
             reason: why it cannot be used.
@@ -185,8 +185,10 @@ class Memory:
         return f"{reason}; it is now in {aside}"
 
     def _own_arrays(self) -> list[str]:
-        """Return the names of the files of arrays that a monitor has written into the folder."""
-        named = [entry.name for entry in os.scandir(self._folder) if ARRAYS.fullmatch(entry.name)]
+        """Return the names of the files of arrays that a monitor has written into the folder; none if it cannot be listed."""
+        named = list[str]()
+        with suppress(OSError):
+            named = [name for name in os.listdir(self._folder) if ARRAYS.fullmatch(name)]  # noqa: PTH208 - names alone
         return [name for name in named if self._file(name, _kind(name)).is_own()]
 
     def _file(self, name: str, kind: Kind) -> StateFile:
@@ -331,7 +333,7 @@ class Memory:
         self._history.flush()
 
     def open_history(self) -> str:
-        """Open the coefficients' history; one that cannot be gone on with is put aside.
+        """Open the coefficients' history; one that cannot be continued is put aside.
 
         Returns:
             A sentence on that; empty where it goes on.

@@ -1,4 +1,4 @@
-"""What a monitor knows as plain records: no infinite number, and nothing that the rest of the monitor does not know."""
+"""Records of a monitor's memory: plain values for its files, with finite numbers and known names alone."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 
 MOST_CHANGES = 1000
-"""Changes that are kept, the newest; a topic tells fewer."""
+"""Most changes that are kept, the newest."""
 
 MOST_EFFECTS = 64
 """Most effects of a rig's model: each one that a model has makes every later diagnosis slower."""
@@ -62,7 +62,7 @@ def change_of(record: ChangeRecord) -> FoundChange:
     """Return a change.
 
     Raises:
-        ValueError: it names what there is not.
+        ValueError: it names an unknown stage or cause.
     """
     if record.causes and record.stage not in STAGES:
         raise ValueError(f"a change is in the stage {record.stage!r}")

@@ -38,7 +38,7 @@ def read(path: Path, largest: int, expected: str, what: str = "the file") -> byt
     Args:
         path: the file, or a link to it.
         largest: largest permitted size [B].
-        expected: what the file should be, for errors.
+        expected: description of a right file, for errors.
         what: name of the file in errors.
 
     Returns:
@@ -131,7 +131,7 @@ def check_writable(path: Path, expected: str, what: str = "the file") -> None:
 
     Args:
         path: the file.
-        expected: what the place should be, for the error.
+        expected: description of a right place, for the error.
         what: name of the file in the error.
 
     Raises:
@@ -179,7 +179,7 @@ def put_aside(path: Path) -> Path:
 
 
 def _target(path: Path) -> Path:
-    """Return the place that a path leads to; refuse what is no regular file there."""
+    """Return the place that a path leads to; refuse anything but a regular file there."""
     target = Path(os.path.realpath(path))
     try:
         mode = target.lstat().st_mode

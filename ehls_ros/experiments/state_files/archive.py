@@ -105,7 +105,7 @@ def read(content: bytes, most: int) -> Archive:
 
 
 def beginning_of_document(content: bytes) -> bytes:
-    """Return what there is of the document in the first bytes of a file; nothing where it is no archive."""
+    """Return the part of the document in the first bytes of a file; empty where it is no archive."""
     if len(content) < LOCAL_HEADER.size or content[:4] != LOCAL_MARK:
         return b""
     *_, name, extra = LOCAL_HEADER.unpack_from(content)

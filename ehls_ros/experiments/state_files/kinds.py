@@ -25,7 +25,7 @@ Time = Annotated[float, quantity("s", "time on the monitor's axis", minimum=-LON
 Stamp = Annotated[int, quantity("ns", "time stamp", minimum=0, maximum=LATEST_NS)]
 
 
-# --- what companions have learnt ------------------------------------------------------------------------
+# --- learnt files of companions -------------------------------------------------------------------------
 
 
 class LearntAbout(NamedTuple):
@@ -33,7 +33,7 @@ class LearntAbout(NamedTuple):
 
     Attributes:
         companion: its name.
-        about: what it was learnt with, in words.
+        about: conditions of the learning, in words.
         parts: numbers of the parts that the arrays belong to, such as blocks of a programme.
     """
 
@@ -47,10 +47,10 @@ LEARNT = Kind(
     1,
     1 << 28,
     LearntAbout,
-    "what the same companion learnt with these parameters on this rig, or a name that does not exist yet",
+    "a file that the same companion learnt with these parameters on this rig, or a name that does not exist yet",
     arrays=20_000,
 )
-"""What a companion has learnt; a load cycle of 100 000 samples takes 8 MB."""
+"""Learnt arrays of a companion; a load cycle of 100 000 samples takes 8 MB."""
 
 
 # --- programmes -----------------------------------------------------------------------------------------
@@ -70,7 +70,7 @@ class ProgrammeState(NamedTuple):
         published: last control cycle whose reference was published.
         counting: first control cycle of the load cycle under way.
         counted: load cycles in the log.
-        motions: what holds.
+        motions: motions that are under way or to come.
         stiffness: stiffness of the blocks that ran.
     """
 
@@ -102,7 +102,7 @@ PROGRAMME = Kind(
 
 
 class ReadingRecord(NamedTuple):
-    """A coefficient as the data told it; attributes of :class:`ehls_ros.diagnosis.monitoring.tracking.Reading`.
+    """A coefficient as it was identified; attributes of :class:`ehls_ros.diagnosis.monitoring.tracking.Reading`.
 
     A value that is not a number is None, and so is an infinite standard error.
     """
@@ -161,19 +161,19 @@ class ChangeRecord(NamedTuple):
 
 
 class MonitorState(NamedTuple):
-    """What a monitor knows, but for its arrays.
+    """The memory of a monitor without its arrays.
 
     Attributes:
         baselines: names of the recordings that a change is measured from.
         end: newest time on the monitor's axis [s].
         anchors: times on that axis with their stamps [s], [ns].
         well: the healthy rig's model, as a rig file.
-        model: the same with what has changed since.
-        changes: what was found.
+        model: the same with the changes since.
+        changes: changes that were found.
         history: the last readings of the coefficients.
         readings: the newest ones.
         watched: time for which blocks were judged [s].
-        learnt: name of the file that holds what a healthy rig is; empty: none.
+        learnt: name of the file of the healthy rig; empty: none.
         blocks: name of the file of the summed blocks; empty: none.
     """
 
@@ -210,10 +210,10 @@ class DirectionRecord(NamedTuple):
 
 
 class HealthyRig(NamedTuple):
-    """What a healthy rig is, but for its arrays.
+    """The healthy rig without its arrays.
 
     Attributes:
-        kind: what a change is measured from.
+        kind: origin from which a change is measured.
         directions: the departures that are looked for.
         signals: names of the recording's signals, in the order of its rows.
     """
@@ -249,10 +249,10 @@ MOST_BLOCKS = rules.LONGEST_WATCH
 LEARNS_ANEW = "the file as the monitor left it; without it, the monitor learns anew"
 
 MONITOR = Kind("monitor memory", 1, 1 << 22, MonitorState, LEARNS_ANEW)
-"""What a monitor knows; after years with a thousand changes it has half a megabyte."""
+"""The memory of a monitor; after years with a thousand changes it has half a megabyte."""
 
 HEALTHY = Kind("healthy rig", 1, 1 << 28, HealthyRig, LEARNS_ANEW, arrays=len(HEALTHY_ARRAYS))
-"""What a healthy rig is; ten minutes at 5 kHz take 200 MB, a minute at 1 kHz 4 MB."""
+"""The healthy rig; ten minutes at 5 kHz take 200 MB, a minute at 1 kHz 4 MB."""
 
 
 class NoContent(NamedTuple):
@@ -283,7 +283,7 @@ class FlightRecord(NamedTuple):
 
 
 FLIGHT = Kind("flight", 1, 1 << 20, FlightRecord, "a flight as the monitor left it")
-"""The mark of a flight's folder, and what its diagnosis needs."""
+"""The mark of a flight's folder, with the inputs of its diagnosis."""
 
 
 class FlightSignals(NamedTuple):

@@ -1,10 +1,11 @@
-"""A state file: what it is, of which rig and control period, a checksum, and a document whose type is declared.
+"""A state file: its kind, rig, control period and checksum around a document of a declared type.
 
 Nothing is used before all of it has been checked, and no file is replaced that is not of the same kind.
 """
 
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, NamedTuple
@@ -17,7 +18,7 @@ from ehls_ros.recording.provenance import checksum_of
 from ehls_ros.schema import Misfit, fitted, from_json, quantity
 
 CHECKSUM = b', "checksum": "blake2b-'
-"""What stands between the checked part of a document and its checksum."""
+"""Separator of the checked part of a document and its checksum."""
 
 CHECKSUM_END = b'"}'
 
@@ -35,7 +36,7 @@ class Kind(NamedTuple):
     """A kind of state.
 
     Attributes:
-        name: what it is called in its file and in errors, such as ``programme state``.
+        name: its name in the file and in errors, such as ``programme state``.
         version: of its layout; another one is not read.
         largest: size of a file [B].
         content: type of its document, as for :func:`ehls_ros.schema.fitted`.
@@ -57,7 +58,7 @@ class Kind(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """What a state belongs to.
+    """Rig and control period of a state.
 
     Attributes:
         rig: content of the rig's file.
@@ -93,7 +94,7 @@ class State(NamedTuple):
     Attributes:
         content: the document, of the kind's type.
         arrays: by name, not yet checked against a declaration.
-        origin: what it belongs to.
+        origin: rig and control period.
     """
 
     content: Any
@@ -113,7 +114,7 @@ class StateFile:
 
     Attributes:
         path: the file.
-        kind: what it is.
+        kind: its kind.
     """
 
     def __init__(self, path: Path, kind: Kind, origin: Origin | None) -> None:
@@ -121,8 +122,8 @@ class StateFile:
 
         Args:
             path: the file; it need not exist.
-            kind: what it is.
-            origin: what its state must belong to; None: a reader to whom that makes no difference.
+            kind: its kind.
+            origin: rig and control period of its state; None: any, for a reader.
         """
         self.path = path
         self.kind = kind
@@ -134,7 +135,7 @@ class StateFile:
 
         Raises:
             OfAnotherOrigin: it is of another rig or control period.
-            BadInput: the file is something else, damaged, or holds what is not declared.
+            BadInput: the file is something else or damaged, or its content is not as declared.
         """
         content = access.read(self.path, self.kind.largest, self.kind.expected, self._what)
         if content is None:
@@ -199,7 +200,7 @@ class StateFile:
         return (archive.beginning_of_document(head) if self.kind.arrays else head).startswith(self.kind.mark)
 
     def _is_foreign(self) -> bool:
-        return self.path.exists() and not self.is_own()
+        return os.path.exists(self.path) and not self.is_own()  # noqa: PTH110 - Path.exists raises where nobody may look
 
     def _checked(self, held: archive.Archive) -> State:
         document = held.document

@@ -45,7 +45,7 @@ def judge(path: Path, heading: str, check: Check, expected: str, what: str) -> J
         path: the file; it need not exist.
         heading: its first line.
         check: of each of the last lines.
-        expected: what the file should be, for errors.
+        expected: description of a right file, for errors.
         what: name of the file in errors.
 
     Raises:
@@ -131,7 +131,7 @@ class Table:
     """A table open for further lines, which are kept until they are written: a full disk loses none and tears none apart."""
 
     def __init__(self, path: Path, heading: str, end: int) -> None:
-        """Open a table that was judged, and cut off what follows its last whole line.
+        """Open a table that was judged, and cut off a last line that is not whole.
 
         Args:
             path: the file.
@@ -160,10 +160,10 @@ class Table:
         self._pending += f"{line}\n".encode()
 
     def flush(self) -> None:
-        """Hand what was added to the system.
+        """Hand the added lines to the system.
 
         Raises:
-            access.NotWritten: with the path and the reason; what is not written yet is kept.
+            access.NotWritten: with the path and the reason; lines not written yet are kept.
         """
         try:
             while self._pending:
@@ -172,7 +172,7 @@ class Table:
             raise self._error(error) from None
 
     def sync(self) -> None:
-        """Let what was flushed survive a power failure, where the file system has that."""
+        """Let flushed lines survive a power failure, where the file system has that."""
         with suppress(OSError):
             os.fsync(self._descriptor)
 
