@@ -13,8 +13,9 @@ from typing import Any
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import Metrics, evaluate
+from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import Spec, load_rig, spec_from_mapping
 from ehls_ros.physics.rig import Rig, rig_to_mapping
 

@@ -63,11 +63,6 @@ class Company:
         for member in self.members.values():
             member.interrupt()
 
-    def save(self) -> None:
-        """Store what is to outlive the run."""
-        for member in self.members.values():
-            member.save()
-
     def at_bounds(self) -> tuple[str, ...]:
         """Return a sentence for each estimate of a companion that stands at its bound."""
         return tuple(sentence for member in self.members.values() for sentence in member.at_bounds())

@@ -1,13 +1,13 @@
 """A controller ready to run: its law compiled, its memory, and a change of tuning, rig or controller without a bump."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array, direct, plain
-from ehls_ros.control.adaptation.acceptance import WHERE, Transition, accepted_model
+from ehls_ros.control.adaptation.acceptance import NO_SIZES, WHERE, Transition, with_own_sensors
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
 from ehls_ros.control.company import Company
@@ -109,11 +109,12 @@ class Controller:
         self.parameters = parameters
         self._bind()
 
-    def accept(self, model: Model) -> float:
+    def accept(self, model: Model, sizes: Mapping[str, float] = NO_SIZES) -> float:
         """Change the model to that of an accepted rig from the next step on, within the bounds and at the rate of adaptation.
 
         Args:
             model: of the accepted rig; companions keep the one that they were made with.
+            sizes: what changes are relative to, by name, of coefficients that may be about zero, such as a leakage.
 
         Returns:
             The duration of the change [s].
@@ -125,8 +126,8 @@ class Controller:
         if self.company.corrects:
             expected = "a controller without it: both would move the same coefficients"
             raise BadInput("a companion corrects the model", WHERE, expected)
-        wanted = accepted_model(self._original, model)
-        self._transition = Transition(self._original, self.model, wanted, CAUTION)
+        wanted = with_own_sensors(self._original, model)
+        self._transition = Transition(self._original, self.model, wanted, CAUTION, sizes)
         return self._transition.duration
 
     def step(

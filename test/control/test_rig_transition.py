@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from test_controller import PERIOD, Bench, make, measure
 
-from ehls_ros.control.adaptation.acceptance import Transition, accepted_model
+from ehls_ros.control.adaptation.acceptance import Transition, with_own_sensors
+from ehls_ros.control.adaptation.reach import sizes
 from ehls_ros.control.company import Company
 from ehls_ros.control.controller import CAUTION, Controller
 from ehls_ros.control.controllers.base import model_of
@@ -34,7 +35,7 @@ def scaled(model, part, name, factor):
 
 
 def transition(original, wanted, present=None):
-    return Transition(original, present or original, accepted_model(original, wanted), CAUTION)
+    return Transition(original, present or original, with_own_sensors(original, wanted), CAUTION)
 
 
 def test_a_piston_area_of_ten_times_is_refused_by_name_and_changes_nothing(rig):
@@ -169,3 +170,12 @@ def test_an_accepted_rig_makes_no_bump_and_nothing_of_the_change_is_left_after_i
     friction = bench.estimator.state.estimate
     assert law.step(reading, REFERENCE, friction) == pytest.approx(fresh.step(reading, REFERENCE, friction), abs=1e-11)
     assert math.isfinite(law.step(reading, REFERENCE, friction))
+
+
+def test_a_coefficient_that_may_be_about_zero_moves_by_a_share_of_its_size(rig):
+    own = model_of(rig, PERIOD)
+    size = sizes(own, rig.limits)["leakage_coefficient"]
+    leaky = known(rig, leakage_coefficient=rig.plant.leakage_coefficient + 0.2 * size)
+    with pytest.raises(BadInput, match="leakage_coefficient goes from"):
+        make(rig, "sic").accept(leaky)
+    assert make(rig, "sic").accept(leaky, sizes(own, rig.limits)) == pytest.approx(0.2 / CAUTION.rate)

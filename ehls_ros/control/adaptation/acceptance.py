@@ -5,7 +5,8 @@ each in between. The one that changes most sets the pace.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from ehls_ros.control.adaptation.hand_over import Caution, Leeway, leeway
@@ -16,6 +17,8 @@ WHERE = "accepted rig"
 
 MOVING = ("command_delay", "coupling_stiffness", "coupling_damping")
 """Numbers of a model that move beside plant and friction."""
+
+NO_SIZES: Mapping[str, float] = MappingProxyType({})
 
 ROUNDING = 1e-9
 """Part of a bound by which rounding may exceed it."""
@@ -29,6 +32,7 @@ class _Coefficient(NamedTuple):
         nominal: value in the rig file that the controller was started with.
         present: value in use.
         wanted: value in the accepted rig.
+        size: what changes are relative to, where the nominal value is smaller.
         least: smallest change that is always allowed.
     """
 
@@ -36,6 +40,7 @@ class _Coefficient(NamedTuple):
     nominal: float
     present: float
     wanted: float
+    size: float = 0.0
     least: float = 0.0
 
     @property
@@ -52,7 +57,9 @@ class Transition:
         duration: of the transition [s].
     """
 
-    def __init__(self, original: Model, present: Model, wanted: Model, caution: Caution) -> None:
+    def __init__(
+        self, original: Model, present: Model, wanted: Model, caution: Caution, sizes: Mapping[str, float] = NO_SIZES
+    ) -> None:
         """Check the accepted rig against the one that the controller was started with.
 
         Args:
@@ -60,16 +67,17 @@ class Transition:
             present: the model in use.
             wanted: the model of the accepted rig.
             caution: how far and how fast coefficients may move.
+            sizes: what changes are relative to, by name, of coefficients that may be about zero, such as a leakage.
 
         Raises:
             BadInput: the accepted rig is of another kind, or a coefficient differs by more than ``caution`` allows.
         """
         _check_kind(original, wanted)
         duration = 0.0
-        for each in _coefficients(original, present, wanted):
+        for each in _coefficients(original, present, wanted, sizes):
             if each.constant:
                 continue
-            allowed = leeway(caution, each.nominal, each.least)
+            allowed = leeway(caution, max(abs(each.nominal), each.size), each.least)
             if not abs(each.wanted - each.nominal) <= (1.0 + ROUNDING) * allowed.change:
                 raise _beyond(each, allowed, caution)
             duration = max(duration, abs(each.wanted - each.present) / allowed.rate)
@@ -95,7 +103,7 @@ class Transition:
         return new._replace(plant=plant, friction=friction, **between)
 
 
-def accepted_model(original: Model, wanted: Model) -> Model:
+def with_own_sensors(original: Model, wanted: Model) -> Model:
     """Return the model of an accepted rig for a running controller, whose sensors' noise and period stay as they are."""
     return wanted._replace(noise=original.noise, period=original.period)
 
@@ -111,7 +119,7 @@ def _check_kind(original: Model, wanted: Model) -> None:
         raise BadInput(f"limits: spool is {wanted.spool_limit:g}", WHERE, f"{original.spool_limit:g}, the controller's")
 
 
-def _coefficients(original: Model, present: Model, wanted: Model) -> Iterator[_Coefficient]:
+def _coefficients(original: Model, present: Model, wanted: Model, sizes: Mapping[str, float]) -> Iterator[_Coefficient]:
     for part in ("plant", "friction"):
         models = [getattr(model, part) for model in (original, present, wanted)]
         for name, *values in zip(models[0]._fields, *models, strict=True):
@@ -119,10 +127,11 @@ def _coefficients(original: Model, present: Model, wanted: Model) -> Iterator[_C
                 for index, each in enumerate(zip(*values, strict=True)):
                     yield _Coefficient(f"{name}[{index}]", *each)
             else:
-                yield _Coefficient(name, *values)
+                nominal, now, accepted = values
+                yield _Coefficient(name, nominal, now, accepted, size=sizes.get(name, 0.0))
     for name in MOVING:
         nominal, now, accepted = (getattr(model, name) for model in (original, present, wanted))
-        yield _Coefficient(name, nominal, now, accepted, original.period if name == "command_delay" else 0.0)
+        yield _Coefficient(name, nominal, now, accepted, least=original.period if name == "command_delay" else 0.0)
 
 
 def _beyond(each: _Coefficient, allowed: Leeway, caution: Caution) -> BadInput:
