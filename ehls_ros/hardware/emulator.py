@@ -119,13 +119,14 @@ class Emulator:
             self._values[channel.channel] = converted(raw, channel) if raw == raw else raw  # noqa: PLR0124
         return tuple(self._values)
 
-    def advance(self, raw: float, status: Status, sequence: int, now: float) -> None:
+    def advance(self, raw: float, status: Status, sequence: int, answered: int, now: float) -> None:
         """Advance by one cycle, after :meth:`sense`.
 
         Args:
             raw: raw valve command, held over the cycle.
             status: why the command is at null, for the log.
             sequence: number of the last command accepted, for the log.
+            answered: number of the measurement that it answers, for the log.
             now: time of this computer, for the log [s].
         """
         simulator, output = self._simulator, self._calibration.output
@@ -138,7 +139,7 @@ class Emulator:
             if self._disturbs:
                 self._row = self._disturbance.first().copy()
         if self.log is not None:
-            self.log.add((*self._truth(spool), raw, status, sequence, now))
+            self.log.add((*self._truth(spool), raw, status, sequence, answered, now))
         position, velocity = float(simulator.y[X]), float(simulator.y[V])
         force, rate, displacement, speed = self._row.tolist()
         simulator.advance(spool, force, rate, displacement, speed)

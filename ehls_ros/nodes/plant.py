@@ -381,7 +381,8 @@ class PlantNode(ControlNode):
         gate = self.gate.state, len(self.gate.causes)
         if gate != self.told_gate:
             self.told_gate = gate
-            self.report_change()
+            # The message may be about something else, and be the same as before.
+            self.report()
 
     def _on_emergency_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         stop = self.gate.emergency_stop()
@@ -429,7 +430,7 @@ class PlantNode(ControlNode):
         """Fill in a service's response, and publish diagnostics at once."""
         response.success, response.message = refusal is None, refusal or message
         self.get_logger().info(f"safety gate: {response.message}")
-        self.report_change()
+        self.report()
         return response
 
     def figures(self) -> dict[str, Any]:
