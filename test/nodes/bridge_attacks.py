@@ -17,6 +17,7 @@ from guided import Attack, Kind
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from patience import PATIENCE
+from policies.trace import Trace
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop, SwitchController
@@ -256,6 +257,26 @@ class BridgeAttacks:
         self.rig.graph.freeze(process)
         time.sleep(seconds)
         self.rig.graph.wake(process)
+
+
+    def trace(self) -> Trace:
+        """Stop the rig, and return what happened."""
+        self.emergency_stop()
+        self.rig.live(0.2)
+        return self.rig.trace()
+
+    def close(self) -> None:
+        """End the emulator."""
+        self.rig.close()
+
+
+PATIENT_WATCHDOG = 10.0
+"""Watchdog time of every third batch, as a multiple of the pace's: then it is the gate that has to notice what is late."""
+
+
+def paced(pace: Pace, number: int) -> Pace:
+    """Return the pace of a batch by its number."""
+    return pace._replace(watchdog=PATIENT_WATCHDOG * pace.watchdog) if number % 3 == 2 else pace
 
 
 def batch(graph: Any, participant: Any, folder: Any, pace: Pace, **options: Any) -> BridgeAttacks:

@@ -20,10 +20,8 @@ def test_under_attack_no_policy_is_violated(one_realtime_graph, graph, participa
     try:
         for _ in range(SEQUENCES):
             attacks.run(search.next())
-        attacks.emergency_stop()
-        attacks.rig.live(0.2)
-        verdicts = check(attacks.rig.trace())
+        verdicts = check(attacks.trace())
     finally:
-        attacks.rig.close()
+        attacks.close()
     for name in ("spool_limit", "opens_gradually", "obeys_who_drives", "emergency_stop", "disable", "fresh_command"):
         assert verdicts[name].evaluated

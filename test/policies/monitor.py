@@ -8,14 +8,10 @@ from policies.of_gate import POLICIES as OF_GATE
 from policies.of_graph import POLICIES as OF_GRAPH
 from policies.policy import Policy
 from policies.temporal import Margins
-from policies.trace import Trace
+from policies.trace import ROUNDING, Trace
 
 POLICIES: Sequence[Policy] = (*OF_GATE, *OF_GRAPH)
 """All declared policies."""
-
-ROUNDING = 1e-9
-"""Robustness lost to rounding, in any unit."""
-
 
 class Verdict(NamedTuple):
     """A policy's evaluation of one log.

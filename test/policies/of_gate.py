@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from policies.policy import Policy
 from policies.temporal import NOTHING, Condition, During, Flags, Margins, Quantity, always, constant, each
-from policies.trace import Call, Spans, Trace, name_of_stop
+from policies.trace import ROUNDING, Call, Spans, Trace, name_of_stop
 
 from ehls_ros.arrays import Array
 from ehls_ros.hardware.detectors import SPEED_TIME, SPREAD
@@ -289,7 +289,7 @@ def _stuck(trace: Trace) -> list[float]:
             continue
         command = trace.command[rows]
         wide = np.maximum.accumulate(command) - np.minimum.accumulate(command) >= trace.parameter("frozen_command")[rows]
-        long = trace.time[rows] - trace.time[rows[0]] >= trace.parameter("frozen_time")[rows]
+        long = trace.time[rows] - trace.time[rows[0]] >= trace.parameter("frozen_time")[rows] - ROUNDING
         if np.any(wide & long):
             found.append(float(trace.moments[rows[np.argmax(wide & long)]]))
     return found
@@ -323,7 +323,8 @@ def _beyond(name: str, exceeds: Callable[[Trace], Flags], *signals: str) -> Duri
         edges = np.flatnonzero(np.diff(over, prepend=False, append=False))
         found = []
         for first, last in zip(edges[::2], edges[1::2], strict=True):
-            seen = trace.time[first:last] - trace.time[first] >= trace.parameter("limit_time")[first] + trace.setup.period
+            least = trace.parameter("limit_time")[first] + trace.setup.period - ROUNDING
+            seen = trace.time[first:last] - trace.time[first] >= least
             if np.any(seen):
                 found.append(float(trace.moments[first + int(np.argmax(seen))]))
         return found
@@ -392,7 +393,7 @@ def _candidates(trace: Trace) -> tuple[Array, Array]:
         until = drivers[number + 1][0] + grace if number + 1 < len(drivers) else np.inf
         turns.setdefault(message[4], []).append((message[0] - grace, until))
     states = trace.of_plant()
-    begun = np.array([state[0] for before, state in zip(states, states[1:], strict=False) if state[2] < before[2]])
+    begun = np.array(trace.runs)
     opened = {(int(np.searchsorted(begun, state[0], side="right")), state[2]): state[0] for state in reversed(states)}
     answered: set[tuple[str, int, int]] = set()
     times, values = [], []
@@ -499,7 +500,7 @@ def _enabled_after_stop(trace: Trace) -> Margins:
             ]
             for service in ("acknowledge_stop", "reset_trips")
         ]
-        since = min(max(times, default=np.inf) for times in steps)
+        since = min(max(times, default=-np.inf) for times in steps)
         margin = enabled.answered - since if np.isfinite(since) else stop.answered - enabled.answered
         found.append((enabled.answered, margin))
     return as_margins(found)

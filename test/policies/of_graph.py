@@ -85,16 +85,20 @@ def _one_reference(trace: Trace) -> Margins:
     The law's reference is the force that was measured less the force error that it reports.
     """
     references, departures = _references(trace), Departures(trace)
-    force = {state[2]: state[7] for state in trace.of_plant()}
+    measured: dict[int, list[tuple[float, float]]] = defaultdict(list)
+    for state in trace.of_plant():
+        measured[state[2]].append((state[0], state[7]))
     owners: dict[str, str] = {}
     since: dict[str, float] = {}
     found = []
     for status in trace.heard("controller_status"):
         when, cycle, controller = status[0], status[2], status[-1]
         known = references.get(cycle)
-        if known is None or cycle not in force:
+        since_run = max((begun for begun in trace.runs if begun <= when), default=-math.inf)
+        snapshots = [force for opened, force in measured.get(cycle, []) if since_run <= opened <= when]
+        if known is None or not snapshots:
             continue
-        followed = force[cycle] - status[11]
+        followed = snapshots[-1] - status[11]
         apart = {sender: min(abs(followed - value) for value in values) for sender, values in known.items()}
         owner, nearest = owners.get(controller), min(apart, key=apart.__getitem__)
         if owner not in apart or apart[owner] > EXACT:
@@ -246,9 +250,17 @@ def _by_programme(trace: Trace) -> list[tuple[Any, ...]]:
 
 
 def _counts_once(trace: Trace) -> Margins:
-    """Return for each load cycle in the log 0 if it follows the one before, and else how many are missing or too many."""
-    numbers = np.array(trace.load_cycles, dtype=float)
-    return as_margins((0.0, -abs(step - 1.0)) for step in np.diff(numbers))
+    """Return for each load cycle by how many control cycles it begins after the end of the one before, less 1 [cycles].
+
+    Where its number does not follow, it is how many load cycles are missing or counted twice, as a negative number.
+    """
+    if len(trace.happenings_of("started", trace.setup.hosts)) > 1:
+        return as_margins([])
+    found = []
+    for last, following in zip(trace.load_cycles, trace.load_cycles[1:], strict=False):
+        missing = -abs(float(following[0] - last[0] - 1))
+        found.append((0.0, missing or float(following[1] - last[2] - 1)))
+    return as_margins(found)
 
 
 def _continuous(trace: Trace) -> Margins:
@@ -302,10 +314,13 @@ def _go_on(trace: Trace) -> Margins:
     return as_margins(found)
 
 
-def _expected_states(trace: Trace, node: str, until: float) -> set[str]:
+def _expected_states(trace: Trace, node: str, process: str, until: float) -> set[str]:
     """Return the lifecycle states in which a node may be at a time: what was asked of it, or inactive where it was refused."""
+    began = max((h.time for h in trace.happenings_of("started", {process}) if h.time <= until), default=-math.inf)
     asked = [
-        call for call in trace.calls if call.service == f"{node}/change_state" and call.sent <= until and call.success is not False
+        call
+        for call in trace.calls
+        if call.service == f"{node}/change_state" and began <= call.sent <= until and call.success is not False
     ]
     last = max(asked, key=lambda call: call.answered, default=None)
     expected = {"active" if last is None else GOALS.get(str(last.fields.get("transition")), "active")}
@@ -318,8 +333,8 @@ def _stay(trace: Trace) -> Margins:
     """Return 1 for each lifecycle state that was as it had been asked for, and -1 for another."""
     found = []
     for happening in trace.happenings_of("state"):
-        node, _, state = happening.whom.partition(" ")
-        found.append((happening.time, 1.0 if state in _expected_states(trace, node, happening.time) else -1.0))
+        node, process, state = happening.whom.split()
+        found.append((happening.time, 1.0 if state in _expected_states(trace, node, process, happening.time) else -1.0))
     return as_margins(found)
 
 
@@ -370,7 +385,7 @@ POLICIES = (
     ),
     Policy(
         "counts_once",
-        each("always(a load cycle is logged -> its number follows the one before)", "load cycles", _counts_once),
+        each("always(a load cycle is logged -> it begins after the one before, whose number it follows)", "cycles", _counts_once),
         PROGRAMME, "a line for each load cycle", 1.0,
     ),
     Policy(

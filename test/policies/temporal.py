@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from policies.trace import IN_FLIGHT, Spans, Trace
+from policies.trace import IN_FLIGHT, ROUNDING, Spans, Trace
 
 from ehls_ros.arrays import Array
 
@@ -179,7 +179,7 @@ def in_flight_until(trace: Trace, rows: np.ndarray[tuple[int, ...], np.dtype[np.
     times, arrived = trace.time[rows], trace.arrived[rows]
     newest = np.maximum.accumulate(np.where(arrived, times, times[0]))
     held = trace.setup.watchdog + trace.setup.period
-    before = (np.cumsum(arrived) <= IN_FLIGHT) & (times - newest <= held)
+    before = (np.cumsum(arrived) <= IN_FLIGHT) & (times - newest <= held + ROUNDING)
     if np.all(before):
         return np.inf
     return float(times[np.argmin(before)]) - 0.5 * trace.setup.period

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -18,6 +18,9 @@ LOOKBACK = 1.0
 
 IN_FLIGHT = 2
 """Commands from before the valve was closed that may arrive after it: one on the wire, one that the bridge is sending."""
+
+ROUNDING = 1e-9
+"""What rounding may take from a time or a robustness, in any unit."""
 
 ENDS = frozenset({"killed", "ended"})
 """Happenings after which a process is gone."""
@@ -153,7 +156,7 @@ class Trace:
         happenings: what was done to processes and rig.
         messages: what was heard, by topic: time of publication [s], header stamp [ns] and fields.
         reports: the diagnostics.
-        load_cycles: numbers in a programme's log of load cycles.
+        load_cycles: number, first and last control cycle of each load cycle in a programme's log.
     """
 
     setup: Setup
@@ -162,7 +165,7 @@ class Trace:
     happenings: tuple[Happening, ...] = ()
     messages: Mapping[str, list[tuple[Any, ...]]] = field(default_factory=dict)
     reports: tuple[Report, ...] = ()
-    load_cycles: tuple[int, ...] = ()
+    load_cycles: tuple[tuple[int, int, int], ...] = ()
 
     # The rig's rows
 
@@ -341,6 +344,16 @@ class Trace:
     def heard(self, topic: str) -> list[tuple[Any, ...]]:
         """Return the messages of a topic in the order of publication: time [s], stamp [ns], fields."""
         return sorted(self.messages.get(topic, []), key=lambda message: message[0])
+
+    def with_load_cycles(self, load_cycles: Iterable[tuple[int, int, int]]) -> "Trace":
+        """Return the same with a programme's log of load cycles."""
+        return replace(self, load_cycles=tuple(load_cycles))
+
+    @cached_property
+    def runs(self) -> list[float]:
+        """Times at which the plant's cycles began anew [s]."""
+        states = self.of_plant()
+        return [state[0] for before, state in zip(states, states[1:], strict=False) if state[2] < before[2]]
 
     def of_plant(self) -> list[tuple[Any, ...]]:
         """Return the snapshots of the plant whose gate is obeyed, and of no other sender."""
