@@ -23,7 +23,7 @@ import yaml
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics import simulator
 from ehls_ros.physics.composition import compiled
-from ehls_ros.physics.plant import TEMPERATURE, Chains
+from ehls_ros.physics.plant import TEMPERATURE, Chains, hold
 from ehls_ros.physics.rig import SENSED, Rig, rig_from_mapping
 from ehls_ros.physics.sensitivity import Inputs, prepared, sensitivities
 from ehls_ros.physics.simulator import Constants, State, at_rest, parts_of
@@ -77,7 +77,7 @@ class Plain(NamedTuple):
 def build(friction: Any, elements: int, states: int, chains: Chains) -> Plain:
     """Build one run with floats."""
     plant = simulator.build(friction, elements, states, chains)
-    advance, sense, hold = plant.advance, plant.sense, plant.hold
+    advance, sense = plant.advance, plant.sense
 
     @kernel
     def run(constants: Constants, state: State, rows: Array, out: Array) -> int:

@@ -20,10 +20,11 @@ import numpy as np
 import yaml
 
 from ehls_ros.arrays import Array
+from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.integration_step import LONGEST_STEP
 from ehls_ros.physics.plant import FD, FD_RATE, START, U
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import Constants, Simulator, State, parts_of, plant_kernel
+from ehls_ros.physics.simulator import Constants, Simulator, State, build, parts_of
 
 HERE = Path(__file__).resolve().parent
 RIG = HERE.parent / "config" / "rig_paper.yaml"
@@ -64,7 +65,7 @@ class NumbaKernel:
     def __init__(self, rig: Rig) -> None:
         """Compile."""
         simulator = Simulator(rig, PERIOD, LONGEST_STEP)
-        advance = plant_kernel(parts_of(simulator.rig)).advance
+        advance = compiled(build, {"advance": "cycle, constants, state"}, **parts_of(simulator.rig)._asdict()).advance
         self.y, self.mode, self.inputs = simulator.y, simulator.mode, simulator.inputs
         # A period of 1 s: what counts as cycles for the kernel is then time.
         self._constants, self._state = simulator.constants._replace(period=1.0), simulator.state

@@ -27,11 +27,10 @@ from ehls_ros.control.companions.base import PLACE
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.disturbances.position_servo import PositionServo
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import Spec, company_of, spec_from_mapping
 from ehls_ros.physics import sensors
-from ehls_ros.physics.plant import PL, V, X
+from ehls_ros.physics.plant import PL
 from ehls_ros.physics.simulator import Simulator
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "config" / "experiments"
@@ -92,15 +91,15 @@ class Run:
         """Start at rest."""
         spec = self._spec = case.spec()
         period = self._period = spec.settings.control_period
-        self._simulator = Simulator(spec.loader_rig(), period)
+        self._simulator = Simulator(spec.loader_rig(), period, servo=spec.servo())
         self._wanted, self._motion = sampled(spec.reference, period), sampled(spec.disturbance.signal, period)
         kind = DISTURBANCES.load(spec.disturbance.name)
-        self._servo = kind.build(spec.disturbance.parameters, self._motion, spec.rig, period)
+        self._moved = kind.build(spec.disturbance.parameters, self._motion, spec.rig, period)
         model = model_of(spec.controller_rig, period)
         company = company_of(spec, model, case.experiment)
         self.controller = Controller(case.law, spec.controller.parameters, model, company)
         self._random = np.random.default_rng(case.seed)
-        self._row, self._cycle, self._command = self._servo.first(), 0, 0.0
+        self._cycle, self._command = 0, 0.0
         self._answered = -1
         self.scale = 1.0
 
@@ -123,22 +122,16 @@ class Run:
                 elapsed, self._answered = k - self._answered, k
                 known = self._motion.row(k)
                 self._command = self.controller.step(measured, reference, np.zeros(2), elapsed, Outlook(k, nowhere, known))
-            simulator.advance(0.0 if valve == "closed" else self._command, *self._row)
-            self._row = self._servo.following(k, simulator.y[X], simulator.y[V])
+            simulator.advance(0.0 if valve == "closed" else self._command, *self._moved.rows(k, 1)[0])
             self._cycle += 1
         return error
 
     def soften(self, share: float) -> None:
         """Let the coupling lose a share of its stiffness."""
-        servo = self._servo
-        if not isinstance(servo, PositionServo):
-            raise TypeError(f"no coupling: {type(servo).__name__}")
-        parameters = servo._parameters  # noqa: SLF001 - a specimen that cracks is no feature of the servo
+        parameters = self._spec.disturbance.parameters
         softer = parameters._replace(stiffness=(1.0 - share) * parameters.stiffness)
-        servo._parameters = softer  # noqa: SLF001
-        use = self._spec.disturbance._replace(parameters=softer)
-        rig = self._spec._replace(disturbance=use).loader_rig()
-        self._simulator.constants = Simulator(rig, self._period).constants
+        spec = self._spec._replace(disturbance=self._spec.disturbance._replace(parameters=softer))
+        self._simulator.constants = Simulator(spec.loader_rig(), self._period, servo=spec.servo()).constants
 
 
 def trip(run: Run, period: float) -> Array:

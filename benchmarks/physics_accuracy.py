@@ -16,14 +16,18 @@ import scipy
 import yaml
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.disturbances import position_servo
+from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.rig import Rig, rig_from_mapping
-from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
+from ehls_ros.physics.simulator import Simulator, build, parts_of
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "test" / "physics"))
 
-from reference_solver import Case, cases, solve  # noqa: E402
+from reference_servo import both_turning, solve_pair  # noqa: E402
+from reference_solver import Case, Constants, cases, solve  # noqa: E402
 
+PERIOD = 1e-3
 STEPS = (1e-3, 5e-4, 1e-3 / 3, 2.5e-4, 2e-4, 1e-4, 5e-5)
 LOOSER = (1e-6, 1e-8, 1e-10)
 
@@ -71,7 +75,7 @@ def kernel_time(case: Case, step: float, runs: int) -> float:
     simulator = simulator_of(case, step)
     for u, force, rate in case.inputs[:100].tolist():
         simulator.advance(u, force, rate, 0.0, 0.0)
-    advance = plant_kernel(parts_of(simulator.rig)).advance
+    advance = compiled(build, {"advance": "cycle, constants, state"}, **parts_of(simulator.rig)._asdict()).advance
     long = simulator.constants._replace(steps=1000)
     times = []
     for _ in range(runs):
@@ -79,6 +83,23 @@ def kernel_time(case: Case, step: float, runs: int) -> float:
         advance(0, long, simulator.state)
         times.append((time.perf_counter() - before) / 1000)
     return float(np.median(times))
+
+
+def print_servo(duration: float) -> None:
+    """Print the accuracy of loader and position servo as one system, both of which reverse."""
+    rig = rig_of(cases()["large sine"])
+    p = position_servo.Parameters()
+    loader, servo = rig.with_effects(position_servo.loader_effects(p)), position_servo.servo(p, rig, 0.0)
+    inputs = both_turning(round(duration / PERIOD), PERIOD)
+    reference = solve_pair(Constants(), "gms", inputs, PERIOD)
+    print(f"\nloader and position servo, {reference.events} changes of mode\n{'step [s]':>12}{'largest error':>15}  dense")
+    for step in STEPS:
+        simulator = Simulator(loader, PERIOD, step, servo=servo)
+        states, dense = [simulator.state.y.copy()], 0
+        for command, wanted, rate in inputs.tolist():
+            dense += simulator.advance(command, 0.0, 0.0, wanted, rate)
+            states.append(simulator.state.y.copy())
+        print(f"{step:12g}{errors(np.array(states), reference.y).max():15.1e}{dense:7d}")
 
 
 def main() -> None:
@@ -114,6 +135,7 @@ def main() -> None:
             row = "".join(f"{error:9.1e}" for error in errors(looser.y, reference.y)).ljust(63)
             print(f"{f'DOP853 {tolerance:.0e}':>12}{row}{'':22}{options.duration / spent:13.1f}")
         print(f"{'DOP853 1e-12':>12}{'':85}{options.duration / reference_time:13.1f}")
+    print_servo(options.duration)
 
 
 if __name__ == "__main__":

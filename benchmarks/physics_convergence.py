@@ -57,7 +57,7 @@ def open_loop(plant: Rig, motion: Motion, step: float, duration: float, located:
     if not located:
         parts = parts_of(plant)
         parts = parts._replace(numbers={**parts.numbers, "most_events": 0})
-        simulator._advance = plant_kernel(parts).advance  # noqa: SLF001
+        simulator._cycle = plant_kernel(parts).cycle  # noqa: SLF001
     pressures = []
     spool, disturbance = 2.0 * np.pi * motion.spool_frequency, 2.0 * np.pi * motion.disturbance_frequency
     for t in (np.arange(round(duration / PERIOD)) * PERIOD).tolist():
@@ -151,7 +151,7 @@ def bristle_grows(step: float, velocity: float) -> bool:
     simulator = Simulator(plant, PERIOD, step)
     simulator.y[1] = velocity
     constants = simulator.constants._replace(step=step, steps=round(2.0 / step))
-    simulator._advance(0, constants, simulator.state)  # noqa: SLF001
+    simulator._cycle(0, constants, simulator.state, 0.0, np.zeros(4))  # noqa: SLF001
     force = float(simulator.y[4])
     return not abs(force - plant.friction.coulomb_force) < 1.0
 

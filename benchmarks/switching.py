@@ -89,7 +89,7 @@ def run(spec: Spec, first: Contestant, second: Contestant, switch: int, cycles: 
     leaving, coming = first.controller(spec), second.controller(spec)
     if handover == UNAWARE:
         coming._follow = None  # noqa: SLF001 - as for a law whose file has none
-    row, command = disturbing.first(), 0.0
+    rows, command = disturbing.rows(0, cycles).tolist(), 0.0
     commands, errors = np.empty(cycles), np.empty(cycles)
     for cycle in range(cycles):
         measured = simulator.measure(random.standard_normal(len(SENSED)))
@@ -103,9 +103,7 @@ def run(spec: Spec, first: Contestant, second: Contestant, switch: int, cycles: 
         else:
             command = coming.step(*seen)
         commands[cycle], errors[cycle] = command, measured[sensors.FORCE] - wanted[cycle][0]
-        following = disturbing.following(cycle, measured[sensors.POSITION], measured[sensors.VELOCITY])
-        simulator.advance(command, *row)
-        row = following
+        simulator.advance(command, *rows[cycle])
     return commands, errors
 
 

@@ -24,10 +24,10 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.batch import equations, rig_constants, turns
 from benchmarks.physics_accuracy import ROOT, errors, rig_of
-from ehls_ros.arrays import Array, lean
+from ehls_ros.arrays import Array, in_python, lean
 from ehls_ros.physics import simulator
 from ehls_ros.physics.composition import compiled
-from ehls_ros.physics.plant import FRICTION, Chains, Coefficients, U
+from ehls_ros.physics.plant import FRICTION, Chains, Coefficients, U, hold
 from ehls_ros.physics.simulator import Constants, Simulator, State, at_rest
 
 sys.path.insert(0, str(ROOT / "test" / "physics"))
@@ -111,7 +111,6 @@ def with_scipy(case: Case, method: str) -> Solver:
     prepared = at_rest(rig, case.period)
     parts, constants = prepared.parts, prepared.constants
     kernel = compiled(build, ENTRIES, **parts._asdict())
-    hold = simulator.plant_kernel(parts).hold
     scale = np.array([*ABSOLUTE_TOLERANCE, *[FORCE_TOLERANCE] * (prepared.state.y.size - FRICTION)]) / RELATIVE_TOLERANCE
 
     def run(tolerance: float) -> Array:
@@ -130,7 +129,7 @@ def with_scipy(case: Case, method: str) -> Solver:
         y, states = state.y, [state.y.copy()]
         for cycle, (u, force, force_rate) in enumerate(case.inputs.tolist()):
             t, end = cycle * case.period, (cycle + 1) * case.period
-            hold(state.inputs, t, u, force, force_rate, 0.0, 0.0)
+            in_python(hold)(state.inputs, t, u, force, force_rate, 0.0, 0.0)
             changes = 0
             while t < end:
                 if kernel.evaluate(t, y, constants, state, rate) > 0.0:

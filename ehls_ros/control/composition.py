@@ -7,7 +7,6 @@ from typing import NamedTuple
 from ehls_ros.control import servo_model
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import ControllerLaw
-from ehls_ros.control.disturbances import position_servo
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import FrictionObserver
 from ehls_ros.physics.composition import compiled
@@ -37,7 +36,7 @@ def law_itself(law: ControllerLaw) -> ControllerLaw:
 
 def servo_kernel() -> ModuleType:
     """Return a module whose ``foresee`` is the compiled motion to come of a position servo and the loader."""
-    return compiled(servo_model.build, {"foresee": "rows, commands, both"}, {"law": position_servo})
+    return compiled(servo_model.build, {"foresee": "rows, commands, both"})
 
 
 class Observer(NamedTuple):

@@ -1,9 +1,9 @@
 """The motion to come of a position servo, and with it of the loader that it moves.
 
-Two pistons joined by the beam's spring and damper. The servo follows its command by its own position loop; the loader is
-taken to hold the force it is wanted to. Both move by the equations of :mod:`ehls_ros.control.state_estimator`, friction
-included. As in the node graph, they exchange their motion once a cycle: the servo feels a force held over the cycle, the
-loader a far end that goes on at its velocity.
+Two pistons joined by the beam's spring and damper. The servo follows its command by its position loop, which is sampled once a
+cycle; the loader is taken to hold the force it is wanted to. Both move by the equations of
+:mod:`ehls_ros.control.state_estimator`, friction included, in Runge-Kutta steps that they take together: each feels the other
+at every stage. Friction changes its modes at the ends of steps. The model shares no integrator with the simulator.
 
 The model runs ahead to when a command sent now has acted for a cycle. What it hands to the law is the parabola that has the
 force's mean over the present cycle, over the one that begins then, and over the one half way: between two samples the loader
@@ -12,23 +12,26 @@ is moved by the force's impulse, not by its value at the sample.
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.controllers.base import FORESEEN, Model, saturate
+from ehls_ros.arrays import Array, kernel, lean
+from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.state_estimator import (
     EXTERNAL,
-    EXTERNAL_RATE,
     FLOW_ERROR,
     MOST_ELEMENTS,
     ROUNDING,
     STATES,
+    STEP,
     Assumptions,
-    move,
+    elements,
+    rates,
+    switch,
 )
 from ehls_ros.physics.plant import PL, V, X
+from ehls_ros.physics.servo import servo_command
 
 LENGTH = STATES + MOST_ELEMENTS
 
@@ -44,7 +47,7 @@ class Piston(NamedTuple):
         surroundings: what holds it besides the external force.
         y: its state, as :class:`ehls_ros.control.state_estimator.State` has a mean.
         mode: modes of its friction elements.
-        work: scratch, shape (5, LENGTH).
+        work: a state within a step, then the rates of the step's four stages, shape (5, LENGTH).
     """
 
     model: Model
@@ -98,33 +101,64 @@ def pair(servo: Model, loader: Model, position_gain: float) -> Pair:
     return Pair(piston(servo, 0.0, 0.0), loading, position_gain, np.zeros(1), np.zeros(cycles + 1))
 
 
-def build(law: Any) -> Motion:
-    """Build the model.
+def build() -> Motion:
+    """Build the model."""
 
-    Args:
-        law: module of the servo, which has the law of its loop.
-    """
-    servo_command = law.servo_command
+    @lean
+    def evaluate(stage: int, spool: float, x: Array, y: Array, both: Pair) -> float:
+        """Write the rates of a stage at states of servo and loader; return the external force of the loader [N]."""
+        servo, loader, beam = both.servo, both.loader, both.loader.surroundings
+        supply = servo.model.plant.supply_pressure
+        far = beam.coupling_stiffness * x[X] + beam.coupling_damping * x[V]
+        x[EXTERNAL], y[EXTERNAL] = far - beam.coupling_stiffness * y[X] - beam.coupling_damping * y[V], -far
+        rates(x, servo.mode, spool, supply, servo.model, servo.surroundings, servo.work[stage])
+        rates(y, loader.mode, 0.0, supply, loader.model, beam, loader.work[stage])
+        return -far
 
-    @kernel
+    @lean
+    def go(piston: Piston, stage: int, step: float) -> None:
+        """Write the state after a step at the rates of a stage to the first row of the work."""
+        work = piston.work
+        for i in range(STATES + elements(piston.model.friction)):
+            work[0, i] = piston.y[i] + step * work[stage, i]
+
+    @lean
+    def end(piston: Piston, step: float) -> None:
+        """Advance a piston by a step at the weighted mean of all stages' rates."""
+        work = piston.work
+        for i in range(STATES + elements(piston.model.friction)):
+            piston.y[i] += step / 6.0 * (work[1, i] + 2.0 * work[2, i] + 2.0 * work[3, i] + work[4, i])
+        switch(piston.y, piston.mode, piston.model.friction)
+
+    @lean
+    def move(spool: float, step: float, both: Pair) -> float:
+        """Advance both by a step of the classical Runge-Kutta method; return the mean external force of the loader [N]."""
+        servo, loader = both.servo, both.loader
+        force = evaluate(1, spool, servo.y, loader.y, both)
+        for stage in range(2, 5):
+            part = step if stage == 4 else 0.5 * step
+            go(servo, stage - 1, part)
+            go(loader, stage - 1, part)
+            force += (1.0 if stage == 4 else 2.0) * evaluate(stage, spool, servo.work[0], loader.work[0], both)
+        end(servo, step)
+        end(loader, step)
+        return force / 6.0
+
+    @lean
     def mean_after(ahead: float, row: Array, command: Array, both: Pair) -> float:
         servo, loader, period = both.servo, both.loader, both.servo.model.period
-        plant, beam = servo.model.plant, loader.surroundings
-        x, v = servo.y[X], servo.y[V]
-        force = -(beam.coupling_stiffness * x + beam.coupling_damping * v)
-        rate = -beam.coupling_stiffness * v
-        loader.y[EXTERNAL], loader.y[EXTERNAL_RATE] = force, rate
-        servo.y[EXTERNAL] = beam.coupling_stiffness * (x - loader.y[X]) + beam.coupling_damping * (v - loader.y[V])
-        area = loader.model.plant.piston_area
+        plant, area = servo.model.plant, loader.model.plant.piston_area
         loader.y[PL] = (row[0] + ahead * (row[1] + 0.5 * ahead * row[2])) / area
         loader.y[FLOW_ERROR] = (row[1] + ahead * row[2]) / area
         wanted = command[0] + ahead * (command[1] + 0.5 * ahead * command[2])
         velocity = command[1] + ahead * command[2]
-        spool = servo_command(wanted, velocity, x, servo.y[PL], both.position_gain, plant)
-        limited = saturate(spool, servo.model.spool_limit)
-        move(servo.y, servo.mode, limited, plant.supply_pressure, period, servo.model, servo.surroundings, servo.work)
-        move(loader.y, loader.mode, 0.0, plant.supply_pressure, period, loader.model, beam, loader.work)
-        return force + 0.5 * period * rate
+        x, limit = servo.y[X], servo.model.spool_limit
+        spool = servo_command(wanted, velocity, x, servo.y[PL], both.position_gain, plant, limit)
+        steps = max(1, math.ceil((period - ROUNDING) / STEP))
+        step, total = period / steps, 0.0
+        for _ in range(steps):
+            total += move(spool, step, both)
+        return total / steps
 
     @kernel
     def foresee(rows: Array, commands: Array, both: Pair) -> None:

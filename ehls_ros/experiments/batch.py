@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from types import ModuleType
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from ehls_ros.control.controllers.base import FORCE_ERROR, FORESEEN
 from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW as DISTURBED
-from ehls_ros.control.disturbances.base import Planned
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
@@ -246,7 +245,7 @@ class _Coming:
             self.wanted.append(sampled_once(spec.reference, period).rows(0, cycles))
             signal = sampled_once(disturbance.signal, period)
             source = DISTURBANCES.load(disturbance.name).build(disturbance.parameters, signal, spec.rig, period)
-            self.disturbance.append(cast(Planned, source).rows(0, cycles))
+            self.disturbance.append(source.rows(0, cycles))
         noisy = (any(sensor.noise_std > 0.0 for sensor in lane.plant.rig.sensors.values()) for lane in lanes)
         seeds = (lane.spec.settings.seed for lane in lanes)
         self._random = [np.random.default_rng(seed) if noise else None for seed, noise in zip(seeds, noisy, strict=True)]

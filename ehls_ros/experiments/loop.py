@@ -8,7 +8,7 @@ import platform
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -21,7 +21,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, STATUS_SIZE, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.disturbances.base import ROW, Planned
+from ehls_ros.control.disturbances.base import ROW
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.programme.motion import point_signals
@@ -34,7 +34,7 @@ from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.plausibility import Exceedance, implausible
 from ehls_ros.physics.rig import SENSED, Rig
-from ehls_ros.physics.sensors import POSITION, VELOCITY
+from ehls_ros.physics.sensors import VELOCITY
 from ehls_ros.physics.simulator import Constants, Simulated, Simulator, State, at_rest, parts_of, plant_kernel
 from ehls_ros.recording.topics import ACTUATOR_TOPICS, CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
@@ -71,7 +71,8 @@ class Given(NamedTuple):
     Attributes:
         noise: standard normal numbers, shape (n, signals).
         reference: what the law follows, shape (n, :data:`ehls_ros.control.controllers.base.ROW`).
-        disturbance: force, its rate, displacement, velocity, shape (n, 4).
+        disturbance: force, its rate, displacement, velocity, shape (n, 4). The last two of a simulated servo are those that it
+            is to follow, and are overwritten with those that it has.
     """
 
     noise: Array
@@ -87,7 +88,7 @@ class _Loop(NamedTuple):
 
 def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
     """Build the loop of a compiled plant, a controller, and an observer that believes in a friction model."""
-    sense, hold, advance, update, step = plant.sense, plant.hold, plant.advance, observer.updater(believed), law.step
+    sense, cycle, update, step = plant.sense, plant.cycle, observer.updater(believed), law.step
 
     @kernel
     def run(first: int, constants: Constants, state: State, control: Control, given: Given, record: Array) -> int:
@@ -110,9 +111,7 @@ def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
             for value in status:
                 record[i, column] = value
                 column += 1
-            force, force_rate, displacement, velocity = given.disturbance[i]
-            hold(state.inputs, k * constants.period, u, force, force_rate, displacement, velocity)
-            dense += advance(k, constants, state)
+            dense += cycle(k, constants, state, u, given.disturbance[i])
             state.inputs[TEMPERATURE] += constants.warming * constants.period
         return dense
 
@@ -122,7 +121,7 @@ def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
 def loop_kernel(spec: Spec) -> ModuleType:
     """Return the compiled loop of a spec's plant, observer and controller."""
     members = {
-        "plant": plant_kernel(parts_of(spec.loader_rig())),
+        "plant": plant_kernel(parts_of(spec.loader_rig()), coupled=spec.servo() is not None),
         "law": CONTROLLERS.load(spec.controller.name),
         "observer": OBSERVERS.load(spec.compensation.name),
         "believed": spec.controller_rig.friction_law,
@@ -137,12 +136,12 @@ def sampled(use: Use, period: float) -> SampledReference:
 
 def plant_of(spec: Spec) -> Simulated:
     """Return a spec's plant, at rest."""
-    return at_rest(spec.loader_rig(), *_timing(spec), **_start(spec))
+    return at_rest(spec.loader_rig(), *_timing(spec), servo=spec.servo(), **_start(spec))
 
 
 def simulator_of(spec: Spec) -> Simulator:
     """Return a spec's plant, ready to be stepped."""
-    return Simulator(spec.loader_rig(), *_timing(spec), **_start(spec))
+    return Simulator(spec.loader_rig(), *_timing(spec), servo=spec.servo(), **_start(spec))
 
 
 def _timing(spec: Spec) -> tuple[float, float | None]:
@@ -276,7 +275,8 @@ class ClosedLoop:
             BadInput: it has other effects, which the loop is not compiled for.
         """
         settings = self._spec.settings
-        now = at_rest(self._spec._replace(rig=rig).loader_rig(), *_timing(self._spec))
+        # The actuator under test stays the same.
+        now = at_rest(self._spec._replace(rig=rig).loader_rig(), *_timing(self._spec), servo=self._spec.servo())
         if now.parts.effects.names != self._plant.parts.effects.names:
             wanted = ", ".join(self._plant.parts.effects.names) or "none"
             raise BadInput(f"a rig with the effects {now.parts.effects.names}", settings.title, f"those of the loop: {wanted}")
@@ -298,7 +298,6 @@ class ClosedLoop:
         disturbing = kind.build(spec.disturbance.parameters, sampled(spec.disturbance.signal, period), spec.rig, period)
         random = np.random.default_rng(spec.settings.seed)
         kept = np.empty((CHUNK, self.columns.status.stop))
-        following = disturbing.first()
         first = 0
         while first < cycles:
             count = min(CHUNK, cycles - first)
@@ -310,16 +309,8 @@ class ClosedLoop:
             rows[:, :FORESEEN] = wanted
             if self.company:
                 self.company.ahead(Upcoming(first, rows, place[:count], actuator.rows(first, count)))
-            if not kind.REACTS:
-                disturbance = cast(Planned, disturbing).rows(first, count)
-                self._run(first, record, rows, disturbance, random)
-            else:
-                # What feels the loader is known for one cycle at a time.
-                disturbance = np.empty((count, ROW))
-                for i in range(count):
-                    disturbance[i], one = following, slice(i, i + 1)
-                    self._run(first + i, record[one], rows[one], disturbance[one], random)
-                    following = disturbing.following(first + i, record[i, POSITION], record[i, VELOCITY])
+            disturbance = disturbing.rows(first, count)
+            self._run(first, record, rows, disturbance, random)
             if self.company:
                 past = Past(
                     first,

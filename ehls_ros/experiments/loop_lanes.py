@@ -21,7 +21,7 @@ from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.lane_memory import LANES, Rows, column, numbers, stack
 from ehls_ros.physics.lanes import LaneRows, lanes_integrator
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import FRICTION, TEMPERATURE, Chains, Coefficients, U
+from ehls_ros.physics.plant import FRICTION, TEMPERATURE, Chains, Coefficients, U, hold
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import SensorState
 from ehls_ros.physics.simulator import Constants, State
@@ -186,7 +186,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
     rows = loop_rows(sizes)
     size, modes = FRICTION + sizes.elements + sizes.states, 1 + sizes.elements
     plant = simulator.build(friction, sizes.elements, sizes.states, chains)
-    sense, hold, step = plant.sense, plant.hold, law.step
+    sense, step = plant.sense, law.step
     observe = _observation(observer, believed, rows, sizes)
 
     states, inputs_of, effects_of = column(size), column(sizes.inputs), column(sizes.parameters)
@@ -210,7 +210,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
     def read_sensors(k: int, block: Array, like: Known, timing: Timing) -> None:
         for lane in range(LANES):
             c, y = coefficients(block, like, lane), states(block, rows.plant.y, lane)
-            constants = Constants(c.plant, c.friction, c.effects, timing.period, timing.step, timing.steps, 0.0)
+            constants = Constants(c.plant, c.friction, c.effects, timing.period, timing.step, timing.steps, 0.0, ())
             lagged, past = signals(block, rows.lagged, lane), past_of(block, rows.past, lane)
             kept = SensorState(table_of(block, rows.table, lane), lagged, past)
             truth, measured = signals(block, rows.truth, lane), signals(block, rows.measured, lane)

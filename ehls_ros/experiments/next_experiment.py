@@ -139,7 +139,7 @@ class _Bench(NamedTuple):
 
 def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Bench:
     """Build a plant under either law, or along a record, of compiled modules."""
-    sense, hold, advance = plant.sense, plant.hold, plant.advance
+    sense, cycle = plant.sense, plant.cycle
     force_step, position_step, update = force_law.step, position_law.step, observer.update
 
     @kernel
@@ -162,9 +162,7 @@ def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Benc
             saturated += abs(u) >= control.model.spool_limit
             out[k, :last] = measured
             out[k, last] = u
-            force, force_rate, displacement, velocity = rows.load[k]
-            hold(state.inputs, k * constants.period, u, force, force_rate, displacement, velocity)
-            advance(k, constants, state)
+            cycle(k, constants, state, u, rows.load[k])
             state.inputs[TEMPERATURE] += constants.warming * constants.period
         return saturated
 
@@ -189,7 +187,7 @@ class _Experiment:
         self.reference = sampled(spec.reference, self.period).rows(0, spec.cycles)
         kind = DISTURBANCES.load(spec.disturbance.name)
         signal = sampled(spec.disturbance.signal, self.period)
-        source: Any = kind.build(spec.disturbance.parameters, signal, nominal, self.period)
+        source = kind.build(spec.disturbance.parameters, signal, nominal, self.period)
         self.load: Array = source.rows(0, spec.cycles)
 
     def closed_loop(self, rig: Rig) -> _Run:

@@ -27,6 +27,7 @@ from ehls_ros.experiments.programme_file import programme_values
 from ehls_ros.physics.integration_step import LONGEST_STEP, check_step, steps_per_period
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal
 from ehls_ros.physics.rig import EffectUse, Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.servo import Servo
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
 
@@ -94,6 +95,16 @@ class Spec(NamedTuple):
         """Return the rig with what the disturbance adds to the loader's plant."""
         kind = DISTURBANCES.load(self.disturbance.name)
         return self.rig.with_effects(kind.loader_effects(self.disturbance.parameters))
+
+    def servo(self) -> Servo | None:
+        """Return the actuator under test that is simulated with the loader; None if it does not react to the loader."""
+        kind: Any = DISTURBANCES.load(self.disturbance.name)
+        if not kind.REACTS:
+            return None
+        signal = self.disturbance.signal
+        start = float(REFERENCES.load(signal.name).sample(np.zeros(1), signal.parameters)[0, 0])
+        servo: Servo = kind.servo(self.disturbance.parameters, self.rig, start)
+        return servo
 
 
 SECTIONS = (
@@ -254,8 +265,9 @@ def check_spec(spec: Spec, where: str) -> None:
     _check_companions(spec, where, _setting(spec, model_of(spec.controller_rig, period), where))
     # What disturbs the rig may have a cylinder of its own.
     check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
-    loader = spec.loader_rig()
-    check_step(loader, period / steps_per_period(loader, period, settings.integration_step), f"{where}: rig")
+    loader, servo = spec.loader_rig(), spec.servo()
+    steps = steps_per_period(loader, period, settings.integration_step, servo)
+    check_step(loader, period / steps, f"{where}: rig", servo)
     low, high = rig.limits.position
     if abs(settings.initial_position - 0.5 * (low + high)) > WARNING_FACTOR * 0.5 * (high - low):
         expected = f"{low:g} to {high:g} m, limits.position of the rig"

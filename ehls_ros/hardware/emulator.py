@@ -5,7 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY, Source
+from ehls_ros.control.disturbances.base import FORCE_RATE, VELOCITY, Source
 from ehls_ros.hardware.calibration import Calibration, Input, Output, step
 from ehls_ros.hardware.faults import Faults
 from ehls_ros.hardware.packet import Status
@@ -14,8 +14,8 @@ from ehls_ros.physics import sensors
 from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import SENSED
 
-NOISE_BLOCK = 1024
-"""Samples of noise drawn at a time."""
+BLOCK = 1024
+"""Cycles whose noise is drawn, and whose disturbance is computed, at a time."""
 
 LOGGED = [
     sensors.SPOOL, sensors.LOAD_PRESSURE, sensors.SUPPLY_PRESSURE, sensors.POSITION, sensors.VELOCITY, sensors.FORCE,
@@ -29,7 +29,7 @@ class Steppable(Protocol):
 
     period: float
     cycle: int
-    y: Array
+    servo: Array
     truth: Array
 
     def measure(self, noise: Array) -> Array:
@@ -70,7 +70,7 @@ class Emulator:
 
         Args:
             simulator: the plant with its sensors.
-            disturbance: the actuator under test.
+            disturbance: of the actuator under test; of a servo that the plant simulates, the motion that it is to follow.
             calibration: of the rig's channels.
             seed: of the sensor noise.
             disturb_at_once: start the disturbance in cycle 0 instead of after the first command that opens the valve.
@@ -88,13 +88,13 @@ class Emulator:
         self._noise = np.empty((0, len(SENSED)))
         self._drawn = 0
         self._null = converted(calibration.output.offset, calibration.output)
-        self._disturbed = -1
-        self._row = disturbance.first().copy()
+        self._disturbed = 0
+        self._rows: list[list[float]] = []
+        first = disturbance.rows(0, 1)[0]
+        first[[FORCE_RATE, VELOCITY]] = 0.0
+        self._row: list[float] = first.tolist()
         self._opened = disturb_at_once
         self._until_disturbed = 0 if disturb_at_once else round(disturb_after / simulator.period)
-        self._disturbs = False
-        if not disturb_at_once:
-            self._row[[FORCE_RATE, VELOCITY]] = 0.0
 
     @property
     def period(self) -> float:
@@ -109,7 +109,7 @@ class Emulator:
     def sense(self) -> tuple[float, ...]:
         """Return the raw values of the current cycle by channel number; a channel without a sensor reads 0."""
         if self._drawn == len(self._noise):
-            self._noise, self._drawn = self._random.standard_normal((NOISE_BLOCK, len(SENSED))), 0
+            self._noise, self._drawn = self._random.standard_normal((BLOCK, len(SENSED))), 0
         signals = self._simulator.measure(self._noise[self._drawn])[self._wired].tolist()
         self._drawn += 1
         self.faults.spoil(signals)
@@ -133,22 +133,26 @@ class Emulator:
         raw = converted(raw, output)
         spool = output.scale * (raw - output.offset)
         self._opened |= raw != self._null
-        if self._opened and not self._disturbs:
-            self._disturbs = self._until_disturbed <= 0
+        if self._opened:
+            if self._until_disturbed <= 0:
+                self._row = self._next_row()
             self._until_disturbed -= 1
-            if self._disturbs:
-                self._row = self._disturbance.first().copy()
         if self.log is not None:
             self.log.add((*self._truth(spool), raw, status, sequence, answered, now))
-        position, velocity = float(simulator.y[X]), float(simulator.y[V])
-        force, rate, displacement, speed = self._row.tolist()
-        simulator.advance(spool, force, rate, displacement, speed)
-        if self._disturbs:
-            self._disturbed += 1
-            self._row = self._disturbance.following(self._disturbed, position, velocity)
+        simulator.advance(spool, *self._row)
+
+    def _next_row(self) -> list[float]:
+        """Return the next row of the disturbance, which has begun."""
+        at = self._disturbed % BLOCK
+        if at == 0:
+            self._rows = self._disturbance.rows(self._disturbed, BLOCK).tolist()
+        self._disturbed += 1
+        return self._rows[at]
 
     def _truth(self, spool: float) -> tuple[float, ...]:
         *truth, oil_temperature = self._simulator.truth[LOGGED].tolist()
-        force, displacement, velocity = self._row[[FORCE, DISPLACEMENT, VELOCITY]].tolist()
+        force, _, *motion = self._row
+        if self._simulator.servo.size:
+            motion = self._simulator.servo[[X, V]].tolist()
         time = self._simulator.cycle * self._simulator.period
-        return (time, spool, *truth, force, oil_temperature, displacement, velocity)
+        return (time, spool, *truth, force, oil_temperature, *motion)

@@ -33,9 +33,8 @@ ROWS_TOGETHER = 5
 class AheadNode(ControlNode):
     """Publishes one row per cycle, ahead of the cycle.
 
-    A row that depends on the loader's state (``lead`` 1) is driven by each loader_state. A row that depends on time
-    alone needs only the approximate cycle, from the newest loader_state at intervals: a process that does not wake in every
-    cycle saves time.
+    A row depends on time alone, and so needs only the approximate cycle, from the newest loader_state at intervals: a process
+    that does not wake in every cycle saves time.
     """
 
     lead = LEAD
@@ -47,13 +46,8 @@ class AheadNode(ControlNode):
         """Compile what the rows need and return the publisher."""
         raise NotImplementedError
 
-    def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
-        """Return the row of a cycle.
-
-        Args:
-            cycle: number of the cycle.
-            state: loader_state of the previous cycle, for ``lead`` 1; None at the start.
-        """
+    def row(self, cycle: int) -> list[float]:
+        """Return the row of a cycle."""
         raise NotImplementedError
 
     def prepare(self) -> None:
@@ -66,11 +60,8 @@ class AheadNode(ControlNode):
             topic = ACTUATOR_TOPICS[signal_kind(disturbance.name)]
             signal = sampled(disturbance.signal, self.spec.settings.control_period)
             self.actuator = Outbox(self, message_class(topic.type), topic.name), signal
-        if self.lead == 1:
-            self.progress = Inbox(self, LoaderState, "loader_state")
-        else:
-            # In lockstep the rig may stand still in a cycle that lacks this node's row.
-            self.progress = Inbox(self, LoaderState, "loader_state", control_qos(1) if self.lockstep else newest_qos())
+        # In lockstep the rig may stand still in a cycle that lacks this node's row.
+        self.progress = Inbox(self, LoaderState, "loader_state", control_qos(1) if self.lockstep else newest_qos())
         self.waiter = Waiter([self.progress])
         self.next = 0
         self.last = -1
@@ -95,7 +86,7 @@ class AheadNode(ControlNode):
         """Publish the rows needed before the first snapshot."""
         # In realtime the first cycles are not known to have begun: they are taken to begin now.
         self.epoch_ns = 0 if self.lockstep else self.now_ns() or 0
-        self._publish_to(self.lead - 1, None)
+        self._publish_to(self.lead - 1)
 
     def awaited_inputs(self) -> Waiter:
         """Return what tells the cycle."""
@@ -104,23 +95,22 @@ class AheadNode(ControlNode):
     def once(self) -> None:
         """Publish up to ``lead`` cycles beyond the newest one."""
         super().once()
-        if self.lead > 1:
-            time.sleep(self.pause)
+        time.sleep(self.pause)
 
     def react(self) -> bool:
         """Publish up to ``lead`` cycles beyond the newest one, if there is a newer one."""
         before = self.next
-        if self.hosted and self.lead > 1 and not self.lockstep and self._rests():
+        if self.hosted and not self.lockstep and self._rests():
             return False
         while (state := self.progress.take()) is not None:
             stamp, cycle = state[:2]
             if cycle < self.last or cycle > self.next:
                 # The plant restarted, or this node started late.
-                self.next = cycle + 1 if self.lead == 1 else cycle
+                self.next = cycle
             self.last, self.moved = cycle, time.perf_counter()
             self.epoch_ns = stamp - round(cycle * self.period_ns)
-            self._publish_to(cycle + self.lead, state if self.lead == 1 else None)
-        if self.lead > 1 and self.lockstep and time.perf_counter() - self.moved > PATIENCE:
+            self._publish_to(cycle + self.lead)
+        if self.lockstep and time.perf_counter() - self.moved > PATIENCE:
             self._repeat()
         return self.next != before
 
@@ -137,13 +127,13 @@ class AheadNode(ControlNode):
         self.moved = time.perf_counter()
         if self.outbox.has_volatile_reader():
             self.next = max(self.last, 0)
-            self._publish_to(self.next + self.lead - 1, None)
+            self._publish_to(self.next + self.lead - 1)
 
-    def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
+    def _publish_to(self, cycle: int) -> None:
         while self.next <= cycle:
             stamp = self.epoch_ns + round(self.next * self.period_ns)
             self.tell_actuator(stamp, self.next)
-            self.outbox.send(stamp, self.next, *self.row(self.next, state))
+            self.outbox.send(stamp, self.next, *self.row(self.next))
             self.next += 1
 
     def tell_actuator(self, stamp_ns: int, cycle: int) -> None:

@@ -1,39 +1,34 @@
-"""`disturbance_node`: the actuator under test, as a force or as a simulated position servo."""
+"""`disturbance_node`: what the actuator under test does, if it is a force, or what it is to do, if it is a position servo."""
 
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from ehls_msgs.msg import Disturbance
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.experiments.loop import sampled
-from ehls_ros.nodes.ahead import LEAD, AheadNode
+from ehls_ros.nodes.ahead import AheadNode
 from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.transport import Outbox
-from ehls_ros.physics import sensors
+from ehls_ros.recording.topics import DISTURBANCE, SERVO_REFERENCE
 
 
 class DisturbanceNode(AheadNode):
-    """Publishes the spec's disturbance."""
+    """Publishes the spec's disturbance, or the reference of a servo, which the plant simulates and publishes the motion of."""
 
     def __init__(self) -> None:
-        """Choose the lead: a disturbance that reacts to the loader can run only one cycle ahead."""
+        """Choose the topic."""
         super().__init__("disturbance_node")
-        self.lead = 1 if DISTURBANCES.load(self.spec.disturbance.name).REACTS else LEAD
+        self.topic = SERVO_REFERENCE if DISTURBANCES.load(self.spec.disturbance.name).REACTS else DISTURBANCE
 
     def open_outbox(self) -> Outbox:
         """Build the disturbance and open the topic."""
         use, period = self.spec.disturbance, self.spec.settings.control_period
         kind = DISTURBANCES.load(use.name)
         self.source = kind.build(use.parameters, sampled(use.signal, period), self.spec.rig, period)
-        return Outbox(self, Disturbance, "disturbance")
+        return Outbox(self, Disturbance, self.topic.name)
 
-    def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
+    def row(self, cycle: int) -> list[float]:
         """Return force, its rate, displacement and velocity."""
-        if cycle == 0:
-            first: list[float] = self.source.first().tolist()
-            return first
-        position = state[2 + sensors.POSITION] if state else 0.0
-        velocity = state[2 + sensors.VELOCITY] if state else 0.0
-        row: list[float] = self.source.following(cycle - 1, position, velocity).tolist()
+        row: list[float] = self.source.rows(cycle, 1)[0].tolist()
         return row
 
 

@@ -17,8 +17,10 @@ from ehls_ros.hardware.simulated_clock import SimulatedClock
 from ehls_ros.nodes.control import ERROR, WAIT, WARN, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
-from ehls_ros.nodes.transport import Inbox, Waiter
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
+from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import SENSED
+from ehls_ros.recording.topics import DISTURBANCE, SERVO_REFERENCE
 from ehls_ros.schema import quantity
 
 BURST = 0.005
@@ -65,16 +67,21 @@ class PlantSimNode(PlantNode):
         self.time = SimulatedClock(self.period, time.perf_counter())
         self.dense = 0
         self.disturbances: dict[int, tuple[float, float, float, float]] = {}
-        self.last_disturbance = (0.0, 0.0, 0.0, 0.0)
         self.open_topics()
         self.enabled = False
-        self.disturbance = Inbox(self, Disturbance, "disturbance")
+        # A servo's motion is simulated with the loader's, and comes from here.
+        moves = self.simulator.servo.size > 0
+        self.last_disturbance = (0.0, 0.0, float(self.simulator.servo[X]) if moves else 0.0, 0.0)
+        self.motion = Outbox(self, Disturbance, DISTURBANCE.name) if moves else None
+        self.disturbance = Inbox(self, Disturbance, (SERVO_REFERENCE if moves else DISTURBANCE).name)
         self.anything = Waiter([self.commands, self.disturbance])
 
     def release(self) -> None:
         """Close the topics."""
         self.anything.destroy()
         self.disturbance.destroy()
+        if self.motion is not None:
+            self.motion.destroy()
         super().release()
 
     def start(self) -> None:
@@ -183,6 +190,9 @@ class PlantSimNode(PlantNode):
 
     def _snapshot(self) -> None:
         self.publish(self.cycle, self.simulator.measure(next(self.noise)).tolist())
+        if self.motion is not None:
+            _, stamp_ns, _ = self.untold
+            self.motion.send(stamp_ns, self.cycle, 0.0, 0.0, *self.simulator.servo[[X, V]].tolist())
 
     def figures(self) -> dict[str, Any]:
         """Return values for diagnostics."""

@@ -188,7 +188,7 @@ class ProgrammeNode(AheadNode):
         if self.last > self.next:
             self._fall_out(self.last, f"the rig had no reference from control cycle {self.next} on")
         self._follow_requests()
-        self._publish_to(self.last + self.lead, None)
+        self._publish_to(self.last + self.lead)
         time.sleep(REST)
         if self.lockstep and time.perf_counter() - self.moved > PATIENCE:
             self._repeat()
@@ -231,7 +231,7 @@ class ProgrammeNode(AheadNode):
                     self._count()
                     self._fall_out(cycle, "there was no reference while the node was away", saved.published, measured)
         self.run, self.next, self.last = run, cycle, max(cycle, self.last)
-        self._publish_to(cycle + self.lead, None)
+        self._publish_to(cycle + self.lead)
 
     def _present(self) -> tuple[Any, ...] | None:
         """Return the rig's newest snapshot once it is known to be that."""
@@ -303,7 +303,7 @@ class ProgrammeNode(AheadNode):
                 f"programme {request} from control cycle {self.next} on" if done else f"nothing to {request}"
             )
 
-    def _publish_to(self, cycle: int, state: tuple[Any, ...] | None) -> None:
+    def _publish_to(self, cycle: int) -> None:
         if cycle < self.next:
             return
         first = self.next

@@ -1,7 +1,7 @@
 """`reference_node`: the reference force or position and its derivatives, whichever the spec's controller follows."""
 
 import math
-from typing import Annotated, Any, NamedTuple, NoReturn
+from typing import Annotated, NamedTuple, NoReturn
 
 from ehls_msgs.msg import LoaderState
 from ehls_ros.control.controllers import CONTROLLERS
@@ -85,7 +85,7 @@ class ReferenceNode(AheadNode):
             self.states.destroy()
             self.states = None
 
-    def row(self, cycle: int, state: tuple[Any, ...] | None) -> list[float]:
+    def row(self, cycle: int) -> list[float]:
         """Return the reference and its first and second derivative."""
         row: list[float] = self.signal.row(cycle).tolist()
         since = (cycle - self.began) * self.spec.settings.control_period

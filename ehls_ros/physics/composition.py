@@ -260,7 +260,7 @@ def _import(member: Any, name: str) -> str:
 def _chains(effects: Effects) -> list[str]:
     """Return the lines that chain the hooks of the effects."""
     lines, rates, jumps, states, first = list[str](), list[str](), list[str](), 0, 0
-    chains: dict[str, list[str]] = {hook: [] for hook in (*HOOKS, "joint_force")}
+    chains: dict[str, list[str]] = {hook: [] for hook in (*HOOKS, "joint_force", "coupling_force")}
     needed = 0
     for index, name in enumerate(effects.names):
         effect = EFFECTS.load(name)
@@ -277,6 +277,8 @@ def _chains(effects: Effects) -> list[str]:
                 chains[hook] += [*flag, f"{indent}value = effect_{index}.{hook}(value, {view})"]
         if hasattr(effect, "PISTON"):
             chains["joint_force"] += [*flag, f"{indent}value = effect_{index}.force(value, {view})"]
+        if getattr(effect, "COUPLES", False):
+            chains["coupling_force"] += [*flag, f"{indent}value = effect_{index}.force(value, {view})"]
         if hasattr(effect, "jump"):
             jumps += [*flag, f"{indent}value = min(value, effect_{index}.jump(t, w, {parameters}))"]
         if own:

@@ -13,7 +13,8 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.composition import effects_in_kernel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.plausibility import units_of
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import EffectiveRig, Rig
+from ehls_ros.physics.servo import Servo
 
 LONGEST_STEP = 2.5e-4
 """Default integration step [s] of a rig that needs no shorter one; benchmarks/physics_convergence.py shows why."""
@@ -61,15 +62,18 @@ class Rate(NamedTuple):
         return self.most / self.rate if self.rate > 0.0 else math.inf
 
 
-def rates(rig: Rig) -> Iterator[Rate]:
+def rates(rig: Rig, servo: Servo | None = None) -> Iterator[Rate]:
     """Yield the natural rate of each part of a plant.
 
     Args:
         rig: the rig with its effects; stiffness and damping of an effect count as if they always acted.
+        servo: position servo that is simulated with it.
 
     Yields:
-        The rates; springs and dampers act on the smaller of piston and load.
+        The rates; springs and dampers act on the smaller of piston and load, and those of the coupling to the servo on the mass
+        with which both pistons swing against each other.
     """
+    far = math.inf if servo is None else servo.rig.plant.moving_mass
     effective = rig.effective()
     p, f, law, limits = effective.plant, effective.friction, effective.friction_law, effective.limits
     piston = effective.piston_mass()
@@ -98,10 +102,18 @@ def rates(rig: Rig) -> Iterator[Rate]:
         for key, unit in units_of(EFFECTS.load(use.name).Parameters).items():
             if unit in _RATES:
                 value, (rate, most) = getattr(use.parameters, key), _RATES[unit]
-                yield Rate(f"effect {use.name}", rate(value, mass), most, (), f"{key} {value:g} {unit} {on_mass}")
+                couples = getattr(EFFECTS.load(use.name), "COUPLES", False)
+                swinging = 1.0 / (1.0 / mass + 1.0 / far) if couples else mass
+                further = f"{key} {value:g} {unit} on {swinging:g} kg"
+                yield Rate(f"effect {use.name}", rate(value, swinging), most, (), further)
+    if servo is not None:
+        shown = _shown(servo.rig.effective())
+        for part in rates(servo.rig):
+            basis = " ".join([", ".join(shown[key] for key in part.keys), part.further]).strip()
+            yield Rate(f"position servo's {part.what}", part.rate, part.most, (), basis)
 
 
-def steps_per_period(rig: Rig, period: float, step: float | None = None) -> int:
+def steps_per_period(rig: Rig, period: float, step: float | None = None, servo: Servo | None = None) -> int:
     """Return the number of equal integration steps that a control period is divided into.
 
     Args:
@@ -109,30 +121,36 @@ def steps_per_period(rig: Rig, period: float, step: float | None = None) -> int:
         period: control period [s].
         step: largest integration step [s]; by default :data:`LONGEST_STEP`, or a shorter one that the rig needs, down to
             :data:`SHORTEST_STEP`.
+        servo: position servo that is simulated with it.
     """
     if step is None:
-        step = min(LONGEST_STEP, max(min(part.step for part in rates(rig)), SHORTEST_STEP))
+        step = min(LONGEST_STEP, max(min(part.step for part in rates(rig, servo)), SHORTEST_STEP))
     return max(1, math.ceil(period / step - 1e-9))
 
 
-def check_step(rig: Rig, step: float, where: str) -> None:
+def check_step(rig: Rig, step: float, where: str, servo: Servo | None = None) -> None:
     """Check that an integration step resolves all parts of a plant.
 
     Args:
         rig: the rig.
         step: integration step [s].
         where: the file, for errors.
+        servo: position servo that is simulated with it.
 
     Raises:
         BadInput: the fastest part is too fast for the step.
     """
-    fastest = min(rates(rig), key=lambda part: part.step)
+    fastest = min(rates(rig, servo), key=lambda part: part.step)
     if step > fastest.step:
-        effective = rig.effective()
-        shown = _described(effective.plant) | _described(effective.friction)
+        shown = _shown(rig.effective())
         basis = " ".join([", ".join(shown[key] for key in fastest.keys), fastest.further]).strip()
         what = f"the rate of the {fastest.what}, {fastest.rate:.3g} 1/s, is too fast for steps of {step:g} s ({basis})"
         raise BadInput(what, where, f"integration_step of at most {fastest.step:.2g} s, or other parameters, all in SI units")
+
+
+def _shown(rig: EffectiveRig) -> dict[str, str]:
+    """Return each coefficient of plant and friction as text for messages."""
+    return _described(rig.plant) | _described(rig.friction)
 
 
 def _described(parameters: Any) -> dict[str, str]:

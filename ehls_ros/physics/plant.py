@@ -69,6 +69,19 @@ def hold(w: Array, start: float, command: float, force: float, force_rate: float
 
 
 @kernel
+def follow_servo(w: Array, t: float, displacement: float, velocity: float) -> None:
+    """Set the motion of the position servo at t, where it is simulated and not an input: the line that touches it there.
+
+    Args:
+        w: inputs, updated in place.
+        t: time [s].
+        displacement: displacement of the servo [m].
+        velocity: its velocity [m/s].
+    """
+    w[XD], w[VD] = displacement - velocity * (t - w[START]), velocity
+
+
+@kernel
 def disturbance_force(t: float, w: Array) -> float:
     """Return fd(t) [N], linear within a cycle."""
     return w[FD] + w[FD_RATE] * (t - w[START])
@@ -97,6 +110,7 @@ class Chains(NamedTuple):
         received: the hook of that name; None if no effect delays the command.
         jump: ``jump(t, w, p)``, the time of the next jump of ``received`` after t [s]; None if no effect delays the command.
         joint_force: ``force`` of only those effects that can separate the load from the piston.
+        coupling_force: ``force`` of only those effects that couple the loader to the position servo.
         rates: ``rates(command, t, y, w, z, p, plant, dz)`` writes the rates of the effects' own states.
     """
 
@@ -112,6 +126,7 @@ class Chains(NamedTuple):
     piston_position: Callable[..., float]
     piston_velocity: Callable[..., float]
     joint_force: Callable[..., float]
+    coupling_force: Callable[..., float]
     rates: Callable[..., None]
 
 

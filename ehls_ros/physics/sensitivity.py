@@ -25,7 +25,7 @@ from ehls_ros.physics import sensors, simulator
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.plant import PL, TEMPERATURE, XV, Chains, V, X
+from ehls_ros.physics.plant import PL, TEMPERATURE, XV, Chains, V, X, hold
 from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Constants, Simulated, State, at_rest, parts_of
 
@@ -323,7 +323,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains, width: int)
         width: of a dual.
     """
     plant = simulator.build(friction, elements, states, chains)
-    advance, sense, hold = plant.advance, plant.sense, plant.hold
+    advance, sense = plant.advance, plant.sense
 
     @kernel
     def run(given: Given, start: Start, rows: Array, out: Array) -> int:
@@ -335,6 +335,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains, width: int)
             constant(given.step, width),
             given.steps,
             0.0,
+            (),
         )
         seen = sensors.SensorState(given.sensors, dual_array(start.lagged, width), dual_array(start.past, width))
         y, work, truth = dual_array(start.y, width), dual_array(start.work, width), dual_array(start.truth, width)

@@ -1,4 +1,7 @@
-"""The simulated rig: plant, sensors and their state, advanced one control period at a time."""
+"""The simulated rig: plant, sensors and their state, advanced one control period at a time.
+
+If the actuator under test is a position servo, the plant is the loader joined to it (:mod:`ehls_ros.physics.servo`).
+"""
 
 import math
 from collections.abc import Callable
@@ -19,9 +22,11 @@ from ehls_ros.physics.plant import (
     FRICTION,
     INPUTS,
     PERIOD,
+    PL,
     TEMPERATURE,
     Chains,
     Coefficients,
+    U,
     V,
     X,
     cycle_stepper,
@@ -30,6 +35,7 @@ from ehls_ros.physics.plant import (
 )
 from ehls_ros.physics.plausibility import implausible
 from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
+from ehls_ros.physics.servo import CoupledCoefficients, Servo, ServoConstants, coupled_system, servo_command
 
 ORDER: Literal[2, 4, 5] = 5
 """Order of the integration; benchmarks/physics_convergence.py shows why."""
@@ -49,6 +55,7 @@ class Constants(NamedTuple):
         step: integration step [s].
         steps: integration steps per period.
         warming: rate of the oil temperature [K/s].
+        servo: :class:`~ehls_ros.physics.servo.ServoConstants` of the simulated position servo; () without one.
     """
 
     plant: Plant
@@ -58,15 +65,16 @@ class Constants(NamedTuple):
     step: float
     steps: int
     warming: float
+    servo: Any = ()
 
 
 class State(NamedTuple):
     """State of a run, updated in place; :mod:`ehls_ros.physics.plant` defines ``y``, ``mode`` and ``inputs``.
 
     Attributes:
-        y: state of the plant.
-        mode: its modes.
-        inputs: its inputs.
+        y: state of the plant, followed by that of the simulated position servo.
+        mode: their modes, likewise.
+        inputs: their inputs, likewise.
         work: workspace of the integrator.
         sensors: state of the sensors.
         truth: true values at the last sample, shape (signals,).
@@ -86,19 +94,22 @@ class Compiled(NamedTuple):
     """A plant's compiled functions.
 
     Attributes:
-        evaluate: from :func:`~ehls_ros.physics.plant.system`.
-        switch: from :func:`~ehls_ros.physics.plant.system`.
+        evaluate: from :func:`~ehls_ros.physics.plant.system`, or of the joint system.
+        switch: likewise.
         advance: ``advance(cycle, constants, state)`` integrates over one control period with the inputs held; returns the
             number of steps with more events than could be located.
         sense: ``sense(cycle, constants, state, noise)`` writes the sensor readings to ``state.measured``.
-        hold: from :mod:`ehls_ros.physics.plant`.
+        cycle: ``cycle(number, constants, state, command, row)`` sets the inputs of a control period and advances over it. They
+            are the loader's spool command [m] and what the actuator under test does: force [N], its rate [N/s], displacement
+            [m] and velocity [m/s]. If the servo is simulated, the row has the displacement and velocity that it is to follow,
+            and is given those that it has at the start of the period.
     """
 
     evaluate: Callable[..., float]
     switch: Callable[..., None]
     advance: Callable[..., int]
     sense: Callable[..., None]
-    hold: Callable[..., None]
+    cycle: Callable[..., int]
 
 
 def build(friction: Any, elements: int, states: int, chains: Chains, most_events: int = MOST_EVENTS) -> Compiled:
@@ -114,7 +125,6 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
     end = FRICTION + elements
     evaluate, switch = system(friction, elements, chains)
     run = integrator(evaluate, switch, size=end + states, most_events=most_events, order=ORDER)
-    supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
 
     @lean
     def run_held(t: float, y: Array, mode: Array, c: Any, command: float, step: float, steps: int, work: Array) -> int:
@@ -129,6 +139,57 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
         return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
     @lean
+    def cycle(number: int, constants: Constants, state: State, command: float, row: Array) -> int:
+        hold(state.inputs, number * constants.period, command, row[0], row[1], row[2], row[3])
+        return advance(number, constants, state)
+
+    return Compiled(evaluate, switch, advance, sensing(chains, end), cycle)
+
+
+def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> Compiled:
+    """Build the loader's plant joined to a position servo; arguments as those of :func:`build`."""
+    end = FRICTION + elements
+    size = end + states
+    evaluate, switch = coupled_system(friction, elements, states, chains)
+    run = integrator(evaluate, switch, size=size + end, order=ORDER)
+
+    @lean
+    def run_held(t: float, y: Array, mode: Array, c: Any, command: float, step: float, steps: int, work: Array) -> int:
+        held = CoupledCoefficients(c.plant, c.friction, c.inputs, c.effects, command, c.servo)
+        return run(t, y, mode, held, step, steps, work)
+
+    step_cycle = cycle_stepper(run_held, chains, end)
+
+    @lean
+    def advance(cycle: int, constants: Constants, state: State) -> int:
+        given, own = constants.servo, state.inputs[-INPUTS:]
+        servo = Coefficients(given.plant, given.friction, own, (), own[U])
+        c = CoupledCoefficients(constants.plant, constants.friction, state.inputs[:-INPUTS], constants.effects, 0.0, servo)
+        t = cycle * constants.period
+        return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
+
+    @lean
+    def cycle(number: int, constants: Constants, state: State, command: float, row: Array) -> int:
+        servo, x, v, pressure = constants.servo, state.y[size + X], state.y[size + V], state.y[size + PL]
+        own = state.inputs[-INPUTS:]
+        own[U] = servo_command(row[2], row[3], x, pressure, servo.gain, servo.plant, servo.spool_limit)
+        row[2], row[3] = x, v
+        hold(state.inputs[:-INPUTS], number * constants.period, command, row[0], row[1], x, v)
+        return advance(number, constants, state)
+
+    return Compiled(evaluate, switch, advance, sensing(chains, end), cycle)
+
+
+def sensing(chains: Chains, end: int) -> Callable[..., None]:
+    """Build the function that reads the sensors.
+
+    Args:
+        chains: hooks of the effects.
+        end: index of the effects' first own state in ``y``.
+    """
+    supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
+
+    @lean
     def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
         t, plant, p = cycle * constants.period, constants.plant, constants.effects
         y, w, truth, z = state.y, state.inputs, state.truth, state.y[end:]
@@ -138,14 +199,10 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
         truth[sensors.VELOCITY] = piston_velocity(y[V], t, y, w, z, p, plant)
         sensors.measure(cycle, truth, noise, state.sensors, state.measured)
 
-    return Compiled(evaluate, switch, advance, sense, hold)
+    return sense
 
 
-ENTRIES = {
-    "advance": "cycle, constants, state",
-    "sense": "cycle, constants, state, noise",
-    "hold": "w, start, command, force, force_rate, displacement, velocity",
-}
+ENTRIES = {"sense": "cycle, constants, state, noise", "cycle": "number, constants, state, command, row"}
 """Functions of a compiled plant that Python calls, with their arguments."""
 
 
@@ -164,9 +221,14 @@ def parts_of(rig: Rig | EffectiveRig) -> PlantParts:
     return PlantParts({"friction": model}, {"elements": rig_elements(rig), "states": effects.states}, effects)
 
 
-def plant_kernel(parts: PlantParts) -> ModuleType:
-    """Return a compiled plant: a module with those functions of :class:`Compiled` that :data:`ENTRIES` names."""
-    return compiled(build, ENTRIES, **parts._asdict())
+def plant_kernel(parts: PlantParts, *, coupled: bool = False) -> ModuleType:
+    """Return a compiled plant: a module with those functions of :class:`Compiled` that :data:`ENTRIES` names.
+
+    Args:
+        parts: what it is compiled from.
+        coupled: whether the loader is joined to a position servo.
+    """
+    return compiled(build_coupled if coupled else build, ENTRIES, **parts._asdict())
 
 
 def earlier_commands(rig: Rig | EffectiveRig, period: float) -> int:
@@ -203,6 +265,7 @@ def at_rest(
     position: float = 0.0,
     temperature: float = OIL_TEMPERATURE,
     warming: float = 0.0,
+    servo: Servo | None = None,
 ) -> Simulated:
     """Return a rig at rest with zero load pressure.
 
@@ -213,10 +276,11 @@ def at_rest(
         position: initial piston position [m].
         temperature: initial oil temperature [K].
         warming: rate of the oil temperature [K/s].
+        servo: position servo to simulate with the rig, of the same friction model; None: its motion is an input.
     """
     effective = rig.effective()
     parts = parts_of(rig)
-    steps = steps_per_period(rig, period, step)
+    steps = steps_per_period(rig, period, step, servo)
     elements, states = parts.numbers["elements"], parts.numbers["states"]
     constants = Constants(
         effective.plant,
@@ -239,7 +303,19 @@ def at_rest(
     )
     state.y[X], state.mode[0] = position, 1.0
     state.inputs[PERIOD], state.inputs[TEMPERATURE] = period, temperature
-    return Simulated(effective, parts, constants, state)
+    if servo is None:
+        return Simulated(effective, parts, constants, state)
+    own = ServoConstants(servo.rig.plant, servo.rig.friction, servo.gain, servo.rig.limits.spool)
+    beside = np.zeros(FRICTION + elements)
+    beside[X] = servo.start
+    both = np.concatenate([state.y, beside])
+    state = state._replace(
+        y=both,
+        mode=np.concatenate([state.mode, state.mode]),
+        inputs=np.concatenate([state.inputs, np.zeros(INPUTS)]),
+        work=np.empty((WORK_ROWS, both.size)),
+    )
+    return Simulated(effective, parts, constants._replace(servo=own), state)
 
 
 class Simulator:
@@ -251,36 +327,40 @@ class Simulator:
         state: state of the run.
         period: control period [s].
         y: state of the plant, see :mod:`ehls_ros.physics.plant`.
-        mode: its modes.
-        inputs: its inputs.
+        servo: state of the simulated position servo, arranged likewise; empty if there is none.
+        mode: modes of the plant, then those of the servo.
+        inputs: inputs of the plant, then those of the servo.
         truth: true values at the last sample, in the order of ``SENSED``.
         cycle: number of control periods completed.
     """
 
-    def __init__(self, rig: Rig, period: float = 1e-3, step: float | None = None, **start: float) -> None:
+    def __init__(
+        self, rig: Rig, period: float = 1e-3, step: float | None = None, servo: Servo | None = None, **start: float
+    ) -> None:
         """Compile or load the kernel and start at rest with zero load pressure.
 
         Args:
             rig: rig to simulate.
             period: control period [s].
             step: largest integration step [s], see :func:`~ehls_ros.physics.integration_step.steps_per_period`.
+            servo: position servo to simulate with it, see :func:`at_rest`.
             **start: ``position``, ``temperature`` and ``warming`` of :func:`at_rest`.
         """
-        self.rig, parts, self.constants, self.state = at_rest(rig, period, step, **start)
-        plant = plant_kernel(parts)
+        self.rig, parts, self.constants, self.state = at_rest(rig, period, step, servo=servo, **start)
+        plant = plant_kernel(parts, coupled=servo is not None)
         self._plant = plant
         self.period = self.constants.period
-        self.y, self.mode, self.inputs, self.truth = self.state.y, self.state.mode, self.state.inputs, self.state.truth
+        size = FRICTION + parts.numbers["elements"] + parts.numbers["states"]
+        self.y, self.servo = self.state.y[:size], self.state.y[size:]
+        self.mode, self.inputs, self.truth = self.state.mode, self.state.inputs, self.state.truth
         self.cycle = 0
+        self._row = np.zeros(4)
         # Compile now rather than in the first cycle.
-        trial = at_rest(rig, period, step).state
+        trial = at_rest(rig, period, step, servo=servo).state
         self._sense = direct(plant.sense, 0, self.constants, trial, np.zeros(len(SENSED)))
-        self._advance = direct(plant.advance, 0, self.constants, trial)
+        self._cycle = direct(plant.cycle, 0, self.constants, trial, 0.0, self._row)
         self._sense(0, self.constants, trial, np.zeros(len(SENSED)))
-        still = (0.0,) * 6
-        self._hold = direct(plant.hold, trial.inputs, *still)
-        self._hold(trial.inputs, *still)
-        self._advance(0, self.constants._replace(steps=0), trial)
+        self._cycle(0, self.constants._replace(steps=0), trial, 0.0, np.zeros(4))
 
     def measure(self, noise: Array) -> Array:
         """Read the sensors.
@@ -306,14 +386,16 @@ class Simulator:
             command: spool command, held over the period [m].
             force: disturbance force at the start of the period [N].
             force_rate: its rate [N/s].
-            displacement: displacement of the position servo at the start of the period [m].
-            velocity: its velocity [m/s].
+            displacement: displacement of the position servo at the start of the period [m]; where the servo is simulated, the
+                displacement that it is to follow.
+            velocity: likewise its velocity [m/s].
 
         Returns:
             Number of integration steps with more events than could be located.
         """
-        self._hold(self.inputs, self.cycle * self.period, command, force, force_rate, displacement, velocity)
-        dense: int = self._advance(self.cycle, self.constants, self.state)
+        row = self._row
+        row[0], row[1], row[2], row[3] = force, force_rate, displacement, velocity
+        dense: int = self._cycle(self.cycle, self.constants, self.state, command, row)
         self.inputs[TEMPERATURE] += self.constants.warming * self.period
         self.cycle += 1
         return dense

@@ -98,6 +98,10 @@ DISTURBANCE = _cycle_topic(
         "velocity": "disturbance_velocity_m_s",
     },
 )
+SERVO_REFERENCE = Topic("servo_reference", "ehls_msgs/msg/Disturbance", depth=DEPTH, transient_local=True)
+"""Displacement and velocity that a simulated position servo is to follow, ahead of the cycles; not recorded, as the experiment
+has them and ``disturbance`` has the motion itself."""
+
 FRICTION_ESTIMATE = _cycle_topic(
     "friction_estimate",
     "ehls_msgs/msg/FrictionEstimate",

@@ -140,15 +140,20 @@ def test_a_disturbance_has_its_parts(rig, name):
         parse(EFFECTS.load(use.name).Parameters, use.parameters._asdict(), name)
     sine = REFERENCES.load("sine")
     signal = SampledReference(sine, sine.Parameters(amplitude=0.01, frequency=1.0), 1e-3)
-    source = member.build(p, signal, rig, 1e-3)
-    rows = [source.first().copy(), *(source.following(k, 0.0, 0.0).copy() for k in range(20))]
-    assert np.array(rows).shape == (21, ROW)
+    rows = member.build(p, signal, rig, 1e-3).rows(0, 21)
+    assert rows.shape == (21, ROW)
     assert np.all(np.isfinite(rows))
+    assert hasattr(member, "servo") == member.REACTS
+    if member.REACTS:
+        servo = member.servo(p, rig, 0.01)
+        assert servo.start == 0.01
+        assert servo.rig.friction_model == rig.friction_model
+        assert not servo.rig.effects
 
 
-@pytest.mark.parametrize("name", [name for name in DISTURBANCES.names() if not DISTURBANCES.load(name).REACTS])
+@pytest.mark.parametrize("name", DISTURBANCES.names())
 @pytest.mark.parametrize("first", [0, 1, SampledReference.BLOCK - 3])
-def test_rows_of_what_does_not_react_are_bit_for_bit_what_follows(rig, name, first):
+def test_rows_on_end_are_bit_for_bit_those_one_by_one(rig, name, first):
     member, chirp = DISTURBANCES.load(name), REFERENCES.load("chirp")
 
     def source() -> Any:
@@ -156,22 +161,18 @@ def test_rows_of_what_does_not_react_are_bit_for_bit_what_follows(rig, name, fir
         return member.build(member.Parameters(), signal, rig, 1e-3)
 
     one_by_one = source()
-    random = np.random.default_rng(first)
-    following = [one_by_one.first().copy()]
-    following += [one_by_one.following(k, *random.standard_normal(2)).copy() for k in range(first + 1100)]
     rows = source().rows(first, 1100)
     assert rows.shape == (1100, ROW)
-    assert np.ptp(rows[:, 0]) > 1e3
-    assert rows.tobytes() == np.array(following)[first : first + 1100].tobytes()
+    assert np.max(np.ptp(rows, axis=0)) > 1e3
+    assert rows.tobytes() == np.concatenate([one_by_one.rows(k, 1) for k in range(first, first + 1100)]).tobytes()
 
 
-def test_a_force_is_its_signal_one_cycle_ahead(rig):
+def test_a_force_is_its_signal(rig):
     member, sine = DISTURBANCES.load("force"), REFERENCES.load("sine")
     signal = SampledReference(sine, sine.Parameters(amplitude=5e3, frequency=1.0), 1e-3)
-    source = member.build(member.Parameters(), signal, rig, 1e-3)
-    assert source.first()[0] == 0.0
-    row = source.following(249, 0.3, -1.0)
-    assert row[0] == pytest.approx(5e3)
-    assert row[1] == pytest.approx(0.0, abs=1e-8)
-    assert source.following(124, 0.0, 0.0)[1] == pytest.approx(5e3 * 2.0 * math.pi * math.cos(math.pi / 4.0))
-    assert not np.any(row[2:])
+    rows = member.build(member.Parameters(), signal, rig, 1e-3).rows(0, 251)
+    assert rows[0, 0] == 0.0
+    assert rows[250, 0] == pytest.approx(5e3)
+    assert rows[250, 1] == pytest.approx(0.0, abs=1e-8)
+    assert rows[125, 1] == pytest.approx(5e3 * 2.0 * math.pi * math.cos(math.pi / 4.0))
+    assert not np.any(rows[:, 2:])

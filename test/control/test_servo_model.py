@@ -22,7 +22,9 @@ PREVIEW = {"name": "disturbance_preview"}
 STIFFNESS, DAMPING = 2e6, 2e3
 """Of the beam [N/m, N s/m], the defaults of the position servo."""
 
-TOLERANCE = 0.02
+FORESEEN_WITHIN = {"measured_sine_fd1": 1.0, "measured_constant_fd2": 8.0}
+"""Largest error of the force foreseen, of 70 and 180 kN rms [N]. If the pistons exchanged their motion only once a cycle, it
+would be 2.1 and 12.7 N."""
 
 
 class Witness:
@@ -56,18 +58,17 @@ def foreseen_and_true(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(witness.rows)[:, FORESEEN:], -(STIFFNESS * moved[:, DISPLACEMENT] + DAMPING * moved[:, VELOCITY])
 
 
-@pytest.mark.parametrize("name", ["measured_sine_fd1", "measured_constant_fd2"])
+@pytest.mark.parametrize("name", FORESEEN_WITHIN)
 def test_the_force_foreseen_is_the_one_that_comes(name):
     foreseen, true = foreseen_and_true(lasting(with_preview(name, [PREVIEW]), 3.0))
     late = slice(1000, -2)
-    scale = np.std(true[late])
-    assert np.max(np.abs(foreseen[late, 0] - true[late])) < TOLERANCE * scale
+    assert np.max(np.abs(foreseen[late, 0] - true[late])) < FORESEEN_WITHIN[name]
     # The command acts one cycle late, for a cycle: the parabola goes through the force of then.
     after = 2e-3
     then = foreseen[late] @ np.array([1.0, after, 0.5 * after**2])
-    assert np.max(np.abs(then - true[1002:])) < TOLERANCE * scale
+    assert np.max(np.abs(then - true[1002:])) < FORESEEN_WITHIN[name]
     # Held, that force would be far off.
-    assert np.max(np.abs(true[1002:] - true[late])) > 5.0 * np.max(np.abs(then - true[1002:]))
+    assert np.max(np.abs(true[1002:] - true[late])) > 100.0 * np.max(np.abs(then - true[1002:]))
 
 
 def test_the_law_follows_better_with_a_preview_and_no_worse_with_one_that_is_wrong():

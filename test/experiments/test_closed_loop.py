@@ -279,6 +279,22 @@ def test_position_servo_feels_the_loader(make_spec):
     assert 1e-5 < np.max(np.abs(apart)) < 5e-3
 
 
+@pytest.mark.parametrize(
+    "sensor", [{"bias": 2e-3}, {"resolution": 5e-6}, {"noise_std": 5e-6}], ids=lambda sensor: next(iter(sensor))
+)
+def test_position_servo_feels_the_loader_and_not_its_sensor(make_spec, rig_mapping, sensor):
+    """SIC does not use the position, so that nothing else tells the runs apart."""
+    servo = {"name": "position_servo", "signal": {"name": "sine", "amplitude": 0.05, "frequency": 1.0}}
+    changes = {"disturbance": servo, "controller": {"name": "sic"}, "duration": 1.0}
+    runs = [
+        run_in_process(make_spec(rig={**rig_mapping, "sensors": {**rig_mapping["sensors"], "position": reading}}, **changes))
+        for reading in ({}, sensor)
+    ]
+    perfect, imperfect = (run["disturbance_displacement_m"] for run in runs)
+    assert np.max(np.abs(runs[1]["position_m"] - runs[0]["position_m"])) > 1e-6
+    assert np.array_equal(perfect, imperfect)
+
+
 @pytest.mark.parametrize("start", [0.005, -0.05])
 def test_a_servo_that_starts_off_the_loaders_place_is_recovered_from(make_spec, start):
     # -0.05 m times 2e6 N/m is five times what the supply pressure can hold.

@@ -115,7 +115,7 @@ SERVO = (
     Extreme("disturbance.supply_pressure", 210.0, REFUSED, ("disturbance", "210 bar is 2.1e+07 Pa")),
     Extreme("disturbance.moving_mass", 1e-12, REFUSED, ("disturbance", "moving_mass")),
     Extreme("disturbance.signal.amplitude", 50.0, REFUSED, ("the disturbance reaches", "in m?")),
-    Extreme("disturbance.stiffness", 1e8, ENDED, ("is impossible", "integration_step")),
+    Extreme("disturbance.stiffness", 1e8, SOUND),
 )
 EFFECTS = (
     "constant_load", "end_stop", "viscous_asymmetry", "spring_hardening", "mass_shift", "command_delay", "valve_null_bias",

@@ -99,14 +99,12 @@ def in_process(cycles):
     signal_of = sampled(spec.disturbance.signal, PERIOD)
     kind = DISTURBANCES.load(spec.disturbance.name)
     disturbance = kind.build(spec.disturbance.parameters, signal_of, spec.rig, PERIOD)
-    row, volts, states = disturbance.first().copy(), 0.0, []
+    rows, volts, states = disturbance.rows(0, cycles), 0.0, []
     for cycle in range(cycles):
         measured = simulator.measure(random.standard_normal(len(SENSED)))
         force = 8e3 * rounded(measured[FORCE] / 8e3, 20.0 / 2**16, -10.0)
-        states.append((2e-3 * volts, *simulator.truth[[0, 2, 3]]))
-        position, velocity = simulator.truth[:2].tolist()
-        simulator.advance(2e-3 * volts, *row)
-        row = disturbance.following(cycle, position, velocity).copy()
+        states.append((2e-3 * volts, *simulator.truth[[0, 2, 3]], *simulator.servo[:2]))
+        simulator.advance(2e-3 * volts, *rows[cycle])
         volts = rounded(law(force, cycle) / 2e-3, 10.0 / 2**16, -5.0)
     return np.array(states)
 
@@ -124,7 +122,8 @@ def test_lockstep_is_the_simulator_with_a_cycle_of_delay(start, tmp_path):
     code, figures, _ = emulator.finish()
     assert (code, figures["cycles"], figures["commands"]) == (0, cycles, cycles)
     truth, expected = read_log(log), in_process(cycles)
-    names = ("valve_command_m", "position_m", "load_pressure_pa", "spool_m")
+    servo = ("disturbance_displacement_m", "disturbance_velocity_m_s")
+    names = ("valve_command_m", "position_m", "load_pressure_pa", "spool_m", *servo)
     for name, column in zip(names, expected.T, strict=True):
         np.testing.assert_allclose(truth[name], column, rtol=1e-9, atol=1e-12 * np.abs(column).max(), err_msg=name)
     assert np.ptp(truth["disturbance_displacement_m"]) > 0.01

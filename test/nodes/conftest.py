@@ -75,7 +75,7 @@ class Graph:
 
         began = time.monotonic()
         log, environment = self.folder / f"{name}.log", {"ROS_LOG_DIR": str(self.folder), **graph_environment()}
-        if self._server is not None and self._server.serves(arguments):
+        if self._server is not None and self._server.serves(arguments, environment):
             log.touch()
             self.processes[name] = self._server.start(arguments, log, environment, before)
         else:

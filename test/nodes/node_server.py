@@ -14,6 +14,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Mapping, Sequence
@@ -23,6 +24,7 @@ from typing import Any
 
 NODES = "ehls_ros.nodes."
 COMMAND = "ehls_ros.cli.main"
+PARENT = "EHLS_PARENT"
 
 
 class ServedProcess:
@@ -67,6 +69,7 @@ class NodeServer:
 
     def __init__(self) -> None:
         self.ended: dict[int, int] = {}
+        self._path = os.environ.get("PYTHONPATH", "")
         self._begun: list[int] = []
         self._rest = b""
         self._process = subprocess.Popen([sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -74,10 +77,10 @@ class NodeServer:
         assert self._process.stdout is not None
         self._to, self._from = self._process.stdin, self._process.stdout
 
-    @staticmethod
-    def serves(arguments: Sequence[str]) -> bool:
-        """Return whether the server can run a Python command line."""
-        return arguments[0] == "-m" and (arguments[1].startswith(NODES) or arguments[1] == COMMAND)
+    def serves(self, arguments: Sequence[str], environment: Mapping[str, str]) -> bool:
+        """Return whether the server can run a Python command line: it has the same packages, and its parent does not matter."""
+        own_module = arguments[0] == "-m" and (arguments[1].startswith(NODES) or arguments[1] == COMMAND)
+        return own_module and environment.get("PYTHONPATH", "") == self._path and PARENT not in environment
 
     def start(
         self, arguments: Sequence[str], log: Path, environment: Mapping[str, str], before: Mapping[str, Any] | None = None
@@ -181,6 +184,8 @@ def _become(request: Mapping[str, Any]) -> None:
     for target, source in ((0, null), (1, log), (2, log)):
         os.dup2(source, target)
     faulthandler.enable()
+    # Python 3.11 leaves the number that the thread has in the parent.
+    threading.main_thread()._set_native_id()  # type: ignore[attr-defined]
     os.environ.clear()
     os.environ.update(request["environment"])
     code: Any = 1

@@ -71,8 +71,7 @@ def main() -> None:
             while not node.stopping.is_set() and node.told() == mode:
                 waiter.wait(0.02)
                 while (command := node.inbox.take()) is not None:
-                    # Without the sender: the outbox names this node.
-                    yield command[:3]
+                    yield command[:-1]
 
         while not node.stopping.is_set():
             mode = node.told()

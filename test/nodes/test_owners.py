@@ -84,7 +84,7 @@ def test_a_second_reference_is_refused_and_taken_only_after_the_first_has_left(s
     participant.until(lambda: two.is_refused("reference_node_2", "/ehls/reference_node-"))
     participant.until(lambda: participant.state_of("reference_node_2") == "inactive")
     # The controller named it, and went on with the first.
-    assert "force_reference of /ehls/reference_node_2-" in two.graph.log("fasmc_node")
+    participant.until(lambda: "force_reference of /ehls/reference_node_2-" in two.graph.log("fasmc_node"))
     two.states.clear()
     participant.until(lambda: two.follows(FORCE))
     assert max(abs(state.force - FORCE) for state in two.states) < FOLLOWED
@@ -121,7 +121,7 @@ def test_two_nodes_of_one_name_are_told_apart(sources):
     other = two.second("reference_node")
     participant.until(lambda: "is refused" in two.graph.log("reference_node again"))
     assert f"/ehls/reference_node-{owner} owns it" in two.graph.log("reference_node again")
-    assert f"/ehls/reference_node-{other.pid}" in two.graph.log("fasmc_node")
+    participant.until(lambda: f"/ehls/reference_node-{other.pid}" in two.graph.log("fasmc_node"))
     two.states.clear()
     participant.until(lambda: two.follows(FORCE))
 

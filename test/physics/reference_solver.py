@@ -181,6 +181,9 @@ class Plant:
         self.side = 0
         self.t0, self.u, self.fd, self.fd_rate = 0.0, 0.0, 0.0, 0.0
 
+    def sample(self, y: Floats) -> None:
+        """Take the state at the start of a cycle, for what is sampled; nothing is."""
+
     def begin(self, t: float, u: float, fd: float, fd_rate: float) -> None:
         """Take the inputs of a cycle."""
         self.t0, self.u, self.fd, self.fd_rate = t, u, fd, fd_rate
@@ -258,6 +261,10 @@ class Plant:
 
         return action
 
+    def events(self, y: Floats) -> list[Event]:
+        """Return all that may happen next."""
+        return self.valve_events(y) + self.law.events(self)
+
     def start(self, t: float, y: Floats) -> None:
         """Leave a mode at which inputs that jumped, or a velocity set to zero, do not let it stay."""
         if self.side == 0 and not any(self.c.overlap):
@@ -300,14 +307,32 @@ def solve(
     atol *= rtol / RELATIVE_TOLERANCE
     y = np.zeros(atol.size)
     y[0] = position
+    return integrate(plant, y, inputs, period, rtol, atol)
+
+
+def integrate(plant: Any, y: Floats, inputs: Floats, period: float, rtol: float, atol: Floats) -> Solution:
+    """Integrate a plant, or what has its methods, from a state.
+
+    Args:
+        plant: the plant.
+        y: the state.
+        inputs: arguments of ``begin`` at each cycle after the time, shape (cycles, arguments).
+        period: time between two cycles [s].
+        rtol: relative tolerance.
+        atol: absolute tolerances, one per state.
+
+    Returns:
+        The solution.
+    """
     out, count = [y.copy()], 0
     for cycle, given in enumerate(inputs.tolist()):
         t, end = cycle * period, (cycle + 1) * period
+        plant.sample(y)
         plant.begin(t, *given)
         while t < end:
             until = plant.until(t, end)
             plant.start(t, y)
-            events = plant.valve_events(y) + plant.law.events(plant)
+            events = plant.events(y)
             watched = []
             for event in events:
 

@@ -1,9 +1,12 @@
 """What a disturbance's file provides.
 
-``Parameters``; ``REACTS``, whether it feels the loader; ``loader_effects(p)``, the effects through which it
-enters the loader's plant; and ``build(p, signal, rig, period)``, a :class:`Source`, a
-:class:`Planned` one where it does not react. The signal it follows is
-any reference: a force [N] or a displacement [m].
+``Parameters``; ``REACTS``, whether the actuator under test feels the loader; ``loader_effects(p)``, the effects through which
+it enters the loader's plant; and ``build(p, signal, rig, period)``, a :class:`Source`. The signal it follows is any reference:
+a force [N], or the displacement [m] of an actuator that reacts.
+
+What feels the loader is part of the plant, and is integrated with it. So a file with ``REACTS`` also has ``servo(p, rig,
+start)``, the :class:`~ehls_ros.physics.servo.Servo` that starts at a position [m]; its rows are the motion that the servo is to
+follow.
 """
 
 from typing import Any, Protocol
@@ -17,17 +20,7 @@ FORCE, FORCE_RATE, DISPLACEMENT, VELOCITY, ROW = range(5)
 
 
 class Source(Protocol):
-    """A running disturbance, evaluated once a cycle, one cycle ahead."""
-
-    def first(self) -> Array:
-        """Return the row of cycle 0."""
-
-    def following(self, cycle: int, position: float, velocity: float) -> Array:
-        """Return the row of cycle + 1, given the loader's position [m] and velocity [m/s] at a cycle."""
-
-
-class Planned(Source, Protocol):
-    """A disturbance that does not react: any number of cycles can be computed at once."""
+    """A disturbance by cycle."""
 
     def rows(self, first: int, cycles: int) -> Array:
         """Return the rows of consecutive cycles, shape (cycles, ROW)."""

@@ -27,26 +27,12 @@ class Force:
     def __init__(self, signal: SampledReference) -> None:
         """Take the force signal."""
         self._signal = signal
-        self._row = np.zeros(ROW)
-
-    def first(self) -> Array:
-        """Return the row of cycle 0."""
-        return self._at(0)
-
-    def following(self, cycle: int, position: float, velocity: float) -> Array:
-        """Return the row of cycle + 1; the loader's motion makes no difference."""
-        return self._at(cycle + 1)
 
     def rows(self, first: int, cycles: int) -> Array:
         """Return the rows of consecutive cycles, shape (cycles, ROW)."""
         rows = np.zeros((cycles, ROW))
         rows[:, [FORCE, FORCE_RATE]] = self._signal.rows(first, cycles)[:, :2]
         return rows
-
-    def _at(self, cycle: int) -> Array:
-        value, rate, _ = self._signal.row(cycle)
-        self._row[FORCE], self._row[FORCE_RATE] = value, rate
-        return self._row
 
 
 def build(p: Parameters, signal: SampledReference, rig: Rig, period: float) -> Force:

@@ -47,6 +47,9 @@ sensors see them. Such an effect has both ``piston`` hooks, and its ``force`` re
 velocity. ``piston_share(parameters)`` returns the fraction of the moving mass that stays with the piston, zero if the
 parameters do not separate them, and ``shift`` removes it from the moving mass. A rig has at most one such effect.
 
+An effect whose ``force`` is that between loader and position servo has ``COUPLES = True``: where the servo is simulated
+(:mod:`ehls_ros.physics.servo`), the same force acts on it in the opposite direction.
+
 ``NEEDS`` names the signals (:data:`ehls_ros.trajectory.SIGNALS`) without which the effect cannot be seen in data; without
 ``NEEDS``, those of its group suffice.
 """

@@ -19,6 +19,7 @@ WORDS = Words(
     change="keep `coupling_stiffness` under `effects` in the rig file",
 )
 NEEDS = ("disturbance_displacement_m",)
+COUPLES = True
 
 
 class Parameters(NamedTuple):

@@ -1,0 +1,146 @@
+"""The actuator under test as a position servo: a second piston with its own valve and position loop, joined to the loader.
+
+Both pistons are one system of equations. The state is the loader's, as in :mod:`ehls_ros.physics.plant`, followed by the
+servo's: position, velocity, load pressure, spool displacement, friction forces. The modes are arranged alike. The force of the
+coupling between the pistons acts on both, in opposite directions. The position loop is sampled once per control period, and its
+command is held.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from ehls_ros.arrays import Array, kernel, lean
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import FD, FRICTION, Chains, Coefficients, V, X, follow_servo, system
+from ehls_ros.physics.rig import Rig
+
+
+class Servo(NamedTuple):
+    """A position servo.
+
+    Attributes:
+        rig: its coefficients, friction and limits; it has neither effects nor sensors.
+        gain: of its position loop, velocity per position error [1/s].
+        start: its position at the start [m].
+    """
+
+    rig: Rig
+    gain: float
+    start: float
+
+
+class ServoConstants(NamedTuple):
+    """Constants of a simulated servo.
+
+    Attributes:
+        plant: its coefficients.
+        friction: its friction parameters.
+        gain: of its position loop [1/s].
+        spool_limit: its largest spool command [m].
+    """
+
+    plant: Plant
+    friction: Any
+    gain: float
+    spool_limit: float
+
+
+class CoupledCoefficients(NamedTuple):
+    """The loader's :class:`~ehls_ros.physics.plant.Coefficients`, with the servo's.
+
+    Attributes:
+        plant, friction, inputs, effects, command: the loader's.
+        servo: the servo's; its disturbance force is the force of the coupling on the loader.
+    """
+
+    plant: Plant
+    friction: Any
+    inputs: Array
+    effects: Any
+    command: float
+    servo: Coefficients
+
+
+@lean
+def _unchanged(value: Any, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> Any:
+    """Return the model's value, as a hook of no effect."""
+    return value
+
+
+@lean
+def _no_rates(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant, dz: Array) -> None:
+    """Write nothing: there are no states."""
+
+
+_HOOKS: dict[str, Any] = dict.fromkeys(Chains._fields, _unchanged) | {"received": None, "jump": None, "rates": _no_rates}
+
+NO_EFFECTS = Chains(**_HOOKS)
+"""The hooks of a plant without effects."""
+
+
+@kernel
+def servo_command(
+    wanted: float, wanted_velocity: float, x: float, load_pressure: float, gain: float, plant: Plant, limit: float
+) -> float:
+    """Return the spool command of the position loop [m]: proportional, with the motion's flow fed forward.
+
+    Args:
+        wanted: position wanted [m].
+        wanted_velocity: its rate [m/s].
+        x: the servo's position [m].
+        load_pressure: its load pressure [Pa].
+        gain: velocity per position error [1/s].
+        plant: its coefficients.
+        limit: its largest spool command [m].
+    """
+    velocity = wanted_velocity + gain * (wanted - x)
+    drop = plant.supply_pressure - math.copysign(1.0, velocity) * load_pressure
+    root = math.sqrt(max(drop, 0.01 * plant.supply_pressure) / plant.oil_density)
+    spool = plant.piston_area * velocity / (plant.discharge_coefficient * plant.valve_area_gradient * root)
+    command = spool / plant.valve_gain
+    return 0.0 if math.isnan(command) else min(max(command, -limit), limit)
+
+
+def coupled_system(
+    friction: Any, elements: int, states: int, chains: Chains
+) -> tuple[Callable[..., float], Callable[..., None]]:
+    """Build the loader's plant joined to a servo of the same friction model.
+
+    Args:
+        friction: module of the friction model.
+        elements: number of its forces.
+        states: number of the effects' own states.
+        chains: hooks of the loader's effects.
+
+    Returns:
+        ``evaluate`` and ``switch`` for :mod:`ehls_ros.physics.integration`; their coefficients are
+        :class:`CoupledCoefficients`, whose inputs they write to.
+    """
+    end = FRICTION + elements
+    size, modes = end + states, 1 + elements
+    evaluate_loader, switch_loader = system(friction, elements, chains)
+    evaluate_servo, switch_servo = system(friction, elements, NO_EFFECTS)
+    coupling_force = chains.coupling_force
+
+    @lean
+    def join(t: float, y: Array, c: CoupledCoefficients) -> None:
+        """Let each piston act on the other as they are at t."""
+        follow_servo(c.inputs, t, y[size + X], y[size + V])
+        loader = y[:size]
+        c.servo.inputs[FD] = coupling_force(0.0, t, loader, c.inputs, y[end:size], c.effects, c.plant)
+
+    @lean
+    def evaluate(t: float, y: Array, mode: Array, c: CoupledCoefficients, rate: Array) -> float:
+        join(t, y, c)
+        loader = evaluate_loader(t, y[:size], mode[:modes], c, rate[:size])
+        servo = evaluate_servo(t, y[size:], mode[modes:], c.servo, rate[size:])
+        return max(loader, servo)
+
+    @lean
+    def switch(t: float, y: Array, mode: Array, c: CoupledCoefficients) -> None:
+        join(t, y, c)
+        switch_loader(t, y[:size], mode[:modes], c)
+        switch_servo(t, y[size:], mode[modes:], c.servo)
+
+    return evaluate, switch
