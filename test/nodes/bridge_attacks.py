@@ -41,12 +41,18 @@ FOLLOWING = {
 
 DECLARED = {declared.name: declared for declared in declarations(Parameters)}
 
-TUNED = ("ramp_time", "command_timeout", "sensor_timeout", "hold_time", "enable_time", "command_rate", "limit_time")
+TIMES = ("ramp_time", "command_timeout", "sensor_timeout", "hold_time", "enable_time", "command_rate", "limit_time")
 """Times of the gate, which policies depend on."""
+
+TIGHT = {"trip_level": (0.005, 0.3), "position_margin": (0.2, 0.31), "frozen_time": (0.005, 0.1), "frozen_command": (1e-5, 2e-4)}
+"""Parameters so tight that the rig trips them in normal use, and ranges of theirs."""
 
 
 def _parameter(random: Random) -> tuple[str, Any]:
-    declared = DECLARED[random.choice([*TUNED, random.choice(list(DECLARED))])]
+    if random.random() < 0.3:
+        name = random.choice(list(TIGHT))
+        return name, _spread(random, *TIGHT[name])
+    declared = DECLARED[random.choice([*TIMES, random.choice(list(DECLARED))])]
     if declared.kind is str:
         return declared.name, random.choice([*REACTIONS, "", "off"])
     low, high = declared.minimum or 0.0, declared.maximum or 1.0
@@ -78,21 +84,22 @@ def _sensor(random: Random) -> tuple[str]:
 
 
 KINDS = {
-    "enable": Kind(6),
-    "reset": Kind(4),
+    "reopen": Kind(5),
+    "enable": Kind(3),
+    "reset": Kind(2),
     "disable": Kind(2),
     "emergency_stop": Kind(1),
-    "acknowledge": Kind(2),
+    "acknowledge": Kind(1),
     "acknowledge_wrongly": Kind(1, lambda random: (random.choice(["", "stop", "stop-0", "stop-999", "emergency_stop"]),)),
-    "transition": Kind(4, lambda random: (random.randrange(2),)),
+    "transition": Kind(3, lambda random: (random.randrange(2),)),
     "invalid_transition": Kind(1),
-    "parameter": Kind(4, _parameter),
+    "parameter": Kind(5, _parameter),
     "freeze_bridge": Kind(3, lambda random: (_spread(random, 0.002, 0.4),)),
     "freeze_emulator": Kind(1, lambda random: (_spread(random, 0.002, 0.15),)),
     "freeze_commander": Kind(1, lambda random: (_spread(random, 0.002, 0.15),)),
     "lose_packets": Kind(2, lambda random: (random.choice(["deaf", "silent"]), _spread(random, 0.002, 0.15))),
     "delay_packets": Kind(1, lambda random: (_spread(random, 0.01, 2.0), _spread(random, 0.005, 0.3))),
-    "spoil_sensor": Kind(2, lambda random: (*_sensor(random), _spread(random, 1.0, 100.0))),
+    "spoil_sensor": Kind(4, lambda random: (*_sensor(random), _spread(random, 1.0, 100.0))),
     "command": Kind(4, _command),
     "answer_wrongly": Kind(2, _misanswer),
     "rival": Kind(2, lambda random: (random.choice([*_command(random), f"intrude {random.uniform(-LARGEST, LARGEST)}"]),)),
@@ -138,7 +145,7 @@ class BridgeAttacks:
     def come_back(self) -> None:
         """Open the gate, whatever happened before."""
         self.rig.fault("clear")
-        self.rig.command("mute", RIVAL)
+        self.rig.command(f"sine {LARGEST / 4} 0.9", RIVAL)
         self.rig.command(f"sine {LARGEST / 2} 1.3")
         for label in {"unconfigured": ("configure", "activate"), "inactive": ("activate",)}.get(self._lifecycle, ()):
             assert self.rig.transition(label)
@@ -157,6 +164,13 @@ class BridgeAttacks:
             self.rig.participant.rest(0.05)
 
     # Actions
+
+    def reopen(self) -> None:
+        """Acknowledge, reset and enable, once, and wait until the commands are blended in."""
+        self.acknowledge()
+        self.reset()
+        if self.enable():
+            self.rig.participant.rest(self.rig.pace.enable)
 
     def enable(self) -> bool:
         return bool(self.rig.enable().success)

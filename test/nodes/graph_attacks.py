@@ -101,12 +101,12 @@ class Configuration(NamedTuple):
 
 def configuration(number: int) -> Configuration:
     """Return the graph of a batch by its number."""
-    composed, learns = number // 2 % 2 == 1, number % 3 != 0
+    composed = number // 2 % 2 == 1
     if number % 2 == 0:
         partners = "reference_node", "disturbance_node", "friction_estimator_node"
-        return Configuration("plant_sim_node", "fasmc", "sic", partners, composed, learns)
+        return Configuration("plant_sim_node", "fasmc", "sic", partners, composed, learns=number % 3 != 0)
     law = "fasmc_output_feedback"
-    return Configuration("hardware_bridge_node", law, law, ("reference_node",), composed, learns)
+    return Configuration("hardware_bridge_node", law, law, ("reference_node",), composed, learns=False)
 
 
 NODES = ("plant", "law", "second", "reference_node", "disturbance_node", "friction_estimator_node", PROGRAMME_NODE)

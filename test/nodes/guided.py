@@ -76,7 +76,9 @@ class Search:
         self._kinds = kinds
         self._blind = blind
         self._turn = 0
+        self._drawn = 0
         self.closest: dict[str, list[Kept]] = {}
+        self._farthest: dict[str, float] = {}
         self.origins: Counter[str] = Counter()
 
     def next(self) -> Attack:
@@ -84,7 +86,7 @@ class Search:
         policy = self._policy()
         if self._blind or policy is None or self._random.random() < FRESH:
             self.origins["fresh"] += 1
-            return tuple(self._draw() for _ in range(LENGTH))
+            return self._fresh()
         self.origins[policy] += 1
         kept = self.closest[policy]
         # The closest most often.
@@ -97,18 +99,26 @@ class Search:
             if not math.isfinite(value):
                 continue
             kept = self.closest.setdefault(policy, [])
-            if len(kept) < KEPT or value < kept[-1].robustness:
-                kept.append(Kept(value, attack))
+            self._farthest[policy] = max(value, self._farthest.get(policy, value))
+            # Of equally close ones the last: there may be a way on from it.
+            if len(kept) < KEPT or value <= kept[-1].robustness:
+                kept.insert(0, Kept(value, attack))
                 kept.sort(key=lambda entry: entry.robustness)
                 del kept[KEPT:]
 
     def _policy(self) -> str | None:
         """Return the policy to push at, in turn: one whose robustness depends on the sequence."""
-        graded = [name for name, kept in sorted(self.closest.items()) if kept[0].robustness != kept[-1].robustness]
+        graded = [name for name, kept in sorted(self.closest.items()) if kept[0].robustness < self._farthest[name]]
         if not graded:
             return None
         self._turn += 1
         return graded[self._turn % len(graded)]
+
+    def _fresh(self) -> Attack:
+        """Draw a sequence; each kind of action is the first in turn, when nothing else has happened yet."""
+        names = list(self._kinds)
+        self._drawn += 1
+        return (self._of(names[self._drawn % len(names)]), *(self._draw() for _ in range(LENGTH - 1)))
 
     def _draw(self) -> Action:
         names = list(self._kinds)

@@ -65,8 +65,14 @@ def check(trace: Trace) -> dict[str, Verdict]:
     """
     verdicts = judge(trace)
     violated = [str(verdict) for verdict in verdicts.values() if verdict.violations]
-    import os, pickle
-    if violated and os.environ.get("KEEP_TRACE"):
-        pickle.dump(trace, open(os.environ["KEEP_TRACE"], "wb"))
     assert not violated, "policies are violated:\n" + "\n".join(violated)
     return verdicts
+
+
+def listed() -> str:
+    """Return the list of all policies as the documentation has it."""
+    lines = ["| policy | formula | unit | promised in |", "|---|---|---|---|"]
+    for policy in POLICIES:
+        text = policy.formula.text.replace("|", "\\|").replace("*", "\\*").replace("->", "→").replace("<=", "≤").replace(">=", "≥")
+        lines.append(f"| `{policy.name}` | {text} | {policy.formula.unit} | [{policy.page}]({policy.page}) |")
+    return "\n".join(lines)

@@ -32,6 +32,9 @@ TOLD = 3
 WITHIN = 0.5
 """Longest time until a change of the gate's state is reported, half of that between two reports in any case [s]."""
 
+STARTED = 3
+"""Reports after which a node has started."""
+
 UNTIL_TOLD = 1.0
 """Longest time between two reports of a node [s]."""
 
@@ -565,7 +568,9 @@ def _changes_told(trace: Trace) -> Margins:
     told = trace.heard("driving")
     reports = [r for r in trace.reports if r.node == trace.setup.plant and "state" in r.values]
     found = []
-    first = min((report.time for report in reports), default=np.inf)
+    times = np.array([report.time for report in reports])
+    # A node that has just started has other things to do.
+    first = times[STARTED] if times.size > STARTED else np.inf
     for number, (when, driving) in enumerate(told):
         if number == 0 or when < first or bool(driving) == bool(told[number - 1][1]):
             continue
@@ -577,8 +582,10 @@ def _changes_told(trace: Trace) -> Margins:
             continue
         # The service thread may have seen the change before the loop told it.
         said = [r.time for r in reports if r.time >= when - LASTING and (r.values["state"] in DRIVING) == bool(driving)]
-        # A machine that is held up is so for the services as well.
-        found.append((when, WITHIN + 3.0 * trace.lateness - max(min(said, default=np.inf) - when, 0.0)))
+        # A machine that is held up, so that even the reports each second are late, cannot be at once.
+        near = times[(times > when - 2.0 * UNTIL_TOLD) & (times < when + 2.0 * UNTIL_TOLD)]
+        late = max(float(np.max(np.diff(near), initial=0.0)) - UNTIL_TOLD, 0.0) + trace.lateness
+        found.append((when, WITHIN + 3.0 * late - max(min(said, default=np.inf) - when, 0.0)))
     return as_margins(found)
 
 
@@ -702,7 +709,7 @@ POLICIES = (
     Policy(
         "end_of_process",
         always(ENDED.holds, ENDED.null_within()),
-        RIG, "an exception, SIGINT and SIGTERM close it at\nonce", 1e-3,
+        RIG, "an exception, SIGINT and SIGTERM close it at once", 1e-3,
     ),
     Policy("killed", always(KILLED.holds, KILLED.null_within()), RIG, "after SIGKILL the target's watchdog does", 1e-3),
     Policy(
@@ -718,7 +725,7 @@ POLICIES = (
     Policy(
         "device_null",
         always(SHUT.holds, SHUT.null_within()),
-        RIG, "the device reports\n  that it closed the valve itself", 1e-3,
+        RIG, "the device reports that it closed the valve itself", 1e-3,
     ),
     Policy(
         "latched",
@@ -752,7 +759,7 @@ POLICIES = (
                 parameter("mismatch_time") + reaction_time("on_sensor_mismatch") + SEEN
             ),
         ),
-        RIG, "Detectors of contradicting readings ramp the valve to null after `mismatch_time`", 1e-2,
+        RIG, "readings that contradict each other for `mismatch_time`", 1e-2,
     ),
     Policy(
         "sensor_stuck",
@@ -785,7 +792,7 @@ POLICIES = (
             GENTLE, Quantity("|force|", "N", lambda trace: np.abs(trace.log["force_n"]))
             <= limit("force", "N", lambda trace: trace.setup.rig.limits.force),
         ),
-        RIG, "of force, speed and position", 1e3,
+        RIG, "The rig itself keeps its limits of force, speed and position", 1e3,
     ),
     Policy(
         "speed_limit",
@@ -793,7 +800,7 @@ POLICIES = (
             GENTLE, Quantity("|velocity|", "m/s", lambda trace: np.abs(trace.log["velocity_m_s"]))
             <= limit("velocity", "m/s", lambda trace: trace.setup.rig.limits.velocity),
         ),
-        RIG, "of force, speed and position", 0.1,
+        RIG, "The rig itself keeps its limits of force, speed and position", 0.1,
     ),
     Policy(
         "stroke",
@@ -801,7 +808,7 @@ POLICIES = (
             GENTLE, Quantity("distance from mid-stroke", "m", _from_middle)
             <= limit("position", "m", lambda trace: 0.5 * (trace.setup.rig.limits.position[1] - trace.setup.rig.limits.position[0])),
         ),
-        RIG, "of force, speed and position", 1e-2,
+        RIG, "The rig itself keeps its limits of force, speed and position", 1e-2,
     ),
     # Requests
     Policy(
@@ -812,12 +819,12 @@ POLICIES = (
     Policy(
         "stop_is_named",
         each("always(acknowledged -> the stop named is engaged)", "1", _named),
-        RIG, "released only by\n  `acknowledge_stop` with its name", 1.0,
+        RIG, "released only by `acknowledge_stop` with its name", 1.0,
     ),
     Policy(
         "stop_needs_acknowledgement",
         each("always(enabled after a stop -> acknowledge_stop and reset_trips came between)", "s", _enabled_after_stop),
-        RIG, "An emergency stop must first be\nacknowledged", 1e-3,
+        RIG, "released only by `acknowledge_stop` with its name", 1e-3,
     ),
     Policy(
         "enabled_in_active",
@@ -842,7 +849,7 @@ POLICIES = (
     Policy(
         "reports_are_true",
         each("always(diagnostics say active and OK -> not at null against commands for 1 s)", "s", _claims),
-        RIG, "the device keeps the valve closed", 0.1,
+        RIG, "a valve that stays at null against the commands is not reported as OK", 0.1,
     ),
 )
 """All of them; `docs/policies.md` lists them."""

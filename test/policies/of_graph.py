@@ -195,7 +195,10 @@ def _standing_by(trace: Trace) -> Margins:
 
 
 def _switches(trace: Trace) -> Margins:
-    """Return 1 for each switch of an open gate in lockstep that left it open, and -1 for one that closed it."""
+    """Return 1 for each switch of an open gate in lockstep that left it open, and -1 for one that closed it.
+
+    A gate that closes for want of a reference, without which no controller answers, was not closed by the switch.
+    """
     told = trace.heard("driving")
     closing = [
         call.sent
@@ -203,12 +206,14 @@ def _switches(trace: Trace) -> Margins:
         if call.service in {"emergency_stop", "enable"} or call.service.endswith("/change_state")
     ]
     others = [*closing, *(happening.time for happening in trace.happenings)]
+    references = _references(trace)
+    starved = [state[0] for state in trace.of_plant() if references and state[2] not in references]
     found = []
     for call in trace.called("switch_controller"):
         before = [message[1] for message in told if message[0] <= call.sent]
-        if not trace.setup.lockstep or not before or not before[-1]:
+        if not trace.setup.lockstep or not before or not before[-1] or "takes over" not in call.message:
             continue
-        until = min([when for when in others if when > call.answered] + [call.answered + 1.0])
+        until = min([when for when in (*others, *starved) if when > call.sent] + [call.answered + 1.0])
         closed = any(not message[1] for message in told if call.sent < message[0] < until)
         found.append((call.answered, -1.0 if closed else 1.0))
     return as_margins(found)
@@ -352,7 +357,7 @@ POLICIES = (
     Policy(
         "driver_changes_for_a_reason",
         each("always(the driver changes -> switched, or it left, or the gate was closed)", "1", _driver_changes),
-        "hardware.md", "Another takes its place on\n  request, or when the first one leaves", 1.0,
+        "hardware.md", "Another takes its place on request, or when the first one leaves", 1.0,
     ),
     Policy(
         "handover_step",
@@ -367,7 +372,7 @@ POLICIES = (
     Policy(
         "switch_leaves_gate_open",
         each("always(switched while driving -> driving)", "1", _switches),
-        SWITCHING, "without\nclosing the gate", 1.0,
+        SWITCHING, "without closing the gate", 1.0,
     ),
     Policy(
         "cycles_in_order",
@@ -381,7 +386,7 @@ POLICIES = (
             constant(f"{SILENCE:g} s", "s", lambda trace: SILENCE)
             <= Quantity("time since a command was accepted", "s", _silence),
         ),
-        "hardware.md", "Refuse hellos of others until its commands have been absent for\n   0.1 s", 1e-2,
+        "hardware.md", "Refuse hellos of others until its commands have been absent for 0.1 s", 1e-2,
     ),
     Policy(
         "counts_once",
@@ -391,12 +396,12 @@ POLICIES = (
     Policy(
         "programme_continuous",
         each("always(a reference follows another -> |step| <= period^2 * acceleration)", "N", _continuous),
-        PROGRAMME, "So force and rate have no\n  step anywhere", 1e-2,
+        PROGRAMME, "So force and rate have no step anywhere", 1e-2,
     ),
     Policy(
         "programme_same_again",
         each("always(a reference is sent again in lockstep -> it is the same)", "N", _same_again),
-        PROGRAMME, "what it publishes depends on the\ncontrol cycle alone", 1.0,
+        PROGRAMME, "what it publishes depends on the control cycle alone", 1.0,
     ),
     Policy(
         "stopped_programme_stands",

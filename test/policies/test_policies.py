@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from policies.monitor import POLICIES, check, judge
+from policies.monitor import POLICIES, check, judge, listed
 from policies.of_gate import LYING, WITHIN
 from policies.of_graph import EXACT, HANDOVER, REFUSED_WITHIN
 from policies.synthetic import (
@@ -145,7 +145,8 @@ def weakened(excess):
 
 def told_late(excess):
     told = [(at(0), False), (at(OPENED), True), (at(EVENT), False)]
-    reports = [report("disabled", 0), report("active", OPENED), report("cut", EVENT + (WITHIN + excess) / PERIOD), report("cut", 3900)]
+    reports = [*(report("disabled", row) for row in (0, 10, 20)), report("active", OPENED)]
+    reports += [report("active", EVENT - 10), report("cut", EVENT + (WITHIN + excess) / PERIOD), report("cut", 2300)]
     return trace(until(EVENT), messages={"driving": told}, reports=reports)
 
 
@@ -188,7 +189,7 @@ def switched(excess, step=0.0):
         "valve_command": sent,
         "driving": [(at(0), True), *([(at(EVENT + 5), False)] if excess > 0.0 else [])],
     }
-    asked = [answered("switch_controller", EVENT - 5, controller="b")]
+    asked = [answered("switch_controller", EVENT - 5, controller="b", message="b takes over")]
     return trace(messages=messages, calls=[] if excess > 0.0 and not step else asked, lockstep=True)
 
 
@@ -445,7 +446,5 @@ def test_each_policy_is_promised_by_the_documentation():
 
 
 def test_the_documentation_lists_the_policies():
-    lines = [line.split(" | ") for line in (DOCS / "policies.md").read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
-    listed = {cells[0].strip("| `"): cells[1].strip("`") for cells in lines}
-    assert listed == {policy.name: policy.formula.text.replace("|", "\\|") for policy in POLICIES}
     assert len(POLICIES) >= 20
+    assert listed() in (DOCS / "policies.md").read_text(encoding="utf-8"), f"docs/policies.md has to have\n{listed()}"
