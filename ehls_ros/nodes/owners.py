@@ -92,8 +92,7 @@ class Owners:
 
         A killed node stays in the graph until the middleware misses it, which takes 20 s.
         """
-        process = process_of(owner)
-        if process is not None and os.environ.get(DISCOVERY_RANGE) == LOCALHOST and not is_running(process):
+        if not self.may_run(owner):
             return False
         endpoints = self._node.get_publishers_info_by_topic(topic)
         names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in endpoints}
@@ -101,6 +100,12 @@ class Owners:
             return node_of(owner) in names
         # A sender that is not named after its node is any publisher that is no contender.
         return bool(names - {node_of(sender) for sender in ownership.contenders})
+
+    @staticmethod
+    def may_run(sender: str) -> bool:
+        """Return whether a sender's process may be running; one on another host may."""
+        process = process_of(sender)
+        return process is None or os.environ.get(DISCOVERY_RANGE) != LOCALHOST or is_running(process)
 
     def complaint(self) -> str:
         """Return a sentence about a sender that is refused at present; empty if there is none."""
@@ -151,9 +156,18 @@ class Owner:
         self._owners.refuse(self._topic, sender)
         return False
 
+    @property
+    def now(self) -> float:
+        """Present time of the rule's clock [s]."""
+        return self._ownership.now
+
     def may_take(self, sender: str) -> bool:
         """Return whether a refused sender could be accepted by now: it is the owner, or there is none."""
         return self._ownership.owner in {None, sender}
+
+    def holds(self, sender: str, came: float) -> bool:
+        """Return whether a message still counts that was refused when it came [s]: its sender has not left since."""
+        return not self._ownership.has_left_since(sender, came) and self._owners.may_run(sender)
 
 
 def _name(sender: str) -> str:

@@ -28,6 +28,9 @@ EXACT = 1e-3
 REFUSED_WITHIN = 10.0
 """Longest time that a refused node takes to fall silent [s]; a tenth of a second is meant, on a machine that is not overloaded."""
 
+PUBLISHED = 1.0
+"""Longest time for which what a node of a shared process sends gathers before it is published [s]."""
+
 NEIGHBOURS = 250
 """Cycles on both sides of a switch in which the commands' usual changes are looked for."""
 
@@ -71,11 +74,11 @@ class Departures:
         return gone <= until or any(since <= when <= until for when in self._times.get(sender, []))
 
 
-def _references(trace: Trace) -> Mapping[int, Mapping[str, list[float]]]:
-    """Return the references of each cycle by sender."""
-    found: dict[int, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for _, _, cycle, force, _, _, sender in trace.heard("force_reference"):
-        found[cycle][sender].append(force)
+def _references(trace: Trace) -> Mapping[int, list[tuple[float, float, str]]]:
+    """Return the references of each cycle: time [s], force [N] and sender."""
+    found: dict[int, list[tuple[float, float, str]]] = defaultdict(list)
+    for when, _, cycle, force, _, _, sender in trace.heard("force_reference"):
+        found[cycle].append((when, force, sender))
     return found
 
 
@@ -85,6 +88,7 @@ def _one_reference(trace: Trace) -> Margins:
     The law's reference is the force that was measured less the force error that it reports.
     """
     references, departures = _references(trace), Departures(trace)
+    named = {message[4] for message in trace.heard("refused") if message[2] == "force_reference"}
     measured: dict[int, list[tuple[float, float]]] = defaultdict(list)
     for state in trace.of_plant():
         measured[state[2]].append((state[0], state[7]))
@@ -93,14 +97,18 @@ def _one_reference(trace: Trace) -> Margins:
     found = []
     for status in trace.heard("controller_status"):
         when, cycle, controller = status[0], status[2], status[-1]
-        known = references.get(cycle)
+        # Nodes of one process publish a little later than they act. What was sent last holds.
+        known = {sender: force for sent, force, sender in references.get(cycle, []) if sent <= when + PUBLISHED}
         since_run = max((begun for begun in trace.runs if begun <= when), default=-math.inf)
         snapshots = [force for opened, force in measured.get(cycle, []) if since_run <= opened <= when]
-        if known is None or not snapshots:
+        if not known or not snapshots:
             continue
         followed = snapshots[-1] - status[11]
-        apart = {sender: min(abs(followed - value) for value in values) for sender, values in known.items()}
+        apart = {sender: abs(followed - force) for sender, force in known.items()}
         owner, nearest = owners.get(controller), min(apart, key=apart.__getitem__)
+        if apart[nearest] > EXACT and named - set(known):
+            # Of an owner that was refusing others already, not all may have been heard.
+            continue
         if owner not in apart or apart[owner] > EXACT:
             restarted = owner is not None and node_of(owner) == node_of(nearest)
             if owner is None or restarted or departures.left(owner, since[controller], when):
@@ -184,13 +192,16 @@ def _standing_by(trace: Trace) -> Margins:
     """Return for each command of a controller that stands by how many more cycles it could have not known of it [cycles]."""
     ours = {message[-1] for message in (*trace.heard("standby_command"), *trace.heard("controller_status"))}
     grace = math.ceil(trace.setup.gate.command_timeout / trace.setup.period)
-    turns, found = _turns(trace), []
+    turns, states, found = _turns(trace), trace.of_plant(), []
+    opened = np.array([state[0] for state in states])
     for sent, _, cycle, _, sender in trace.heard("valve_command"):
         if not trace.setup.lockstep or sender not in ours:
             continue
-        last = [turn for turn in turns if turn[0] <= sent + 1.0 and turn[1] <= cycle and turn[3]]
-        if last and last[-1][3] != sender:
-            found.append((sent, float(grace - (cycle - last[-1][1]))))
+        last = [turn for turn in turns if turn[0] <= sent and turn[1] <= cycle][-1:]
+        if last and last[0][3] not in {"", sender}:
+            # The word came in the cycle that had been opened by then, or is of one to come.
+            known = states[max(int(np.searchsorted(opened, last[0][0])) - 1, 0)][2] if states else 0
+            found.append((sent, float(grace - (cycle - max(last[0][1], known)))))
     return as_margins(found)
 
 
@@ -223,14 +234,18 @@ def _switches(trace: Trace) -> Margins:
 
 
 def _in_order(trace: Trace) -> Margins:
-    """Return for each snapshot by how many cycles it goes on from the one before, less 1; a repetition or a new run goes on by 1."""
+    """Return for each snapshot by how many cycles it goes on from the one before, less 1; a repetition or a new run goes on by 1.
+
+    A simulated plant that was deactivated opens the cycle again in which it stood.
+    """
     newest: dict[str, tuple[Any, ...]] = {}
-    found = []
+    departures, found = Departures(trace), []
     for state in trace.of_plant():
         last = newest.get(state[-1])
         newest[state[-1]] = state
         if last is not None and state[2] != 0 and state[1:] != last[1:]:
-            found.append((state[0], float(state[2] - last[2] - 1)))
+            again = state[2] == last[2] and departures.left(state[-1], last[0], state[0])
+            found.append((state[0], 0.0 if again else float(state[2] - last[2] - 1)))
     return as_margins(found)
 
 
@@ -336,10 +351,16 @@ def _expected_states(trace: Trace, node: str, process: str, until: float) -> set
 
 def _stay(trace: Trace) -> Margins:
     """Return 1 for each lifecycle state that was as it had been asked for, and -1 for another."""
-    found = []
+    found, active = [], set()
     for happening in trace.happenings_of("state"):
         node, process, state = happening.whom.split()
-        found.append((happening.time, 1.0 if state in _expected_states(trace, node, process, happening.time) else -1.0))
+        begun = len([h for h in trace.happenings_of("started", {process}) if h.time <= happening.time])
+        expected = _expected_states(trace, node, process, happening.time)
+        if state in expected:
+            active.add((node, begun))
+        # A node that has just started is on its way there.
+        if (node, begun) in active:
+            found.append((happening.time, 1.0 if state in expected else -1.0))
     return as_margins(found)
 
 

@@ -257,7 +257,8 @@ def stands(excess):
 def states(excess):
     changed = answered("reference_node/change_state", EVENT, transition="deactivate")
     state = "active" if excess > 0.0 else "inactive"
-    return trace(calls=[changed], happenings=[happening("state", EVENT + 1, f"reference_node reference_node {state}")])
+    seen = [happening("state", row, f"reference_node reference_node {now}") for row, now in ((0, "active"), (EVENT + 1, state))]
+    return trace(calls=[changed], happenings=seen)
 
 
 def ends(excess):
