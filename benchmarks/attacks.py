@@ -137,6 +137,7 @@ class Campaign:
         try:
             attacks = self.arena.begin(graph, participant, folder, self.batches)
             for attack in planned:
+                print(attack, file=(folder / "attacks.txt").open("a"))
                 attacks.run(attack)
             return attacks, attacks.trace()
         finally:

@@ -25,6 +25,9 @@ DISCOVERY_RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 REPEAT = 1.0
 """Time after which a refusal is published again while its sender goes on [s]."""
 
+GLANCE = 0.05
+"""Time between two looks whether the owner of a contended input has ended [s]."""
+
 DECISION = 0.1
 """Time between a node's first refusal and its reaction, in which the refusal of the other sender would arrive [s]."""
 
@@ -50,6 +53,7 @@ class Owners:
         self._node: Any = node
         self._inputs: dict[str, Ownership] = {}
         self._published: dict[tuple[str, str], float] = {}
+        self._looked: dict[str, float] = {}
         self._refused: dict[str, str] = {}
         self._owner_refused_for_us: set[tuple[str, str]] = set()
         self._deciding: Timer | None = None
@@ -78,6 +82,19 @@ class Owners:
         refusal = Refusal(input=topic, sender=sender, owner=owner)
         refusal.header.stamp = self._node.get_clock().now().to_msg()
         self._refusals.publish(refusal)
+
+    def frees(self, topic: str) -> bool:
+        """Free an input whose owner's process has ended; return whether it did. To be called for a contender's messages."""
+        ownership, now = self._inputs[topic], time.monotonic()
+        if now - self._looked.get(topic, -GLANCE) < GLANCE:
+            return False
+        self._looked[topic] = now
+        owner = ownership.owner
+        if owner is None or self.may_run(owner):
+            return False
+        self._node.get_logger().info(f"{_name(owner)} has ended: {topic} is free")
+        ownership.release(owner)
+        return True
 
     def look(self) -> None:
         """Free the inputs whose owner has fallen silent and is gone from the graph; called now and then."""
@@ -151,7 +168,7 @@ class Owner:
 
     def admits(self, sender: str) -> bool:
         """Return whether a message of a sender is accepted; publish it if the sender is refused."""
-        if self._ownership.admits(sender):
+        if self._ownership.admits(sender) or (self._owners.frees(self._topic) and self._ownership.admits(sender)):
             return True
         self._owners.refuse(self._topic, sender)
         return False

@@ -289,7 +289,12 @@ class GraphAttacks:
             self.reopen()
             if self.advance(SETTLES):
                 return
-            assert time.monotonic() < deadline, "the graph does not go on"
+            assert time.monotonic() < deadline, f"the graph does not go on: {self._said()}"
+
+    def _said(self) -> dict[str, str]:
+        """Return the state of each node and the message of its last diagnostics."""
+        last = {report.node: report.message for report in self.ear.reports}
+        return {name: f"{self.participant.state_of(name)}, {last.get(name)}" for name in self._nodes()}
 
     def _nodes(self) -> list[str]:
         """Return the nodes of the base that run."""

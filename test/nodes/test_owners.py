@@ -146,3 +146,6 @@ def test_a_reference_that_was_killed_is_replaced_by_one_of_another_name(sources)
     two.graph.kill("reference_node")
     two.second("reference_node", "reference_node_2")
     participant.until(lambda: two.follows(-FORCE))
+    # It was not refused in the name of the one that was killed.
+    assert participant.state_of("reference_node_2") == "active"
+    assert "is refused" not in two.graph.log("reference_node_2")
