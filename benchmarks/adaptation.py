@@ -17,7 +17,8 @@ import numpy as np
 from numpy.random import Generator
 
 from ehls_ros.arrays import Array
-from ehls_ros.experiments.loop import ClosedLoop, Implausible
+from ehls_ros.experiments.loop import ClosedLoop
+from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.sensors import FORCE

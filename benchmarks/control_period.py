@@ -11,8 +11,9 @@ import numpy as np
 
 from benchmarks.true_error import true_cycles
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.recording.yaml_text import read_yaml
 

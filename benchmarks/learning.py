@@ -27,6 +27,7 @@ from ehls_ros.control.companions.base import PLACE
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import Spec, company_of, spec_from_mapping
 from ehls_ros.physics import sensors
@@ -97,6 +98,7 @@ class Run:
         self._moved = kind.build(spec.disturbance.parameters, self._motion, spec.rig, period)
         model = model_of(spec.controller_rig, period)
         company = company_of(spec, model, case.experiment)
+        learnt_files.recall(company, spec)
         self.controller = Controller(case.law, spec.controller.parameters, model, company)
         self._random = np.random.default_rng(case.seed)
         self._cycle, self._command = 0, 0.0
@@ -125,6 +127,10 @@ class Run:
             simulator.advance(0.0 if valve == "closed" else self._command, *self._moved.rows(k, 1)[0])
             self._cycle += 1
         return error
+
+    def keep_learnt(self) -> None:
+        """Write the learnt file."""
+        learnt_files.keep(self.controller.company, self._spec)
 
     def soften(self, share: float) -> None:
         """Let the coupling lose a share of its stiffness."""
@@ -199,7 +205,7 @@ def cells(args: argparse.Namespace) -> None:
                 case = Case(name, args.law, companions(args, period, f"{folder}/learnt.npz"), seed)
                 run = Run(case)
                 errors = np.array([run.seconds(period) for _ in range(args.repetitions + 1)])
-                run.controller.company.save()
+                run.keep_learnt()
                 # From rest, with other noise.
                 loaded = Run(case._replace(seed=seed + 1000))
                 again = loaded.seconds(period)

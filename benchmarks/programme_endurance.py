@@ -26,7 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.experiments.programme_log import LOG
+from ehls_ros.experiments.programme_records import LOG
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.graph import PROGRAMME, Running, graph_environment, last_line, node_processes
 

@@ -222,7 +222,7 @@ def check_python(words: list[str]) -> None:
 
 
 def check_ros2(words: list[str], parameters_of: ParametersOf) -> None:
-    """Check nodes, parameters with their ranges, launch arguments, topics and services."""
+    """Check nodes, their transitions and parameters with ranges, launch arguments, topics and services."""
     match words:
         case ["run", "ehls_ros", node, *rest]:
             known = parameters_of.node(node)
@@ -236,6 +236,8 @@ def check_ros2(words: list[str], parameters_of: ParametersOf) -> None:
                 raise Unknown(f"the launch file has no {', '.join(missing)}")
         case ["param", ("set" | "get" | "describe"), node, name, *value]:
             check_value(parameters_of.node(node.rpartition("/")[2]), name, *value)
+        case ["lifecycle", "set", node, ("configure" | "activate" | "deactivate" | "cleanup" | "shutdown")]:
+            parameters_of.node(node.rpartition("/")[2])
         case ["topic", _, topic]:
             if in_first_rig(topic) not in parameters_of.topics():
                 raise Unknown(f"there is no topic {topic}")

@@ -14,6 +14,7 @@ from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import Metrics, evaluate
+from ehls_ros.experiments.run_failure import with_failure
 from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping, spec_to_mapping, untold
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.physics.rig import EffectUse, Rig, rig_from_mapping, rig_to_mapping
@@ -118,9 +119,8 @@ def simulate(
     made = _changed(spec, rig, controller_rig, {key: value for key, value in changes.items() if value is not None})
     with progress_bar(made.settings.title, shown=progress) as bar:
         trajectory, failure = run_as_far_as_it_goes(made, bar)
-    metrics = with_causal_limit(evaluate(trajectory), trajectory)
-    ended = metrics.warnings if failure is None else (str(failure),)
-    metrics = metrics._replace(warnings=(*ended, *untold(made)))
+    metrics = with_failure(with_causal_limit(evaluate(trajectory), trajectory), failure)
+    metrics = metrics._replace(warnings=(*metrics.warnings, *untold(made)))
     return with_methods(Simulation, trajectory, made.settings.title, metrics=metrics, spec=made)
 
 

@@ -58,11 +58,6 @@ class Company:
         for member in self.members.values():
             member.interrupt()
 
-    def save(self) -> None:
-        """Store what is to outlive the run."""
-        for member in self.members.values():
-            member.save()
-
     def report(self) -> dict[str, float | str]:
         """Return figures and sentences, each under its companion's name."""
         return {f"{name}.{key}": value for name, member in self.members.items() for key, value in member.report().items()}

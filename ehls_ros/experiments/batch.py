@@ -32,7 +32,6 @@ from ehls_ros.experiments.loop import (
     CHUNK,
     Columns,
     Control,
-    Implausible,
     control_of,
     ended,
     impossible,
@@ -41,6 +40,7 @@ from ehls_ros.experiments.loop import (
     trajectory_of,
 )
 from ehls_ros.experiments.loop_lanes import SIGNALS, Known, LoopRows, Sizes, Timing, build, loop_rows
+from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import Spec, Use, check_spec
 from ehls_ros.physics.composition import Effects, compiled, is_compiled
 from ehls_ros.physics.effects import EFFECTS
@@ -54,7 +54,7 @@ from ehls_ros.recording.topics import REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
 Result = Trajectory | Exception
-"""A run, or why there is none; :class:`~ehls_ros.experiments.loop.Implausible` holds the run as far as it went."""
+"""A run, or why there is none; :class:`~ehls_ros.experiments.run_failure.Implausible` holds the run as far as it went."""
 
 FEWEST = 5
 """Fewest runs that are faster side by side than one after another."""

@@ -18,8 +18,9 @@ from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import home_of, largest_force, room_of
-from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import DisturbanceUse, Settings, Spec, Use
 from ehls_ros.physics.rig import EffectiveRig, Rig
 from ehls_ros.trajectory import Trajectory

@@ -27,8 +27,11 @@ from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.programme.motion import point_signals
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.references.base import SampledReference
-from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments import learnt_files
+from ehls_ros.experiments.run_failure import Implausible, NotKept, RunFailed
 from ehls_ros.experiments.spec import Spec, Use, check_spec, company_of, signal_kind, spec_to_mapping, uses_actuator
+from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.plant import TEMPERATURE
@@ -189,16 +192,6 @@ class Columns(NamedTuple):
         return cls(slice(0, len(SENSED)), len(SENSED), slice(estimate, status), slice(status, status + STATUS_SIZE))
 
 
-class Implausible(WorkFailed):
-    """A run that came to what no rig can: its numbers are lost, or far beyond the rig's limits.
-
-    Attributes:
-        trajectory: the run up to there, where it was kept.
-    """
-
-    trajectory: Trajectory | None = None
-
-
 def control_of(spec: Spec) -> Control:
     """Return a spec's observer and controller before the first cycle."""
     believed = spec.controller_rig
@@ -258,6 +251,7 @@ class ClosedLoop:
         self._plant = plant_of(spec)
         self._control = control_of(spec)
         self.company = company_of(spec, self._control.model, spec.settings.title)
+        learnt_files.recall(self.company, spec)
         self.company.prepare()
         self._run_compiled = loop_kernel(spec).run
         self.columns = Columns.of(self._control.observed.estimate.size)
@@ -328,7 +322,17 @@ class ClosedLoop:
             if lost is not None:
                 raise ended(spec, first, lost)
             first += count
-        self.company.save()
+
+    def keep_learnt(self) -> None:
+        """Write the learnt arrays of the companions to their files.
+
+        Raises:
+            NotKept: one cannot be written.
+        """
+        try:
+            learnt_files.keep(self.company, self._spec)
+        except NotWritten as error:
+            raise NotKept(str(error)) from None
 
     def _run(self, first: int, record: Array, reference: Array, disturbance: Array, random: Generator) -> None:
         given = Given(random.standard_normal((len(record), len(SENSED))), reference, disturbance)
@@ -348,7 +352,7 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
 
     Raises:
         BadInput: the spec's numbers describe no rig, or the run does not fit into memory.
-        Implausible: the state of the rig became impossible; the error holds the run until then.
+        RunFailed: the state of the rig became impossible, or a companion's file cannot be written; the error holds the run.
     """
     loop = ClosedLoop(spec, check=check)
     _check_memory(spec, loop.columns.status.stop + 3 + ROW)
@@ -363,7 +367,8 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
                 whole[block.first : done] = part
             if progress is not None:
                 progress(done, spec.cycles)
-    except Implausible as error:
+        loop.keep_learnt()
+    except RunFailed as error:
         error.trajectory = trajectory_of(spec, loop.columns, record[:done], reference[:done], disturbance[:done])
         raise
     return trajectory_of(spec, loop.columns, record, reference, disturbance)
@@ -371,22 +376,22 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
 
 def run_as_far_as_it_goes(
     spec: Spec, progress: Callable[[int, int], None] | None = None
-) -> tuple[Trajectory, Implausible | None]:
-    """Run an experiment without ROS, and keep what there is of a run that ends early.
+) -> tuple[Trajectory, RunFailed | None]:
+    """Run an experiment without ROS, and keep the cycles of a run that fails.
 
     Args:
         spec: the experiment.
         progress: called now and then with the number of cycles done and the total number.
 
     Returns:
-        The run, and why it ended early if it did.
+        The run, and why it failed if it did.
 
     Raises:
         BadInput: the spec's numbers describe no rig, or the run does not fit into memory.
     """
     try:
         return run_in_process(spec, progress), None
-    except Implausible as error:
+    except RunFailed as error:
         if error.trajectory is None:
             raise
         return error.trajectory, error
@@ -419,6 +424,7 @@ def run_in_stretches(spec: Spec, later: Sequence[tuple[float, Rig]] = ()) -> Ite
         end = (block.first + len(block.record)) * spec.settings.control_period
         while waiting and end >= waiting[0][0]:
             loop.become(waiting.pop(0)[1])
+    loop.keep_learnt()
 
 
 def trajectory_of(

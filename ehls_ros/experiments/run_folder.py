@@ -2,6 +2,7 @@
 
 import errno
 import json
+import re
 import shutil
 import time
 from collections.abc import Iterator
@@ -27,6 +28,9 @@ HOLDS = (
     "rig_adapted.yaml",
 )
 """Files and folders of a run."""
+
+LEFT = re.compile(r"(load_cycles\.[0-9]+\.csv|programme_state\.[0-9]+\.json|\.(load_cycles|programme_state)\..+\.part)")
+"""Names of files that a programme begun anew has put aside, and of those that a killed program has not finished."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a full disk, an exhausted quota and a file too large."""
@@ -54,7 +58,7 @@ class RunFolder(NamedTuple):
         try:
             path.mkdir(parents=True, exist_ok=True)
             present = sorted(entry.name for entry in path.iterdir())
-            strangers = [entry for entry in present if entry not in HOLDS]
+            strangers = [entry for entry in present if entry not in HOLDS and not LEFT.fullmatch(entry)]
             if strangers:
                 raise BadInput(f"the run folder holds '{strangers[0]}'", str(path), "a new or empty folder")
             if present and not overwrite:

@@ -351,7 +351,7 @@ def _companions(data: Any, where: str, folder: Path) -> tuple[Use, ...]:
 
 
 def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> Company:
-    """Return an experiment's companions, ready to work; they read their files.
+    """Return an experiment's companions, ready to work but for their files (:mod:`ehls_ros.experiments.learnt_files`).
 
     Args:
         spec: the experiment.
@@ -361,7 +361,7 @@ def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tun
         tuning: its parameters.
 
     Raises:
-        BadInput: a companion cannot work with this controller or rig, or with its file.
+        BadInput: a companion cannot work with this controller or rig.
     """
     setting = _setting(spec, model, where, law, tuning)
     _check_companions(spec, where, setting)
@@ -376,7 +376,8 @@ def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tunin
     if spec.companions and kind.FOLLOWS != "force":
         raise BadInput(f"{name} follows a {kind.FOLLOWS}", f"{where}: companions", "none, or a controller that follows a force")
     actuator = signal_kind(spec.disturbance.name)
-    return Setting(kind, spec.controller.parameters if tuning is None else tuning, model, actuator)
+    tuning = spec.controller.parameters if tuning is None else tuning
+    return Setting(kind, tuning, model, actuator, spec.controller_rig.limits)
 
 
 def _check_companions(spec: Spec, where: str, setting: Setting) -> None:

@@ -11,12 +11,13 @@ input of the control cycle, such as a reference or a disturbance, follows this o
 
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 RESTART = 0.5
 """Silence of the owner after which a sender of the same node name counts as that node, restarted [s]; a start takes longer."""
 
 REMAINDER = 0.5
-"""Time in which messages of an owner that has left may still arrive, which do not make it the owner again [s]."""
+"""Time in which messages may still arrive of an owner that has left or was killed [s]."""
 
 MOST_CONTENDERS = 16
 """Senders that are remembered; a sender could use a new name in each message."""
@@ -37,12 +38,24 @@ def process_of(sender: str) -> int | None:
     return int(process) if process.isdigit() else None
 
 
+class Heard(NamedTuple):
+    """Times of the messages of a sender [s].
+
+    Attributes:
+        first: of the first one.
+        last: of the last one.
+    """
+
+    first: float
+    last: float
+
+
 class Ownership:
     """Owner and contenders of one input.
 
     Attributes:
         owner: the sender whose messages are accepted; None: the first to come.
-        contenders: the senders refused since the owner took the input, with the time of their last message [s].
+        contenders: the senders refused since the owner took the input.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -52,7 +65,7 @@ class Ownership:
         self._left: tuple[str | None, float] = None, -float("inf")
         self._departures: dict[str, float] = {}
         self.owner: str | None = None
-        self.contenders: dict[str, float] = {}
+        self.contenders: dict[str, Heard] = {}
 
     def admits(self, sender: str) -> bool:
         """Return whether a message of a sender is accepted, and note that it came."""
@@ -68,9 +81,10 @@ class Ownership:
             self.contenders.clear()
             return True
         if not self._is_remainder(sender, now):
-            self.contenders[sender] = now
+            before = self.contenders.get(sender, Heard(now, now))
+            self.contenders[sender] = Heard(now if now - before.last > SILENT else before.first, now)
             if len(self.contenders) > MOST_CONTENDERS:
-                del self.contenders[min(self.contenders, key=self.contenders.__getitem__)]
+                del self.contenders[min(self.contenders, key=lambda name: self.contenders[name].last)]
         return False
 
     def _is_remainder(self, sender: str, now: float) -> bool:
@@ -83,11 +97,18 @@ class Ownership:
         """Whether the owner has sent nothing for :data:`SILENT`."""
         return self.owner is not None and self._clock() - self._heard > SILENT
 
+    def must_yield(self, sender: str) -> bool:
+        """Return whether a contender has to stop: the owner has gone on for :data:`REMAINDER` beside it."""
+        heard = self.contenders.get(sender)
+        return heard is not None and self._heard - heard.first > REMAINDER
+
     @property
     def contender(self) -> str | None:
         """The contender heard last, if that was within :data:`SILENT`; None otherwise."""
-        heard = [(when, sender) for sender, when in self.contenders.copy().items() if self._clock() - when <= SILENT]
-        return max(heard)[1] if heard else None
+        lately = {
+            sender: heard.last for sender, heard in self.contenders.copy().items() if self._clock() - heard.last <= SILENT
+        }
+        return max(lately, key=lately.__getitem__) if lately else None
 
     @property
     def now(self) -> float:

@@ -22,14 +22,17 @@ from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI,
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments import learnt_files
+from ehls_ros.experiments.accepted_rig import accepted_model
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import check_law, company_of, signal_kind, untold, uses_actuator
+from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.physics import sensors
-from ehls_ros.physics.rig import SENSED, rig_from_mapping
+from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.topics import (
     ACCEPTED_RIG,
     ACTUATOR_TOPICS,
@@ -39,7 +42,6 @@ from ehls_ros.recording.topics import (
     STANDBY_COMMAND,
     Topic,
 )
-from ehls_ros.recording.yaml_text import parse_yaml
 from ehls_ros.schema import quantity, text
 
 TURN = 0.005
@@ -151,12 +153,11 @@ class ControllerNode(ControlNode):
                 f"the accepted rig is not used: {names} publish {ACCEPTED_RIG.name}; stop all but one, and accept again"
             )
             return
+        own, period = self.spec.controller_rig, self.spec.settings.control_period
         try:
-            rig = rig_from_mapping(parse_yaml(message.data, ACCEPTED_RIG.name, "rig"), ACCEPTED_RIG.name)
+            self.new_model = accepted_model(message.data, own, period, ACCEPTED_RIG.name)
         except BadInput as error:
             self.get_logger().error(f"the accepted rig is not used: {error}")
-            return
-        self.new_model = model_of(rig, self.spec.settings.control_period)
 
     def prepare(self) -> None:
         """Compile the law and open the topics."""
@@ -165,6 +166,7 @@ class ControllerNode(ControlNode):
         for sentence in untold(self.spec, self.law):
             self.get_logger().warning(sentence)
         self.company = company_of(self.spec, model, self.get_name(), self.law, self.tuning)
+        learnt_files.recall(self.company, self.spec)
         self.controller = Controller(self.law, self.tuning, model, self.company)
         self.signal = sampled(self.spec.reference, period)
         self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig, period)
@@ -220,11 +222,15 @@ class ControllerNode(ControlNode):
             inbox.destroy()
         for ahead in filter(None, (self.actuator, self.points)):
             ahead.destroy()
-        self.company.save()
         for outbox in (self.commands, self.status, self.shadow):
             outbox.destroy()
         if self.accepted is not None:
             self.destroy_subscription(self.accepted)
+        try:
+            learnt_files.keep(self.company, self.spec)
+        except NotWritten as error:
+            self.get_logger().error(str(error))
+            self.failures.fail_at_end()
 
     def have_nothing_to_do(self) -> None:
         """Publish the status of the last cycles, if no other follows soon."""

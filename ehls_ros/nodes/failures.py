@@ -30,7 +30,7 @@ class Failures:
 
     Attributes:
         stopping: is set with the first one.
-        noted: number of exceptions.
+        noted: number of exceptions and of failed parts of the work.
     """
 
     def __init__(self, stopping: Stopping) -> None:
@@ -53,6 +53,10 @@ class Failures:
         else:
             node.get_logger().fatal(line)
         self.stopping.set()
+
+    def fail_at_end(self) -> None:
+        """Let the process end with exit code 1 whenever it ends: part of its work failed, and the log says which."""
+        self.noted += 1
 
 
 def described(error: BaseException) -> str:

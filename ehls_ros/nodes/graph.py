@@ -28,6 +28,7 @@ from std_srvs.srv import SetBool
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
+from ehls_ros.experiments.run_failure import NodeFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, signal_kind, uses_actuator
 from ehls_ros.hardware.realtime import preferring_what_starts
@@ -171,7 +172,8 @@ def run_graph(
         Wall time from the plant's first to its last cycle [s].
 
     Raises:
-        WorkFailed: a node did not come up, died, or exited with an error.
+        NodeFailed: the run is complete and its bag closed, but a node exited with an error.
+        WorkFailed: a node did not come up, or died.
     """
     environment = graph_environment()
     os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
@@ -187,12 +189,12 @@ def run_graph(
             # Objects that refer to the middleware must be collected before it shuts down.
             gc.collect()
             rclpy.try_shutdown()
-    for node in running:
-        if node.process.returncode != 0:
-            raise WorkFailed(f"{node.name} ended with exit code {node.process.returncode}: see {node.log}")
     if not is_closed(folder.bag):
         log = folder.logs / f"{RECORDER}.log"
         raise WorkFailed(f"{RECORDER} did not close the bag: see {log}; `ehls recover {folder.bag}` restores its contents")
+    for node in running:
+        if node.process.returncode != 0:
+            raise NodeFailed(f"{node.name} ended with exit code {node.process.returncode}: {last_line(node.log)}", wall)
     return wall
 
 

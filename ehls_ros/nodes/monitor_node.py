@@ -32,16 +32,21 @@ from ehls_ros.diagnosis.monitoring.tracking import Reading
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.accepted_rig import accepted_model, write_accepted
 from ehls_ros.experiments.monitoring.benefit import Benefit
 from ehls_ros.experiments.monitoring.examination import InItsOwnProcess
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
 from ehls_ros.experiments.monitoring.following import LONG_PATIENCE, PATIENCE, Follower, Snapshot
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
-from ehls_ros.experiments.monitoring.memory import Memory
+from ehls_ros.experiments.monitoring.memory import UNUSABLE, Kept, Memory
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
 from ehls_ros.experiments.monitoring.rates import MOST_HISTORY
 from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, today, word
+from ehls_ros.experiments.state_files.access import NotWritten
+from ehls_ros.experiments.state_files.folder_lock import FolderLock
+from ehls_ros.experiments.state_files.kinds import LEARNS_ANEW
+from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.hardware.realtime import be_modest, tidy
 from ehls_ros.nodes.codec import Decoder
@@ -154,14 +159,17 @@ class MonitorNode(ControlNode):
         """Read the baselines and what was known before, and open the topics.
 
         Raises:
-            BadInput: a baseline cannot be read, or the folder cannot be made.
+            BadInput: a baseline cannot be read, or the folder cannot be made or is another monitor's.
         """
         be_modest()
         namespace = self.get_namespace().strip("/")
         below = "monitor" if namespace == NAMESPACE else f"monitor_{namespace.replace('/', '_')}"
         self.folder = Path(self.own.folder or Path("runs") / below)
-        self.baselines = _baselines(self.own.baseline)
-        self.memory = Memory(self.folder, self.spec.controller_rig, tuple(self.baselines))
+        self.baselines, period = _baselines(self.own.baseline), self.spec.settings.control_period
+        self.memory = Memory(self.folder, Origin.of(self.spec.controller_rig, period), tuple(self.baselines))
+        self.lock = FolderLock(self.folder, "monitor")
+        if self.lock.remark:
+            self.get_logger().warning(self.lock.remark)
         self.recorder = FlightRecorder(self.folder / "flights", self.own.flights, self.own.flight_size)
         self.held = HeldLevel()
         self.word = Word(0, "no samples yet")
@@ -200,7 +208,10 @@ class MonitorNode(ControlNode):
         return Inbox(self, message, topic.name, QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT))
 
     def release(self) -> None:
-        """Close the topics, and end what is computed."""
+        """Close memory and topics, and end a diagnosis under way."""
+        # The folder first: topics that `prepare` did not come to open do not exist.
+        self.memory.close()
+        self.lock.release()
         for inbox in (self.states, self.commands, self.disturbances, self.drivers, self.driving, self.diagnostics):
             inbox.destroy()
         self._end_benefit()
@@ -209,18 +220,36 @@ class MonitorNode(ControlNode):
         self.monitor.close()
 
     def _begin_monitor(self) -> None:
-        """Make a monitor that goes on where the folder's ended."""
-        self.monitor = Monitor(self.spec.controller_rig, self.watching, InItsOwnProcess(), self.baselines)
+        """Make a monitor that goes on with the folder's memory; files that cannot be used are put aside."""
+        self.monitor = self._new_monitor()
+        kept = self._recall()
         try:
-            kept = self.memory.restore()
-        except BadInput as error:
-            self.get_logger().warning(f"the monitor learns anew: {error}")
-            kept = None
+            self.memory.check_writable()
+            if said := self.memory.open_history():
+                self.get_logger().warning(said)
+        except (BadInput, NotWritten) as error:
+            self._fail(f"what is known cannot be kept: {error}")
         patience = LONG_PATIENCE if self.lockstep else PATIENCE
         anchors, end = (kept.anchors, kept.end) if kept else ((), 0.0)
         self.follower = Follower(self.spec.settings.control_period, anchors, end, patience)
-        if kept is not None:
-            self.monitor.restore(kept.remembered)
+
+    def _new_monitor(self) -> Monitor:
+        return Monitor(self.spec.controller_rig, self.watching, InItsOwnProcess(), self.baselines)
+
+    def _recall(self) -> Kept | None:
+        """Let the monitor go on from the folder's memory; one that cannot be used is put aside."""
+        try:
+            kept = self.memory.restore()
+            if kept is not None:
+                self.monitor.restore(kept.remembered)
+        except UNUSABLE as error:
+            what = f"the monitor's memory makes no sense ({error})"
+            reason = error if isinstance(error, BadInput) else BadInput(what, str(self.folder), LEARNS_ANEW)
+            self.get_logger().warning(f"the monitor learns anew: {self.memory.put_aside(reason)}")
+            self.monitor.close()
+            self.monitor = self._new_monitor()
+            return None
+        return kept
 
     def start(self) -> None:
         """Begin to follow."""
@@ -331,14 +360,21 @@ class MonitorNode(ControlNode):
             return "there is no change with a cause to accept"
         self.rig_told = rig_text(rig_to_mapping(rig))
         path = self.folder / ACCEPTED
+        kept = f"the rig with its changes is {path}"
         try:
-            path.write_text(self.rig_told, encoding="utf-8")
-        except OSError as error:
-            self._fail(f"the accepted rig cannot be written: {error}")
+            write_accepted(path, self.rig_told)
+        except NotWritten as error:
+            kept = f"the rig with its changes is in no file: {error}"
+            self._fail(kept)
         self._end_benefit()
-        self.benefit = Benefit(round(BENEFIT / self.spec.settings.control_period))
+        period = self.spec.settings.control_period
+        try:
+            accepted_model(self.rig_told, self.spec.controller_rig, period, "accepted rig")
+        except BadInput as error:
+            return f"{kept}; no controller is told: {error}"
+        self.benefit = Benefit(round(BENEFIT / period))
         self.errors = self._cycle_inbox(ControllerStatus, CONTROLLER_STATUS)
-        return f"the rig with its changes is {path}; controllers with accept_rig are told in {BENEFIT:g} s"
+        return f"{kept}; controllers with accept_rig are told in {BENEFIT:g} s"
 
     def _measure_benefit(self) -> list[Event]:
         """Measure the force error before and after controllers are told of an accepted rig."""
@@ -368,17 +404,16 @@ class MonitorNode(ControlNode):
             recording = self.monitor.recording(self.own.flight_time)
             if len(recording) and self.own.flights and len(self.flights) < MOST_FLIGHTS:
                 stamp_ns = self.follower.stamp_ns(self.follower.end)
-                self.flights.append(Flight(recording, {"cause": cause, "stamp_ns": stamp_ns}, stamp_ns))
+                self.flights.append(Flight(recording, cause, stamp_ns))
         busy = self.recorder.busy or (self.told is not None and self.told.state == State.EXAMINING)
         if not self.flights or busy:
             return
         learnt = self.monitor.remembered().learnt
-        baselines = [Path(name) for name in self.baselines]
+        baselines, own = [Path(name) for name in self.baselines], learnt.recording if learnt else None
+        rig, period = self.spec.controller_rig, self.spec.settings.control_period
         try:
-            folder = self.recorder.begin(
-                self.flights.popleft(), self.spec.controller_rig, baselines, learnt.recording if learnt else None
-            )
-        except OSError as error:
+            folder = self.recorder.begin(self.flights.popleft(), rig, period, baselines, own)
+        except (OSError, NotWritten) as error:
             self._fail(f"a flight cannot be written: {error}")
             return
         self.get_logger().warning(f"the gate has tripped: the time before it is in {folder}")
@@ -404,7 +439,7 @@ class MonitorNode(ControlNode):
         self.kept = newest
         try:
             self.memory.keep(monitor.remembered(), self.follower.anchors, self.follower.end, happened=happened)
-        except OSError as error:
+        except NotWritten as error:
             self._fail(f"what is known cannot be kept: {error}")
         del monitor.history[:-MOST_HISTORY]
 

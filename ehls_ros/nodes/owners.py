@@ -68,11 +68,16 @@ class Owners:
         """Return the owner of an input, which all readers of the node share."""
         return Owner(self, topic, self._inputs.setdefault(topic, Ownership()))
 
+    def owner_of(self, topic: str) -> str | None:
+        """Return the owner of an input; None if it is free, or no input of this node."""
+        ownership = self._inputs.get(topic)
+        return None if ownership is None else ownership.owner
+
     def refuse(self, topic: str, sender: str) -> None:
-        """Publish that a sender is refused, unless the owner may have left."""
+        """Publish that a sender is refused, once it is certain that the owner goes on."""
         ownership, now = self._inputs[topic], time.monotonic()
         owner = ownership.owner
-        if owner is None or ownership.silent or now - self._published.get((topic, sender), -REPEAT) < REPEAT:
+        if owner is None or not ownership.must_yield(sender) or now - self._published.get((topic, sender), -REPEAT) < REPEAT:
             return
         if len(self._published) > MOST_CONTENDERS * len(self._inputs):
             self._published.clear()
@@ -97,8 +102,14 @@ class Owners:
         return True
 
     def look(self) -> None:
-        """Free the inputs whose owner has fallen silent and is gone from the graph; called now and then."""
+        """Free the inputs whose owner has fallen silent and is gone from the graph; called now and then.
+
+        A contender that waits for an answer, such as a plant in lockstep, sends nothing more that could be refused.
+        """
         for topic, ownership in self._inputs.items():
+            for sender in ownership.contenders.copy():
+                if (topic, sender) not in self._published:
+                    self.refuse(topic, sender)
             owner = ownership.owner
             if owner is not None and ownership.silent and not self._is_present(topic, owner, ownership):
                 self._node.get_logger().info(f"{_name(owner)} has left: {topic} is free")

@@ -4,6 +4,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn
 
@@ -15,8 +16,11 @@ from ehls_ros.control.programme.counting import Counter, LoadCycle, Sample
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.programme.motion import Motion, Rows, Runner, State
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.programme_log import CycleLog, Saved, digest, read_state, write_state
+from ehls_ros.experiments.programme_records import MOST_HOLDS, digest, open_records, plain, state_file
 from ehls_ros.experiments.spec import with_programme
+from ehls_ros.experiments.state_files.access import NotWritten
+from ehls_ros.experiments.state_files.kinds import ProgrammeState
+from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.nodes.ahead import LEAD, REST, AheadNode
 from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control import OK, PATIENCE, WAIT, WARN, run_node
@@ -116,27 +120,25 @@ class ProgrammeNode(AheadNode):
         return "the programme is not stopped" if request == "resume" and not stopped else ""
 
     def prepare(self) -> None:
-        """Open log and topics.
+        """Open records and topics.
 
         Raises:
-            BadInput: log or state cannot be read or written, or are another programme's.
+            BadInput: log or state cannot be read or written, are another programme's, or are in use by another process.
         """
         chosen = self.text_parameter("folder")
         title = "".join(letter if letter.isalnum() else "_" for letter in self.programme.parameters.title)
         self.folder = Path(chosen) if chosen else Path("runs") / title
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise BadInput(f"the folder cannot be made ({error.strerror})", str(self.folder), "a writable folder") from None
-        anew = bool(self.get_parameter("anew").value)
-        self.saved = None if anew else read_state(self.folder)
-        self.digest, period = digest(self.programme), self.spec.settings.control_period
-        if self.saved is not None and (self.saved.programme, self.saved.period) != (self.digest, period):
-            expected = "that programme, another folder, or anew:=true to begin this one"
-            raise BadInput("the folder holds the state of another programme", str(self.folder), expected)
-        # A log without a state is of no use to go on from.
-        self.log = CycleLog(self.folder, self.follows, anew=self.saved is None)
-        self.counter = Counter(self.programme, self.log.done, self.saved.stiffness if self.saved else ())
+        origin = Origin.of(self.spec.rig, self.spec.settings.control_period)
+        anew, limits = bool(self.get_parameter("anew").value), self.spec.rig.limits
+        self.records = records = open_records(self.folder, self.programme, origin, self.follows, limits, anew=anew)
+        for remark in records.remarks:
+            self.get_logger().warning(remark)
+        self.saved, self.log, self.file = records.state, records.log, state_file(self.folder, origin)
+        held = (*(self.saved.holds if self.saved else ()), self.programme.parameters.hold)
+        self.holds = tuple(dict.fromkeys(held))[-MOST_HOLDS:]
+        self.digest = digest(self.programme)
+        self.counter = Counter(self.programme, records.counted, self.saved.stiffness if self.saved else ())
+        self.unwritten = ""
         self.runner: Runner | None = None
         self.samples: dict[int, tuple[int, int, int, float, int, float]] = {}
         self.counting = 0
@@ -148,6 +150,8 @@ class ProgrammeNode(AheadNode):
         super().prepare()
         self.states = Inbox(self, LoaderState, LOADER_STATE.name)
         self.present = Inbox(self, LoaderState, LOADER_STATE.name, newest_qos())
+        topic = REFERENCE_TOPICS[self.follows]
+        self.other: Inbox | None = Inbox(self, message_class(topic.type), topic.name)
         self.points = Outbox(self, ProgrammePoint, PROGRAMME_POINT.name)
         self.waiting: list[tuple[Any, ...]] = []
         self.stamped = 0
@@ -159,10 +163,12 @@ class ProgrammeNode(AheadNode):
         return Outbox(self, message_class(topic.type), topic.name)
 
     def release(self) -> None:
-        """Close topics and log."""
+        """Close records and topics."""
+        # The records first: topics that `prepare` did not come to open do not exist.
+        self.records.close()
         for part in (self.states, self.present, self.points):
             part.destroy()
-        self.log.close()
+        self._ignore_other_references()
         super().release()
 
     def start(self) -> None:
@@ -199,10 +205,12 @@ class ProgrammeNode(AheadNode):
             self._repeat()
 
     def stop(self) -> None:
-        """Count the last control cycles."""
+        """Count the last control cycles, and keep the state whatever comes of that."""
         if self.runner is not None:
-            self._count()
-            self._save(self.next - 1)
+            try:
+                self._count()
+            finally:
+                self._save(self.next - 1, durable=True)
 
     def _begin(self) -> None:
         """Find out in which control cycle the rig is now, and begin or go on there.
@@ -211,9 +219,13 @@ class ProgrammeNode(AheadNode):
         realtime a snapshot that nobody keeps.
         """
         now = self._present()
-        if now is None:
+        if now is None or self._owner_of_reference():
             return
+        self._ignore_other_references()
         measured, cycle = now[2 + MEASURED[self.follows]], now[1]
+        if not math.isfinite(measured):
+            # No place to lead the reference in from.
+            measured = None
         run = self._run()
         saved = self.saved
         if saved is None:
@@ -222,7 +234,7 @@ class ProgrammeNode(AheadNode):
             self.runner = Runner(self.programme, self.spec.settings.control_period, (begun,))
             self.counting = cycle
         else:
-            self.runner = Runner(self.programme, saved.period, saved.motions)
+            self.runner = Runner(self.programme, self.spec.settings.control_period, saved.motions)
             self.counting = saved.counting
             if saved.run != run:
                 self._fall_out(cycle, "the rig is another one since", saved.seen, measured)
@@ -277,10 +289,10 @@ class ProgrammeNode(AheadNode):
         until = self.counting - 1 if until is None else until
         since, state = runner.at(max(until, 0))
         before = runner.motions[-1]
-        if measured is None or math.isnan(measured):
+        if measured is None or not math.isfinite(measured):
             measured = self.programme.value(since)
         if state == State.FINISHED:
-            runner.motions = [Motion(cycle, "stop", (), since, self.programme.end, before.skipped)]
+            runner.motions = [Motion(cycle, "stop", (), self.programme.duration, self.programme.end, before.skipped)]
         else:
             said = before.reason if before.rests is not None and before.reason else reason
             runner.motions = [runner.resting(cycle, since, measured, said, before.skipped)]
@@ -297,9 +309,9 @@ class ProgrammeNode(AheadNode):
     def _follow_requests(self) -> None:
         """Stop, resume or skip from the first control cycle on that is not published yet."""
         runner = self._running()
-        if self.counter.complaint:
-            if runner.stop(self.next, self.counter.complaint):
-                self.get_logger().error(f"the programme stops: {self.counter.complaint}")
+        if complaint := self.counter.complaint or self.unwritten:
+            if runner.stop(self.next, complaint):
+                self.get_logger().error(f"the programme stops: {complaint}")
             self.counter.complaint = ""
         while self.asked:
             request = self.asked.pop(0)
@@ -341,18 +353,33 @@ class ProgrammeNode(AheadNode):
         if self.outbox.has_volatile_reader():
             self._send(max(self.last, 0), self.next - 1)
 
-    def _save(self, published: int) -> None:
+    def _save(self, published: int, *, durable: bool = False) -> None:
+        """Replace the state; ``durable`` only after the loop: a busy disk takes longer than the rig has reference."""
         runner = self._running()
         counting = self.counting if self.counter.since is None else self.counter.since
         runner.forget(min(counting, self.next))
         seen = max(self.counting - 1, 0)
         if not self.certain:
             self.run = self._run()
-        saved = Saved(
-            self.digest, self.spec.settings.control_period, self.run, seen, published, counting,
+        p = self.programme.parameters
+        state = ProgrammeState(
+            self.digest, p.hold, p.stop_time, p.hold_time, self.holds, self.run, seen, published, counting, self.counter.done,
             tuple(runner.motions), self.counter.stiffness,
         )  # fmt: skip
-        write_state(self.folder, saved)
+        with self._writing():
+            self.log.flush(durable=durable)
+            self.file.write(plain(state), durable=durable)
+            self.unwritten = ""
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Let the programme stop where its records cannot be written: what is not on record has not been tested."""
+        try:
+            yield
+        except NotWritten as error:
+            if not self.unwritten:
+                self.get_logger().error(str(error))
+            self.unwritten = str(error)
 
     def _count(self) -> None:
         """Take the snapshots that have come, and log the load cycles that they finish."""
@@ -375,7 +402,8 @@ class ProgrammeNode(AheadNode):
                 self.log.add(finished, stamp / NANOSECONDS)
                 self.newest, logged = finished[-1], True
         if logged:
-            self.log.flush()
+            with self._writing():
+                self.log.flush()
 
     def _snapshots(self) -> list[tuple[Any, ...]]:
         """Return the snapshots of published control cycles that were not counted yet, in their order."""
@@ -407,15 +435,21 @@ class ProgrammeNode(AheadNode):
             return OK if reason == ASKED else WARN, f"stopped: {reason}; programme_resume goes on", figures
         if not self._active.is_set():
             return OK, "inactive", figures
-        if runner is None and (others := self._other_references()):
-            return WARN, f"waits to begin: {', '.join(others)} publishes {self.outbox.topic}; deactivate or stop it", figures
+        if runner is None and (other := self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)):
+            return WARN, f"waits to begin: {other} owns {self.outbox.topic}; deactivate or stop it", figures
         return OK, self.state.name.lower(), figures
 
-    def _other_references(self) -> list[str]:
-        """Return the names of other nodes that publish the reference."""
-        publishers = self.get_publishers_info_by_topic(self.outbox.topic)
-        names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers}
-        return sorted(names - {self.get_fully_qualified_name()})
+    def _owner_of_reference(self) -> str | None:
+        """Return the sender that owns the reference at present; None if the programme may begin."""
+        while self.other is not None and self.other.take() is not None:
+            pass
+        return self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)
+
+    def _ignore_other_references(self) -> None:
+        """Read the reference of other nodes no more: it is the programme's."""
+        if self.other is not None:
+            self.other.destroy()
+            self.other = None
 
 
 def _entries(rows: Rows) -> Iterator[tuple[int, int, int, float, int]]:

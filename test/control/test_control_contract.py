@@ -112,7 +112,9 @@ def test_a_companion_has_its_parts(rig, name):
     assert isinstance(companion.done(Past(0, rows[:1], *nothing), model), Model)
     companion.interrupt()
     assert all(isinstance(value, float | str) for value in companion.report().values())
-    companion.save()
+    kept = companion.kept()
+    assert not kept.parts
+    companion.recall(kept)
 
 
 @pytest.mark.parametrize("name", OBSERVERS.names())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.control.companions import learning
-from ehls_ros.control.companions.base import PLACE, Past, Setting, Upcoming
+from ehls_ros.control.companions.base import PLACE, Kept, Past, Setting, Upcoming
 from ehls_ros.control.controllers import CONTROLLERS, fasmc_output_feedback
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, model_of
 from ehls_ros.control.learning.foresight import Foresight
@@ -145,11 +145,13 @@ def at_once(omega: np.ndarray, tuning: Any, model: Any) -> np.ndarray:
 class Plant:
     """A force that follows its reference at once, with an error that repeats, and a companion; by cycles or in stretches."""
 
-    def __init__(self, rig: Any, *, law: Any = None, stretch: int = 1, noise: float = 0.5, **parameters: Any) -> None:
+    def __init__(
+        self, rig: Any, *, law: Any = None, stretch: int = 1, noise: float = 0.5, limits: Any = None, **parameters: Any
+    ) -> None:
         self.model = model_of(rig, PERIOD)
         self.law = SimpleNamespace(__name__="controllers.stub", tracking=at_once) if law is None else law
         p = learning.Parameters(**{"period": SIZE * PERIOD, "uncertainty": 0.02, **parameters})
-        self.companion = learning.build(p, Setting(self.law, None, self.model, "position"))
+        self.companion = learning.build(p, Setting(self.law, None, self.model, "position", limits))
         self.stretch, self.noise, self.cycle = stretch, noise, 0
         self.random = np.random.default_rng(3)
         self.added: list[np.ndarray] = []
@@ -329,24 +331,55 @@ def test_what_never_repeats_is_not_corrected(rig):
     assert np.all(wandering.correction[:, :FORESEEN] == 0.0)
 
 
-def test_what_is_learnt_is_there_the_next_day_and_only_for_its_programme(rig, tmp_path):
-    file = tmp_path / "learnt" / "programme.npz"
-    plant = Plant(rig, file=str(file))
+def test_what_is_learnt_holds_the_next_day_and_only_for_its_programme(rig):
+    plant = Plant(rig)
     plant.run(6)
     last = np.abs(plant.run(1)).max()
-    plant.companion.save()
-    written = file.read_bytes()
-    assert np.abs(Plant(rig, file=str(file)).run(1)).max() < 1.2 * last
-    other = Plant(rig, file=str(file))
+    kept = plant.companion.kept()
+    assert kept.about["method"] == "waveform"
+    again, other = Plant(rig), Plant(rig)
+    again.companion.recall(kept)
+    assert np.abs(again.run(1)).max() < 1.2 * last
+    other.companion.recall(kept)
     assert np.abs(other.run(6, size=2e3)[: SIZE // 8]).max() < 45.0
     assert "another programme" in str(other.companion.report()["file"])
-    other.companion.save()
-    assert file.read_bytes() == written
-    with pytest.raises(BadInput, match="method waveform"):
-        Plant(rig, file=str(file), method="harmonics")
-    Path(file).write_text("nothing", encoding="utf-8")
-    with pytest.raises(BadInput, match="cannot be read"):
-        Plant(rig, file=str(file))
+    assert not other.companion.kept().parts
+    with pytest.raises(ValueError, match=r"reference\.estimate"):
+        Plant(rig, method="harmonics").companion.recall(kept)
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "said"),
+    [
+        ("reference.spectrum", lambda array: 1e3 * array, "would be corrected by"),
+        ("reference.spectrum", lambda array: array + np.nan, "not a number"),
+        ("reference.spectrum", lambda array: array.real.copy(), "has the type float64"),
+        ("reference.estimate", lambda array: array[:-1], "has the shape"),
+        ("reference.estimate", lambda array: array + 1e6, "exceeds the rig's force"),
+        ("reference.variance", lambda array: -array, "out of 0"),
+        ("limits", lambda array: array + np.nan, "not a number"),
+        ("period", lambda array: array + 2.0, "has 500 samples"),
+        ("wanted", lambda array: array[:3], "a load cycle has 3 samples"),
+        ("wanted", lambda _: None, "a load cycle has 0 samples"),
+        ("other", lambda _: np.zeros(3), "'other' is unknown"),
+    ],
+)
+def test_what_cannot_have_been_learnt_on_the_rig_is_refused(rig, name, spoil, said):
+    plant = Plant(rig, limits=rig.limits)
+    plant.run(6)
+    block = dict(plant.companion.kept().parts[0])
+    spoilt = spoil(block.get(name))
+    block = {**block, name: spoilt} if spoilt is not None else {key: array for key, array in block.items() if key != name}
+    with pytest.raises(ValueError, match=said):
+        Plant(rig, limits=rig.limits).companion.recall(Kept({}, {0: block}))
+
+
+def test_a_correction_beyond_the_bounds_of_the_rig_is_given_up(rig):
+    """The error is four times the reference: no loop needs that much, so it is not what repeats."""
+    plant = Plant(rig, limits=rig.limits._replace(force=2e4))
+    plant.run(8, size=300.0, swing=4e3)
+    assert np.abs(plant.correction[:, 0]).max() < 0.06 * 2e4
+    assert "would be corrected by" in str(plant.companion.report()["state"])
 
 
 @pytest.mark.parametrize("period", [0.0123456, 5e-3])

@@ -160,6 +160,24 @@ def test_skipped_load_cycles_are_not_counted():
     assert (np.diff(rows.points.load_cycles) >= 0).all()
 
 
+@pytest.mark.parametrize("first", [("skip", "skip"), ("skip", "stop"), ("stop", "skip"), ("skip", "stop", "resume", "skip")])
+@pytest.mark.parametrize("apart", [1, 30, 90])
+def test_what_is_left_while_a_block_is_being_left_is_left_once(first, apart):
+    """Requests that follow each other before the programme has come to rest."""
+    whole = programme([CYCLES, OTHER, {**CYCLES, "count": 5}], start=500.0, stop_time=0.05, hold_time=0.1)
+    runner, cycle, counts = runner_of(whole), 250, []
+    counts.append(runner.rows(0, cycle).points.load_cycles)
+    for request in (*first, "resume"):
+        runner.stop(cycle, "test") if request == "stop" else getattr(runner, request)(cycle)
+        counts.append(runner.rows(cycle, apart).points.load_cycles)
+        cycle += apart
+    counts.append(runner.rows(cycle, 4000).points.load_cycles)
+    found = np.concatenate(counts)
+    assert (np.diff(found) >= 0).all()
+    # Of the first block two load cycles are complete; each request to skip leaves one block.
+    assert found[-1] == {1: 2 + 3 + 5, 2: 2 + 5}[first.count("skip")]
+
+
 def counted(whole, runner, count, measure, counter=None):
     """Return the load cycles of a run in which ``measure`` gives value and position from the reference."""
     counter = counter or Counter(whole)
@@ -210,6 +228,72 @@ LIMITS = {
         "the stiffness has changed by -30 %",
     ),
 }
+
+
+def test_a_force_that_stands_still_for_ten_load_cycles_ends_no_counting():
+    """A stuck sensor, or a closed gate: without a limit on the stiffness it is logged, with one it is a violation."""
+    whole = programme([{**CYCLES, "count": 30}], start=500.0)
+    counter, found = counted(whole, runner_of(whole), 3000, lambda k, force: (1e3, 1e-6 * force))
+    assert len(found) == 29
+    assert found[-1].stiffness == 0.0
+    assert counter.stiffness == ()
+    limited = programme([{**CYCLES, "count": 30, "limits": {"stiffness_change": 20.0}}], start=500.0)
+    counter, found = counted(limited, runner_of(limited), 3000, lambda k, force: (1e3, 1e-6 * force))
+    assert "the stiffness cannot be judged: the measured value does not change (cycles 0, load cycle 1)" in counter.complaint
+    # A specimen that breaks later has a stiffness of nothing.
+    counter, found = counted(limited, runner_of(limited), 3000, lambda k, force: (force if k < 1500 else 1e3, 1e-6 * force))
+    assert "the stiffness has changed by -100 %" in counter.complaint
+    counter, _ = counted(limited, runner_of(limited), 3000, lambda k, force: (force, 0.0))
+    assert "the position of the piston does not change" in counter.complaint
+
+
+ON_FORCE = [limit for limit in LIMITS if limit != "position"]
+
+
+@pytest.mark.parametrize("limit", ON_FORCE)
+@pytest.mark.parametrize("nothing", [math.nan, math.inf, -math.inf])
+def test_a_force_that_is_not_measured_violates_each_limit_on_it(limit, nothing):
+    whole = programme([{**CYCLES, "limits": LIMITS[limit][0]}], start=500.0)
+    counter, _ = counted(whole, runner_of(whole), 700, lambda k, force: (force if k < 333 else nothing, 1e-6 * force))
+    if limit == "error" and math.isinf(nothing):
+        assert "the error is inf" in counter.complaint
+    else:
+        assert "the measured value has been missing for 10 control cycles (cycles 0, control cycle 342)" in counter.complaint
+
+
+@pytest.mark.parametrize("limit", ON_FORCE)
+def test_a_reading_that_is_lost_now_and_then_violates_nothing(limit):
+    whole = programme([{**CYCLES, "limits": LIMITS[limit][0]}], start=500.0)
+    counter, _ = counted(
+        whole, runner_of(whole), 700, lambda k, force: (math.nan if 12 <= k % 50 < 15 else force, 1e-6 * force)
+    )
+    assert not counter.complaint
+
+
+def test_a_position_that_is_not_measured_violates_its_limit_and_nothing_is_judged_without_limits():
+    whole = programme([{**CYCLES, "limits": {"position": [-0.1, 0.1]}}], start=500.0)
+    counter, _ = counted(whole, runner_of(whole), 700, lambda k, force: (force, math.nan))
+    assert "the position of the piston has been missing for 10 control cycles" in counter.complaint
+    free = programme([CYCLES], start=500.0)
+    counter, found = counted(free, runner_of(free), 750, lambda k, force: (math.nan, math.nan))
+    assert not counter.complaint
+    assert len(found) == 7
+    assert all(math.isnan(cycle.peak) for cycle in found)
+    # So short a load cycle that the time is not over before its end.
+    short = programme([{**CYCLES, "frequency": 200.0, "limits": {"peak": [0.0, 2e3]}}], start=500.0)
+    counter, _ = counted(short, runner_of(short), 30, lambda k, force: (math.nan, 0.0))
+    assert "the measured value is missing (cycles 0, load cycle 1)" in counter.complaint
+
+
+def test_load_cycles_of_which_nothing_was_received_are_not_judged():
+    whole = programme([{**CYCLES, "limits": {"peak": [1490.0, 1510.0], "stiffness_change": 20.0}}], start=500.0)
+    counter, rows = Counter(whole), runner_of(whole).rows(0, 800)
+    for k in (*range(150), *range(450, 660)):
+        points = [int(column[k]) for column in rows.points[:3]]
+        force = float(rows.reference[k, 0])
+        counter.add(Sample(k, *points, float(rows.points.phase[k]), int(rows.state[k]), force, force, 1e-6 * force))
+    assert counter.done == 6
+    assert not counter.complaint
 
 
 @pytest.mark.parametrize("limit", LIMITS)

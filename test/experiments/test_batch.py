@@ -10,7 +10,8 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.batch import FEWEST, is_ready, run_batch
 from ehls_ros.experiments.campaign.work import code_version, run_chunk, run_one
 from ehls_ros.experiments.json_document import json_document
-from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import spec_to_mapping
 from ehls_ros.physics.lane_memory import LANES
 

@@ -1,9 +1,8 @@
 """A monitor that is killed goes on where it was: nothing is lost, nothing is alarmed."""
 
 import csv
-import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -22,6 +21,9 @@ from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, STATE, Memory
 from ehls_ros.experiments.monitoring.monitor import AT_ONCE, Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters
 from ehls_ros.experiments.spec import Spec
+from ehls_ros.experiments.state_files.access import NotWritten
+from ehls_ros.experiments.state_files.state_file import Origin
+from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
 WATCHED = Parameters(learning_time=30.0, reading_time=10.0)
@@ -63,6 +65,10 @@ def healthy(rig_file: Path) -> tuple[Spec, Trajectory]:
     return spec, run_in_process(spec)
 
 
+def memory_of(folder: Path, rig: Rig, baselines: Sequence[str] = ()) -> Memory:
+    return Memory(folder, Origin.of(rig, 1e-3), baselines)
+
+
 @pytest.fixture(scope="module")
 def rig_file() -> Path:
     return Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
@@ -86,7 +92,7 @@ def kept(healthy: tuple[Spec, Trajectory], tmp_path_factory: pytest.TempPathFact
     monitor = Monitor(spec.rig, WATCHED, FindsNothing())
     assert fed(monitor, trajectory, 0.0, 45.0) == ["learnt", "watching"]
     monitor.changes.append(CHANGE)
-    Memory(folder, spec.rig).keep(monitor.remembered(), ANCHORS, 45.0)
+    memory_of(folder, spec.rig).keep(monitor.remembered(), ANCHORS, 45.0)
     return monitor, folder
 
 
@@ -98,7 +104,7 @@ def folder(kept: tuple[Monitor, Path], tmp_path: Path) -> Path:
 def test_it_goes_on_with_all_it_knew_and_without_an_alarm(healthy, kept, folder: Path):
     spec, trajectory = healthy
     before, _ = kept
-    found = Memory(folder, spec.rig).restore()
+    found = memory_of(folder, spec.rig).restore()
     assert found is not None
     assert (found.anchors, found.end) == (ANCHORS, 45.0)
     after = Monitor(spec.rig, WATCHED, FindsNothing())
@@ -121,7 +127,7 @@ def test_it_goes_on_with_all_it_knew_and_without_an_alarm(healthy, kept, folder:
 def test_the_history_grows_by_what_is_new(healthy, folder: Path):
     spec, trajectory = healthy
     lines = (folder / COEFFICIENTS).read_text(encoding="utf-8").splitlines()
-    memory = Memory(folder, spec.rig)
+    memory = memory_of(folder, spec.rig)
     after = Monitor(spec.rig, WATCHED, FindsNothing())
     after.restore(memory.restore().remembered)
     memory.keep(after.remembered(), ANCHORS, 45.0)
@@ -142,6 +148,7 @@ def test_the_history_grows_by_what_is_new(healthy, folder: Path):
     "spoil",
     [
         lambda folder: (folder / STATE).write_text("{", encoding="utf-8"),
+        lambda folder: next(folder.glob("learnt*")).write_bytes(b""),
         lambda folder: next(folder.glob("learnt*")).write_bytes(b"PK"),
         lambda folder: next(folder.glob("blocks*")).unlink(),
         lambda folder: (folder / STATE).write_text(
@@ -150,37 +157,86 @@ def test_the_history_grows_by_what_is_new(healthy, folder: Path):
         ),
     ],
 )
-def test_what_cannot_be_read_is_said_and_written_anew(healthy, kept, folder: Path, spoil: Callable[[Path], object]):
+def test_what_cannot_be_used_is_put_aside_as_it_is_and_written_anew(healthy, kept, folder: Path, spoil):
     spoil(folder)
-    memory = Memory(folder, healthy[0].rig)
-    with pytest.raises(BadInput, match="cannot be read"):
+    spoilt = (folder / STATE).read_bytes()
+    memory = memory_of(folder, healthy[0].rig)
+    with pytest.raises(BadInput) as refused:
         memory.restore()
+    said = memory.put_aside(refused.value)
+    assert said.endswith(f"it is now in {folder / 'aside-1'}")
+    assert (folder / "aside-1" / STATE).read_bytes() == spoilt
+    assert memory.restore() is None
     memory.keep(kept[0].remembered(), ANCHORS, 50.0)
-    assert Memory(folder, healthy[0].rig).restore().end == 50.0
+    assert memory_of(folder, healthy[0].rig).restore().end == 50.0
 
 
 def test_a_writer_that_is_killed_leaves_the_state_before(healthy, kept, folder: Path, monkeypatch: pytest.MonkeyPatch):
-    memory = Memory(folder, healthy[0].rig)
+    memory = memory_of(folder, healthy[0].rig)
     memory.restore()
+    before = {path.name for path in folder.iterdir()}
     monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("killed")))
-    with pytest.raises(OSError, match="killed"):
+    with pytest.raises(NotWritten, match="killed"):
         memory.keep(kept[0].remembered(), ANCHORS, 50.0)
     monkeypatch.undo()
-    assert Memory(folder, healthy[0].rig).restore().end == 45.0
+    assert {path.name for path in folder.iterdir()} == before
+    assert memory_of(folder, healthy[0].rig).restore().end == 45.0
 
 
 def test_another_rig_learns_for_itself(healthy, folder: Path):
     rig = healthy[0].rig
     other = rig._replace(plant=rig.plant._replace(moving_mass=2.0 * rig.plant.moving_mass))
-    assert Memory(folder, other).restore() is None
-    assert json.loads((folder / "memory.other_rig").read_text(encoding="utf-8"))["end"] == 45.0
-    assert Memory(folder, rig, ["a healthy recording"]).restore() is None
+    memory = memory_of(folder, other)
+    with pytest.raises(BadInput, match=r"of another rig: plant\.moving_mass is 70\.0, not 140\.0") as refused:
+        memory.restore()
+    memory.put_aside(refused.value)
+    assert {path.name for path in (folder / "aside-1").iterdir()} >= {STATE, COEFFICIENTS, "learnt_0.npz", "blocks_0.npz"}
+    assert [path.name for path in folder.iterdir()] == ["aside-1"]
+    # It can be taken up again.
+    assert memory_of(folder / "aside-1", rig).restore().end == 45.0
+    for memory in (
+        memory_of(folder / "aside-1", rig, ["a healthy recording"]),
+        Memory(folder / "aside-1", Origin.of(rig, 2e-3)),
+    ):
+        with pytest.raises(BadInput, match=r"baselines none|control_period"):
+            memory.restore()
+
+
+def test_foreign_files_are_neither_replaced_nor_removed(healthy, kept, folder: Path):
+    foreign = {"notes.npz": b"PK", "learnt_1.npz": b"mine", "blocks_7.npz": b"", "learnt_x.npz": b"PK"}
+    for name, content in foreign.items():
+        (folder / name).write_bytes(content)
+    memory = memory_of(folder, healthy[0].rig)
+    kept_by_me = kept[0].remembered()
+    for end in (50.0, 55.0, 60.0):
+        memory.keep(
+            kept_by_me._replace(learnt=kept_by_me.learnt._replace(directions=tuple(kept_by_me.learnt.directions))), ANCHORS, end
+        )
+    assert {name: (folder / name).read_bytes() for name in foreign} == foreign
+    assert memory_of(folder, healthy[0].rig).restore().end == 60.0
+    # Of its own, only those in use are left.
+    assert len(list(folder.glob("*.npz"))) == len(foreign) + 2
+
+
+def test_a_history_of_something_else_is_put_aside_and_a_torn_line_is_finished(healthy, kept, folder: Path):
+    path = folder / COEFFICIENTS
+    whole = path.read_bytes()
+    path.write_bytes(whole + b"2023-11-14T22:1")
+    memory = memory_of(folder, healthy[0].rig)
+    assert memory.open_history() == ""
+    memory.close()
+    assert path.read_bytes() == whole
+    path.write_text("date,value\n", encoding="utf-8")
+    assert "aside-1" in memory.open_history()
+    assert (folder / "aside-1" / COEFFICIENTS).read_text(encoding="utf-8") == "date,value\n"
+    memory.keep(kept[0].remembered(), ANCHORS, 50.0)
+    assert path.read_bytes().splitlines()[0] == whole.splitlines()[0]
 
 
 def test_a_repair_begins_anew(healthy, folder: Path):
     spec, trajectory = healthy
     monitor = Monitor(spec.rig, WATCHED, FindsNothing())
-    monitor.restore(Memory(folder, spec.rig).restore().remembered)
+    monitor.restore(memory_of(folder, spec.rig).restore().remembered)
     fed(monitor, trajectory, 45.0, 46.0)
     monitor.reset()
     assert monitor.health().active == ()

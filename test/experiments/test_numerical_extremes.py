@@ -11,8 +11,9 @@ import yaml
 
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.loop import Implausible, run_in_process
+from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.physics.plausibility import LIMIT_UNITS, WARNING_FACTOR, within
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import LOADER_STATE

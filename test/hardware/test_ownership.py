@@ -72,6 +72,22 @@ def test_messages_under_way_when_the_owner_left_do_not_make_it_the_owner_again(o
     assert ownership.contender == FIRST
 
 
+def test_a_contender_yields_only_once_the_owner_has_gone_on_beside_it(ownership, time):
+    """An owner that was killed just before is not heard again, but for messages that were on their way."""
+    ownership.admits(OTHER)
+    time.now += 0.9 * REMAINDER
+    ownership.admits(FIRST)
+    assert not ownership.must_yield(OTHER)
+    time.now += 10.0
+    ownership.admits(OTHER)
+    assert not ownership.must_yield(OTHER)
+    for _ in range(20):
+        time.now += 0.1 * REMAINDER
+        ownership.admits(OTHER)
+        ownership.admits(FIRST)
+    assert ownership.must_yield(OTHER)
+
+
 def test_a_contender_that_fell_silent_is_reported_no_more(ownership, time):
     ownership.admits(OTHER)
     time.now += 1.1 * SILENT

@@ -29,7 +29,12 @@ def test_a_controller_that_accepts_knows_the_rig_from_the_next_cycle_on_and_refu
     telling.publish(String(data="plant: 3"))
     participant.until(lambda: WRONG in graph.log("sic_node"))
     assert KNOWN not in graph.log("sic_node")
-    telling.publish(String(data=rig_text(rig_to_mapping(load_spec(path).rig))))
+    rig = load_spec(path).rig
+    larger = rig._replace(plant=rig.plant._replace(piston_area=10.0 * rig.plant.piston_area))
+    telling.publish(String(data=rig_text(rig_to_mapping(larger))))
+    participant.until(lambda: "piston_area is 0.026, the rig file's is 0.0026: it may move by 30%" in graph.log("sic_node"))
+    assert KNOWN not in graph.log("sic_node")
+    telling.publish(String(data=rig_text(rig_to_mapping(rig))))
     participant.until(lambda: KNOWN in graph.log("sic_node"))
     cycle = states[-1].cycle
     participant.until(lambda: states[-1].cycle > cycle + 100)

@@ -5,6 +5,8 @@ import functools
 import json
 import re
 import subprocess
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -190,3 +192,33 @@ def test_a_replayed_bag_drives_estimator_and_controller(over_dds, graph, partici
     # On a busy machine the controller leaves cycles out, as it answers only the newest.
     answered = next((i for i, command in enumerate(commands) if command.cycle != i), len(commands))
     assert np.array_equal([command.spool for command in commands[:answered]], recorded["valve_command_m"][:answered])
+
+
+@pytest.mark.long
+def test_a_run_is_kept_whose_controller_cannot_write_what_it_has_learnt(ros_domain_id, tmp_path):
+    kept, run = tmp_path / "kept", tmp_path / "run"
+    spec = tmp_path / "spec.yaml"
+    data = {
+        "rig": str(Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"),
+        "duration": 6.0,
+        "reference": {"name": "sine", "amplitude": 4e3, "frequency": 2.5},
+        "disturbance": {"name": "force", "signal": {"name": "sine", "amplitude": 4e3, "frequency": 2.5}},
+        "controller": {"name": "fasmc"},
+        "companions": [{"name": "learning", "period": 0.4, "file": str(kept / "learnt.npz")}],
+    }
+    spec.write_text(yaml.safe_dump(data), encoding="utf-8")
+
+    def remove_folder() -> None:
+        while not any(file.stat().st_size > 50_000 for file in (run / "bag").glob("*.mcap")):
+            time.sleep(0.01)
+        kept.rename(tmp_path / "gone")
+
+    removing = threading.Thread(target=remove_folder, daemon=True)
+    removing.start()
+    done = ehls("experiment", spec, "--out", run)
+    removing.join()
+    assert done.returncode == 1
+    assert "fasmc_node ended with exit code 1" in done.stderr
+    assert f"what was learnt is lost: {kept / 'learnt.npz'}: cannot be written (No such file or directory)" in done.stderr
+    assert {"bag", "metrics.json", "report.html"} <= {path.name for path in run.iterdir()}
+    assert len(read_bag(run / "bag")) == 6001

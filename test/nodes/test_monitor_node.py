@@ -14,10 +14,12 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from patience import PATIENCE
 from rclpy.event_handler import PublisherEventCallbacks
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from benchmarks.spoilt_memory import make_monitor
 from ehls_msgs.msg import Disturbance, LoaderState, ModelHealth, ValveCommand
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import load_spec
@@ -152,9 +154,23 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
 def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, participant, spec_file, tmp_path: Path):
     spec = spec_file(duration=1000.0)
     folder = tmp_path / "monitor"
-    monitor = graph.start("monitor_node", spec=spec, timing="lockstep", folder=folder, flight_time=3.0)
+    folder.mkdir()
+    # Neither a memory that is spoilt nor files of others keep it from starting, or are lost.
+    make_monitor(folder, "memory.json")
+    (folder / "learnt_0.npz").write_bytes(b"")
+    (folder / "mine.npz").write_bytes(b"mine")
+    own = {"spec": spec, "timing": "lockstep", "folder": folder, "flight_time": 3.0}
+    monitor = graph.start("monitor_node", **own)
     heard, states = participant.collect(ModelHealth, "model_health"), participant.collect(LoaderState, "loader_state")
     participant.until(lambda: bool(heard))
+    assert f"the monitor learns anew: {folder / 'learnt_0.npz'}: the healthy rig cannot be used (it is empty)" in graph.log(
+        "monitor_node"
+    )
+    # A second one in the folder would remove the files of the first.
+    words = [word for key, value in own.items() for word in ("-p", f"{key}:={value}")]
+    second = graph.run("second", ["-m", "ehls_ros.nodes.monitor_node", "--ros-args", *words, "-r", "__node:=monitor_node_2"])
+    assert second.wait(PATIENCE) != 0
+    assert "runs another monitor in the folder; expected another folder" in graph.log("second")
     for name in (*GRAPH, "plant_sim_node"):
         more = {"partners": ",".join(GRAPH), "speed": 4.0} if name == "plant_sim_node" else {}
         graph.start(name, spec=spec, timing="lockstep", **more)
@@ -179,3 +195,5 @@ def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, par
     participant.until((flight / "diagnosis" / "diagnosis.json").exists)
     assert json.loads((flight / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))["verdict"]
     assert list(folder.glob("flights/*")) == [flight]
+    assert (folder / "mine.npz").read_bytes() == b"mine"
+    assert (folder / "aside-1" / "memory.json").exists()

@@ -1,18 +1,24 @@
 """A programme over DDS: each load cycle is counted once over a stop, a resume, and a node that is killed twice."""
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("ehls_msgs.msg._programme_point", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
+from patience import PATIENCE
 from std_srvs.srv import Trigger
 
+from benchmarks.spoilt_memory import PROGRAMME as PROGRAMME_OF_FATIGUE
 from ehls_msgs.msg import LoaderState, ProgrammePoint
-from ehls_ros.control.programme.motion import State
-from ehls_ros.experiments.programme_log import read_state
+from ehls_ros.control.programme.motion import Runner, State
+from ehls_ros.experiments.programme_records import read_state
+from ehls_ros.experiments.state_files.access import NotWritten
+from ehls_ros.experiments.state_files.folder_lock import LOCKS
 from ehls_ros.nodes.ahead import LEAD
+from ehls_ros.nodes.programme_node import ProgrammeNode
 from ehls_ros.recording.topics import DEPTH
 
 CYCLES = 500
@@ -85,6 +91,19 @@ CYCLES_PER_LOAD_CYCLE = 50
 """Control cycles of a millisecond in a load cycle of the steady programme."""
 
 
+def assert_a_second_is_refused(graph, own, tmp_path):
+    """Start another node in the folder of the one that runs: even ``anew`` takes nothing from it."""
+    words = [word for key, value in (own | {"anew": True}).items() for word in ("-p", f"{key}:={value}")]
+    names = ["-r", "__node:=programme_node_2"]
+    second = graph.run("second", ["-m", "ehls_ros.nodes.programme_node", "--ros-args", *words, *names])
+    assert second.wait(PATIENCE) != 0
+    first = f"process {graph.processes['programme_node'].pid}" if LOCKS.exists() else "another process"
+    said = f"{tmp_path / 'run'}: {first} runs another programme in the folder; expected another folder, or that process stopped"
+    assert graph.log("second").count(said) == 1
+    assert "Traceback" not in graph.log("second")
+    assert sorted(path.name for path in (tmp_path / "run").glob("[!.]*")) == ["load_cycles.csv", "programme_state.json"]
+
+
 def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(graph, participant, spec_file, tmp_path):
     """In realtime, after its node was killed and had been away for long; the rig's gate closes meanwhile, its cycles go on."""
     file, spec = tmp_path / "programme.yaml", spec_file(duration=100.0, controller="sic")
@@ -94,6 +113,7 @@ def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(grap
     graph.start("programme_node", **own)
     graph.start("plant_sim_node", spec=spec)
     participant.until(lambda: states and points and points[-1].load_cycles >= 5)
+    assert_a_second_is_refused(graph, own, tmp_path)
     graph.kill("programme_node")
     # The state tells what was published last: a node that is killed takes with it what it had not delivered yet.
     saved = read_state(tmp_path / "run")
@@ -108,3 +128,39 @@ def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(grap
     answer, repeated = participant.ask(Trigger, "programme_resume", Trigger.Request())
     assert answer.success or repeated
     participant.until(lambda: points[-1].state == State.RUNNING and points[-1].load_cycles > stood)
+
+
+def test_the_state_is_kept_whatever_counting_raises():
+    saved = list[tuple[int, bool]]()
+    node = SimpleNamespace(runner=object(), next=7, _count=lambda: 1 // 0)
+    node._save = lambda published, *, durable: saved.append((published, durable))
+    with pytest.raises(ZeroDivisionError):
+        ProgrammeNode.stop(node)
+    assert saved == [(6, True)]
+
+
+def test_a_programme_stops_where_its_records_cannot_be_written():
+    runner = Runner(PROGRAMME_OF_FATIGUE, 1e-3, (Runner.beginning(PROGRAMME_OF_FATIGUE, 0),))
+    log = list[str]()
+    logger = SimpleNamespace(error=log.append)
+    node = SimpleNamespace(
+        unwritten="",
+        counter=SimpleNamespace(complaint=""),
+        next=500,
+        asked=[],
+        _running=lambda: runner,
+        get_logger=lambda: logger,
+    )
+    for _ in range(3):
+        with ProgrammeNode._writing(node):
+            raise NotWritten("state.json: cannot be written (No space left on device)")
+        ProgrammeNode._follow_requests(node)
+    assert runner.motions[-1].kind == "stop"
+    assert runner.motions[-1].reason == "state.json: cannot be written (No space left on device)"
+    assert len(log) == 2
+    # Once they can be written again, it can go on.
+    with ProgrammeNode._writing(node):
+        node.unwritten = ""
+    assert runner.resume(900)
+    ProgrammeNode._follow_requests(node)
+    assert runner.motions[-1].kind == "resume"

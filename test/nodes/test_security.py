@@ -96,6 +96,7 @@ def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_pat
         more = {
             "recorder_node": {"bag": tmp_path / "bag"},
             "programme_node": {"programme": "service_load", "folder": tmp_path / "programme"},
+            "monitor_node": {"folder": tmp_path / "monitor"},
         }.get(name, {})
         # A configured node has all its topics and services.
         graph.start(name, spec=spec if follows == "force" else position, autostart=False, **more)

@@ -12,11 +12,13 @@ from typing import NamedTuple
 from ehls_ros.cli.configured import Configured
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.adapting import adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.json_document import json_document
-from ehls_ros.experiments.loop import Implausible, run_as_far_as_it_goes
+from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
+from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, company_of, load_spec, untold
 from ehls_ros.hardware.pace import ADVICE
@@ -74,7 +76,7 @@ def run(options: Namespace) -> int:
     if options.duration is not None:
         spec = _with_duration(spec, options.duration)
     # A companion's file that is of no use is refused before anything is written or started.
-    company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), str(options.spec))
+    learnt_files.recall(company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), str(options.spec)), spec)
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
     with folder.filling():
         folder.write_spec(spec)
@@ -82,8 +84,8 @@ def run(options: Namespace) -> int:
             done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
         metrics = with_causal_limit(evaluate(done.trajectory), done.trajectory)
         metrics = metrics._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
-        ended = metrics.warnings if done.failure is None else (str(done.failure),)
-        metrics = metrics._replace(warnings=(*ended, *untold(spec)))
+        metrics = with_failure(metrics, done.failure)
+        metrics = metrics._replace(warnings=(*metrics.warnings, *untold(spec)))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
         found = _adapted(spec, folder, done.trajectory)
@@ -110,11 +112,11 @@ def _adapted(spec: Spec, folder: RunFolder, trajectory: Trajectory) -> tuple[str
 
 
 class _Done(NamedTuple):
-    """A run, and why it ended early if it did; an incomplete run is kept like a complete one."""
+    """A run, and why it failed if it did; its results are kept in any case."""
 
     trajectory: Trajectory
     wall_s: float
-    failure: Implausible | None = None
+    failure: RunFailed | None = None
 
 
 def _with_duration(spec: Spec, duration: float) -> Spec:
@@ -139,13 +141,16 @@ def _over_dds(spec: Spec, folder: RunFolder, options: Namespace, progress: Calla
             f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced or `make setup`; or --in-process"
         ) from None
     plant = Plant(options.plant, options.bridge)
+    failure = None
     try:
         wall = run_graph(spec, folder, options.timing, options.storage, progress, plant, compose=options.compose)
+    except NodeFailed as error:
+        wall, failure = error.wall_s, error
     except KeyboardInterrupt:
         if folder.bag.exists():
             print(f"what was recorded is kept in {folder.bag}", file=sys.stderr)
         raise
-    return _Done(read_bag(folder.bag), wall)
+    return _Done(read_bag(folder.bag), wall, failure)
 
 
 def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, found: tuple[str, ...], *, machine: bool) -> None:

@@ -13,7 +13,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.control.adaptation.friction import Surroundings
 from ehls_ros.control.adaptation.hand_over import Caution
 from ehls_ros.control.adaptation.search import Search
-from ehls_ros.control.companions.base import Past, Setting, Upcoming
+from ehls_ros.control.companions.base import Kept, Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import quantity
@@ -90,8 +90,12 @@ class Adaptation:
         """Return what the controller is given, over the rig file's values, and a sentence for each coefficient."""
         return self._search.report()
 
-    def save(self) -> None:
-        """Store nothing: the rig file to write is in the run's folder."""
+    def kept(self) -> Kept:
+        """Keep nothing: the rig file to write is in the run's folder."""
+        return Kept()
+
+    def recall(self, kept: Kept) -> None:
+        """Recall nothing."""
 
 
 def _surroundings(setting: Setting) -> Surroundings | None:

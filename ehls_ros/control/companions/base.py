@@ -12,6 +12,8 @@ from typing import Any, NamedTuple, Protocol
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers.base import ControllerLaw, Model
+from ehls_ros.declared_arrays import Arrays
+from ehls_ros.physics.parameters import Limits
 
 BLOCK, REPETITIONS, PLACE = range(3)
 """Where a place in a programme holds the number of the block, and the load cycles completed in it with the fraction of the
@@ -26,12 +28,26 @@ class Setting(NamedTuple):
         tuning: the controller's parameters.
         model: what the controller knows of the rig.
         actuator: what the actuator's command is, ``"force"`` [N] or ``"position"`` [m].
+        limits: of the rig; None: they are not known.
     """
 
     law: ControllerLaw
     tuning: Any
     model: Model
     actuator: str
+    limits: Limits | None = None
+
+
+class Kept(NamedTuple):
+    """Learnt arrays of a companion, to be kept for the next run.
+
+    Attributes:
+        about: conditions of the learning, by name, in words; another run must have the same.
+        parts: arrays of each part, such as a block of a programme; empty: nothing is learnt.
+    """
+
+    about: Mapping[str, str] = {}
+    parts: Mapping[int, Arrays] = {}
 
 
 class Upcoming(NamedTuple):
@@ -98,8 +114,18 @@ class Companion(Protocol):
     def report(self) -> Mapping[str, float | str]:
         """Return figures and sentences for diagnostics and run folders."""
 
-    def save(self) -> None:
-        """Store what is to outlive the run, where its parameters name a file."""
+    def kept(self) -> Kept:
+        """Return the learnt arrays. They are written to the file that the parameter ``file`` names, if there is one."""
+
+    def recall(self, kept: Kept) -> None:
+        """Take up the learnt arrays of an earlier run; called before the first cycle.
+
+        Args:
+            kept: with the same ``about``; the arrays may be anything.
+
+        Raises:
+            ValueError: an array is missing, of another type or shape, not finite, or beyond the bounds of the rig.
+        """
 
 
 class CompanionKind(Protocol):
@@ -116,8 +142,4 @@ class CompanionKind(Protocol):
         """
 
     def build(self, p: Any, setting: Setting) -> Companion:
-        """Return the companion ready to work, once its parameters were checked; only where the controller runs.
-
-        Raises:
-            BadInput: a file that its parameters name is of no use to it.
-        """
+        """Return the companion ready to work, once its parameters were checked; only where the controller runs."""

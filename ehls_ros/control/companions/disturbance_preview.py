@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.companions.base import Past, Setting, Upcoming
+from ehls_ros.control.companions.base import Kept, Past, Setting, Upcoming
 from ehls_ros.control.composition import servo_kernel
 from ehls_ros.control.controllers.base import FORESEEN, ROW, Model
 from ehls_ros.control.disturbances.position_servo import MovingMass, PositionGain, SupplyPressure, servo_plant
@@ -61,8 +61,12 @@ class ForceActuator:
         """Return nothing."""
         return {}
 
-    def save(self) -> None:
-        """Store nothing."""
+    def kept(self) -> Kept:
+        """Keep nothing: nothing is learnt."""
+        return Kept()
+
+    def recall(self, kept: Kept) -> None:
+        """Recall nothing."""
 
 
 class PositionServo(ForceActuator):

@@ -5,26 +5,26 @@ The family of ways to learn is :mod:`ehls_ros.control.learning`. A reference tha
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Literal, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.companions.base import Past, Setting, Upcoming
+from ehls_ros.control.companions.base import Kept, Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import FORESEEN, Model
-from ehls_ros.control.learning import repetition, storage
+from ehls_ros.control.learning import repetition
 from ehls_ros.control.learning.base import Learner
 from ehls_ros.control.learning.bumpless import Bumpless
 from ehls_ros.control.learning.foresight import Foresight
 from ehls_ros.control.learning.harmonics import Harmonics
+from ehls_ros.control.learning.kept import bounds_of, check_block, out_of_bounds
 from ehls_ros.control.learning.lesson import LOOK, Errors, Learners, Lesson, errors_of, recent_errors
 from ehls_ros.control.learning.peak_valley import FADE, PeakValley
 from ehls_ros.control.learning.repetition import LoadCycle, Places, Recorder, Turn
 from ehls_ros.control.learning.robustness import Design, design, force_loop
 from ehls_ros.control.learning.smoothing import ForeseeingLaw, Smoother
 from ehls_ros.control.learning.waveform import Waveform
+from ehls_ros.declared_arrays import Arrays
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import sensors
 from ehls_ros.schema import quantity, text
@@ -90,6 +90,7 @@ class Learning:
         """Take the parameters and what is known of the controller."""
         model = setting.model
         self._p, self._period = p, model.period
+        self._bounds = bounds_of(setting)
         self._bumpless = Bumpless(model.period) if p.method == "peak_valley" else None
         foresees = p.method != "peak_valley" and getattr(setting.law, "PREVIEW", False) and hasattr(setting.law, "assumptions")
         self._smoother = Smoother(cast(ForeseeingLaw, setting.law), setting.tuning, model) if foresees else None
@@ -114,8 +115,6 @@ class Learning:
         if p.period > 0.0:
             # An impossible gain is refused before anything runs.
             self._learners(np.zeros(_whole_cycles(p.period, model.period)), p.period)
-        for block, stored in storage.read(Path(p.file), self._about).items() if p.file else ():
-            self._restore(block, stored)
 
     def prepare(self) -> None:
         """Compile or load the smoother, where a force is foreseen."""
@@ -233,11 +232,20 @@ class Learning:
             **file,
         }
 
-    def save(self) -> None:
-        """Write what has been learnt, if there is a file for it that is of this programme."""
-        learnt = {block: lesson.stored() for block, lesson in self._lessons.items() if lesson.active}
-        if self._p.file and learnt and not self._foreign:
-            storage.write(Path(self._p.file), self._about, learnt)
+    def kept(self) -> Kept:
+        """Return the learnt arrays by block; none if the file is of another programme."""
+        learnt = {} if self._foreign else {block: lesson.stored() for block, lesson in self._lessons.items() if lesson.active}
+        return Kept(self._about, learnt)
+
+    def recall(self, kept: Kept) -> None:
+        """Take up the learnt arrays of an earlier run.
+
+        Raises:
+            ValueError: they cannot have been learnt with these parameters on this rig.
+        """
+        for block, stored in kept.parts.items():
+            check_block(stored, self._p.method, self._bounds, foresees=self._smoother is not None)
+            self._restore(block, stored)
 
     def _begin(self, turn: Turn | None) -> None:
         """Begin a load cycle."""
@@ -279,6 +287,11 @@ class Learning:
         elif self._added == (len(cycle.columns) if lesson.active else 0):
             lesson.take(errors, self._p.freeze)
             self._why = "nothing that repeats stands out from the noise"
+            if reason := out_of_bounds(lesson, self._p.method, self._bounds):
+                # Nothing of it is kept, the foreseen force included.
+                del self._lessons[turn.block]
+                self._anew(turn, cycle)
+                self._why = reason
 
     def _judge(self, lesson: Lesson, turn: Turn, cycle: LoadCycle, errors: Errors) -> None:
         """Take a correction up again, or start anew, after a load cycle without it."""
@@ -321,13 +334,15 @@ class Learning:
             return Harmonics(filters, size, period, self._p.forgetting, self._p.harmonics)
         return Waveform(filters, size, period, self._p.forgetting)
 
-    def _restore(self, block: int, stored: Mapping[str, NDArray[Any]]) -> None:
+    def _restore(self, block: int, stored: Arrays) -> None:
         wanted, period = stored["wanted"], float(stored["period"])
         columns = np.zeros((len(wanted), repetition.COLUMNS))
         columns[:, repetition.WANTED] = wanted
         lesson = Lesson(LoadCycle(period, columns), self._learners(wanted, period * self._period), self._period)
         if not lesson.restore(stored):
-            raise BadInput(f"block {block} was learnt with other parameters", self._p.file, "another file")
+            raise ValueError(f"block {block} was learnt with other parameters")
+        if reason := out_of_bounds(lesson, self._p.method, self._bounds):
+            raise ValueError(f"block {block}: {reason}")
         self._lessons[block] = lesson
         self._unproven.add(block)
 
@@ -346,13 +361,9 @@ def check(p: Parameters, setting: Setting) -> None:
     Raises:
         BadInput: it is one of both.
     """
-    Learning(p._replace(file=""), setting)
+    Learning(p, setting)
 
 
 def build(p: Parameters, setting: Setting) -> Learning:
-    """Return the companion ready to work.
-
-    Raises:
-        BadInput: its file cannot be read, or holds what was learnt with something else.
-    """
+    """Return the companion ready to work."""
     return Learning(p, setting)

@@ -277,6 +277,8 @@ class Learner(ABC):
             return False
         for name, value in values.items():
             setattr(self, name, value)
+        # Beyond the band nothing is learnt.
+        self.spectrum = np.where(self.design.robustness > 0.0, self.spectrum, 0.0)
         self.cycles = int(stored["cycles"])
         self.tabulate()
         return True

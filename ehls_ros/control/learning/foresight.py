@@ -129,6 +129,7 @@ class Foresight:
             return False
         for name, value in values.items():
             setattr(self, name, value)
+        self.spectrum = np.where(self._passed > 0.0, self.spectrum, 0.0)
         self.cycles = int(stored["cycles"])
         self.tabulate()
         return True

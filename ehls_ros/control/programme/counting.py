@@ -1,4 +1,9 @@
-"""Counts load cycles from the rig's measurements, and says when one is out of the programme's limits."""
+"""Counts load cycles from the rig's measurements, and says when one is out of the programme's limits.
+
+A limit is also violated where its quantity cannot be judged: the measured value or the position is not finite for
+:data:`UNMEASURED` control cycles on end, or throughout a shorter load cycle; one of them does not change in a load cycle whose
+stiffness is limited. A load cycle of which no sample was received, as while the counting program was away, is not judged.
+"""
 
 import math
 from typing import NamedTuple
@@ -6,6 +11,12 @@ from typing import NamedTuple
 from ehls_ros.control.programme.declaration import Limits
 from ehls_ros.control.programme.expansion import Programme
 from ehls_ros.control.programme.motion import State
+
+UNMEASURED = 10
+"""Control cycles on end without a finite measurement after which each limit on that measurement is violated."""
+
+VALUE, POSITION = "measured value", "position of the piston"
+"""Names of the measurements: force or position that the programme prescribes, and the position of the piston."""
 
 
 class LoadCycle(NamedTuple):
@@ -99,6 +110,7 @@ class Counter:
         self._leaves = programme.leaves
         self.done = done
         self.complaint = ""
+        self._without_value = self._without_position = 0
         self._stiffness = {entry.block: entry for entry in known}
         self._open: _Open | None = None
 
@@ -141,20 +153,35 @@ class Counter:
     def _watch(self, sample: Sample) -> None:
         """Watch what is limited at any time."""
         limits = self._leaves[sample.block].limits
+        self._without_value = 0 if math.isfinite(sample.measured) else self._without_value + 1
+        self._without_position = 0 if math.isfinite(sample.position) else self._without_position + 1
         if not math.isnan(sample.phase) and sample.repetition < limits.settling:
             return
+        where = f"control cycle {sample.cycle}"
+        for missing, limited, what in (
+            (self._without_value, limits.of_value, VALUE),
+            (self._without_position, limits.of_position, POSITION),
+        ):
+            if limited and missing >= UNMEASURED:
+                self._complain(f"the {what} has been missing for {missing} control cycles", sample.block, where)
         away = abs(sample.measured - sample.reference)
         if limits.error is not None and away > limits.error:
-            self._complain(f"the error is {away:g}, its limit {limits.error:g}", sample.block, f"control cycle {sample.cycle}")
+            self._complain(f"the error is {away:g}, its limit {limits.error:g}", sample.block, where)
         if limits.position is not None and _outside(sample.position, limits.position):
             what = f"the position is {sample.position:g} m, out of {limits.position[0]:g} to {limits.position[1]:g} m"
-            self._complain(what, sample.block, f"control cycle {sample.cycle}")
+            self._complain(what, sample.block, where)
 
     def _judge(self, cycle: LoadCycle) -> None:
         limits = self._leaves[cycle.block].limits
-        if cycle.cycle <= limits.settling:
+        if cycle.cycle <= limits.settling or not cycle.samples:
             return
         where = f"load cycle {cycle.load_cycle}"
+        for value, limited, what in (
+            (cycle.peak, limits.of_value, VALUE),
+            (cycle.highest_position, limits.of_position, POSITION),
+        ):
+            if limited and math.isnan(value):
+                self._complain(f"the {what} is missing", cycle.block, where)
         for name, value, window in (("peak", cycle.peak, limits.peak), ("valley", cycle.valley, limits.valley)):
             if window is not None and _outside(value, window):
                 self._complain(f"the {name} is {value:g}, out of {window[0]:g} to {window[1]:g}", cycle.block, where)
@@ -168,10 +195,15 @@ class Counter:
 
     def _compare(self, cycle: LoadCycle, limits: Limits, where: str) -> None:
         """Compare the stiffness with that of the block's first load cycles, of which this one may be."""
-        if math.isnan(cycle.stiffness):
-            return
         known = self._stiffness.get(cycle.block, Stiffness(cycle.block, 0.0, 0))
-        if known.cycles < limits.stiffness_cycles:
+        comparable = known.cycles >= limits.stiffness_cycles
+        if math.isnan(cycle.stiffness) or (cycle.stiffness <= 0.0 and not comparable):
+            # Nothing that later load cycles could be compared with.
+            if limits.stiffness_change is not None:
+                constant = POSITION if math.isnan(cycle.stiffness) else VALUE
+                self._complain(f"the stiffness cannot be judged: the {constant} does not change", cycle.block, where)
+            return
+        if not comparable:
             self._stiffness[cycle.block] = Stiffness(cycle.block, known.total + cycle.stiffness, known.cycles + 1)
             return
         change = 100.0 * (cycle.stiffness * known.cycles / known.total - 1.0)
@@ -201,18 +233,19 @@ class _Open:
         self._samples += 1
         self._reference_peak = max(self._reference_peak, sample.reference)
         self._reference_valley = min(self._reference_valley, sample.reference)
-        if not math.isnan(sample.measured):
+        if math.isfinite(sample.measured):
             self._measured += 1
             self._sum += sample.measured
             self._peak, self._valley = max(self._peak, sample.measured), min(self._valley, sample.measured)
             self._error = max(self._error, abs(sample.measured - sample.reference))
-        if not math.isnan(sample.position):
+        if math.isfinite(sample.position):
             self._highest, self._lowest = max(self._highest, sample.position), min(self._lowest, sample.position)
 
     def closed(self, number: int) -> LoadCycle:
         nan = math.nan
         seen, placed = self._measured > 0, self._highest >= self._lowest
         moved = self._highest - self._lowest
+        stiffness = (self._peak - self._valley) / moved if seen and placed and moved > 0.0 else nan
         return LoadCycle(
             number,
             self.block,
@@ -222,7 +255,7 @@ class _Open:
             self._reference_valley,
             self._error if seen else nan,
             *((self._lowest, self._highest) if placed else (nan, nan)),
-            (self._peak - self._valley) / moved if seen and placed and moved > 0.0 else nan,
+            stiffness if math.isfinite(stiffness) else nan,
             self._samples,
             self.first,
             self.last,

@@ -42,6 +42,17 @@ class Limits(NamedTuple):
     stiffness_cycles: Annotated[int, quantity("1", "first load cycles whose mean stiffness is compared with", minimum=1)] = 10
     settling: Annotated[int, quantity("1", "first load cycles of each pass of a block that are not judged", minimum=0)] = 0
 
+    @property
+    def of_value(self) -> bool:
+        """Whether a limit depends on the measured force or position that the programme prescribes."""
+        own = (self.peak, self.valley, self.peak_error, self.valley_error, self.error, self.stiffness_change)
+        return any(limit is not None for limit in own)
+
+    @property
+    def of_position(self) -> bool:
+        """Whether a limit depends on the position of the piston."""
+        return self.position is not None or self.stiffness_change is not None
+
 
 class Parameters(NamedTuple):
     """Settings of a programme, and its blocks; instead of all of it a spec may name a YAML ``file``."""

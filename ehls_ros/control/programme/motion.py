@@ -95,14 +95,28 @@ class Rows(NamedTuple):
     state: NDArray[np.int64]
 
 
-class _Moving(NamedTuple):
-    """A programme in some control cycles: its time, the speed of that and its rate, and the rows where it is off its path."""
+class Moving(NamedTuple):
+    """A programme at some times.
+
+    Attributes:
+        since: programme time, shape (n,) [s].
+        speed: speed of that time, 1 being its own, shape (n,).
+        growth: rate of the speed, shape (n,) [1/s].
+        off: value with two derivatives where the programme is off its path, else NaN, shape (n, 3).
+        busy: whether a leg is under way, shape (n,).
+    """
 
     since: Array
     speed: Array
     growth: Array
     off: Array
     busy: NDArray[np.bool_]
+
+    @classmethod
+    def empty(cls, count: int) -> "Moving":
+        """Return motions to be filled in: at rest and on the path."""
+        rows = np.full((count, 3), np.nan)
+        return cls(np.empty(count), np.zeros(count), np.zeros(count), rows, np.zeros(count, np.bool_))
 
 
 class Runner:
@@ -153,6 +167,7 @@ class Runner:
             reason: what happened.
             skipped: load cycles that were left out until there.
         """
+        since = _past_skips(since, skipped)
         held = self._held(since)
         glide = Leg(self._hold_time, since, row=(measured, 0.0, 0.0), to=held)
         return Motion(first, "stop", (glide,), since, held, skipped, reason)
@@ -188,6 +203,7 @@ class Runner:
         if motion.kind == "stop" or motion.rests is not None or since >= self.programme.duration - CLOSE:
             return False
         legs, since, row = self._slowed(since, speed, growth, row)
+        since = _past_skips(since, motion.skipped)
         held = self._held(since)
         legs += self._way(row, since, held)
         self._add(Motion(cycle, "stop", tuple(legs), since, held, motion.skipped, reason))
@@ -198,7 +214,14 @@ class Runner:
         motion, (since, speed, growth), row = self._now(cycle)
         if motion.rests is None or since >= self.programme.duration - CLOSE:
             return False
-        legs = [] if speed else self._way(row, since, self.programme.value(since))
+        legs: list[Leg] = []
+        goes_on = _past_skips(since, motion.skipped)
+        if goes_on > since:
+            # A stop while a block was being skipped: the rest of that block does not come back.
+            legs, _, row = self._slowed(since, speed, growth, row)
+            since, speed, growth = goes_on, 0.0, 0.0
+        if not speed:
+            legs += self._way(row, since, self.programme.value(since))
         legs.append(Leg(self._stop_time, since, speed, growth, 1.0))
         self._add(Motion(cycle, "resume", tuple(legs), _end(legs[-1]), None, motion.skipped))
         return True
@@ -206,9 +229,10 @@ class Runner:
     def skip(self, cycle: int) -> bool:
         """Leave the running block for the next one, still stopped if it was; return whether there is a block to leave."""
         motion, (since, speed, growth), row = self._now(cycle)
-        if since >= self.programme.duration - CLOSE:
+        if _past_skips(since, motion.skipped) >= self.programme.duration - CLOSE:
             return False
         legs, since, row = self._slowed(since, speed, growth, row)
+        since = _past_skips(since, motion.skipped)
         spot = self.programme.spot(since)
         if spot.segment.leads:
             spot = self.programme.spot(spot.end)
@@ -272,7 +296,7 @@ class Runner:
         made.points.phase[chosen] = np.where(moving.speed > 0.0, points.phase, np.nan)
         made.state[chosen] = self._states(motion, moving, cycles[chosen])
 
-    def _states(self, motion: Motion, moving: _Moving, cycles: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _states(self, motion: Motion, moving: Moving, cycles: NDArray[np.int64]) -> NDArray[np.int64]:
         under_way = {"start": State.STARTING, "stop": State.STOPPING, "resume": State.RESUMING, "skip": State.RESUMING}[
             motion.kind
         ]
@@ -282,7 +306,7 @@ class Runner:
             np.int64
         )
 
-    def _reference(self, moving: _Moving) -> Array:
+    def _reference(self, moving: Moving) -> Array:
         rows = self.programme.sample(moving.since)
         speed, growth = moving.speed, moving.growth
         # The chain rule for the programme along its own time.
@@ -292,10 +316,10 @@ class Runner:
         rows[off] = moving.off[off]
         return rows
 
-    def _moving(self, motion: Motion, cycles: NDArray[np.int64]) -> _Moving:
+    def _moving(self, motion: Motion, cycles: NDArray[np.int64]) -> Moving:
         gone = np.maximum(cycles - motion.first, 0) * self._period
         n = cycles.size
-        moving = _Moving(np.empty(n), np.zeros(n), np.zeros(n), np.full((n, 3), np.nan), np.zeros(n, np.bool_))
+        moving = Moving.empty(n)
         left = np.ones(n, np.bool_)
         for leg in motion.legs:
             now = left & (gone < leg.duration)
@@ -334,7 +358,14 @@ def point_signals(parameters: Any, time: Array, period: float) -> dict[str, Arra
     }
 
 
-def _along(leg: Leg, gone: Array, moving: _Moving, chosen: NDArray[np.bool_]) -> None:
+def along(leg: Leg, gone: Array) -> Moving:
+    """Return the programme's motion in a leg at times since its beginning [s], shape (n,)."""
+    moving = Moving.empty(gone.size)
+    _along(leg, gone, moving, np.ones(gone.size, np.bool_))
+    return moving
+
+
+def _along(leg: Leg, gone: Array, moving: Moving, chosen: NDArray[np.bool_]) -> None:
     """Fill in where a leg is at times since its beginning [s]."""
     x = gone / leg.duration
     if leg.row is not None:
@@ -351,6 +382,11 @@ def _along(leg: Leg, gone: Array, moving: _Moving, chosen: NDArray[np.bool_]) ->
 
 def _hermite_area(a: float, b: float, c: float, x: Array) -> Array:
     return a * (x - x**3 + 0.5 * x**4) + b * (0.5 * x**2 - 2.0 / 3.0 * x**3 + 0.25 * x**4) + c * (x**3 - 0.5 * x**4)
+
+
+def _past_skips(since: float, skipped: tuple[Skip, ...]) -> float:
+    """Return a programme time, or the end of the last skipped block where the programme is still on its way there [s]."""
+    return max([since, *(skip.to for skip in skipped)])
 
 
 def _end(leg: Leg) -> float:

@@ -4,9 +4,7 @@ A part holds the metrics of runs by their digests and nothing of the campaign, s
 shares with the previous one. A part is complete or missing. One process at a time works in a folder.
 """
 
-import fcntl
 import json
-import os
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +15,7 @@ from typing import Any, NamedTuple
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.campaign.plan import Column, Run
 from ehls_ros.experiments.campaign.work import METRICS, Row
+from ehls_ros.experiments.state_files.folder_lock import FolderLock
 from ehls_ros.extras import library
 from ehls_ros.recording.reason import reason
 
@@ -61,16 +60,15 @@ def opened(path: Path) -> Iterator[Folder]:
     folder = Folder(path)
     try:
         folder.parts.mkdir(parents=True, exist_ok=True)
-        lock = os.open(folder.parts, os.O_RDONLY)
     except OSError as error:
         raise BadInput(f"the folder cannot be written ({error.strerror})", str(path), "a writable folder") from None
+    lock = FolderLock(folder.parts, "campaign")
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if lock.remark:
+            raise BadInput(lock.remark, str(path), "a folder of a local disk")
         yield folder
-    except BlockingIOError:
-        raise BadInput("another campaign is at work in the folder", str(path), "another folder, or its end") from None
     finally:
-        os.close(lock)
+        lock.release()
 
 
 def _parquet() -> Any:

@@ -2,31 +2,39 @@
 
 Writing the bag and the diagnosis are another process's work, which gives way to all others and survives the monitor's end.
 Run as a module, with a folder that :meth:`FlightRecorder.begin` has filled, this file is that process; it becomes
-``ehls diagnose``.
+``ehls diagnose``. Only files that a flight recorder has written are ever removed.
 """
 
-import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from ehls_ros.declared_arrays import check_arrays
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.state_files import access
+from ehls_ros.experiments.state_files.kinds import FLIGHT, SAMPLES, FlightRecord, FlightSignals, flight_arrays
+from ehls_ros.experiments.state_files.state_file import Origin, StateFile
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.physics.rig import Rig, rig_to_mapping
 from ehls_ros.process import give_way
 from ehls_ros.trajectory import Trajectory
 
-SAMPLES, ORDER, RIG, BAG, BASELINE, RESULTS, LOG = (
-    "samples.npz", "order.json", "rig.yaml", "bag", "baseline", "diagnosis", "log.txt",
+SIGNALS, MARK, RIG, BAG, BASELINE, RESULTS, LOG = (
+    "samples.npz", "flight.json", "rig.yaml", "bag", "baseline", "diagnosis", "log.txt",
 )  # fmt: skip
 """Names in a flight's folder; of the first two, the process makes the others."""
+
+NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]{1,4})?")
+"""Names of the flights' folders."""
 
 MEGABYTE = 10**6
 
@@ -36,12 +44,12 @@ class Flight(NamedTuple):
 
     Attributes:
         recording: the samples before the trip.
-        about: the trip, for the bag's metadata: cause and time.
+        cause: of the trip.
         stamp_ns: when it was [ns].
     """
 
     recording: Trajectory
-    about: Mapping[str, Any]
+    cause: str
     stamp_ns: int
 
 
@@ -66,12 +74,15 @@ class FlightRecorder:
         """Whether a flight is still being written or diagnosed."""
         return self._process is not None and self._process.poll() is None
 
-    def begin(self, flight: Flight, rig: Rig, baselines: Sequence[Path] = (), own: Trajectory | None = None) -> Path:
+    def begin(
+        self, flight: Flight, rig: Rig, control_period: float, baselines: Sequence[Path] = (), own: Trajectory | None = None
+    ) -> Path:
         """Begin to write a flight and to diagnose it, while no other one is.
 
         Args:
             flight: what is recorded.
             rig: the model it is compared with.
+            control_period: of the rig [s].
             baselines: recordings of the healthy rig.
             own: the same as samples.
 
@@ -79,21 +90,24 @@ class FlightRecorder:
             The flight's folder.
 
         Raises:
-            OSError: the disk is full or fails.
+            NotWritten: the folder or a file of it cannot be written.
+            OSError: the process cannot be started.
         """
         self._make_room()
         stamp = datetime.fromtimestamp(flight.stamp_ns * 1e-9, UTC).strftime("%Y%m%d-%H%M%S")
         names = (stamp, *(f"{stamp}-{i}" for i in range(2, self._number + 2)))
-        folder = next(path for name in names if not (path := self._folder / name).exists())
-        folder.mkdir(parents=True)
-        (folder / RIG).write_text(rig_text(rig_to_mapping(rig)), encoding="utf-8")
-        parts = {BAG: flight.recording} | ({BASELINE: own} if own is not None else {})
-        arrays = {f"{part}/{name}": values for part, t in parts.items() for name, values in t.signals.items()}
-        arrays |= {f"{part}/": t.time_s for part, t in parts.items()}
-        with (folder / SAMPLES).open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # names of arrays, not of options
-        compared = [*(str(path.resolve()) for path in baselines), *([str((folder / BASELINE).resolve())] if own else [])]
-        (folder / ORDER).write_text(json.dumps({"about": flight.about, "baselines": compared}), encoding="utf-8")
+        folder = next((path for name in names if not os.path.lexists(path := self._folder / name)), None)
+        if folder is None:
+            raise access.NotWritten(f"{self._folder / stamp}: cannot be made (it is there)")
+        try:
+            folder.mkdir(parents=True)
+        except OSError as error:
+            raise access.NotWritten(f"{folder}: cannot be made ({error.strerror})") from None
+        try:
+            self._fill(folder, flight, Origin.of(rig, control_period), rig, baselines, own)
+        except access.NotWritten:
+            _remove(folder)
+            raise
         with (folder / LOG).open("wb") as log:
             command = [sys.executable, "-m", __name__, str(folder.resolve())]
             # In a session of its own, so that what stops the monitor does not stop it.
@@ -102,13 +116,60 @@ class FlightRecorder:
             )
         return folder
 
+    @staticmethod
+    def _fill(
+        folder: Path, flight: Flight, origin: Origin, rig: Rig, baselines: Sequence[Path], own: Trajectory | None
+    ) -> None:
+        """Write the files from which another process makes a bag and a diagnosis."""
+        record = FlightRecord(flight.cause, flight.stamp_ns, tuple(str(path.resolve()) for path in baselines), own is not None)
+        StateFile(folder / MARK, FLIGHT, origin).write(record._asdict(), durable=False)
+        content = rig_text(rig_to_mapping(rig)).encode()
+        access.replace(folder / RIG, lambda file: file.write(content), durable=False)
+        parts = {BAG: flight.recording} | ({BASELINE: own} if own is not None else {})
+        arrays = {f"{part}/{name}": values for part, t in parts.items() for name, values in t.signals.items()}
+        arrays |= {f"{part}/": t.time_s for part, t in parts.items()}
+        signals = FlightSignals(*(tuple(parts[part].signals) if part in parts else () for part in (BAG, BASELINE)))
+        StateFile(folder / SIGNALS, SAMPLES, origin).write(signals._asdict(), arrays, durable=False)
+
     def _make_room(self) -> None:
         """Remove the oldest flights until another one may be kept."""
-        flights = sorted((path for path in self._folder.glob("*") if path.is_dir()), key=lambda path: path.stat().st_mtime)
-        sizes = [sum(file.stat().st_size for file in path.rglob("*") if file.is_file()) for path in flights]
+        flights = sorted(self._flights().items(), key=lambda item: item[1])
+        sizes = [_size(path) for path, _ in flights]
         while flights and (len(flights) >= self._number or sum(sizes) > self._bytes):
-            shutil.rmtree(flights.pop(0), ignore_errors=True)
+            _remove(flights.pop(0)[0])
             sizes.pop(0)
+
+    def _flights(self) -> dict[Path, int]:
+        """Return the flights' folders, and when each was made [ns]: those with the name and the mark of one."""
+        found = {}
+        with suppress(OSError):
+            for entry in os.scandir(self._folder):
+                if NAME.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
+                    path = Path(entry.path)
+                    if StateFile(path / MARK, FLIGHT, None).is_own():
+                        found[path] = entry.stat(follow_symlinks=False).st_mtime_ns
+        return found
+
+
+def _size(flight: Path) -> int:
+    """Return the size of a flight's folder [B]."""
+    total = 0
+    for root, _, names in os.walk(flight):
+        for name in names:
+            with suppress(OSError):
+                total += os.lstat(os.path.join(root, name)).st_size  # noqa: PTH118 - a path for each is slow
+    return total
+
+
+def _remove(flight: Path) -> None:
+    """Remove the files of a flight recorder and its diagnosis; files of others beside them stay."""
+    for name in (BAG, BASELINE, RESULTS):
+        shutil.rmtree(flight / name, ignore_errors=True)
+    for name in (SIGNALS, RIG, LOG, MARK):
+        with suppress(OSError):
+            (flight / name).unlink()
+    with suppress(OSError):
+        flight.rmdir()
 
 
 def write(folder: Path) -> list[str]:
@@ -116,21 +177,38 @@ def write(folder: Path) -> list[str]:
 
     Args:
         folder: as :meth:`FlightRecorder.begin` has left it.
+
+    Raises:
+        BadInput: it is not as it was left.
     """
     from ehls_ros.recording.bag_writer import write_trajectory  # noqa: PLC0415 - the monitor itself writes no bags
 
-    order = json.loads((folder / ORDER).read_text(encoding="utf-8"))
-    parts: dict[str, dict[str, Any]] = {}
-    with np.load(folder / SAMPLES, allow_pickle=False) as arrays:
-        for key in arrays.files:
-            part, _, name = key.partition("/")
-            parts.setdefault(part, {})[name] = arrays[key]
-    for part, signals in parts.items():
-        time = signals.pop("")
-        write_trajectory(folder / part, Trajectory(time, signals, {"trip": order["about"]} if part == BAG else {}))
-    for done in (SAMPLES, ORDER):
-        (folder / done).unlink()
-    baseline = ["--baseline", *order["baselines"]] if order["baselines"] else []
+    mark, samples = StateFile(folder / MARK, FLIGHT, None), StateFile(folder / SIGNALS, SAMPLES, None)
+    marked, sampled = mark.read(), samples.read()
+    if marked is None or sampled is None:
+        raise BadInput("it holds no flight", str(folder), f"a folder with {MARK} and {SIGNALS}")
+    record: FlightRecord = marked.content
+    signals: FlightSignals = sampled.content
+    try:
+        check_arrays(sampled.arrays, flight_arrays(signals))
+        parts: Mapping[str, Sequence[str]] = {BAG: signals.bag} | ({BASELINE: signals.baseline} if record.own_baseline else {})
+        recordings = {
+            part: Trajectory(sampled.arrays[f"{part}/"], {name: sampled.arrays[f"{part}/{name}"] for name in names})
+            for part, names in parts.items()
+        }
+        if any(np.any(np.diff(recording.time_s) <= 0.0) for recording in recordings.values()):
+            raise samples.refusal("its times do not increase")
+    except BadInput:
+        raise
+    except (ValueError, KeyError) as error:
+        raise samples.refusal(str(error)) from None
+    trip = {"cause": record.cause, "stamp_ns": record.stamp_ns}
+    for part, recording in recordings.items():
+        metadata = {"trip": trip} if part == BAG else {}
+        write_trajectory(folder / part, Trajectory(recording.time_s, recording.signals, metadata))
+    (folder / SIGNALS).unlink()
+    compared = [*record.baselines, *([str(folder.resolve() / BASELINE)] if record.own_baseline else [])]
+    baseline = ["--baseline", *compared] if compared else []
     return ["diagnose", str(folder / BAG), "--rig", str(folder / RIG), *baseline, "--out", str(folder / RESULTS)]
 
 

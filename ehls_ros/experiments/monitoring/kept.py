@@ -1,22 +1,24 @@
 """What a monitor's folder says of a day: its changes and its coefficients, for the report of that day."""
 
-import csv
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Sequence
 from datetime import date, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS as KNOWN
 from ehls_ros.diagnosis.monitoring.tracking import Reading
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.monitoring.health import FoundChange, Health, State
-from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, STATE, change_of, readings_of
+from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, HEADING, STATE, UNUSABLE, check_cells
+from ehls_ros.experiments.monitoring.memory_records import change_of, readings_of, rig_of
 from ehls_ros.experiments.monitoring.parameters import Parameters
 from ehls_ros.experiments.monitoring.rates import MOST_HISTORY, rates
 from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.experiments.monitoring.replay import Watched
-from ehls_ros.physics.rig import rig_from_mapping
+from ehls_ros.experiments.state_files import table
+from ehls_ros.experiments.state_files.kinds import MONITOR, MonitorState
+from ehls_ros.experiments.state_files.state_file import StateFile
 
 EXPECTED = "the folder of a monitor, as its parameter folder names it"
 
@@ -37,24 +39,28 @@ def watched_until(folder: Path, day: date) -> tuple[Watched, datetime]:
         BadInput: the folder cannot be read as a monitor's.
     """
     midnight = datetime.combine(day, datetime.min.time()).astimezone()
-    path = folder / STATE
+    file = StateFile(folder / STATE, MONITOR, None)
+    read = file.read()
+    if read is None:
+        raise BadInput(f"there is no {STATE}", str(folder), EXPECTED)
+    state: MonitorState = read.content
     try:
-        state = json.loads(path.read_text(encoding="utf-8"))
-        rig = rig_from_mapping(state["well"], str(path))
-        changes = tuple(_since(midnight, change_of(entry), state["anchors"]) for entry in state["changes"])
-        readings = readings_of(state["readings"])
-        history = _history(folder / COEFFICIENTS, midnight)
-        end = (datetime.now().astimezone() - midnight).total_seconds()
-        watched = float(state["watched"])
-    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        raise BadInput(f"the monitor's folder cannot be read ({error})", str(folder), EXPECTED) from None
+        rig = rig_of(state.well, read.origin)
+        changes = tuple(_since(midnight, change_of(record), state.anchors) for record in state.changes)
+        readings = readings_of(state.readings)
+    except BadInput:
+        raise
+    except UNUSABLE as error:
+        raise file.refusal(str(error)) from None
+    history = _history(folder / COEFFICIENTS, midnight)
+    end = (datetime.now().astimezone() - midnight).total_seconds()
     told = {reading.name for reading in readings if reading.told}
     missing = tuple(reading.name for reading in readings if reading.name not in told)
-    health = Health(end, State.WATCHING, "", changes, readings, watched, "the healthy rig", 0.0, rates(history))
+    health = Health(end, State.WATCHING, "", changes, readings, state.watched, "the healthy rig", 0.0, rates(history))
     return Watched(rig, Parameters(), health, history, (), missing=missing), midnight
 
 
-def _since(midnight: datetime, change: FoundChange, anchors: Sequence[Sequence[float]]) -> FoundChange:
+def _since(midnight: datetime, change: FoundChange, anchors: Sequence[tuple[float, int]]) -> FoundChange:
     """Return a change with times from a midnight on [s], which were on the monitor's axis."""
 
     def moved(instant: float) -> float:
@@ -75,18 +81,17 @@ def _since(midnight: datetime, change: FoundChange, anchors: Sequence[Sequence[f
 
 
 def _history(path: Path, midnight: datetime) -> tuple[Past, ...]:
-    """Return the readings up to the end of the day, times from its midnight on."""
-    if not path.exists():
-        return ()
-    rows: dict[float, list[Reading]] = {}
+    """Return the readings up to the end of the day, times from its midnight on; of the file, the last of these are kept."""
     until = midnight + timedelta(days=1)
-    with path.open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            time = datetime.fromisoformat(row["time"])
-            if time < until:
-                rows.setdefault((time - midnight).total_seconds(), []).append(_reading(row))
-    return tuple(Past(time, tuple(read)) for time, read in list(rows.items())[-MOST_HISTORY:])
-
-
-def _reading(row: Mapping[str, Any]) -> Reading:
-    return Reading(str(row["name"]), float(row["value"]), float(row["deviation"]), str(row["unit"]))
+    times = deque[datetime](maxlen=MOST_HISTORY)
+    rows = deque[list[Reading]](maxlen=MOST_HISTORY)
+    for cells in table.rows(path, ",".join(HEADING), check_cells, EXPECTED, "the coefficients' history"):
+        stamp, name, value, deviation, unit = cells
+        time = datetime.fromisoformat(stamp)
+        if time.tzinfo is None or time >= until or name not in KNOWN:
+            continue
+        if not times or times[-1] != time:
+            times.append(time)
+            rows.append([])
+        rows[-1].append(Reading(name, float(value), float(deviation), unit))
+    return tuple(Past((time - midnight).total_seconds(), tuple(read)) for time, read in zip(times, rows, strict=True))

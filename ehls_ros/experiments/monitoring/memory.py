@@ -1,38 +1,58 @@
-"""What a monitor keeps in a folder, so that one that was killed and started again goes on where it was.
+"""The memory of a monitor in a folder, so that one that was killed and started again goes on where it was.
 
-``memory.json`` is replaced at once, and names the files of arrays that go with it; whatever ends the process, one whole state
-is there. ``coefficients.csv`` grows by one line for each coefficient that the data told, and is never rewritten.
+``memory.json`` is replaced atomically, and names the files of arrays that go with it; whatever ends the process, one whole
+state is there. ``coefficients.csv`` grows by one line for each coefficient that was identified. A file that cannot be used is
+put aside as it is, and no file is replaced or removed that a monitor has not written.
 """
 
-import csv
-import hashlib
-import json
+import math
 import os
+import re
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.hypotheses import Candidate
+from ehls_ros.declared_arrays import Arrays, check_arrays
 from ehls_ros.diagnosis.monitoring.blocks import Scores
-from ehls_ros.diagnosis.monitoring.directions import Direction
-from ehls_ros.diagnosis.monitoring.tracking import Reading
 from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.errors import BadInput
-from ehls_ros.estimate import Estimate
-from ehls_ros.experiments.monitoring.examination import FoundCause
-from ehls_ros.experiments.monitoring.following import Anchor
-from ehls_ros.experiments.monitoring.health import FoundChange
+from ehls_ros.experiments.monitoring.following import MOST_ANCHORS, Anchor
+from ehls_ros.experiments.monitoring.memory_records import (
+    MOST_CHANGES,
+    change_of,
+    change_record,
+    direction_of,
+    direction_record,
+    past_of,
+    past_record,
+    readings_of,
+    readings_record,
+    rig_of,
+)
 from ehls_ros.experiments.monitoring.remembered import Learnt, Past, Remembered
-from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
+from ehls_ros.experiments.state_files import table
+from ehls_ros.experiments.state_files.access import NotWritten, check_writable
+from ehls_ros.experiments.state_files.kinds import (
+    BLOCK_ARRAYS,
+    BLOCKS,
+    HEALTHY,
+    HEALTHY_ARRAYS,
+    LEARNS_ANEW,
+    MONITOR,
+    MOST_BLOCKS,
+    HealthyRig,
+    MonitorState,
+)
+from ehls_ros.experiments.state_files.state_file import Kind, OfAnotherOrigin, Origin, StateFile
+from ehls_ros.physics.rig import Rig, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
-
-VERSION = 1
-"""Of the files' layout; another one is not read."""
 
 STATE = "memory.json"
 """Name of the state."""
@@ -42,13 +62,20 @@ COEFFICIENTS = "coefficients.csv"
 
 HEADING = ("time", "name", "value", "deviation", "unit")
 
+ASIDE = "aside"
+"""First part of the names of folders with files that could not be used."""
+
+ARRAYS = re.compile(r"(learnt|blocks)_[0-9]{1,4}\.npz")
+"""Names of the files of arrays."""
+
 OFTEN = 60.0
 """Time between two states, if nothing happens [s]."""
 
 SELDOM = 300.0
 """The same for the sums of the test, which are the largest part [s]; without the newest of them, a change is noticed later."""
 
-EXPECTED = "the files as a monitor left them; without them it learns anew"
+UNUSABLE = (ValueError, ArithmeticError, LookupError, TypeError)
+"""Errors of a monitor that a memory leads to which passed all checks and still makes no sense."""
 
 
 class Kept(NamedTuple):
@@ -65,20 +92,15 @@ class Kept(NamedTuple):
     end: float
 
 
-def digest(rig: Rig) -> str:
-    """Return a digest of a rig's description."""
-    return hashlib.blake2b(json.dumps(rig_to_mapping(rig), sort_keys=True).encode(), digest_size=16).hexdigest()
-
-
 class Memory:
     """The folder of one monitor."""
 
-    def __init__(self, folder: Path, rig: Rig, baselines: Sequence[str] = ()) -> None:
+    def __init__(self, folder: Path, origin: Origin, baselines: Sequence[str] = ()) -> None:
         """Use a folder, and make it if it is not there.
 
         Args:
             folder: the folder.
-            rig: the rig as its file describes it; the memory of another one is put aside.
+            origin: the rig as its file describes it, and the control period; the memory of another one is put aside.
             baselines: names of the recordings from which the monitor learns.
 
         Raises:
@@ -89,12 +111,28 @@ class Memory:
         except OSError as error:
             raise BadInput(f"the folder cannot be made ({error.strerror})", str(folder), "a writable folder") from None
         self._folder = folder
-        self._of = {"version": VERSION, "rig": digest(rig), "baselines": list(baselines)}
+        self._origin = origin
+        self._baselines = tuple(baselines)
         self._learnt: Learnt | None = None
         self._learnt_file = self._blocks_file = ""
         self._model: Rig | None = None
         self._told = -np.inf
         self._saved = self._saved_blocks = -np.inf
+        self._history: table.Table | None = None
+
+    def check_writable(self) -> None:
+        """Check that the memory can be written.
+
+        Raises:
+            BadInput: it cannot.
+        """
+        check_writable(self._folder / STATE, "a writable folder", "what the monitor knows")
+
+    def close(self) -> None:
+        """Close the coefficients' history."""
+        if self._history is not None:
+            self._history.close()
+            self._history = None
 
     # --- reading --------------------------------------------------------------------------------------
 
@@ -102,61 +140,119 @@ class Memory:
         """Return what was kept of this rig; None if nothing was.
 
         Raises:
-            BadInput: the files cannot be read; the next state takes their place.
+            BadInput: the files cannot be used, or are of another rig, control period or baselines; see :meth:`put_aside`.
         """
-        path = self._folder / STATE
-        if not path.exists():
+        file = self._file(STATE, MONITOR)
+        state = file.read()
+        if state is None:
             return None
+        content: MonitorState = state.content
+        if content.baselines != self._baselines:
+            raise file.refusal(f"it was learnt from the baselines {', '.join(content.baselines) or 'none'}")
         try:
-            state = json.loads(path.read_text(encoding="utf-8"))
-            if {key: state.get(key) for key in self._of} != self._of:
-                path.replace(path.with_suffix(".other_rig"))
-                return None
-            kept = self._kept(state, path)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, BadInput) as error:
-            raise BadInput(f"what the monitor knew cannot be read ({error})", str(path), EXPECTED) from None
-        self._learnt, self._learnt_file = kept.remembered.learnt, state["learnt"]
+            kept = self._kept(content)
+        except BadInput:
+            raise
+        except UNUSABLE as error:
+            raise file.refusal(str(error)) from None
+        self._learnt, self._learnt_file = kept.remembered.learnt, content.learnt
         self._told = kept.remembered.history[-1].time if kept.remembered.history else -np.inf
         return kept
 
-    def _kept(self, state: Mapping[str, Any], path: Path) -> Kept:
-        learnt = self._read_learnt(state["learnt"]) if state["learnt"] else None
-        begins, rows = self._read_blocks(state["blocks"], learnt) if state["blocks"] and learnt else ((), np.zeros((3, 0, 0)))
+    def put_aside(self, reason: BadInput) -> str:
+        """Move files that cannot be used into a separate folder, as they are.
+
+        Args:
+            reason: why it cannot be used.
+
+        Returns:
+            A sentence on the reason and the folder.
+        """
+        self._learnt, self._learnt_file, self._blocks_file = None, "", ""
+        # The history has no mark of its rig.
+        history = (COEFFICIENTS,) if isinstance(reason, OfAnotherOrigin) else ()
+        return self._move_aside(reason, STATE, *self._own_arrays(), *history)
+
+    def _move_aside(self, reason: BadInput, *names: str) -> str:
+        try:
+            aside = next(path for n in count(1) if not os.path.lexists(path := self._folder / f"{ASIDE}-{n}"))
+            aside.mkdir()
+            for name in names:
+                with suppress(FileNotFoundError):
+                    (self._folder / name).rename(aside / name)
+        except OSError as error:
+            return f"{reason}; it cannot be put aside ({error.strerror})"
+        return f"{reason}; it is now in {aside}"
+
+    def _own_arrays(self) -> list[str]:
+        """Return the names of the files of arrays that a monitor has written into the folder; none if it cannot be listed."""
+        named = list[str]()
+        with suppress(OSError):
+            named = [name for name in os.listdir(self._folder) if ARRAYS.fullmatch(name)]  # noqa: PTH208 - names alone
+        return [name for name in named if self._file(name, _kind(name)).is_own()]
+
+    def _file(self, name: str, kind: Kind) -> StateFile:
+        return StateFile(self._folder / name, kind, self._origin)
+
+    def _kept(self, content: MonitorState) -> Kept:
+        anchors = tuple(Anchor(*anchor) for anchor in content.anchors)
+        if len(anchors) > MOST_ANCHORS or any(later.time < earlier.time for earlier, later in pairwise(anchors)):
+            raise ValueError("its anchors do not follow one another")
+        if anchors and not anchors[-1].time <= content.end:
+            raise ValueError("its anchors are later than its end")
+        learnt = self._read_learnt(content.learnt) if content.learnt else None
+        begins, rows = self._read_blocks(content.blocks, learnt) if content.blocks and learnt else ((), np.zeros((3, 0, 0)))
         remembered = Remembered(
             learnt,
-            rig_from_mapping(state["well"], str(path)),
-            rig_from_mapping(state["model"], str(path)),
-            tuple(change_of(entry) for entry in state["changes"]),
-            tuple(Past(entry["time"], readings_of(entry["readings"])) for entry in state["history"]),
-            readings_of(state["readings"]),
-            float(state["watched"]),
+            rig_of(content.well, self._origin),
+            rig_of(content.model, self._origin),
+            tuple(change_of(record) for record in content.changes),
+            tuple(past_of(record) for record in content.history),
+            readings_of(content.readings),
+            content.watched,
             begins,
             rows,
         )
-        return Kept(remembered, tuple(Anchor(float(t), int(ns)) for t, ns in state["anchors"]), float(state["end"]))
+        return Kept(remembered, anchors, content.end)
+
+    def _arrays(self, name: str, kind: Kind) -> tuple[Any, Arrays]:
+        """Return document and arrays of a file that the state names."""
+        if not ARRAYS.fullmatch(name) or _kind(name) is not kind:
+            raise ValueError(f"it names the file {name!r}")
+        state = self._file(name, kind).read()
+        if state is None:
+            raise ValueError(f"the file {name} that it names is missing")
+        return state.content, state.arrays
 
     def _read_learnt(self, name: str) -> Learnt:
-        with np.load(self._folder / name, allow_pickle=False) as data:
-            directions = tuple(_direction(entry) for entry in json.loads(str(data["directions"])))
-            rows = data["rows"]
-            if rows.shape[2] != len(directions) + len(CHANNELS):
-                raise ValueError(f"{name} is of other directions")
-            none = np.zeros((0, 0))
-            blocks = [Scores(row[0], row[1], row[2], none) for row in rows.swapaxes(0, 1)]
-            ends = np.cumsum(data["lengths"]).tolist()
-            sections = tuple(tuple(blocks[begin:end]) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
-            recording = None
-            if len(data["time"]):
-                signals = {str(signal): data["signals"][i] for i, signal in enumerate(data["names"])}
-                recording = Trajectory(data["time"], signals)
-            return Learnt(str(data["kind"]), directions, sections, recording)
+        about, arrays = self._arrays(name, HEALTHY)
+        healthy: HealthyRig = about
+        directions = tuple(direction_of(record) for record in healthy.directions)
+        quantities = len(directions) + len(CHANNELS)
+        check_arrays(arrays, HEALTHY_ARRAYS, {"quantities": quantities, "names": len(healthy.signals)})
+        rows, lengths, instants = arrays["rows"], arrays["lengths"], arrays["time"]
+        _check_rows(rows)
+        if not len(lengths) or int(lengths.sum()) != rows.shape[1]:
+            raise ValueError(f"{name} has other sections than blocks")
+        none = np.zeros((0, 0))
+        blocks = [Scores(row[0], row[1], row[2], none) for row in rows.swapaxes(0, 1)]
+        ends = np.cumsum(lengths).tolist()
+        sections = tuple(tuple(blocks[begin:end]) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
+        recording = None
+        if len(instants):
+            if np.any(np.diff(instants) <= 0.0):
+                raise ValueError(f"{name} has times that do not increase")
+            recording = Trajectory(instants, dict(zip(healthy.signals, arrays["signals"], strict=True)))
+        return Learnt(healthy.kind, directions, sections, recording)
 
     def _read_blocks(self, name: str, learnt: Learnt) -> tuple[tuple[float, ...], Array]:
-        with np.load(self._folder / name, allow_pickle=False) as data:
-            begins, rows = tuple(data["begins"].tolist()), data["rows"].astype(np.float64)
-        if rows.shape != (3, len(begins), len(learnt.directions) + len(CHANNELS)):
-            raise ValueError(f"{name} is of other directions")
-        return begins, rows
+        _, arrays = self._arrays(name, BLOCKS)
+        check_arrays(arrays, BLOCK_ARRAYS, {"quantities": len(learnt.directions) + len(CHANNELS)})
+        begins, rows = arrays["begins"], arrays["rows"].astype(np.float64)
+        _check_rows(rows)
+        if len(begins) > MOST_BLOCKS or np.any(np.diff(begins) <= 0.0):
+            raise ValueError(f"{name} has blocks that do not follow one another")
+        return tuple(begins.tolist()), rows
 
     # --- writing --------------------------------------------------------------------------------------
 
@@ -174,7 +270,7 @@ class Memory:
             happened: whether something happened since; if not, the sums are kept seldom.
 
         Raises:
-            OSError: the disk is full or fails.
+            NotWritten: with the file and the reason.
         """
         self._saved = now = time.monotonic()
         self._append(remembered.history, anchors)
@@ -182,64 +278,113 @@ class Memory:
             self._learnt_file = self._blocks_file = ""
         else:
             if self._learnt is None or not self._learnt_file or not _same(self._learnt, remembered.learnt):
-                self._learnt_file = self._write("learnt", _learnt_arrays(remembered.learnt))
+                self._learnt_file = self._write(HEALTHY, *_healthy_arrays(remembered.learnt))
             if happened or self._model is not remembered.model or now - self._saved_blocks > SELDOM:
                 self._saved_blocks = now
                 blocks = {"begins": np.array(remembered.begins), "rows": remembered.rows.astype(np.float32)}
-                self._blocks_file = self._write("blocks", blocks)
+                self._blocks_file = self._write(BLOCKS, {}, blocks)
         self._learnt, self._model = remembered.learnt, remembered.model
         state = {
-            **self._of,
+            "baselines": list(self._baselines),
             "end": end,
             "anchors": list(anchors),
             "well": rig_to_mapping(remembered.well),
             "model": rig_to_mapping(remembered.model),
-            "changes": [_plain_change(change) for change in remembered.changes],
-            "history": [{"time": past.time, "readings": _plain_readings(past.readings)} for past in remembered.history],
-            "readings": _plain_readings(remembered.readings),
+            "changes": [change_record(change) for change in remembered.changes[-MOST_CHANGES:]],
+            "history": [past_record(past) for past in remembered.history],
+            "readings": readings_record(remembered.readings),
             "watched": remembered.watched,
             "learnt": self._learnt_file,
             "blocks": self._blocks_file,
         }
-        self._replace(self._folder / STATE, json.dumps(state).encode())
-        for old in self._folder.glob("*.npz"):
-            if old.name not in {self._learnt_file, self._blocks_file}:
-                old.unlink(missing_ok=True)
+        self._file(STATE, MONITOR).write(state)
+        for old in self._own_arrays():
+            if old not in {self._learnt_file, self._blocks_file}:
+                with suppress(OSError):
+                    (self._folder / old).unlink()
 
-    def _write(self, what: str, arrays: Mapping[str, Any]) -> str:
-        """Write arrays under a name that no state uses yet, and return it."""
+    def _write(self, kind: Kind, content: Mapping[str, Any], arrays: Arrays) -> str:
+        """Write arrays under a name that neither the state nor anybody else uses, and return it."""
         used = {self._learnt_file, self._blocks_file}
-        name = next(name for name in (f"{what}_{i}.npz" for i in range(3)) if name not in used)
-        with (self._folder / name).open("wb") as file:
-            np.savez(file, **arrays)
-            os.fsync(file.fileno())
+        names = (f"{_first_part(kind)}_{i}.npz" for i in count())
+        name = next(name for name in names if name not in used and self._is_free(name, kind))
+        self._file(name, kind).write(content, arrays)
         return name
 
-    @staticmethod
-    def _replace(path: Path, content: bytes) -> None:
-        beside = path.with_suffix(".new")
-        with beside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
+    def _is_free(self, name: str, kind: Kind) -> bool:
+        return not os.path.lexists(self._folder / name) or self._file(name, kind).is_own()
 
     def _append(self, history: Sequence[Past], anchors: Sequence[Anchor]) -> None:
         """Append readings that are not there yet to the history."""
         new = [past for past in history if past.time > self._told]
         if not new:
             return
+        if self._history is None:
+            self.open_history()
+        if self._history is None:
+            self._history = table.Table(self._folder / COEFFICIENTS, ",".join(HEADING), 0)
+        for past in new:
+            stamp = _wall(past.time, anchors)
+            for reading in past.readings:
+                if reading.told:
+                    cells = (stamp, reading.name, f"{reading.value:.8g}", f"{reading.deviation:.3g}", reading.unit)
+                    self._history.add(",".join(cells))
         self._told = new[-1].time
-        path = self._folder / COEFFICIENTS
-        with path.open("a", newline="", encoding="utf-8") as file:
-            lines = csv.writer(file)
-            if not file.tell():
-                lines.writerow(HEADING)
-            for past in new:
-                stamp = _wall(past.time, anchors)
-                lines.writerows(
-                    (stamp, r.name, f"{r.value:.8g}", f"{r.deviation:.3g}", r.unit) for r in past.readings if r.told
-                )
+        self._history.flush()
+
+    def open_history(self) -> str:
+        """Open the coefficients' history; one that cannot be continued is put aside.
+
+        Returns:
+            A sentence on that; empty where it goes on.
+
+        Raises:
+            NotWritten: it cannot be opened for writing.
+        """
+        if self._history is not None:
+            return ""
+        path, heading, said = self._folder / COEFFICIENTS, ",".join(HEADING), ""
+        try:
+            judged = table.judge(path, heading, check_cells, LEARNS_ANEW, "the coefficients' history")
+        except BadInput as error:
+            said, judged = self._move_aside(error, COEFFICIENTS), table.Judged((), 0)
+            if os.path.lexists(path):
+                raise NotWritten(said) from None
+        if judged.end:
+            self._history = table.Table(path, heading, judged.end)
+        return said
+
+
+def check_cells(cells: Sequence[str]) -> None:
+    """Check a line of the coefficients' history.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if len(cells) != len(HEADING):
+        raise ValueError(f"a line has {len(cells)} values, not {len(HEADING)}")
+    datetime.fromisoformat(cells[0])
+    if not math.isfinite(float(cells[2])):
+        raise ValueError(f"a line has the value {cells[2]}")
+    float(cells[3])
+
+
+def _kind(name: str) -> Kind:
+    return HEALTHY if name.startswith("learnt") else BLOCKS
+
+
+def _first_part(kind: Kind) -> str:
+    return "learnt" if kind is HEALTHY else "blocks"
+
+
+def _check_rows(rows: Array) -> None:
+    """Refuse a negative information or share.
+
+    Raises:
+        ValueError: there is one.
+    """
+    if np.any(rows[1:] < 0.0):
+        raise ValueError("a block has a negative information")
 
 
 def _wall(instant: float, anchors: Sequence[Anchor]) -> str:
@@ -253,71 +398,18 @@ def _same(one: Learnt, other: Learnt) -> bool:
     return one.directions is other.directions and list(map(len, one.sections)) == list(map(len, other.sections))
 
 
-def _learnt_arrays(learnt: Learnt) -> dict[str, Any]:
+def _healthy_arrays(learnt: Learnt) -> tuple[dict[str, Any], Arrays]:
     blocks = [block for section in learnt.sections for block in section]
     recording = learnt.recording
-    return {
+    signals = {} if recording is None else recording.signals
+    content = {
         "kind": learnt.kind,
-        "directions": json.dumps([_plain_direction(direction) for direction in learnt.directions]),
+        "directions": [direction_record(direction) for direction in learnt.directions],
+        "signals": list(signals),
+    }
+    return content, {
         "rows": np.array([[getattr(block, field) for block in blocks] for field in ("score", "information", "share")]),
-        "lengths": np.array([len(section) for section in learnt.sections]),
+        "lengths": np.array([len(section) for section in learnt.sections], dtype=np.int64),
         "time": np.zeros(0) if recording is None else recording.time_s,
-        "names": np.array([] if recording is None else list(recording.signals), dtype=np.str_),
-        "signals": np.zeros((0, 0)) if recording is None else np.array(list(recording.signals.values())),
+        "signals": np.array(list(signals.values())) if signals else np.zeros((0, 0)),
     }
-
-
-def _plain_direction(direction: Direction) -> dict[str, Any]:
-    cause = {
-        key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in direction.cause._asdict().items()
-    }
-    return {"cause": cause, "parameter": direction.parameter, "values": direction.values.tolist()}
-
-
-def _direction(entry: Mapping[str, Any]) -> Direction:
-    cause = entry["cause"]
-    free = tuple(cause["free"])
-    arrays = {key: np.array(cause[key], dtype=np.float64) for key in ("starts", "lower", "upper", "neutral")}
-    made = Candidate(
-        name=str(cause["name"]),
-        number=int(cause["number"]),
-        free=free,
-        fixed=tuple((str(name), float(value)) for name, value in cause["fixed"]),
-        units=tuple(cause["units"]),
-        **{**arrays, "starts": arrays["starts"].reshape(-1, len(free))},
-    )
-    # Unknown names of effect or parameters show here.
-    made.use(made.neutral)
-    return Direction(made, str(entry["parameter"]), np.array(entry["values"], dtype=np.float64))
-
-
-def _plain_readings(readings: Sequence[Reading]) -> list[dict[str, Any]]:
-    return [reading._asdict() for reading in readings]
-
-
-def readings_of(entries: Sequence[Mapping[str, Any]]) -> tuple[Reading, ...]:
-    """Return readings as the state has them."""
-    return tuple(Reading(**entry) for entry in entries)
-
-
-def _plain_change(change: FoundChange) -> dict[str, Any]:
-    causes = [
-        {**cause._asdict(), "parameters": {name: list(value) for name, value in cause.parameters.items()}}
-        for cause in change.causes
-    ]
-    return {**change._asdict(), "causes": causes}
-
-
-def change_of(entry: Mapping[str, Any]) -> FoundChange:
-    """Return a change as the state has it."""
-    causes = tuple(
-        FoundCause(
-            **{
-                **cause,
-                "equivalent_to": tuple(cause["equivalent_to"]),
-                "parameters": {name: Estimate(*value) for name, value in cause["parameters"].items()},
-            }
-        )
-        for cause in entry["causes"]
-    )
-    return FoundChange(**{**entry, "causes": causes, "depends_on": tuple(entry["depends_on"])})

@@ -1,0 +1,178 @@
+"""Learnt arrays that are kept from one run to the next: the declaration of each block's arrays, and their bounds.
+
+The forces are bounded by the rig: a correction is added to the reference from the first load cycle on, before any error could
+show that it is wrong.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.companions.base import Setting
+from ehls_ros.control.controllers.base import FORESEEN
+from ehls_ros.control.learning.lesson import Lesson
+from ehls_ros.control.learning.repetition import LONGEST
+from ehls_ros.declared_arrays import Arrays, Entry, check_arrays
+
+Method = Literal["waveform", "harmonics", "peak_valley"]
+
+SHORTEST = 8
+"""Fewest samples of a load cycle."""
+
+MOST_CYCLES = 1e9
+"""Most load cycles that count."""
+
+LARGEST = 1e15
+"""Largest number of any array, in its unit."""
+
+OF_REFERENCE = 0.5
+"""Largest correction of a reference, over its largest magnitude; one by peaks, valleys and phase has its ``reach``."""
+
+OF_LIMIT = 0.05
+"""Largest correction of a small reference, over the rig's largest force."""
+
+_COMPLEX = Entry("complex128", ("harmonics",), most=LARGEST)
+_POSITIVE = Entry(shape=("harmonics",), least=0.0, most=LARGEST)
+_UNKNOWN = Entry(shape=("harmonics",), least=0.0, infinite=True)
+_COUNT = Entry("int64", (), least=0, most=MOST_CYCLES)
+_NUMBERS = Entry(shape=(3,), least=-LARGEST, most=LARGEST)
+_NUMBERS_POSITIVE = Entry(shape=(3,), least=0.0, most=LARGEST)
+
+BLOCK: Mapping[str, Entry] = {
+    "period": Entry(shape=(), least=SHORTEST - 0.5, most=LONGEST + 0.5),
+    "wanted": Entry(shape=("samples",), least=-LARGEST, most=LARGEST),
+    "limits": Entry(shape=(2,), least=0.0, infinite=True),
+    "largest": Entry(shape=(2,), least=0.0, most=LARGEST),
+    "errors": Entry(shape=(2,), least=0.0, most=LARGEST),
+}
+"""Arrays of each block with any method."""
+
+SAMPLED: Mapping[str, Entry] = {
+    "cycles": _COUNT,
+    "spectrum": _COMPLEX,
+    "response": _COMPLEX,
+    "doubt": _POSITIVE,
+    "cross": _COMPLEX,
+    "power": _POSITIVE,
+}
+"""Arrays of a correction by waveform or harmonics."""
+
+FORCE: Mapping[str, Entry] = {
+    "cycles": _COUNT,
+    "spectrum": _COMPLEX,
+    "mean": _COMPLEX,
+    "noise": _UNKNOWN,
+    "latest": _COMPLEX,
+    "share": Entry(shape=(), least=0.0, most=LARGEST),
+}
+"""Arrays of the foreseen force."""
+
+PEAK_VALLEY: Mapping[str, Entry] = {
+    "cycles": _COUNT,
+    "numbers": _NUMBERS,
+    "estimate": _NUMBERS,
+    "variance": Entry(shape=(3,), least=0.0, infinite=True),
+    "wander": _NUMBERS_POSITIVE,
+    "secant": _NUMBERS,
+    "cross": _NUMBERS,
+    "power": _NUMBERS_POSITIVE,
+    "useless": _NUMBERS_POSITIVE,
+    "rest": _NUMBERS_POSITIVE,
+}
+"""Arrays of a correction of peaks, valleys and phase."""
+
+
+class Bounds(NamedTuple):
+    """Largest forces that can be learnt on a rig.
+
+    Attributes:
+        force: largest force of the rig [N].
+        foreseen: largest external force [N]. Where the piston is coupled to the actuator under test, it is that of the coupling
+            whose far end moves by the whole stroke.
+    """
+
+    force: float = math.inf
+    foreseen: float = math.inf
+
+
+def bounds_of(setting: Setting) -> Bounds:
+    """Return the bounds that a controller's rig implies; infinite where the rig file has no limit."""
+    limits = setting.limits
+    if limits is None:
+        return Bounds()
+    stiffness, damping = (
+        max(getattr(knows, name, 0.0) for knows in (setting.model, setting.tuning))
+        for name in ("coupling_stiffness", "coupling_damping")
+    )
+    low, high = limits.position
+    foreseen = limits.force + stiffness * (high - low) + damping * limits.velocity
+    return Bounds(*(bound if bound > 0.0 else math.inf for bound in (limits.force, foreseen)))
+
+
+def declared(method: Method, *, foresees: bool) -> dict[str, Entry]:
+    """Return the declaration of a block's arrays.
+
+    Args:
+        method: of the correction.
+        foresees: whether an external force is foreseen as well.
+    """
+    reference = dict(PEAK_VALLEY if method == "peak_valley" else SAMPLED)
+    if method != "peak_valley":
+        kind = "complex128" if method == "harmonics" else "float64"
+        length = "amplitudes" if method == "harmonics" else "samples"
+        reference |= {
+            "estimate": Entry(kind, (length,), most=LARGEST),
+            "variance": Entry(shape=(length,), least=0.0, infinite=True),
+            "noise": Entry(shape=(length,), least=0.0, infinite=True),
+        }
+    out = {**BLOCK, **{f"reference.{name}": entry for name, entry in reference.items()}}
+    return out | {f"force.{name}": entry for name, entry in FORCE.items()} if foresees else out
+
+
+def check_block(arrays: Arrays, method: Method, bounds: Bounds, *, foresees: bool) -> None:
+    """Check the arrays of one block against their declaration.
+
+    Args:
+        arrays: by name.
+        method: of the correction.
+        bounds: of the rig.
+        foresees: whether an external force is foreseen as well.
+
+    Raises:
+        ValueError: naming the first that does not fit.
+    """
+    samples = len(arrays["wanted"]) if "wanted" in arrays and arrays["wanted"].ndim == 1 else 0
+    if not SHORTEST <= samples <= LONGEST:
+        raise ValueError(f"a load cycle has {samples} samples, not {SHORTEST} to {LONGEST}")
+    check_arrays(arrays, declared(method, foresees=foresees), {"samples": samples, "harmonics": samples // 2 + 1})
+    if abs(float(arrays["period"]) - samples) > 1.0:
+        raise ValueError(f"a load cycle of {float(arrays['period']):g} control cycles has {samples} samples")
+    if float(np.max(np.abs(arrays["reference.estimate"]))) > bounds.force:
+        raise ValueError(f"the error learnt exceeds the rig's force of {bounds.force:g} N")
+
+
+def out_of_bounds(lesson: Lesson, method: Method, bounds: Bounds) -> str:
+    """Return in words how far a block's correction or foreseen force exceeds its bounds; empty: neither does.
+
+    Args:
+        lesson: the block's.
+        method: of the correction.
+        bounds: of the rig.
+    """
+    correction, foreseen = (_largest(lesson.table[:, column]) for column in (0, FORESEEN))
+    bound = bounds.force
+    if method != "peak_valley":
+        bound = max(OF_REFERENCE * float(np.max(np.abs(lesson.wanted))), OF_LIMIT * bounds.force)
+    if correction > bound:
+        return f"the reference would be corrected by {correction:.4g} N, more than {bound:.4g} N"
+    if foreseen > bounds.foreseen:
+        return f"a force of {foreseen:.4g} N would be foreseen, more than {bounds.foreseen:.4g} N"
+    return ""
+
+
+def _largest(values: Array) -> float:
+    """Return the largest magnitude; of a table without values (NaN) 0."""
+    return float(np.max(np.abs(values))) if np.all(np.isfinite(values)) else 0.0

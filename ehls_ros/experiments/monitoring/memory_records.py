@@ -1,0 +1,165 @@
+"""Records of a monitor's memory: plain values for its files, with finite numbers and known names alone."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ehls_ros.diagnosis.hypotheses import Candidate
+from ehls_ros.diagnosis.monitoring.directions import Direction
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.diagnosis.stages import STAGES
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.examination import FoundCause
+from ehls_ros.experiments.monitoring.health import FoundChange
+from ehls_ros.experiments.monitoring.remembered import Past
+from ehls_ros.experiments.state_files.kinds import CauseRecord, ChangeRecord, DirectionRecord, PastRecord, ReadingRecord
+from ehls_ros.experiments.state_files.state_file import Origin
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import Rig, rig_from_mapping
+
+MOST_CHANGES = 1000
+"""Most changes that are kept, the newest."""
+
+MOST_EFFECTS = 64
+"""Most effects of a rig's model: each one that a model has makes every later diagnosis slower."""
+
+
+def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
+    """Return a rig's model: the rig's file with effects that were found.
+
+    Raises:
+        ValueError: it differs from the file in something else, or an effect is wrong.
+    """
+    own, given = ({key: value for key, value in rig.items() if key != "effects"} for rig in (content, origin.rig))
+    if own != given:
+        raise ValueError("the model of the rig is another rig's")
+    effects = content.get("effects")
+    if isinstance(effects, list) and len(effects) > MOST_EFFECTS:
+        raise ValueError(f"the model of the rig has {len(effects)} effects, at most {MOST_EFFECTS}")
+    return rig_from_mapping(content, "model of the rig")
+
+
+def change_record(change: FoundChange) -> dict[str, Any]:
+    """Return a change as a record."""
+    causes = [
+        {
+            **cause._asdict(),
+            "parameters": {name: [_finite(part) for part in value] for name, value in cause.parameters.items()},
+        }
+        for cause in change.causes
+    ]
+    for cause in causes:
+        cause["parameters"] = {
+            name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in cause["parameters"].items()
+        }
+    times = {key: _finite(value) if isinstance(value, float) else value for key, value in change._asdict().items()}
+    return {**times, "causes": causes}
+
+
+def change_of(record: ChangeRecord) -> FoundChange:
+    """Return a change.
+
+    Raises:
+        ValueError: it names an unknown stage or cause.
+    """
+    if record.causes and record.stage not in STAGES:
+        raise ValueError(f"a change is in the stage {record.stage!r}")
+    causes = tuple(_cause(cause) for cause in record.causes)
+    earliest = -math.inf if record.earliest is None else record.earliest
+    # Times that are not known are NaN.
+    known: dict[str, Any] = {key: math.nan if value is None else value for key, value in record._asdict().items()}
+    return FoundChange(**{**known, "causes": causes, "earliest": earliest})
+
+
+def _cause(record: CauseRecord) -> FoundCause:
+    known = EFFECTS.names()
+    for name in (record.name, *record.equivalent_to):
+        if name not in known:
+            raise ValueError(f"a change has the cause {name!r}")
+    parameters = {
+        name: Estimate(value.value, math.nan if value.std is None else value.std, value.unit)
+        for name, value in record.parameters.items()
+    }
+    return FoundCause(record.name, record.stage, record.probability, record.equivalent_to, parameters)
+
+
+def readings_record(readings: Sequence[Reading]) -> list[dict[str, Any]]:
+    """Return readings as records."""
+    return [{key: _finite(value) for key, value in reading._asdict().items()} for reading in readings]
+
+
+def readings_of(records: Sequence[ReadingRecord]) -> tuple[Reading, ...]:
+    """Return readings.
+
+    Raises:
+        ValueError: one is of an unknown coefficient.
+    """
+    for record in records:
+        if record.name not in COEFFICIENTS:
+            raise ValueError(f"a reading is of the coefficient {record.name!r}")
+        if record.deviation is not None and record.deviation <= 0.0:
+            raise ValueError(f"a reading of {record.name} has the standard error {record.deviation:g}")
+    return tuple(
+        Reading(
+            record.name,
+            math.nan if record.value is None else record.value,
+            math.inf if record.deviation is None else record.deviation,
+            record.unit,
+            record.why_not,
+        )
+        for record in records
+    )
+
+
+def past_record(past: Past) -> dict[str, Any]:
+    """Return the coefficients at a time as a record."""
+    return {"time": past.time, "readings": readings_record(past.readings)}
+
+
+def past_of(record: PastRecord) -> Past:
+    """Return the coefficients at a time."""
+    return Past(record.time, readings_of(record.readings))
+
+
+def direction_record(direction: Direction) -> dict[str, Any]:
+    """Return a departure as a record."""
+    cause = direction.cause
+    arrays = {key: getattr(cause, key).tolist() for key in ("starts", "neutral")}
+    bounds = {key: [_finite(bound) for bound in getattr(cause, key).tolist()] for key in ("lower", "upper")}
+    values = {"parameter": direction.parameter, "values": direction.values.tolist()}
+    return {**cause._asdict(), **arrays, **bounds, **values}
+
+
+def direction_of(record: DirectionRecord) -> Direction:
+    """Return a departure.
+
+    Raises:
+        ValueError: effect, parameters or lengths do not go together.
+    """
+    free = record.free
+    if any(len(values) != len(free) for values in (record.lower, record.upper, record.units, record.neutral, record.values)):
+        raise ValueError(f"a departure {record.name!r} has lists of several lengths")
+    if record.name not in EFFECTS.names() or record.parameter not in free or not record.starts:
+        raise ValueError(f"a departure is {record.name!r} in {record.parameter!r}")
+    cause = Candidate(
+        record.name,
+        record.number,
+        free,
+        record.fixed,
+        np.array(record.starts, dtype=np.float64).reshape(-1, len(free)),
+        np.array([-np.inf if bound is None else bound for bound in record.lower]),
+        np.array([np.inf if bound is None else bound for bound in record.upper]),
+        record.units,
+        np.array(record.neutral),
+    )
+    known = EFFECTS.load(record.name).Parameters._fields
+    if any(name not in known for name in (*free, *dict(record.fixed))):
+        raise ValueError(f"a departure {record.name!r} has unknown parameters")
+    return Direction(cause, record.parameter, np.array(record.values))
+
+
+def _finite(value: Any) -> Any:
+    """Return a value; None for a number that is not finite."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

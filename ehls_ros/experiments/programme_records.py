@@ -1,0 +1,324 @@
+"""The records of a running programme: the log of its load cycles, and the state from which it goes on.
+
+Both are judged before either is changed: a state that is another rig's or programme's, or impossible for this programme, is
+refused, and so is a log that does not go with it.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ehls_ros.control.programme.counting import LoadCycle
+from ehls_ros.control.programme.expansion import Programme
+from ehls_ros.control.programme.motion import Runner
+from ehls_ros.control.programme.motion_check import check_motions
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.state_files import access, table
+from ehls_ros.experiments.state_files.folder_lock import FolderLock
+from ehls_ros.experiments.state_files.kinds import PROGRAMME, ProgrammeState
+from ehls_ros.experiments.state_files.state_file import Origin, StateFile
+from ehls_ros.physics.parameters import Limits
+from ehls_ros.schema import notes
+
+LOG = "load_cycles.csv"
+"""Name of the log."""
+
+STATE = "programme_state.json"
+"""Name of the state."""
+
+UNITS: Mapping[str, Mapping[str, str]] = {
+    "force": {"value": "n", "stiffness": "n_m"},
+    "position": {"value": "m", "stiffness": "1"},
+}
+"""Ends of the columns' names by the quantity that the programme prescribes."""
+
+REMEDY = "the log as it was, another folder, or anew:=true to begin the programme anew"
+
+FOREIGN = "a log of load cycles, or another folder"
+
+MOST_HOLDS = 100
+"""Values held after a stop that a state keeps, as the programme's file was changed between starts."""
+
+LARGEST_HOLD = 1e6
+"""Range of a programme's values where the rig file has no limits [N or m]."""
+
+SETTINGS = ("hold", "stop_time", "hold_time")
+"""Settings of a programme that may change between two starts: each change is reported."""
+
+
+class Records(NamedTuple):
+    """The records of a programme, ready to go on; no other program may change them until they are closed.
+
+    Attributes:
+        state: where the programme was; None: it begins.
+        log: open for further load cycles.
+        counted: load cycles that are not counted again.
+        remarks: sentences for the operator.
+        lock: of the folder.
+    """
+
+    state: ProgrammeState | None
+    log: "CycleLog"
+    counted: int
+    remarks: tuple[str, ...]
+    lock: FolderLock
+
+    def close(self) -> None:
+        """Close the log, and release the folder."""
+        self.log.close()
+        self.lock.release()
+
+
+def digest(programme: Programme) -> str:
+    """Return a digest of a programme's course; its limits may change between two starts."""
+    p = programme.parameters
+    course = [_without_limits(p.blocks), p.start, p.transition]
+    return hashlib.blake2b(json.dumps(course, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def _without_limits(entries: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    kept = [{key: value for key, value in entry.items() if key != "limits"} for entry in entries]
+    return [{**entry, "blocks": _without_limits(entry["blocks"])} if "blocks" in entry else entry for entry in kept]
+
+
+def state_file(folder: Path, origin: Origin | None = None) -> StateFile:
+    """Return the state file of a folder.
+
+    Args:
+        folder: of the programme.
+        origin: rig and control period; None: a reader to whom these make no difference.
+    """
+    return StateFile(folder / STATE, PROGRAMME, origin)
+
+
+def read_state(folder: Path, origin: Origin | None = None) -> ProgrammeState | None:
+    """Return the state in a folder; None if there is none. Arguments as of :func:`state_file`.
+
+    Raises:
+        BadInput: the file cannot be used.
+    """
+    read = state_file(folder, origin).read()
+    return None if read is None else read.content
+
+
+def plain(state: ProgrammeState) -> dict[str, Any]:
+    """Return a state as its file has it."""
+    motions = [
+        {**motion._asdict(), **{key: [part._asdict() for part in getattr(motion, key)] for key in ("legs", "skipped")}}
+        for motion in state.motions
+    ]
+    return {**state._asdict(), "motions": motions, "stiffness": [entry._asdict() for entry in state.stiffness]}
+
+
+def open_records(folder: Path, programme: Programme, origin: Origin, follows: str, limits: Limits, *, anew: bool) -> Records:
+    """Lock a folder, judge its state and log, and open the log.
+
+    Args:
+        folder: of the programme; made if it is missing.
+        programme: the programme.
+        origin: rig and control period.
+        follows: quantity that the programme prescribes, ``force`` or ``position``.
+        limits: of the rig.
+        anew: begin the programme anew.
+
+    Raises:
+        BadInput: the folder cannot be written, or another programme runs in it; the state or the log cannot be used, or they do
+            not go together.
+    """
+    file, path = state_file(folder, origin), folder / LOG
+    file.check_writable()
+    with ExitStack() as undo:
+        lock = FolderLock(folder, "programme")
+        undo.callback(lock.release)
+        state = None if anew else read_state(folder, origin)
+        check = LineCheck(len(programme.leaves), programme.load_cycles)
+        # The lines of a log that is put aside do not matter, but it must be a log.
+        judged = table.judge(path, heading(follows), check if state else _anything, REMEDY if state else FOREIGN, "the log")
+        counted, remarks = 0, [lock.remark] if lock.remark else []
+        if state is not None:
+            try:
+                check_state(state, programme, origin.control_period, value_range(limits, follows))
+            except ValueError as error:
+                raise file.refusal(str(error)) from None
+            counted = _counted(programme, state, origin.control_period, check.last, path)
+            if check.last < state.counted:
+                remarks.append(f"{path} lacks the load cycles {check.last + 1} to {state.counted}, which were counted")
+            remarks += _changes(state, programme)
+        try:
+            end = judged.end
+            if state is None:
+                # The state first: a log without a state begins anew at the next start, too.
+                old = [kept for kept, there in ((file.path, os.path.lexists(file.path)), (path, judged.lines)) if there]
+                remarks += [f"{kept} of the programme before is now {access.put_aside(kept).name}" for kept in old]
+                end = 0 if path in old else end
+            records = Records(state, CycleLog(path, follows, end), counted, tuple(remarks), lock)
+        except access.NotWritten as error:
+            raise BadInput(f"the records cannot be written ({error})", str(folder), "a writable folder") from None
+        undo.pop_all()
+        return records
+
+
+def _counted(programme: Programme, state: ProgrammeState, period: float, logged: int, path: Path) -> int:
+    """Return the load cycles that are not counted again.
+
+    Args:
+        programme: the programme.
+        state: where it was.
+        period: of the control cycles [s].
+        logged: last load cycle in the log.
+        path: of the log, for the error.
+
+    Raises:
+        BadInput: the log is ahead of the state.
+    """
+    reached = int(Runner(programme, period, state.motions).rows(max(state.published, 0), 1).points.load_cycles[0])
+    if logged > reached:
+        raise BadInput(f"the log has load cycle {logged}, the programme has reached {reached}", str(path), REMEDY)
+    return max(logged, state.counted)
+
+
+def _anything(_: list[str]) -> None:
+    """Accept any line."""
+
+
+def _changes(state: ProgrammeState, programme: Programme) -> list[str]:
+    """Return a sentence for each setting that is another one than at the last start."""
+    out = []
+    for name in SETTINGS:
+        was, becomes = getattr(state, name), getattr(programme.parameters, name)
+        if was != becomes:
+            unit = notes(type(programme.parameters))[name].unit
+            out.append(f"{name} of the programme was {_said(was)} and is {_said(becomes)} from the next stop on [{unit}]")
+    return out
+
+
+def _said(value: float | None) -> str:
+    return "not given" if value is None else f"{value:g}"
+
+
+def check_state(state: ProgrammeState, programme: Programme, period: float, values: tuple[float, float]) -> None:
+    """Check that a programme can have left a state.
+
+    Args:
+        state: the state.
+        programme: the programme.
+        period: of the control cycles [s].
+        values: range of the rig [N] or [m].
+
+    Raises:
+        ValueError: it cannot.
+    """
+    if state.programme != digest(programme):
+        raise ValueError("it is of another programme")
+    if not state.counting - 1 <= state.seen <= max(state.published, 0):
+        where = f"cycle {state.counting} is counted, {state.seen} seen and {state.published} published"
+        raise ValueError(f"its control cycles do not follow one another: {where}")
+    if len(state.holds) > MOST_HOLDS:
+        raise ValueError(f"{len(state.holds)} values were held, at most {MOST_HOLDS} can have been")
+    if state.counted > programme.load_cycles:
+        raise ValueError(f"{state.counted} load cycles are counted, the programme has {programme.load_cycles}")
+    check_motions(state.motions, programme, period, state.holds, *values)
+    blocks = [entry.block for entry in state.stiffness]
+    if len(set(blocks)) < len(blocks) or any(not 0 <= block < len(programme.leaves) for block in blocks):
+        raise ValueError("it has the stiffness of blocks that the programme does not have")
+    if any(not (entry.total > 0.0 and entry.cycles > 0) for entry in state.stiffness):
+        raise ValueError("it has a stiffness that is not positive")
+
+
+def value_range(limits: Limits, follows: str) -> tuple[float, float]:
+    """Return the range of a rig's forces [N] or positions [m]; a rig file without limits leaves it wide."""
+    low, high = (-limits.force, limits.force) if follows == "force" else limits.position
+    return (low, high) if low < high else (-LARGEST_HOLD, LARGEST_HOLD)
+
+
+class LineCheck:
+    """Check of a log's lines.
+
+    Attributes:
+        last: number of the last load cycle; 0: there is none.
+    """
+
+    def __init__(self, blocks: int, load_cycles: int) -> None:
+        """Begin.
+
+        Args:
+            blocks: number of the programme's blocks.
+            load_cycles: number of its load cycles.
+        """
+        self._blocks, self._load_cycles = blocks, load_cycles
+        self.last = 0
+
+    def __call__(self, cells: list[str]) -> None:
+        """Check one line.
+
+        Raises:
+            ValueError: it is none of a log.
+        """
+        if len(cells) != len(LoadCycle._fields) + 1:
+            raise ValueError(f"a line has {len(cells)} values, not {len(LoadCycle._fields) + 1}")
+        numbers = {name: int(cell) if kind is int else float(cell) for (name, kind), cell in zip(_TYPES, cells, strict=False)}
+        float(cells[-1])
+        number = int(numbers["load_cycle"])
+        if not 0 < number <= self._load_cycles:
+            raise ValueError(f"a line has load cycle {number}, the programme has {self._load_cycles}")
+        if not 0 <= numbers["block"] < self._blocks:
+            raise ValueError(f"a line has block {numbers['block']}, the programme has {self._blocks}")
+        if number <= self.last:
+            raise ValueError(f"load cycle {number} follows load cycle {self.last}")
+        self.last = number
+
+
+_TYPES = tuple(LoadCycle.__annotations__.items())
+
+
+class CycleLog:
+    """The log of load cycles: a CSV, one line each, which survives that the program is killed."""
+
+    def __init__(self, path: Path, follows: str, end: int) -> None:
+        """Open a log that was judged.
+
+        Args:
+            path: the file.
+            follows: quantity that the programme prescribes, ``force`` or ``position``.
+            end: size of the part that is kept [B]; 0: it begins.
+
+        Raises:
+            access.NotWritten: it cannot be written.
+        """
+        self._table = table.Table(path, heading(follows), end)
+
+    def add(self, cycles: Iterable[LoadCycle], stamp_s: float) -> None:
+        """Keep load cycles that were finished at a time [s] for the next :meth:`flush`."""
+        for cycle in cycles:
+            numbers = (f"{value:.9g}" if isinstance(value, float) else str(value) for value in cycle)
+            self._table.add(f"{','.join(numbers)},{stamp_s:.6f}")
+
+    def flush(self, *, durable: bool = False) -> None:
+        """Hand the added lines to the system.
+
+        Args:
+            durable: let it survive a power failure, too.
+
+        Raises:
+            access.NotWritten: lines not written yet are kept.
+        """
+        self._table.flush()
+        if durable:
+            self._table.sync()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._table.close()
+
+
+def heading(follows: str) -> str:
+    """Return the log's first line."""
+    unit = UNITS[follows]
+    ends = dict.fromkeys(("peak", "valley", "mean", "reference_peak", "reference_valley", "error"), unit["value"])
+    ends |= {"lowest_position": "m", "highest_position": "m", "stiffness": unit["stiffness"]}
+    names = [f"{name}_{ends[name]}" if name in ends else name for name in LoadCycle._fields]
+    return ",".join([*names, "time_s"])

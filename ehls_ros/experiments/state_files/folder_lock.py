@@ -1,0 +1,66 @@
+"""An exclusive lock on a folder, so that one program at a time writes into it."""
+
+import fcntl
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from ehls_ros.errors import BadInput
+from ehls_ros.recording.reason import reason
+
+LOCKS = Path("/proc/locks")
+"""The system's list of locks."""
+
+
+class FolderLock:
+    """An exclusive lock on a folder, until it is released or its process ends, however that ends.
+
+    The folder itself is locked (flock): files in it are replaced meanwhile, and none is added for the lock.
+
+    Attributes:
+        remark: sentence for the operator where the file system locks no folders, as of some networks; empty: it is locked.
+    """
+
+    def __init__(self, folder: Path, work: str) -> None:
+        """Lock a folder.
+
+        Args:
+            folder: the folder; it exists.
+            work: what is done in the folder, such as ``programme``, for the error.
+
+        Raises:
+            BadInput: it is locked already; the error names the process.
+        """
+        self.remark, self._descriptor = "", -1
+        try:
+            self._descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            what = f"{_holder(self._descriptor)} runs another {work} in the folder"
+            self.release()
+            raise BadInput(what, str(folder), "another folder, or that process stopped first") from None
+        except OSError as error:
+            self.remark = f"{folder} cannot be locked ({reason(error)}): start no other {work} in it"
+            self.release()
+
+    def release(self) -> None:
+        """Release the lock, if it is held."""
+        if self._descriptor >= 0:
+            # Closing alone would leave it to processes that were forked meanwhile.
+            with suppress(OSError):
+                fcntl.flock(self._descriptor, fcntl.LOCK_UN)
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+def _holder(descriptor: int) -> str:
+    """Return the process that has locked an open file; without its number where the system does not list it."""
+    status = os.fstat(descriptor)
+    place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    with suppress(OSError):
+        for line in LOCKS.read_text(encoding="ascii").splitlines():
+            # Number, type, mode, access, process, place, first and last byte. A process of another container has the number 0.
+            words = line.split()
+            if len(words) == 8 and (words[1], words[5]) == ("FLOCK", place) and words[4] != "0":
+                return f"process {words[4]}"
+    return "another process"
