@@ -122,7 +122,8 @@ class Campaign:
         violated = [verdict for verdict in verdicts.values() if verdict.violations]
         figures = late(trace), opened(trace), len(trace.calls)
         print(
-            f"| {self.arena.name} | {self.sequences} | {figures[0]} | {figures[1]} | {figures[2]} | {len(violated)} |", flush=True
+            f"| {self.arena.name} | {self.sequences} | {figures[0]} | {figures[1]} | {figures[2]} | {len(violated)} |",
+            flush=True,
         )
         if violated:
             with (folder / "trace.pickle").open("wb") as file:
@@ -205,7 +206,9 @@ def main() -> int:
     }
     chosen = ["bridge", "bridge", "bridge", "graph"] if options.on == "both" else [options.on]
     campaigns = {name: Campaign(arenas[name], options.seed, blind=options.blind) for name in dict.fromkeys(chosen)}
-    print(f"seed {options.seed}, {options.sequences} sequences, batches of {options.batch}, {'blind' if options.blind else 'guided'}")
+    print(
+        f"seed {options.seed}, {options.sequences} sequences, batches of {options.batch}, {'blind' if options.blind else 'guided'}"
+    )
     print("| on | sequences | rig late by | valve open | requests | violated |\n|---|---:|---|---:|---:|---:|")
     begun, server, wrong = time.monotonic(), NodeServer(), 0
     try:

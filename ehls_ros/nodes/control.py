@@ -377,15 +377,15 @@ class ControlNode(DeclaredParameters):
 
     def configure_itself(self) -> bool:
         """Configure, unless a lifecycle request has done so; return whether the node is configured."""
-        return self._change(State.PRIMARY_STATE_UNCONFIGURED, self.trigger_configure)
+        return self._change_from(State.PRIMARY_STATE_UNCONFIGURED, self.trigger_configure)
 
     def activate_itself(self) -> bool:
         """Activate, unless a lifecycle request has done so, or has taken the node elsewhere; return whether it is as requested."""
-        return self._change(State.PRIMARY_STATE_INACTIVE, self.trigger_activate)
+        return self._change_from(State.PRIMARY_STATE_INACTIVE, self.trigger_activate)
 
-    def _change(self, since: int, trigger: Callable[[], TransitionCallbackReturn]) -> bool:
+    def _change_from(self, state: int, trigger: Callable[[], TransitionCallbackReturn]) -> bool:
         with self.changing:
-            return self._state_machine.current_state[0] != since or trigger() == TransitionCallbackReturn.SUCCESS
+            return bool(self._state_machine.current_state[0] != state or trigger() == TransitionCallbackReturn.SUCCESS)
 
     def begin_work(self) -> None:
         """Note that a loop looks after the node from now on: until then no request has to wait for the loop's end."""
@@ -572,8 +572,8 @@ def survive_requests(node: Node) -> None:
 def _surviving(node: Node, service: Any) -> Callable[[Any, Any], Any]:
     """Return a service's handler, with a refusal in place of what it raises."""
     answer = service.callback
-    is_transition = service.srv_name.endswith("/change_state") and isinstance(node, ControlNode)
-    guard = node.changing if is_transition else contextlib.nullcontext()
+    changes_state = service.srv_name.endswith("/change_state")
+    guard = node.changing if changes_state and isinstance(node, ControlNode) else contextlib.nullcontext()
 
     def answer_or_refuse(request: Any, response: Any) -> Any:
         try:

@@ -44,7 +44,12 @@ DECLARED = {declared.name: declared for declared in declarations(Parameters)}
 TIMES = ("ramp_time", "command_timeout", "sensor_timeout", "hold_time", "enable_time", "command_rate", "limit_time")
 """Times of the gate, which policies depend on."""
 
-TIGHT = {"trip_level": (0.005, 0.3), "position_margin": (0.2, 0.31), "frozen_time": (0.005, 0.1), "frozen_command": (1e-5, 2e-4)}
+TIGHT = {
+    "trip_level": (0.005, 0.3),
+    "position_margin": (0.2, 0.31),
+    "frozen_time": (0.005, 0.1),
+    "frozen_command": (1e-5, 2e-4),
+}
 """Parameters so tight that the rig trips them in normal use, and ranges of theirs."""
 
 
@@ -271,7 +276,6 @@ class BridgeAttacks:
         self.rig.graph.freeze(process)
         time.sleep(seconds)
         self.rig.graph.wake(process)
-
 
     def trace(self) -> Trace:
         """Stop the rig, and return what happened."""

@@ -26,7 +26,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import SwitchController
-from ehls_ros.experiments.programme_log import LOG
+from ehls_ros.experiments.programme_records import LOG
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.hardware.gate_bounds import bounds_of, within
@@ -133,7 +133,9 @@ KINDS = {
     "shut_down": Kind(0.7, _node),
     "die": Kind(2, _death),
     "freeze": Kind(1, lambda random: (*_node(random), random.uniform(0.01, 0.5))),
-    "accept_rig": Kind(1, lambda random: (random.choice(["piston_area", "valve_gain", "moving_mass"]), random.uniform(0.8, 1.2))),
+    "accept_rig": Kind(
+        1, lambda random: (random.choice(["piston_area", "valve_gain", "moving_mass"]), random.uniform(0.8, 1.2))
+    ),
     "disable": Kind(1),
     "reopen": Kind(4),
     "emergency_stop": Kind(0.7),
@@ -188,7 +190,8 @@ class GraphAttacks:
         }
         self.spec = self._file("spec.yaml", content)
         self.second_spec = self._file(
-            "second.yaml", {**content, "reference": {"name": "constant", "value": -900.0}, "controller": {"name": self.chosen.second}}
+            "second.yaml",
+            {**content, "reference": {"name": "constant", "value": -900.0}, "controller": {"name": self.chosen.second}},
         )
         (self.folder / "programme.yaml").write_text(PROGRAMME, encoding="utf-8")
         bridge = yaml.safe_load((CONFIG / "bridge_udp.yaml").read_text(encoding="utf-8"))
@@ -238,7 +241,18 @@ class GraphAttacks:
 
     def _start_emulator(self) -> None:
         self.log = self.folder / "truth.csv"
-        words = ["--spec", self.spec, "--bridge", self.bridge, "--log", self.log, "--json", "--lockstep", "--patience", PATIENCE]
+        words = [
+            "--spec",
+            self.spec,
+            "--bridge",
+            self.bridge,
+            "--log",
+            self.log,
+            "--json",
+            "--lockstep",
+            "--patience",
+            PATIENCE,
+        ]
         command = [sys.executable, "-m", COMMAND, "rig-emulator", *map(str, words)]
         with (self.folder / "emulator.err").open("ab") as errors:
             self.emulator = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors)

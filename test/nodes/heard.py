@@ -64,7 +64,7 @@ class Ear:
             while (taken := inbox.take_raw()) is not None:
                 when = taken[1]["source_timestamp"] / NANOSECONDS - self._offset
                 # The inbox's own way to decode, with the time of sending beside it.
-                decoded = inbox._decode(taken[0])  # noqa: SLF001
+                decoded = inbox._decode(taken[0])
                 if decoded is None:
                     continue
                 if name == DIAGNOSTICS.name:

@@ -66,7 +66,12 @@ def test_a_node_may_be_deactivated_while_the_plant_of_its_process_waits_for_a_pa
     words = ["-p", f"spec:={spec_file(duration=1e4)}", "-p", "timing:=lockstep", "-p", "partners:=friction_estimator_node"]
     graph.run("composed", ["-m", COMMAND, "run", TOGETHER, "--ros-args", *words])
     participant.until(lambda: participant.state_of("plant_sim_node") == "inactive")
-    for label, state in (("deactivate", "inactive"), ("activate", "active"), ("deactivate", "inactive"), ("cleanup", "unconfigured")):
+    for label, state in (
+        ("deactivate", "inactive"),
+        ("activate", "active"),
+        ("deactivate", "inactive"),
+        ("cleanup", "unconfigured"),
+    ):
         assert participant.change("reference_node", label)
         assert participant.state_of("reference_node") == state
     assert participant.state_of("plant_sim_node") == "inactive"

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+
 from policies.of_gate import POLICIES as OF_GATE
 from policies.of_graph import POLICIES as OF_GRAPH
 from policies.policy import Policy
@@ -12,6 +13,7 @@ from policies.trace import ROUNDING, Trace
 
 POLICIES: Sequence[Policy] = (*OF_GATE, *OF_GRAPH)
 """All declared policies."""
+
 
 class Verdict(NamedTuple):
     """A policy's evaluation of one log.
@@ -73,6 +75,8 @@ def listed() -> str:
     """Return the list of all policies as the documentation has it."""
     lines = ["| policy | formula | unit | promised in |", "|---|---|---|---|"]
     for policy in POLICIES:
-        text = policy.formula.text.replace("|", "\\|").replace("*", "\\*").replace("->", "→").replace("<=", "≤").replace(">=", "≥")
+        text = (
+            policy.formula.text.replace("|", "\\|").replace("*", "\\*").replace("->", "→").replace("<=", "≤").replace(">=", "≥")
+        )
         lines.append(f"| `{policy.name}` | {text} | {policy.formula.unit} | [{policy.page}]({policy.page}) |")
     return "\n".join(lines)

@@ -3,9 +3,6 @@
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from policies.policy import Policy
-from policies.temporal import NOTHING, Condition, During, Flags, Margins, Quantity, always, constant, each
-from policies.trace import ROUNDING, Call, Spans, Trace, name_of_stop
 
 from ehls_ros.arrays import Array
 from ehls_ros.hardware.detectors import SPEED_TIME, SPREAD
@@ -13,6 +10,9 @@ from ehls_ros.hardware.gate_bounds import bounds_of
 from ehls_ros.hardware.gate_parameters import Change
 from ehls_ros.hardware.packet import Status
 from ehls_ros.hardware.safety_gate import ACTIVE, CUT, DEAF, DISABLED, DRIVING, HOLDING, RAMPING, REACH, STOP_TIME, STOPPED
+from policies.policy import Policy
+from policies.temporal import NOTHING, Condition, During, Flags, Margins, Quantity, always, constant, each
+from policies.trace import ROUNDING, Call, Spans, Trace, name_of_stop
 
 RIG = "hardware.md"
 SWITCHING = "how_to/switching.md"
@@ -113,7 +113,9 @@ def _after_watchdog(trace: Trace) -> Flags:
 def _first_open(trace: Trace) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     """Return the rows in which the valve opens after a lasting null."""
     moving = np.flatnonzero(trace.open)
-    found: np.ndarray[tuple[int, ...], np.dtype[np.int64]] = moving[np.diff(moving, prepend=-lasting(trace) - 1) > lasting(trace)]
+    found: np.ndarray[tuple[int, ...], np.dtype[np.int64]] = moving[
+        np.diff(moving, prepend=-lasting(trace) - 1) > lasting(trace)
+    ]
     return found
 
 
@@ -372,9 +374,7 @@ PRESSURE = _beyond(
 SPEED = _beyond("speed", _too_fast, "position", "velocity")
 POSITION = _beyond("position, moving out,", _moves_out, "position")
 
-SEEN = Quantity(
-    "sensor_timeout + 2 periods", "s", lambda trace: trace.parameter("sensor_timeout") + 2.0 * trace.setup.period
-)
+SEEN = Quantity("sensor_timeout + 2 periods", "s", lambda trace: trace.parameter("sensor_timeout") + 2.0 * trace.setup.period)
 """Time after which the gate has seen a sample, or has tripped for want of one [s]."""
 
 SEEN_SMOOTHED = SEEN + constant(f"{SMOOTHED:g} s", "s", lambda trace: SMOOTHED)
@@ -616,7 +616,6 @@ def as_margins(found: Iterable[tuple[float, float]]) -> Margins:
     return Margins(table[:, 0], table[:, 1])
 
 
-
 def _answered_age(trace: Trace) -> Array:
     """Return the age of the measurement that the last accepted command answers [s]."""
     return trace.log["time_s"] - trace.log["output_answered"] * trace.setup.period
@@ -633,8 +632,10 @@ POLICIES = (
     # The command
     Policy(
         "spool_limit",
-        always(ALWAYS, COMMAND <= limit("spool", "m", lambda trace: trace.setup.rig.limits.spool)),
-        RIG, "a finite number within `limits: spool`", 1e-3,
+        always(ALWAYS, limit("spool", "m", lambda trace: trace.setup.rig.limits.spool) >= COMMAND),
+        RIG,
+        "a finite number within `limits: spool`",
+        1e-3,
     ),
     Policy(
         "command_rate",
@@ -643,104 +644,130 @@ POLICIES = (
             Quantity("opening since the last cycle", "m", _opened_by)
             <= Quantity(f"command_rate * {REACH} periods * commands sent", "m", _reach),
         ),
-        RIG, "no further than in three periods", 1e-3,
+        RIG,
+        "no further than in three periods",
+        1e-3,
     ),
     Policy(
         "opens_gradually",
         always(
             Condition("blended in", lambda trace: _opening_number(trace) >= 0),
-            COMMAND <= Quantity("commanded * time since opening / enable_time", "m", _ramp_of_opening),
+            Quantity("commanded * time since opening / enable_time", "m", _ramp_of_opening) >= COMMAND,
         ),
-        RIG, "blends in the command over `enable_time`", 1e-4,
+        RIG,
+        "blends in the command over `enable_time`",
+        1e-4,
     ),
     Policy(
         "obeys_who_drives",
         each("always(open and not blended -> |output - a fresh first answer of who drives| <= resolution)", "m", _obeyed),
-        RIG, "commands of others are ignored and reported", 1e-6,
+        RIG,
+        "commands of others are ignored and reported",
+        1e-6,
     ),
     Policy(
         "fresh_command",
-        always(
-            OPEN & IN_REALTIME & COMMANDS_HEARD, Quantity("time since a command was sent", "s", _command_age) <= STALE
-        ),
-        RIG, "a stale snapshot and a stale command cannot be set to `warn`", 1e-2,
+        always(OPEN & IN_REALTIME & COMMANDS_HEARD, Quantity("time since a command was sent", "s", _command_age) <= STALE),
+        RIG,
+        "a stale snapshot and a stale command cannot be set to `warn`",
+        1e-2,
     ),
     # The target
     Policy(
         "watchdog",
-        always(
-            OPEN & IN_REALTIME, Quantity("time since a command was accepted", "s", _accepted_age) <= WATCHDOG
-        ),
-        RIG, "Close the valve when no command has been accepted for the watchdog time", 1e-3,
+        always(OPEN & IN_REALTIME, Quantity("time since a command was accepted", "s", _accepted_age) <= WATCHDOG),
+        RIG,
+        "Close the valve when no command has been accepted for the watchdog time",
+        1e-3,
     ),
     Policy(
         "null_after_watchdog",
         always(
             Condition("the first command after the watchdog acts", _after_watchdog),
-            COMMAND <= constant("0", "m", lambda trace: 0.0),
+            constant("0", "m", lambda trace: 0.0) >= COMMAND,
         ),
-        RIG, "keep the valve closed until a command of exactly null arrives", 1e-4,
+        RIG,
+        "keep the valve closed until a command of exactly null arrives",
+        1e-4,
     ),
     Policy(
         "late_command",
         always(FRESHLY_ARRIVED & IN_REALTIME, ANSWERED_AGE <= WATCHDOG + PERIOD),
-        RIG, "is not older than the watchdog time", 1e-2,
+        RIG,
+        "is not older than the watchdog time",
+        1e-2,
     ),
     Policy(
         "transport_delay",
         always(
             FRESHLY_ARRIVED & IN_REALTIME & OPEN,
-            ANSWERED_AGE
-            <= Quantity("2 sensor_timeout", "s", lambda trace: 2.0 * trace.parameter("sensor_timeout"))
-            + constant("3 periods", "s", lambda trace: 3.0 * trace.setup.period),
+            Quantity("2 sensor_timeout", "s", lambda trace: 2.0 * trace.parameter("sensor_timeout"))
+            + constant("3 periods", "s", lambda trace: 3.0 * trace.setup.period)
+            >= ANSWERED_AGE,
         ),
-        RIG, "the age of a snapshot includes its transport delay", 1e-2,
+        RIG,
+        "the age of a snapshot includes its transport delay",
+        1e-2,
     ),
     # What closes the valve, and keeps it closed
     Policy("emergency_stop", always(STOP.holds, STOP.null_within()), RIG, "`emergency_stop`, from anywhere in the graph", 1e-3),
     Policy(
         "disable",
         always(DISABLE.holds, DISABLE.null_within(parameter("ramp_time") + TWO_PERIODS)),
-        RIG, "`ramp` to null in `ramp_time`", 1e-3,
+        RIG,
+        "`ramp` to null in `ramp_time`",
+        1e-3,
     ),
-    Policy(
-        "outside_active", always(LEFT.holds, LEFT.null_within()), RIG, "the valve is driven in `active` only", 1e-3
-    ),
+    Policy("outside_active", always(LEFT.holds, LEFT.null_within()), RIG, "the valve is driven in `active` only", 1e-3),
     Policy(
         "end_of_process",
         always(ENDED.holds, ENDED.null_within()),
-        RIG, "an exception, SIGINT and SIGTERM close it at once", 1e-3,
+        RIG,
+        "an exception, SIGINT and SIGTERM close it at once",
+        1e-3,
     ),
     Policy("killed", always(KILLED.holds, KILLED.null_within()), RIG, "after SIGKILL the target's watchdog does", 1e-3),
     Policy(
         "gap",
         always(SLEPT.holds, SLEPT.null_within()),
-        RIG, "the loop slept longer than `command_timeout` or `sensor_timeout`", 1e-3,
+        RIG,
+        "the loop slept longer than `command_timeout` or `sensor_timeout`",
+        1e-3,
     ),
     Policy(
         "services_silent",
         always(HUNG.holds, HUNG.null_within(UNHEARD)),
-        RIG, "the service thread has been silent for 1 s", 1e-1,
+        RIG,
+        "the service thread has been silent for 1 s",
+        1e-1,
     ),
     Policy(
         "device_null",
         always(SHUT.holds, SHUT.null_within()),
-        RIG, "the device reports that it closed the valve itself", 1e-3,
+        RIG,
+        "the device reports that it closed the valve itself",
+        1e-3,
     ),
     Policy(
         "latched",
         always(REPORTED_CUT.holds, REPORTED_CUT.null_within()),
-        RIG, "Ramp and cut are latched", 1e-3,
+        RIG,
+        "Ramp and cut are latched",
+        1e-3,
     ),
     Policy(
         "ramped",
         always(REPORTED_RAMP.holds, REPORTED_RAMP.null_within(parameter("ramp_time") + TWO_PERIODS)),
-        RIG, "Disabled, ramping, cut and stopped lead to null", 1e-3,
+        RIG,
+        "Disabled, ramping, cut and stopped lead to null",
+        1e-3,
     ),
     Policy(
         "driving_is_true",
         always(NOT_DRIVING.holds, NOT_DRIVING.null_within(parameter("ramp_time") + TWO_PERIODS)),
-        "design.md", "tells controllers whether the valve follows them", 1e-3,
+        "design.md",
+        "tells controllers whether the valve follows them",
+        1e-3,
     ),
     # Inputs and limits
     Policy(
@@ -749,107 +776,146 @@ POLICIES = (
             BLIND.holds,
             BLIND.null_within(parameter("sensor_timeout") + reaction_time("on_sensor_stale") + TWO_PERIODS + PERIOD),
         ),
-        RIG, "a stale snapshot and a stale command cannot be set to `warn`", 1e-2,
+        RIG,
+        "a stale snapshot and a stale command cannot be set to `warn`",
+        1e-2,
     ),
     Policy(
         "sensor_contradiction",
         always(
             LYING.holds,
-            LYING.null_within(
-                parameter("mismatch_time") + reaction_time("on_sensor_mismatch") + SEEN
-            ),
+            LYING.null_within(parameter("mismatch_time") + reaction_time("on_sensor_mismatch") + SEEN),
         ),
-        RIG, "readings that contradict each other for `mismatch_time`", 1e-2,
+        RIG,
+        "readings that contradict each other for `mismatch_time`",
+        1e-2,
     ),
     Policy(
         "sensor_stuck",
         always(STUCK.holds, STUCK.null_within(reaction_time("on_sensor_frozen") + SEEN)),
-        RIG, "a reading unchanged for `frozen_time` while the command spans `frozen_command`", 1e-2,
+        RIG,
+        "a reading unchanged for `frozen_time` while the command spans `frozen_command`",
+        1e-2,
     ),
     Policy(
         "force_trips",
         always(FORCE.holds, FORCE.null_within(reaction_time("on_force") + SEEN)),
-        RIG, "force, load pressure, velocity, position", 1e-2,
+        RIG,
+        "force, load pressure, velocity, position",
+        1e-2,
     ),
     Policy(
         "pressure_trips",
         always(PRESSURE.holds, PRESSURE.null_within(reaction_time("on_load_pressure") + SEEN)),
-        RIG, "force, load pressure, velocity, position", 1e-2,
+        RIG,
+        "force, load pressure, velocity, position",
+        1e-2,
     ),
     Policy(
         "speed_trips",
         always(SPEED.holds, SPEED.null_within(reaction_time("on_velocity") + SEEN_SMOOTHED)),
-        RIG, "force, load pressure, velocity, position", 1e-2,
+        RIG,
+        "force, load pressure, velocity, position",
+        1e-2,
     ),
     Policy(
         "position_trips",
         always(POSITION.holds, POSITION.null_within(reaction_time("on_position") + SEEN)),
-        RIG, "force, load pressure, velocity, position", 1e-2,
+        RIG,
+        "force, load pressure, velocity, position",
+        1e-2,
     ),
     Policy(
         "force_limit",
         always(
-            GENTLE, Quantity("|force|", "N", lambda trace: np.abs(trace.log["force_n"]))
+            GENTLE,
+            Quantity("|force|", "N", lambda trace: np.abs(trace.log["force_n"]))
             <= limit("force", "N", lambda trace: trace.setup.rig.limits.force),
         ),
-        RIG, "The rig itself keeps its limits of force, speed and position", 1e3,
+        RIG,
+        "The rig itself keeps its limits of force, speed and position",
+        1e3,
     ),
     Policy(
         "speed_limit",
         always(
-            GENTLE, Quantity("|velocity|", "m/s", lambda trace: np.abs(trace.log["velocity_m_s"]))
+            GENTLE,
+            Quantity("|velocity|", "m/s", lambda trace: np.abs(trace.log["velocity_m_s"]))
             <= limit("velocity", "m/s", lambda trace: trace.setup.rig.limits.velocity),
         ),
-        RIG, "The rig itself keeps its limits of force, speed and position", 0.1,
+        RIG,
+        "The rig itself keeps its limits of force, speed and position",
+        0.1,
     ),
     Policy(
         "stroke",
         always(
-            GENTLE, Quantity("distance from mid-stroke", "m", _from_middle)
-            <= limit("position", "m", lambda trace: 0.5 * (trace.setup.rig.limits.position[1] - trace.setup.rig.limits.position[0])),
+            GENTLE,
+            Quantity("distance from mid-stroke", "m", _from_middle)
+            <= limit(
+                "position", "m", lambda trace: 0.5 * (trace.setup.rig.limits.position[1] - trace.setup.rig.limits.position[0])
+            ),
         ),
-        RIG, "The rig itself keeps its limits of force, speed and position", 1e-2,
+        RIG,
+        "The rig itself keeps its limits of force, speed and position",
+        1e-2,
     ),
     # Requests
     Policy(
         "stop_lasts",
         each("always(acknowledged -> time since emergency_stop >= 1 s)", "s", _stops_lasted),
-        RIG, "It lasts at least a second", 1e-2,
+        RIG,
+        "It lasts at least a second",
+        1e-2,
     ),
     Policy(
         "stop_is_named",
         each("always(acknowledged -> the stop named is engaged)", "1", _named),
-        RIG, "released only by `acknowledge_stop` with its name", 1.0,
+        RIG,
+        "released only by `acknowledge_stop` with its name",
+        1.0,
     ),
     Policy(
         "stop_needs_acknowledgement",
         each("always(enabled after a stop -> acknowledge_stop and reset_trips came between)", "s", _enabled_after_stop),
-        RIG, "released only by `acknowledge_stop` with its name", 1e-3,
+        RIG,
+        "released only by `acknowledge_stop` with its name",
+        1e-3,
     ),
     Policy(
         "enabled_in_active",
         each("always(enabled -> the node is active)", "1", _outside_active),
-        RIG, "the valve is driven in `active` only", 1.0,
+        RIG,
+        "the valve is driven in `active` only",
+        1.0,
     ),
     Policy(
         "parameters_bounded",
         each("always(a parameter is accepted -> it is within its bounds)", "1", _bounded),
-        RIG, "The bounds of times and rates follow from the rig file", 0.1,
+        RIG,
+        "The bounds of times and rates follow from the rig file",
+        0.1,
     ),
     Policy(
         "open_gate_not_weakened",
         each("always(a parameter that weakens is accepted -> not driving)", "1", _weaker),
-        RIG, "A change that weakens the protection is refused while the gate is open", 1.0,
+        RIG,
+        "A change that weakens the protection is refused while the gate is open",
+        1.0,
     ),
     Policy(
         "changes_are_reported",
         each(f"always(driving changes -> diagnostics say so within {WITHIN:g} s)", "s", _changes_told),
-        RIG, "Each change of the gate's state is in `/diagnostics` at once", 0.1,
+        RIG,
+        "Each change of the gate's state is in `/diagnostics` at once",
+        0.1,
     ),
     Policy(
         "reports_are_true",
         each("always(diagnostics say active and OK -> not at null against commands for 1 s)", "s", _claims),
-        RIG, "a valve that stays at null against the commands is not reported as OK", 0.1,
+        RIG,
+        "a valve that stays at null against the commands is not reported as OK",
+        0.1,
     ),
 )
 """All of them; `docs/policies.md` lists them."""

@@ -6,15 +6,15 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from policies.of_gate import IN_REALTIME, as_margins
-from policies.policy import Policy
-from policies.temporal import Margins, always, constant, Condition, Quantity, each
-from policies.trace import Trace
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.programme.motion import State
 from ehls_ros.hardware.ownership import node_of, process_of
 from ehls_ros.hardware.target import SILENCE
+from policies.of_gate import IN_REALTIME, as_margins
+from policies.policy import Policy
+from policies.temporal import Condition, Flags, Margins, Quantity, always, constant, each
+from policies.trace import Trace
 
 SOURCES = "how_to/sources.md"
 SWITCHING = "how_to/switching.md"
@@ -249,7 +249,7 @@ def _in_order(trace: Trace) -> Margins:
     return as_margins(found)
 
 
-def _new_session(trace: Trace) -> Array:
+def _new_session(trace: Trace) -> Flags:
     return np.concatenate([[0.0], np.diff(trace.sequence)]) < 0.0
 
 
@@ -368,37 +368,51 @@ POLICIES = (
     Policy(
         "one_reference",
         each("always(a cycle is answered -> |reference followed - its owner's| = 0)", "N", _one_reference),
-        SOURCES, "The first node that sends it owns it", 1.0,
+        SOURCES,
+        "The first node that sends it owns it",
+        1.0,
     ),
     Policy(
         "refused_is_silent",
         each(f"always(refused -> silent within {REFUSED_WITHIN:g} s, until activated)", "s", _refused),
-        SOURCES, "its messages are refused, it deactivates itself", 1.0,
+        SOURCES,
+        "its messages are refused, it deactivates itself",
+        1.0,
     ),
     Policy(
         "driver_changes_for_a_reason",
         each("always(the driver changes -> switched, or it left, or the gate was closed)", "1", _driver_changes),
-        "hardware.md", "Another takes its place on request, or when the first one leaves", 1.0,
+        "hardware.md",
+        "Another takes its place on request, or when the first one leaves",
+        1.0,
     ),
     Policy(
         "handover_step",
         each(f"always(the driver changes -> |change of the command| <= {HANDOVER:g} * the largest usual one)", "m", _handovers),
-        SWITCHING, "without a bump", 1e-6,
+        SWITCHING,
+        "without a bump",
+        1e-6,
     ),
     Policy(
         "standing_by_is_silent",
         each("always(a controller commands that stands by -> it could not know yet)", "cycles", _standing_by),
-        SWITCHING, "It sends neither `valve_command` nor `controller_status`", 1.0,
+        SWITCHING,
+        "It sends neither `valve_command` nor `controller_status`",
+        1.0,
     ),
     Policy(
         "switch_leaves_gate_open",
         each("always(switched while driving -> driving)", "1", _switches),
-        SWITCHING, "without closing the gate", 1.0,
+        SWITCHING,
+        "without closing the gate",
+        1.0,
     ),
     Policy(
         "cycles_in_order",
         each("always(a snapshot -> its cycle follows the one before)", "cycles", _in_order),
-        DESIGN, "The plant opens cycle k with one snapshot", 1.0,
+        DESIGN,
+        "The plant opens cycle k with one snapshot",
+        1.0,
     ),
     Policy(
         "one_computer",
@@ -407,37 +421,53 @@ POLICIES = (
             constant(f"{SILENCE:g} s", "s", lambda trace: SILENCE)
             <= Quantity("time since a command was accepted", "s", _silence),
         ),
-        "hardware.md", "Refuse hellos of others until its commands have been absent for 0.1 s", 1e-2,
+        "hardware.md",
+        "Refuse hellos of others until its commands have been absent for 0.1 s",
+        1e-2,
     ),
     Policy(
         "counts_once",
-        each("always(a load cycle is logged -> it begins after the one before, whose number it follows)", "cycles", _counts_once),
-        PROGRAMME, "a line for each load cycle", 1.0,
+        each(
+            "always(a load cycle is logged -> it begins after the one before, whose number it follows)", "cycles", _counts_once
+        ),
+        PROGRAMME,
+        "a line for each load cycle",
+        1.0,
     ),
     Policy(
         "programme_continuous",
         each("always(a reference follows another -> |step| <= period^2 * acceleration)", "N", _continuous),
-        PROGRAMME, "So force and rate have no step anywhere", 1e-2,
+        PROGRAMME,
+        "So force and rate have no step anywhere",
+        1e-2,
     ),
     Policy(
         "programme_same_again",
         each("always(a reference is sent again in lockstep -> it is the same)", "N", _same_again),
-        PROGRAMME, "what it publishes depends on the control cycle alone", 1.0,
+        PROGRAMME,
+        "what it publishes depends on the control cycle alone",
+        1.0,
     ),
     Policy(
         "stopped_programme_stands",
         each("always(stopped -> load cycles unchanged)", "load cycles", _stands),
-        PROGRAMME, "slows the programme's own time down to rest", 1.0,
+        PROGRAMME,
+        "slows the programme's own time down to rest",
+        1.0,
     ),
     Policy(
         "nobody_ends_unasked",
         each("always(a process ends -> it was asked to)", "1", _go_on),
-        "hardware.md", "an exception that nobody foresaw ends the process", 1.0,
+        "hardware.md",
+        "an exception that nobody foresaw ends the process",
+        1.0,
     ),
     Policy(
         "partners_stay",
         each("always(a node's state is asked for -> it is the one last requested)", "1", _stay),
-        COMPOSED, "Names, topics, parameters, services, lifecycle and diagnostics are those of the nodes apart", 1.0,
+        COMPOSED,
+        "Names, topics, parameters, services, lifecycle and diagnostics are those of the nodes apart",
+        1.0,
     ),
 )
 """All of them; `docs/policies.md` lists them."""

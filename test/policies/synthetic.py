@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from policies.trace import Call, Happening, Report, Setup, Trace
 
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.hardware.gate_bounds import bounds_of, within
 from ehls_ros.hardware.gate_parameters import Parameters as Gate
+from policies.trace import Call, Happening, Report, Setup, Trace
 
 RIG = load_rig(Path(__file__).resolve().parents[2] / "config" / "rig_paper_measured.yaml")
 PERIOD = 1e-3

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from policies.trace import IN_FLIGHT, ROUNDING, Spans, Trace
 
 from ehls_ros.arrays import Array
+from policies.trace import IN_FLIGHT, ROUNDING, Spans, Trace
 
 Flags = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 

@@ -4,6 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from ehls_ros.control.programme.motion import State
+from ehls_ros.hardware.safety_gate import DEAF, REACH, STOP_TIME
 from policies.monitor import POLICIES, check, judge, listed
 from policies.of_gate import LYING, WITHIN
 from policies.of_graph import EXACT, HANDOVER, REFUSED_WITHIN
@@ -27,9 +30,6 @@ from policies.synthetic import (
     trace,
     until,
 )
-
-from ehls_ros.control.programme.motion import State
-from ehls_ros.hardware.safety_gate import DEAF, REACH, STOP_TIME
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NAMES = {policy.name: policy for policy in POLICIES}
@@ -366,7 +366,9 @@ def test_a_run_without_events_violates_nothing():
 
 
 def test_a_violation_is_reported_with_the_formula_and_the_distance():
-    with pytest.raises(AssertionError, match=r"spool_limit: always\(true -> \|command\| <= limits.spool\); robustness -0.001 m"):
+    with pytest.raises(
+        AssertionError, match=r"spool_limit: always\(true -> \|command\| <= limits.spool\); robustness -0.001 m"
+    ):
         check(trace(with_row(EVENT, -RIG.limits.spool - 1e-3)))
 
 

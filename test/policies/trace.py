@@ -247,11 +247,7 @@ class Trace:
 
     def _changes_of(self, name: str) -> list[tuple[Any, float, float]]:
         """Return value, first and last time of each change of a parameter."""
-        changes = [
-            (call.fields["value"], call.sent, call.answered)
-            for call in self.changes
-            if call.fields["name"] == name
-        ]
+        changes = [(call.fields["value"], call.sent, call.answered) for call in self.changes if call.fields["name"] == name]
         started = [(getattr(self.setup.gate, name), h.time, h.time) for h in self.happenings_of("started", self.setup.hosts)]
         return sorted([*changes, *started], key=lambda change: change[1])
 
