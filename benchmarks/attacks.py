@@ -3,10 +3,11 @@
     python benchmarks/attacks.py --sequences 2000
     python benchmarks/attacks.py --sequences 200 --on bridge --seed 1 --blind
 
-Three quarters of the sequences attack a bridge with its emulated rig at 1 kHz in real time, the others whole graphs in lockstep,
-apart and composed, with programme, learning and second sources. After each batch its log is evaluated, what came closer is kept, and
-all processes are restarted. The table has the policies: how often each said something, violations, the smallest robustness, and the
-sequence that it was smallest in. A violation ends the run with code 1 and leaves the batch's folder.
+Three quarters of the sequences attack a bridge with its emulated rig at 1 kHz in real time, the others whole graphs in
+lockstep, apart and composed, with programme, learning and second sources. After each batch its log is evaluated, what came
+closer is kept, and all processes are restarted. The table has the policies: how often each said something, violations, the
+smallest robustness, and the sequence that it was smallest in. A violation ends the run with code 1 and leaves the batch's
+folder.
 """
 
 import argparse
@@ -96,6 +97,7 @@ class Campaign:
     """
 
     def __init__(self, arena: Arena, seed: int, *, blind: bool) -> None:
+        """Begin with no sequence known."""
         self.arena = arena
         self.search = Search(random.Random(seed), arena.kinds, blind=blind)  # noqa: S311
         self.sequences, self.batches = 0, 0
@@ -206,9 +208,8 @@ def main() -> int:
     }
     chosen = ["bridge", "bridge", "bridge", "graph"] if options.on == "both" else [options.on]
     campaigns = {name: Campaign(arenas[name], options.seed, blind=options.blind) for name in dict.fromkeys(chosen)}
-    print(
-        f"seed {options.seed}, {options.sequences} sequences, batches of {options.batch}, {'blind' if options.blind else 'guided'}"
-    )
+    way = "blind" if options.blind else "guided"
+    print(f"seed {options.seed}, {options.sequences} {way} sequences, batches of {options.batch}")
     print("| on | sequences | rig late by | valve open | requests | violated |\n|---|---:|---|---:|---:|---:|")
     begun, server, wrong = time.monotonic(), NodeServer(), 0
     try:

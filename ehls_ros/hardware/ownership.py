@@ -4,8 +4,8 @@ Commands have their own rule (:mod:`ehls_ros.hardware.command_intake`), which al
 input of the control cycle, such as a reference or a disturbance, follows this one:
 
 * The first sender becomes the owner. Messages of others are refused.
-* The input becomes free when the owner announces that it leaves, or is gone from the graph. What a refused sender sent before is
-  accepted then, unless that sender has left meanwhile.
+* The input becomes free when the owner announces that it leaves, or is gone from the graph. What a refused sender sent before
+  is accepted then, unless that sender has left meanwhile.
 * A sender of the owner's node name takes over once the owner has been silent for :data:`RESTART`: the node was restarted.
 """
 

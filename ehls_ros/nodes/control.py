@@ -380,7 +380,7 @@ class ControlNode(DeclaredParameters):
         return self._change_from(State.PRIMARY_STATE_UNCONFIGURED, self.trigger_configure)
 
     def activate_itself(self) -> bool:
-        """Activate, unless a lifecycle request has done so, or has taken the node elsewhere; return whether it is as requested."""
+        """Activate, unless a lifecycle request has changed the state; return whether the node is as requested."""
         return self._change_from(State.PRIMARY_STATE_INACTIVE, self.trigger_activate)
 
     def _change_from(self, state: int, trigger: Callable[[], TransitionCallbackReturn]) -> bool:

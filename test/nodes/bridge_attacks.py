@@ -1,8 +1,8 @@
 """Attacks on a running bridge and its emulated rig, at the gate and what is around it.
 
-A sequence opens the valve and takes some actions: services, transitions, parameters, signals to processes, faults of network and
-sensors, commands of every kind, a second controller that stands by or intrudes, and a second plant. What must hold meanwhile say the
-policies.
+A sequence opens the valve and takes some actions: services, transitions, parameters, signals to processes, faults of network
+and sensors, commands of every kind, a second controller that stands by or intrudes, and a second plant. What must hold
+meanwhile say the policies.
 """
 
 import math

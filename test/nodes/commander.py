@@ -1,9 +1,9 @@
 """A simple controller that answers each snapshot as the last line on stdin says: `commander.py NAME PERIOD`, period in s.
 
-While another drives, it stands by. ``sine A F`` commands A sin(2 pi F t) [m, Hz] plus a little towards mid-stroke, ``constant U``
-commands U [m], ``mute`` nothing, ``skip N`` null on every Nth snapshot only. ``duplicate U`` does as the line before and sends U
-for the same cycle as well, ``early N U`` for a cycle to come, ``late N U`` for one that is past; ``slow S`` does as the line
-before, S seconds later; ``intrude U`` sends U to the valve whoever drives. It prints ``up`` once it is running.
+While another drives, it stands by. ``sine A F`` commands A sin(2 pi F t) [m, Hz] plus a little towards mid-stroke, ``constant
+U`` commands U [m], ``mute`` nothing, ``skip N`` null on every Nth snapshot only. ``duplicate U`` does as the line before and
+sends U for the same cycle as well, ``early N U`` for a cycle to come, ``late N U`` for one that is past; ``slow S`` does as the
+line before, S seconds later; ``intrude U`` sends U to the valve whoever drives. It prints ``up`` once it is running.
 """
 
 import math
@@ -44,16 +44,9 @@ def main() -> None:
                 if line[0] == "slow":
                     time.sleep(float(line[1]))
                 out = node.outbox if drives in {"", name} else standby
-                match basic:
-                    case ["sine", amplitude, frequency]:
-                        turn = (float(frequency) * period * cycle) % 1.0
-                        back = max(-MOST, min(MOST, -STIFFNESS * state[2]))
-                        out.send(stamp, cycle, float(amplitude) * math.sin(2.0 * math.pi * turn) + back)
-                    case ["skip", count]:
-                        if snapshots % int(count) == 0:
-                            out.send(stamp, cycle, 0.0)
-                    case ["constant", value]:
-                        out.send(stamp, cycle, float(value))
+                command = basic_command(basic, period * cycle, state[2], snapshots)
+                if command is not None:
+                    out.send(stamp, cycle, command)
                 match line:
                     case ["duplicate" | "intrude", value]:
                         node.outbox.send(stamp, cycle, float(value))
@@ -63,6 +56,19 @@ def main() -> None:
                         node.outbox.send(stamp, max(cycle - int(cycles), 0), float(value))
         for part in (waiter, driver, standby):
             part.destroy()
+
+
+def basic_command(line: list[str], time: float, position: float, snapshots: int) -> float | None:
+    """Return the command [m] of a basic line at a time [s] and position [m]; None: none for this snapshot."""
+    match line:
+        case ["sine", amplitude, frequency]:
+            back = max(-MOST, min(MOST, -STIFFNESS * position))
+            return float(amplitude) * math.sin(2.0 * math.pi * ((float(frequency) * time) % 1.0)) + back
+        case ["skip", count]:
+            return 0.0 if snapshots % int(count) == 0 else None
+        case ["constant", value]:
+            return float(value)
+    return None
 
 
 if __name__ == "__main__":

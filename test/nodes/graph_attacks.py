@@ -1,8 +1,8 @@
 """Attacks on whole graphs in lockstep: sources, controllers, programme, lifecycle, apart and in one process.
 
-Time is that of the cycles, so a busy computer changes nothing. A sequence begins with the graph as it was started and takes some
-actions: second sources of every input, hand-overs between sources and between controllers, a programme that is stopped, resumed,
-skipped and killed, transitions, deaths, accepted rigs, and requests to the gate.
+Time is that of the cycles, so a busy computer changes nothing. A sequence begins with the graph as it was started and takes
+some actions: second sources of every input, hand-overs between sources and between controllers, a programme that is stopped,
+resumed, skipped and killed, transitions, deaths, accepted rigs, and requests to the gate.
 """
 
 import json

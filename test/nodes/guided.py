@@ -1,7 +1,7 @@
 """Sequences of attacks, chosen by how close those before came to violating a policy.
 
-After PGFuzz (Kim et al., NDSS 2021): a sequence that came closer to violating some policy than those before is kept, and changed to
-come closer still; the policies take turns. Without such feedback, attacks are drawn blindly.
+After PGFuzz (Kim et al., NDSS 2021): a sequence that came closer to violating some policy than those before is kept, and
+changed to come closer still; the policies take turns. Without such feedback, attacks are drawn blindly.
 """
 
 import math

@@ -1,5 +1,6 @@
 """The search for attacks: what came closer to a violation is kept and changed, deterministically."""
 
+import itertools
 import random
 
 from guided import KEPT, LONGEST, Kind, Search
@@ -13,9 +14,9 @@ KINDS = {
 
 
 def robustness(attack):
-    """Come closest to one policy by many strong pushes, and to another by pulls that follow each other; a third is indifferent."""
+    """Come closest to one policy by many strong pushes, to another by pulls in succession; a third is indifferent."""
     pushes = sum(action.arguments[0] for action in attack if action.name == "push")
-    pairs = sum(one.name == other.name == "pull" for one, other in zip(attack, attack[1:], strict=False))
+    pairs = sum(one.name == other.name == "pull" for one, other in itertools.pairwise(attack))
     return {"pushed": 6.0 - pushes, "pulled": 6.0 - pairs, "indifferent": 1.0, "unsaid": float("inf")}
 
 

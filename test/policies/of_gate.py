@@ -130,8 +130,8 @@ def _opening_number(trace: Trace) -> np.ndarray[tuple[int, ...], np.dtype[np.int
 def _ramp_of_opening(trace: Trace) -> Array:
     """Return the largest command while the gate blends it in [m].
 
-    It is that fraction of what was commanded meanwhile which belongs to the time since the first opening, with what the gate may
-    catch up in one step and what may be lost on the wire.
+    It is that fraction of what was commanded meanwhile which belongs to the time since the first opening, with what the gate
+    may catch up in one step and what may be lost on the wire.
     """
     first, number = _first_open(trace), _opening_number(trace)
     wanted = np.array([_largest_commanded(trace, row) for row in first] or [0.0])
@@ -386,8 +386,8 @@ SEEN_SMOOTHED = SEEN + constant(f"{SMOOTHED:g} s", "s", lambda trace: SMOOTHED)
 def _candidates(trace: Trace) -> tuple[Array, Array]:
     """Return the commands that may reach the valve, and when they were sent.
 
-    They are of the controller that drove then, and the first answer to each cycle. One that was sent before the plant had opened
-    the cycle may be refused, as it lies in the future, or be read only after that.
+    They are of the controller that drove then, and the first answer to each cycle. One that was sent before the plant had
+    opened the cycle may be refused, as it lies in the future, or be read only after that.
     """
     drivers = trace.heard("driver")
     grace = float(np.max(trace.parameter("command_timeout"), initial=0.0)) + LASTING
@@ -524,7 +524,7 @@ def _bounded(trace: Trace) -> Margins:
 
 
 def _weaker(trace: Trace) -> Margins:
-    """Return for each change that weakens the gate how long it had been closed, or -1 if commands reached the valve all the time."""
+    """Return for each change that weakens the gate how long it had been closed, or -1 if it was open all the time."""
     told = trace.heard("driving")
     found = []
     values = trace.setup.gate._asdict()

@@ -1,5 +1,6 @@
-"""Policies of the graph: one source of each input, one driver, switches, the programme, and that no node takes another with it."""
+"""Policies of the graph: one source of each input, one driver, switches, the programme, independent nodes."""
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -26,7 +27,7 @@ EXACT = 1e-3
 """Difference between two references that are the same [N]; those of two sources differ by far more."""
 
 REFUSED_WITHIN = 10.0
-"""Longest time that a refused node takes to fall silent [s]; a tenth of a second is meant, on a machine that is not overloaded."""
+"""Longest time that a refused node takes to fall silent [s]; 0.1 s where the machine is not overloaded."""
 
 PUBLISHED = 1.0
 """Longest time for which what a node of a shared process sends gathers before it is published [s]."""
@@ -116,7 +117,7 @@ def _one_reference(trace: Trace) -> Margins:
             elif owner not in apart:
                 found.append((when, -max(EXACT, apart[nearest])))
                 continue
-        since[controller] = when if controller not in since else since[controller]
+        since[controller] = since.get(controller, when)
         found.append((when, EXACT - apart[owner]))
     return as_margins(found)
 
@@ -148,7 +149,7 @@ def _turns(trace: Trace) -> list[tuple[float, int, bool, str, str]]:
 def _changes_of_driver(trace: Trace) -> Iterable[tuple[tuple[Any, ...], tuple[Any, ...]]]:
     """Yield the words of who drives before and after each change from one controller to another of the same plant."""
     turns = _turns(trace)
-    for before, after in zip(turns, turns[1:], strict=False):
+    for before, after in itertools.pairwise(turns):
         if before[4] == after[4] and before[3] and after[3] and before[3] != after[3]:
             yield before, after
 
@@ -234,7 +235,7 @@ def _switches(trace: Trace) -> Margins:
 
 
 def _in_order(trace: Trace) -> Margins:
-    """Return for each snapshot by how many cycles it goes on from the one before, less 1; a repetition or a new run goes on by 1.
+    """Return by how many cycles each snapshot goes on from the one before, less 1; a repetition or a new run goes on by 1.
 
     A simulated plant that was deactivated opens the cycle again in which it stood.
     """
@@ -287,7 +288,7 @@ def _continuous(trace: Trace) -> Margins:
     """Return for each two following references how far the step is below what rate and acceleration bear [N]."""
     period, found = trace.setup.period, []
     messages = _by_programme(trace)
-    for last, message in zip(messages, messages[1:], strict=False):
+    for last, message in itertools.pairwise(messages):
         if message[2] != last[2] + 1 or message[-1] != last[-1]:
             continue
         step = message[3] - last[3] - 0.5 * period * (message[4] + last[4])
@@ -298,7 +299,7 @@ def _continuous(trace: Trace) -> Margins:
 
 def _same_again(trace: Trace) -> Margins:
     """Return for each reference sent again in lockstep how near it is to the one sent before, less what is exact [N]."""
-    plants = [h for h in trace.happenings_of("started", trace.setup.hosts)]
+    plants = list(trace.happenings_of("started", trace.setup.hosts))
     if not trace.setup.lockstep or len(plants) > 1:
         return as_margins([])
     sent: dict[int, float] = {}
@@ -314,7 +315,7 @@ def _stands(trace: Trace) -> Margins:
     """Return for each point of a stopped programme 0 if it counted no load cycle, and else how many."""
     found = []
     points = trace.heard("programme_point")
-    for last, point in zip(points, points[1:], strict=False):
+    for last, point in itertools.pairwise(points):
         if point[7] == last[7] == State.STOPPED and point[-1] == last[-1] and point[2] == last[2] + 1:
             found.append((point[0], -abs(float(point[5] - last[5]))))
     return as_margins(found)

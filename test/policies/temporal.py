@@ -1,11 +1,12 @@
 """Temporal formulas over sampled signals, and their robustness: the signed distance to violation.
 
-A formula is ``always(condition -> quantity <= bound)``. Its conditions look into the past: an event, such as a stop, begins a span
-that another event ends, and within it the time since the beginning is a quantity like any other. With conditions that are true or
-false, robustness is ``bound - quantity``, in that quantity's unit; at the border it is 0, and the formula holds.
+A formula is ``always(condition -> quantity <= bound)``. Its conditions look into the past: an event, such as a stop, begins a
+span that another event ends, and within it the time since the beginning is a quantity like any other. With conditions that are
+true or false, robustness is ``bound - quantity``, in that quantity's unit; at the border it is 0, and the formula holds.
 
-A few numpy operations are all that this takes. Of the libraries for signal temporal logic, rtamt pins antlr 4.7 and Python below
-3.13, and evaluates sample by sample in Python; none has the bounds that depend on other signals, such as what is still in flight.
+A few numpy operations are all that this takes. Of the libraries for signal temporal logic, rtamt pins antlr 4.7 and Python
+below 3.13, and evaluates sample by sample in Python; none has the bounds that depend on other signals, such as what is still in
+flight.
 """
 
 from collections.abc import Callable

@@ -230,7 +230,7 @@ def one_computer(excess):
 
 
 def programme(points, references):
-    """Return a run with a programme: points (cycle, load cycles, state) and references (time, cycle, force, rate, acceleration)."""
+    """Return a run with a programme: points (cycle, count, state), references (time, cycle, force, rate, acceleration)."""
     messages = {
         "programme_point": [(at(cycle), 0, cycle, 0, 0, count, 0.0, state, SECOND) for cycle, count, state in points],
         "force_reference": [(when, 0, *row, SECOND) for when, *row in references],

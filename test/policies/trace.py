@@ -1,5 +1,6 @@
 """The log of a run with all that was asked, done and heard meanwhile."""
 
+import itertools
 import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -349,7 +350,7 @@ class Trace:
     def runs(self) -> list[float]:
         """Times at which the plant's cycles began anew [s]."""
         states = self.of_plant()
-        return [state[0] for before, state in zip(states, states[1:], strict=False) if state[2] < before[2]]
+        return [state[0] for before, state in itertools.pairwise(states) if state[2] < before[2]]
 
     def of_plant(self) -> list[tuple[Any, ...]]:
         """Return the snapshots of the plant whose gate is obeyed, and of no other sender."""
