@@ -218,8 +218,9 @@ class ProgrammeNode(AheadNode):
         What is kept of earlier control cycles says nothing of that. In lockstep the newest kept one does; in
         realtime a snapshot that nobody keeps.
         """
-        now = self._present()
-        if now is None or self._owner_of_reference():
+        # First the owner, as a rig that follows another reference never pauses to say which snapshot is its newest.
+        is_owned, now = self._owner_of_reference() is not None, self._present()
+        if now is None or is_owned:
             return
         self._ignore_other_references()
         measured, cycle = now[2 + MEASURED[self.follows]], now[1]
@@ -260,6 +261,7 @@ class ProgrammeNode(AheadNode):
         while (state := self.states.take()) is not None:
             self.waiting.append(state)
             self.heard = time.perf_counter()
+        del self.waiting[:-DEPTH]
         if self.last < 0 or not self.waiting or self.waiting[-1][1] < self.last:
             return None
         # A rig without reference waits, and what it sent before has come once nothing comes any more.
