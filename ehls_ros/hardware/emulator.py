@@ -119,13 +119,14 @@ class Emulator:
             self._values[channel.channel] = converted(raw, channel) if raw == raw else raw  # noqa: PLR0124
         return tuple(self._values)
 
-    def advance(self, raw: float, status: Status, sequence: int, now: float) -> None:
+    def advance(self, raw: float, status: Status, sequence: int, answered: int, now: float) -> None:
         """Advance by one cycle, after :meth:`sense`.
 
         Args:
             raw: raw valve command, held over the cycle.
             status: why the command is at null, for the log.
             sequence: number of the last command accepted, for the log.
+            answered: number of the measurement that it answers, for the log.
             now: time of this computer, for the log [s].
         """
         simulator, output = self._simulator, self._calibration.output
@@ -137,7 +138,7 @@ class Emulator:
                 self._row = self._next_row()
             self._until_disturbed -= 1
         if self.log is not None:
-            self.log.add((*self._truth(spool), raw, status, sequence, now))
+            self.log.add((*self._truth(spool), raw, status, sequence, answered, now))
         simulator.advance(spool, *self._row)
 
     def _next_row(self) -> list[float]:

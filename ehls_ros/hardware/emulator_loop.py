@@ -84,13 +84,14 @@ def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delay
         start += given_up
         paused += given_up
         _put_faults(emulator, run, now)
+        wire.delay = emulator.faults.delay
         for data, sender in wire.received():
             if not emulator.faults.deaf:
                 target.receive(data, sender, now, cycle - 1)
         raw, status = target.output(now)
         stamp = cycle * period + paused
         _send(emulator, target, wire, status, values, stamp, now)
-        emulator.advance(raw, status, target.commanded, now)
+        emulator.advance(raw, status, target.commanded, target.answered, now)
         values = emulator.sense()
 
 
@@ -108,7 +109,7 @@ def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patie
         WorkFailed: no answer in time.
     """
     raw, status = target.output(0.0)
-    commanded = target.commanded
+    commanded, answered = target.commanded, target.answered
     for cycle in range(run.cycles):
         values = emulator.sense()
         target.greeted = True
@@ -127,9 +128,9 @@ def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patie
             _put_faults(emulator, run, now)
             for data, sender in wire.received():
                 target.receive(data, sender, now, cycle)
-        emulator.advance(raw, status, commanded, now)
+        emulator.advance(raw, status, commanded, answered, now)
         raw, status = target.output(now)
-        commanded = target.commanded
+        commanded, answered = target.commanded, target.answered
 
 
 def _send(

@@ -13,6 +13,7 @@ FAULTS = {
     "clock": "clock SECONDS: the target's clock steps",
     "silent": "silent: no measurements are sent",
     "deaf": "deaf: no packets are accepted",
+    "delay": "delay SECONDS: packets take so much longer, in both directions; not in lockstep",
     "clear": "clear: all faults end",
 }
 WHERE = "fault"
@@ -24,6 +25,7 @@ class Faults:
     Attributes:
         silent: no measurements are sent.
         deaf: no packets are accepted.
+        delay: additional time that packets take [s].
         clock_ns: offset added to the target's time [ns].
     """
 
@@ -50,6 +52,8 @@ class Faults:
                 self._bias[self._index(signal)] = math.nan
             case ["clock", value]:
                 self.clock_ns += round(1e9 * _number(value))
+            case ["delay", value] if _number(value) >= 0.0:
+                self.delay = _number(value)
             case ["silent"]:
                 self.silent = True
             case ["deaf"]:
@@ -78,6 +82,7 @@ class Faults:
     def _clear(self) -> None:
         self.silent = self.deaf = False
         self.clock_ns = 0
+        self.delay = 0.0
         self._stuck: dict[int, float] = {}
         self._bias: dict[int, float] = {}
         self._jump: dict[int, float] = {}

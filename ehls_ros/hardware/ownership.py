@@ -4,7 +4,8 @@ Commands have their own rule (:mod:`ehls_ros.hardware.command_intake`), which al
 input of the control cycle, such as a reference or a disturbance, follows this one:
 
 * The first sender becomes the owner. Messages of others are refused.
-* The input becomes free when the owner announces that it leaves, or is gone from the graph.
+* The input becomes free when the owner announces that it leaves, or is gone from the graph. What a refused sender sent before
+  is accepted then, unless that sender has left meanwhile.
 * A sender of the owner's node name takes over once the owner has been silent for :data:`RESTART`: the node was restarted.
 """
 
@@ -62,6 +63,7 @@ class Ownership:
         self._clock = clock
         self._heard = -float("inf")
         self._left: tuple[str | None, float] = None, -float("inf")
+        self._departures: dict[str, float] = {}
         self.owner: str | None = None
         self.contenders: dict[str, Heard] = {}
 
@@ -108,9 +110,23 @@ class Ownership:
         }
         return max(lately, key=lately.__getitem__) if lately else None
 
+    @property
+    def now(self) -> float:
+        """Present time [s]."""
+        return self._clock()
+
+    def has_left_since(self, sender: str, when: float) -> bool:
+        """Return whether a sender has left since it sent a message that came at a time [s]."""
+        return self._departures.get(sender, -float("inf")) >= when
+
     def release(self, sender: str) -> None:
         """Free the input if a sender owns it: it has left."""
         self.contenders.pop(sender, None)
+        # The latest last.
+        self._departures.pop(sender, None)
+        self._departures[sender] = self._clock()
+        if len(self._departures) > MOST_CONTENDERS:
+            del self._departures[next(iter(self._departures))]
         if sender == self.owner:
             self._left = sender, self._clock()
             self.owner = None

@@ -15,9 +15,11 @@ COLUMNS = (
     "output_raw",
     "output_status",
     "output_sequence",
+    "output_answered",
     "monotonic_s",
 )
-"""Names of the data contract; raw output, its status (:class:`ehls_ros.hardware.packet.Status`) and this computer's clock."""
+"""Names of the data contract; raw output, its status (:class:`ehls_ros.hardware.packet.Status`), number of the last command and
+of the measurement it answers, and this computer's clock."""
 
 BLOCK = 4096
 """Rows allocated at a time, few enough not to delay a cycle."""

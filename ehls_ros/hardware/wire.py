@@ -28,7 +28,13 @@ class Impairments(NamedTuple):
 
 
 class Wire:
-    """A socket that is polled once a cycle."""
+    """A socket that is polled once a cycle.
+
+    Attributes:
+        delay: additional time that packets take [s]; only of a :class:`BadWire`.
+    """
+
+    delay = 0.0
 
     def __init__(self, opened: socket.socket) -> None:
         """Take a bound, non-blocking socket."""
@@ -114,7 +120,7 @@ class BadWire(Wire):
         if chance() < p.loss:
             return
         for _ in range(1 + (chance() < p.duplicate)):
-            delay = p.latency + p.jitter * chance() + self._overtaken * (chance() < p.reorder)
+            delay = self.delay + p.latency + p.jitter * chance() + self._overtaken * (chance() < p.reorder)
             self._count += 1
             heapq.heappush(queue, (now + delay, self._count, self._damaged(data), address))
 

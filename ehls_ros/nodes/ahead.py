@@ -83,10 +83,13 @@ class AheadNode(ControlNode):
             self.actuator[0].destroy()
 
     def start(self) -> None:
-        """Publish the rows needed before the first snapshot."""
+        """Publish the rows needed before the first snapshot, or, in lockstep, before the next one."""
         # In realtime the first cycles are not known to have begun: they are taken to begin now.
         self.epoch_ns = 0 if self.lockstep else self.now_ns() or 0
-        self._publish_to(self.lead - 1)
+        if self.lockstep:
+            # Readers may have refused what was sent before the node was deactivated, and the rig waits for it.
+            self.next = max(self.last, 0)
+        self._publish_to(self.next + self.lead - 1 if self.lockstep else self.lead - 1)
 
     def awaited_inputs(self) -> Waiter:
         """Return what tells the cycle."""

@@ -83,6 +83,8 @@ class Composition:
     def work(self, stopping: Stopping) -> None:
         """Run the loops of those that are active, until told to stop."""
         be_punctual()
+        for node in self._beginning:
+            node.begin_work()
         gc.disable()
         try:
             while not stopping.is_set():

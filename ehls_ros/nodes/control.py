@@ -16,6 +16,7 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
@@ -175,6 +176,11 @@ class ControlNode(DeclaredParameters):
         self._active = threading.Event()
         self._idle = threading.Event()
         self._idle.set()
+        # rclpy's state machine bears one thread at a time; the node starts itself in the main one, requests come in the other.
+        self.changing = threading.RLock()
+        self._begun = False
+        # Guards the two events above: one thread must not see one of them as it is and the other as it was.
+        self._switching = threading.Lock()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._reported: tuple[bytes, str] | None = None
         self._warned: dict[str, float] = {}
@@ -307,8 +313,10 @@ class ControlNode(DeclaredParameters):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let the loop run."""
         self.refused = ""
-        self._idle.clear()
-        self._active.set()
+        with self._switching:
+            if self._begun:
+                self._idle.clear()
+            self._active.set()
         return super().on_activate(state)
 
     @transition
@@ -365,14 +373,35 @@ class ControlNode(DeclaredParameters):
         Args:
             stopping: is set when the node is told to stop meanwhile.
         """
-        success = TransitionCallbackReturn.SUCCESS
-        return bool(self.trigger_configure() == success and self.trigger_activate() == success)
+        return self.configure_itself() and self.activate_itself()
+
+    def configure_itself(self) -> bool:
+        """Configure, unless a lifecycle request has done so; return whether the node is configured."""
+        return self._change_from(State.PRIMARY_STATE_UNCONFIGURED, self.trigger_configure)
+
+    def activate_itself(self) -> bool:
+        """Activate, unless a lifecycle request has changed the state; return whether the node is as requested."""
+        return self._change_from(State.PRIMARY_STATE_INACTIVE, self.trigger_activate)
+
+    def _change_from(self, state: int, trigger: Callable[[], TransitionCallbackReturn]) -> bool:
+        with self.changing:
+            return bool(self._state_machine.current_state[0] != state or trigger() == TransitionCallbackReturn.SUCCESS)
+
+    def begin_work(self) -> None:
+        """Note that a loop looks after the node from now on: until then no request has to wait for the loop's end."""
+        with self._switching:
+            self._begun = True
+            if self._active.is_set():
+                self._idle.clear()
 
     def work(self, stopping: Stopping) -> None:
         """Run the loop whenever the node is active, until told to stop."""
         be_punctual()
+        self.begin_work()
         while not stopping.is_set():
             if not self._active.wait(WAIT):
+                # A request to deactivate may wait for the end of a loop that has not run, as the node was active too briefly.
+                self.settle()
                 continue
             # A garbage collection within a cycle would delay the answer; the loops create no reference cycles.
             gc.disable()
@@ -419,7 +448,9 @@ class ControlNode(DeclaredParameters):
 
     def settle(self) -> None:
         """Note that the loop does not run, as the node was active for too short a time."""
-        self._idle.set()
+        with self._switching:
+            if not self._active.is_set():
+                self._idle.set()
 
     def look_after(self) -> None:
         """Check after a turn the heartbeat of the service thread, which handles the emergency stop, and the loop's demand."""
@@ -541,10 +572,13 @@ def survive_requests(node: Node) -> None:
 def _surviving(node: Node, service: Any) -> Callable[[Any, Any], Any]:
     """Return a service's handler, with a refusal in place of what it raises."""
     answer = service.callback
+    changes_state = service.srv_name.endswith("/change_state")
+    guard = node.changing if changes_state and isinstance(node, ControlNode) else contextlib.nullcontext()
 
     def answer_or_refuse(request: Any, response: Any) -> Any:
         try:
-            return answer(request, response)
+            with guard:
+                return answer(request, response)
         except Exception as error:  # noqa: BLE001
             reason = f"{type(error).__name__}: {error}"
             node.get_logger().error(f"{service.srv_name}: a request was refused: {reason}")

@@ -25,6 +25,9 @@ DISCOVERY_RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 REPEAT = 1.0
 """Time after which a refusal is published again while its sender goes on [s]."""
 
+GLANCE = 0.05
+"""Time between two looks whether the owner of a contended input has ended [s]."""
+
 DECISION = 0.1
 """Time between a node's first refusal and its reaction, in which the refusal of the other sender would arrive [s]."""
 
@@ -50,6 +53,7 @@ class Owners:
         self._node: Any = node
         self._inputs: dict[str, Ownership] = {}
         self._published: dict[tuple[str, str], float] = {}
+        self._looked: dict[str, float] = {}
         self._refused: dict[str, str] = {}
         self._owner_refused_for_us: set[tuple[str, str]] = set()
         self._deciding: Timer | None = None
@@ -84,6 +88,19 @@ class Owners:
         refusal.header.stamp = self._node.get_clock().now().to_msg()
         self._refusals.publish(refusal)
 
+    def frees(self, topic: str) -> bool:
+        """Free an input whose owner's process has ended; return whether it did. To be called for a contender's messages."""
+        ownership, now = self._inputs[topic], time.monotonic()
+        if now - self._looked.get(topic, -GLANCE) < GLANCE:
+            return False
+        self._looked[topic] = now
+        owner = ownership.owner
+        if owner is None or self.may_run(owner):
+            return False
+        self._node.get_logger().info(f"{_name(owner)} has ended: {topic} is free")
+        ownership.release(owner)
+        return True
+
     def look(self) -> None:
         """Free the inputs whose owner has fallen silent and is gone from the graph; called now and then.
 
@@ -103,8 +120,7 @@ class Owners:
 
         A killed node stays in the graph until the middleware misses it, which takes 20 s.
         """
-        process = process_of(owner)
-        if process is not None and os.environ.get(DISCOVERY_RANGE) == LOCALHOST and not is_running(process):
+        if not self.may_run(owner):
             return False
         endpoints = self._node.get_publishers_info_by_topic(topic)
         names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in endpoints}
@@ -112,6 +128,12 @@ class Owners:
             return node_of(owner) in names
         # A sender that is not named after its node is any publisher that is no contender.
         return bool(names - {node_of(sender) for sender in ownership.contenders})
+
+    @staticmethod
+    def may_run(sender: str) -> bool:
+        """Return whether a sender's process may be running; one on another host may."""
+        process = process_of(sender)
+        return process is None or os.environ.get(DISCOVERY_RANGE) != LOCALHOST or is_running(process)
 
     def complaint(self) -> str:
         """Return a sentence about a sender that is refused at present; empty if there is none."""
@@ -157,14 +179,23 @@ class Owner:
 
     def admits(self, sender: str) -> bool:
         """Return whether a message of a sender is accepted; publish it if the sender is refused."""
-        if self._ownership.admits(sender):
+        if self._ownership.admits(sender) or (self._owners.frees(self._topic) and self._ownership.admits(sender)):
             return True
         self._owners.refuse(self._topic, sender)
         return False
 
+    @property
+    def now(self) -> float:
+        """Present time of the rule's clock [s]."""
+        return self._ownership.now
+
     def may_take(self, sender: str) -> bool:
         """Return whether a refused sender could be accepted by now: it is the owner, or there is none."""
         return self._ownership.owner in {None, sender}
+
+    def holds(self, sender: str, came: float) -> bool:
+        """Return whether a message still counts that was refused when it came [s]: its sender has not left since."""
+        return not self._ownership.has_left_since(sender, came) and self._owners.may_run(sender)
 
 
 def _name(sender: str) -> str:

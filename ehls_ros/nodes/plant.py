@@ -13,7 +13,6 @@ from typing import Annotated, Any, NamedTuple
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.client import Client
-from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
@@ -121,16 +120,14 @@ class PlantNode(ControlNode):
 
     def bring_up(self, stopping: Stopping) -> bool:
         """Configure; activate once the partners are active, so that the first cycle finds all who answer it."""
-        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+        if not self.configure_itself():
             return False
         self.awaited = tuple(filter(None, self.text_parameter("partners").split(",")))
         states = {name: self.create_client(GetState, f"{name}/get_state") for name in self.awaited}
         while self.awaited and not self._active.is_set() and not stopping.wait(WAIT):
             self.awaited = tuple(name for name in self.awaited if not self._is_active(states[name]))
         self.awaited = ()
-        # A lifecycle request may have come first.
-        activated = self._active.is_set() or stopping.is_set()
-        return activated or self.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        return stopping.is_set() or self.activate_itself()
 
     def _is_active(self, client: Client) -> bool:
         """Ask a node for its state; an answer that is late or lost is asked for again."""
@@ -384,7 +381,8 @@ class PlantNode(ControlNode):
         gate = self.gate.state, len(self.gate.causes)
         if gate != self.told_gate:
             self.told_gate = gate
-            self.report_change()
+            # The message may be about something else, and be the same as before.
+            self.report()
 
     def _on_emergency_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         stop = self.gate.emergency_stop()
@@ -432,7 +430,7 @@ class PlantNode(ControlNode):
         """Fill in a service's response, and publish diagnostics at once."""
         response.success, response.message = refusal is None, refusal or message
         self.get_logger().info(f"safety gate: {response.message}")
-        self.report_change()
+        self.report()
         return response
 
     def figures(self) -> dict[str, Any]:

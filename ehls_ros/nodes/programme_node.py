@@ -172,7 +172,12 @@ class ProgrammeNode(AheadNode):
         super().release()
 
     def start(self) -> None:
-        """Publish nothing yet: the first snapshot says in which control cycle the programme begins."""
+        """Publish nothing yet: the first snapshot says in which control cycle the programme begins.
+
+        One that has begun publishes again in lockstep what the rig may wait for: it may have been refused before.
+        """
+        if self.runner is not None and self.lockstep:
+            self._send(max(self.last, 0), self.next - 1)
 
     def once(self) -> None:
         """Count what was measured, and publish ahead of the newest control cycle."""

@@ -247,7 +247,7 @@ class Inbox:
         one_sender = decode is None and standard.texts > 0 and owned != ""
         owners = owners_of(node) if one_sender else None
         self._owner = None if owners is None else owners.of(owned or topic)
-        self._refused: deque[Message] = deque(maxlen=self._qos.depth)
+        self._refused: deque[tuple[float, Message]] = deque(maxlen=self._qos.depth)
         self._again: deque[Message] = deque()
         self.malformed = 0
         self._wider: Any = None
@@ -289,14 +289,15 @@ class Inbox:
         """
         if self._owner is None:
             return self._next()
-        if self._refused and self._owner.may_take(self._refused[-1][-1]):
-            self._again.extend(self._refused)
+        if self._refused and self._owner.may_take(self._refused[-1][1][-1]):
+            holds = self._owner.holds
+            self._again.extend(message for came, message in self._refused if holds(message[-1], came))
             self._refused.clear()
         while True:
             message = self._again.popleft() if self._again else self._next()
             if message is None or self._owner.admits(message[-1]):
                 return message
-            self._refused.append(message)
+            self._refused.append((self._owner.now, message))
 
     def _next(self) -> Any:
         """Return the next decoded message, or None."""

@@ -28,9 +28,8 @@ def recorded(experiment):
     """Return the rig, and an experiment's recording on it."""
     rig = load_rig(CONFIG / "rig_paper_measured.yaml")
     spec = load_spec(CONFIG / "experiments" / f"{experiment}.yaml")
-    # The rig as it is has no delay; the coupling is the disturbance's.
-    coupling = tuple(use for use in spec.controller_rig.effects if use.name == "coupling_stiffness")
-    return rig, run_in_process(spec._replace(rig=rig, controller_rig=rig.with_effects(coupling)))
+    measured, believed = (rig.with_effects(of.effects) for of in (spec.rig, spec.controller_rig))
+    return rig, run_in_process(spec._replace(rig=measured, controller_rig=believed))
 
 
 def through_the_gate(experiment, parameters):

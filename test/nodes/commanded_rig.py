@@ -4,7 +4,6 @@ These tests are about time, so they run in real time, but at a pace a slow compu
 and all of the gate's times are longer in proportion.
 """
 
-import csv
 import json
 import signal
 import subprocess
@@ -17,17 +16,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from emulated_rig import ROOT, acknowledged, own_port
+from emulated_rig import ROOT, acknowledged, columns_of, own_port, trace_of
+from heard import Ear
 from patience import PATIENCE
+from policies.monitor import Verdict, check
+from policies.trace import Setup, Trace
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import LoaderState
+from ehls_ros.hardware.gate_bounds import bounds_of, within
+from ehls_ros.hardware.gate_parameters import Parameters as Gate
 from ehls_ros.hardware.safety_gate import STOP_TIME
+from ehls_ros.physics.rig import rig_from_mapping
 
 BRIDGE = "hardware_bridge_node"
-
-IN_FLIGHT = 2
-"""Commands from before the valve was closed that may arrive after it: one on the wire, one that the bridge is sending."""
 
 LATE = ("command_stale", "sensor_stale", "gap", "device_null")
 """Trips of a gate whose computer was held up for longer than it waits."""
@@ -92,12 +94,20 @@ class CommandedRig:
             **gate,
         }
         self.bridge_script, self.net = bridge, net
+        limits = within(Gate(), bounds_of(known := rig_from_mapping(rig, "measured.yaml"), pace.period))
+        self.setup = Setup(
+            pace.period,
+            known,
+            limits._replace(**{name: value for name, value in self.gate.items() if name in Gate._fields}),
+            pace.watchdog,
+        )
         self.stop = ""
+        self.ear = Ear(participant.node)
         self.states: list[Any] = participant.collect(LoaderState, "loader_state")
         self.diagnostics: list[Any] = participant.collect(DiagnosticArray, "/diagnostics")
         # The emulator last: it is waited for, and the others start meanwhile.
         self.start_bridge()
-        self.graph.run("commander", [str(Path(__file__).with_name("commander.py")), str(pace.period)])
+        self.start_commander("commander")
         self.start_emulator()
         participant.until(lambda: "up" in graph.log("commander"), PATIENCE)
         self.command(f"sine {AMPLITUDE} {FREQUENCY}")
@@ -115,12 +125,19 @@ class CommandedRig:
             self.emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
 
+    def start_commander(self, name: str) -> None:
+        self.graph.run(name, [str(Path(__file__).with_name("commander.py")), name, str(self.pace.period)])
+
+    @property
+    def bridge_parameters(self) -> dict[str, Any]:
+        """Parameters that a bridge is started with."""
+        return {"spec": self.spec, "bridge": self.wiring, "timing": "realtime", **self.gate}
+
     def start_bridge(self) -> None:
-        parameters = {"spec": self.spec, "bridge": self.wiring, "timing": "realtime", **self.gate}
         if not self.bridge_script:
-            self.bridge = self.graph.start(BRIDGE, **parameters)
+            self.bridge = self.graph.start(BRIDGE, **self.bridge_parameters)
             return
-        words = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+        words = [word for key, value in self.bridge_parameters.items() for word in ("-p", f"{key}:={value}")]
         self.bridge = self.graph.run(BRIDGE, [self.bridge_script, "--ros-args", *words])
 
     def restart_bridge(self) -> None:
@@ -129,15 +146,15 @@ class CommandedRig:
         self.start_bridge()
         self.participant.until(lambda: self.graph.log(BRIDGE).count(": up") > times_up)
 
-    def command(self, line: str) -> None:
-        """Tell the commander what to command."""
-        self.graph.tell("commander", line)
+    def command(self, line: str, commander: str = "commander") -> None:
+        """Tell a commander what to command."""
+        self.graph.tell(commander, line)
 
     def fault(self, line: str) -> float:
         """Put a fault into the emulated rig and return the time from which it acts [s]."""
         self.emulator.stdin.write(f"{line}\n".encode())
         self.emulator.stdin.flush()
-        return float(self.emulator.stdout.readline().split()[1])
+        return self.participant.journal.note("fault", line, float(self.emulator.stdout.readline().split()[1]))
 
     def live(self, seconds: float) -> None:
         """Let the rig run for a while by its own clock; it has no faults then."""
@@ -222,29 +239,23 @@ class CommandedRig:
         return said["message"]
 
     def finish(self) -> "Truth":
-        """Stop the emulator and return the valve's motion."""
-        columns = self.seen()
-        return truth_of(columns, self.pace)
+        """Stop the emulator, check all policies, and return the valve's motion."""
+        trace = self.trace()
+        return Truth(trace.moments, trace.command, self.pace.period, check(trace))
 
-    def seen(self) -> dict[str, np.ndarray]:
-        """Stop the emulator and return its log by column."""
+    def trace(self) -> Trace:
+        """Stop the emulator and return what happened."""
         self.emulator.send_signal(signal.SIGINT)
         output, _ = self.emulator.communicate(timeout=PATIENCE)
         self.counts = json.loads(output.splitlines()[-1])
-        with self.log.open(encoding="utf-8", newline="") as file:
-            header, *rows = csv.reader(file)
-        return dict(zip(header, np.array(rows, dtype=float).T, strict=True))
+        self.ear.listen()
+        return trace_of(self.setup, columns_of(self.log), self.ear, self.graph, self.participant)
 
     def close(self) -> None:
+        self.ear.close()
         if self.emulator.poll() is None:
             self.emulator.kill()
             self.emulator.communicate()
-
-
-def truth_of(columns: Mapping[str, np.ndarray], pace: Pace) -> "Truth":
-    """Return the valve's motion in the rig's log."""
-    sequence = columns["output_sequence"]
-    return Truth(columns["monotonic_s"], columns["valve_command_m"], np.diff(sequence, prepend=sequence[0]) != 0.0, pace)
 
 
 class Truth(NamedTuple):
@@ -253,14 +264,14 @@ class Truth(NamedTuple):
     Attributes:
         time: monotonic time of each of the rig's cycles [s].
         command: command that acted on the valve in that cycle [m].
-        arrived: whether the rig accepted a command in that cycle; if not, it held the last one.
-        pace: pace of the rig.
+        period: time of a cycle [s].
+        verdicts: of the policies, by name.
     """
 
     time: np.ndarray
     command: np.ndarray
-    arrived: np.ndarray
-    pace: Pace
+    period: float
+    verdicts: Mapping[str, Verdict]
 
     def between(self, since: float, until: float = np.inf) -> np.ndarray:
         """Return the commands of a period."""
@@ -270,39 +281,9 @@ class Truth(NamedTuple):
         """Return how long the valve stayed open after ``since``, looking up to ``until`` [s]."""
         rows = (self.time >= since) & (self.time < until)
         moving = self.time[rows][self.command[rows] != 0.0]
-        return float(moving[-1] - since) + self.pace.period if moving.size else 0.0
+        return float(moving[-1] - since) + self.period if moving.size else 0.0
 
-    def open_when_closed(self, since: float, until: float = np.inf) -> float:
-        """Return the largest command after the bridge has closed the valve [m], whenever rig and bridge get to run.
-
-        What the bridge sent before may arrive late, and the rig holds a command for its watchdog time. Neither counts.
-        """
-        rows = (self.time >= since) & (self.time < until)
-        times, arrived = self.time[rows], self.arrived[rows]
-        newest = np.maximum.accumulate(np.where(arrived, times, since))
-        before = (np.cumsum(arrived) <= IN_FLIGHT) & (times - newest <= self.pace.watchdog + self.pace.period)
-        return float(np.max(np.abs(self.command[rows][~before]), initial=0.0))
-
-    def openings(self, amplitude: float = COMMANDED) -> list[tuple[float, float]]:
-        """Return, for each opening after a lasting null, its time and the largest excess of the command over its ramp [m].
-
-        During the blend-in the command may not exceed the corresponding fraction of the amplitude [m], plus what the gate may
-        catch up in one step and what may be lost on the wire meanwhile.
-        """
-        found = []
-        for first in self._first_after_null():
-            rows = slice(first, first + round(self.pace.enable / self.pace.period) + 1)
-            since = self.time[rows] - self.time[first]
-            blended = np.minimum(1.0, (since + 3.0 * self.pace.period + self.pace.timeout) / self.pace.enable)
-            found.append((float(self.time[first]), float(np.max(np.abs(self.command[rows]) - blended * amplitude))))
-        return found
-
-    def _first_after_null(self) -> np.ndarray:
-        """Return the rows in which the valve opens after being closed for longer than a zero crossing of the sine."""
-        moving = np.flatnonzero(self.command)
-        lasting = max(20, round(0.05 / self.pace.period))
-        return moving[np.diff(moving, prepend=-lasting - 1) > lasting]
-
-    def largest_step_after_null(self) -> float:
-        """Return the largest first command after a lasting null [m]."""
-        return float(np.max(np.abs(self.command[self._first_after_null()]), initial=0.0))
+    def said_of(self, policy: str, since: float, until: float = np.inf) -> bool:
+        """Return whether a policy says something of a period."""
+        times = self.verdicts[policy].margins.time
+        return bool(np.any((times >= since) & (times < until)))

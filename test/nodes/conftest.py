@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from node_server import NodeServer
 from patience import PATIENCE
+from policies.trace import Call, Journal
 
 from ehls_ros.control.controllers import CONTROLLERS
 
@@ -61,6 +62,7 @@ class Graph:
     def __init__(self, folder: Path, server: NodeServer | None = None) -> None:
         self.folder, self._server = folder, server
         self.processes: dict[str, Any] = {}
+        self.journal = Journal()
 
     def start(self, name: str, *, remap: str = "", **parameters: Any) -> Any:
         arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
@@ -71,20 +73,29 @@ class Graph:
         """Start a Python process; ``before`` as for the server."""
         from ehls_ros.nodes.graph import graph_environment
 
+        began = time.monotonic()
         log, environment = self.folder / f"{name}.log", {"ROS_LOG_DIR": str(self.folder), **graph_environment()}
         if self._server is not None and self._server.serves(arguments, environment):
             log.touch()
             self.processes[name] = self._server.start(arguments, log, environment, before)
-            return self.processes[name]
-        with log.open("ab") as output:
-            self.processes[name] = subprocess.Popen(
-                [sys.executable, *arguments],
-                env=environment,
-                stdin=subprocess.PIPE,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-            )
+        else:
+            with log.open("ab") as output:
+                self.processes[name] = subprocess.Popen(
+                    [sys.executable, *arguments],
+                    env=environment,
+                    stdin=subprocess.PIPE,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                )
+        self.journal.note("started", name, began, self.processes[name].pid)
         return self.processes[name]
+
+    def note_ended(self) -> None:
+        """Note the processes that have ended since, without having been asked to."""
+        for name, process in self.processes.items():
+            ended = any(h.code == process.pid and h.what == "gone" for h in self.journal.happenings)
+            if process.poll() is not None and not ended:
+                self.journal.note("gone", name, code=process.pid)
 
     def limit_files(self, name: str, size: int) -> None:
         """Let no file that a process writes grow beyond ``size`` bytes from now on."""
@@ -99,23 +110,34 @@ class Graph:
     def kill(self, name: str) -> float:
         """Kill a process and return the monotonic time at which it was gone [s]."""
         process = self.processes.pop(name)
+        self.journal.note("stopped", name)
         process.kill()
         process.wait(PATIENCE)
-        return time.monotonic()
+        return self.journal.note("killed", name)
 
-    @staticmethod
-    def freeze(process: Any) -> float:
+    def freeze(self, process: Any) -> float:
         """Stop a process with SIGSTOP, and return the monotonic time at which all its threads had stopped [s]."""
         process.send_signal(signal.SIGSTOP)
         tasks = Path(f"/proc/{process.pid}/task")
         while any(_state_of(task) not in "TZX" for task in tasks.iterdir()):
             time.sleep(1e-4)
-        return time.monotonic()
+        return self.journal.note("frozen", self._name_of(process))
+
+    def wake(self, process: Any) -> float:
+        """Let a process go on that was stopped, and return the monotonic time before that [s]."""
+        woken = self.journal.note("woken", self._name_of(process))
+        process.send_signal(signal.SIGCONT)
+        return woken
+
+    def _name_of(self, process: Any) -> str:
+        return next((name for name, known in self.processes.items() if known is process), "another process")
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
         process = self.processes[name]
+        self.journal.note("stopped", name)
         process.send_signal(number)
         code = process.wait(PATIENCE)
+        self.journal.note("killed" if number == signal.SIGKILL else "ended", name, code=code)
         # One that hangs stays, and is killed after the test.
         del self.processes[name]
         return code
@@ -216,6 +238,7 @@ class Participant:
             context=self.context, domain_id=int(os.environ["ROS_DOMAIN_ID"]), signal_handler_options=SignalHandlerOptions.NO
         )
         self.node = rclpy.create_node("participant", context=self.context, namespace="ehls")
+        self.journal = Journal()
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
 
@@ -239,7 +262,8 @@ class Participant:
     def ask(self, kind: Any, service: str, request: Any) -> tuple[Any, bool]:
         """Do the same, and return as well whether an earlier request may have been followed whose answer got lost."""
         client = self.node.create_client(kind, service)
-        deadline = time.monotonic() + PATIENCE
+        sent = time.monotonic()
+        deadline = sent + PATIENCE
         wait = LOOK_AGAIN if kind.__name__.startswith(("Get", "List", "Describe")) else ASK_AGAIN
         asked: list[Any] = []
 
@@ -255,7 +279,15 @@ class Participant:
             self.until(lambda again=again: answers() or time.monotonic() > again)
             wait *= 2.0
         self.node.destroy_client(client)
-        return answers()[0], not asked[0].done()
+        repeated = not asked[0].done()
+        call = _call_of(service, request, sent, answers()[0])
+        # A refusal says nothing of an earlier request whose answer got lost.
+        self.journal.calls.append(call._replace(success=None) if repeated and not call.success else call)
+        return answers()[0], repeated
+
+    def note_unanswered(self, service: str, request: Any) -> None:
+        """Note a request whose answer nobody waits for; to be called before it is sent."""
+        self.journal.calls.append(_call_of(service, request, time.monotonic(), None))
 
     def change(self, node: str, transition: str) -> bool:
         """Request a lifecycle node's transition, by its label, and return whether it was made."""
@@ -302,6 +334,24 @@ class Participant:
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
+
+
+def _call_of(service: str, request: Any, sent: float, answer: Any) -> Call:
+    """Return the note of a request and its answer, None if there is none; a parameter is noted by name and value."""
+    fields = {name: getattr(request, name) for name in request.get_fields_and_field_types()}
+    if "transition" in fields:
+        fields["transition"] = request.transition.label
+    if "parameters" in fields and len(request.parameters) == 1:
+        from rclpy.parameter import parameter_value_to_python
+
+        [parameter] = request.parameters
+        with contextlib.suppress(RuntimeError):
+            fields |= {"name": parameter.name, "value": parameter_value_to_python(parameter.value)}
+    if answer is None:
+        return Call(service, fields, sent)
+    results = getattr(answer, "results", [answer])
+    success = all(getattr(result, "successful", getattr(result, "success", True)) for result in results)
+    return Call(service, fields, sent, time.monotonic(), success, getattr(answer, "message", ""))
 
 
 @pytest.fixture

@@ -13,10 +13,16 @@ from typing import Any
 
 import numpy as np
 import yaml
+from heard import Ear
 from patience import PATIENCE
+from policies.monitor import Verdict, check
+from policies.trace import Setup, Trace
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop
+from ehls_ros.experiments.spec import load_spec
+from ehls_ros.hardware.gate_bounds import bounds_of, within
+from ehls_ros.hardware.gate_parameters import Parameters as Gate
 from ehls_ros.physics.rig import SENSED
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,6 +53,30 @@ def acknowledged(participant: Any, stop: str) -> str:
     return "" if answer.success else engaged[1] if engaged else stop
 
 
+def columns_of(log: Path) -> dict[str, np.ndarray]:
+    """Return an emulator's log by column."""
+    with log.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    table = np.array(rows, dtype=float).reshape(-1, len(header))
+    return dict(zip(header, table.T, strict=True))
+
+
+def trace_of(setup: Setup, log: dict[str, np.ndarray], ear: Ear, graph: Any, participant: Any) -> Trace:
+    """Return a run's trace, of what was noted and heard."""
+    graph.note_ended()
+    journals = graph.journal, participant.journal
+    calls = [call for journal in journals for call in journal.calls]
+    happenings = [happening for journal in journals for happening in journal.happenings]
+    return Trace(
+        setup,
+        log,
+        tuple(sorted(calls, key=lambda call: call.answered)),
+        tuple(sorted(happenings, key=lambda happening: happening.time)),
+        ear.messages,
+        tuple(ear.reports),
+    )
+
+
 class EmulatedRig:
     """Emulator, bridge, reference and controller; the test itself is a further participant."""
 
@@ -59,6 +89,10 @@ class EmulatedRig:
         self.bridge = folder / "bridge.yaml"
         self.bridge.write_text(yaml.safe_dump(bridge), encoding="utf-8")
         self.wired = [signal for signal in SENSED if signal in bridge["channels"]]
+        rig, watchdog = load_spec(self.spec).rig, bridge["backend"]["watchdog"]
+        gate = within(Gate(), bounds_of(rig, PERIOD))._replace(enable_time=BLEND_IN)
+        self.setup = Setup(PERIOD, rig, gate, watchdog, lockstep=True)
+        self.ear = Ear(participant.node)
         self.emulators = 0
         self.stop = ""
         self.start("reference_node")
@@ -123,7 +157,7 @@ class EmulatedRig:
         told = self.emulator.stdout.readline().decode()
         word, when, what = told.split(maxsplit=2)
         assert (word, what.strip()) == ("fault:", line), told
-        return float(when)
+        return self.participant.journal.note("fault", line, float(when))
 
     def spoil_commands(self, mode: str) -> float:
         """Change what the node between controller and bridge does to the commands; return the time from which it does [s]."""
@@ -144,9 +178,19 @@ class EmulatedRig:
         output, _ = self.emulator.communicate(timeout=PATIENCE)
         return json.loads(output.splitlines()[-1]) if number == signal.SIGINT else {}
 
-    def seen(self) -> dict[str, np.ndarray]:
-        """Return the emulator's log by column."""
-        with self.log.open(encoding="utf-8", newline="") as file:
-            header, *rows = csv.reader(file)
-        table = np.array(rows, dtype=float).reshape(-1, len(header))
-        return dict(zip(header, table.T, strict=True))
+    def trace(self) -> Trace:
+        """Return what happened, once the emulator has stopped."""
+        self.ear.listen()
+        return trace_of(self.setup, columns_of(self.log), self.ear, self.graph, self.participant)
+
+    def judged(self) -> tuple[dict[str, np.ndarray], dict[str, Verdict]]:
+        """Check all policies, and return the emulator's log by column with their verdicts, once the emulator has stopped."""
+        trace = self.trace()
+        return dict(trace.log), check(trace)
+
+    def close(self) -> None:
+        """Kill what still runs of it."""
+        self.ear.close()
+        if self.emulator.poll() is None:
+            self.emulator.kill()
+            self.emulator.communicate()

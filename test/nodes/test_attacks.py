@@ -1,6 +1,6 @@
 """An attacked rig comes to rest: running processes over DDS and UDP, compared with the log of the valve's true motion.
 
-``pytest -s test/nodes/test_attacks.py | grep '^|'`` prints the table: time to null, and the largest step after a null.
+``pytest -s test/nodes/test_attacks.py | grep '^|'`` prints the table: time to null. All policies are checked in each test.
 """
 
 import signal
@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
-from commanded_rig import BRIDGE, COMMANDED, LATE, SLOW, CommandedRig
+from commanded_rig import BRIDGE, LATE, SLOW, CommandedRig
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from patience import PATIENCE
@@ -27,12 +27,6 @@ from ehls_ros.hardware.gate_parameters import Parameters as Gate
 from ehls_ros.hardware.packet import Codec, Kind, Packet
 from ehls_ros.hardware.safety_gate import DEAF, STOP_TIME
 from ehls_ros.nodes.transport import control_qos
-
-RAMPED = SLOW.ramp + 2.0 * SLOW.period
-"""Time of the gate's ramp, which begins and ends with a cycle [s]."""
-
-RESOLUTION = 1e-6
-"""Resolution of the converter, and rounding of times on a ramp [m]."""
 
 
 @pytest.fixture
@@ -49,20 +43,15 @@ def rig(one_realtime_graph, graph, participant, tmp_path):
         each.close()
 
 
-def tell(attack, null, step):
-    print(f"| {attack} | {1e3 * null:.0f} ms | {1e6 * step:.1f} um |")
+def tell(attack, null):
+    print(f"| {attack} | {1e3 * null:.0f} ms |")
 
 
-def judge(attack, truth, since, takes=0.0, until=np.inf):
-    """Check that the bridge closed the valve in time and kept it closed, and that it never opened faster than its ramp."""
+def judge(attack, truth, since, policy, until=np.inf):
+    """Check that a policy judged the valve after an attack; that it holds has been checked with all others."""
     assert np.any(truth.between(0.0, since)), "the valve was never open"
-    assert truth.between(since + takes, until).size, "the rig's log does not cover that time"
-    tell(attack, truth.time_to_null(since, until), truth.largest_step_after_null())
-    left = truth.open_when_closed(since + takes, until)
-    assert left == 0.0, f"{attack}: {left} m later than {takes} s"
-    for when, excess in truth.openings():
-        assert excess <= RESOLUTION, f"{attack}: {excess} m beyond the ramp at {when}"
-    assert np.max(np.abs(truth.command)) <= COMMANDED + RESOLUTION
+    assert truth.said_of(policy, since, until), f"{attack}: {policy} says nothing of that time"
+    tell(attack, truth.time_to_null(since, until))
 
 
 # What a client can send
@@ -107,7 +96,7 @@ def test_invalid_requests_are_refused_and_the_stop_still_works(rig):
     assert running.participant.set_parameter(BRIDGE, "force_error", 1000.0).successful
     stopped = running.emergency_stop()
     running.live(0.5)
-    judge("emergency stop after invalid requests", running.finish(), stopped)
+    judge("emergency stop after invalid requests", running.finish(), stopped, "emergency_stop")
 
 
 SABOTAGED = str(Path(__file__).with_name("sabotaged_bridge.py"))
@@ -124,31 +113,49 @@ def test_services_that_hang_close_the_valve(rig, graph):
     running = rig(bridge=SABOTAGED)
     sabotage(running, SetBool.Request(data=False))
     running.participant.until(lambda: "hangs" in graph.log(BRIDGE))
-    hung = time.monotonic()
+    hung = graph.journal.note("deaf", BRIDGE)
     running.live(DEAF + 1.5)
-    judge("services hang", running.finish(), hung, DEAF + 1.0)
+    judge("services hang", running.finish(), hung, "services_silent")
     assert graph.processes[BRIDGE].poll() is None
 
 
 def test_a_dead_service_thread_or_an_exception_in_the_loop_closes_the_valve_and_ends_the_process(rig, graph):
     running = rig(bridge=SABOTAGED)
+    graph.journal.note("stopped", BRIDGE)
     sabotage(running, SetBool.Request(data=True))
     assert running.bridge.wait(PATIENCE) == 1
-    ended = time.monotonic()
+    ended = graph.journal.note("ended", BRIDGE, code=1)
     running.live(3 * SLOW.watchdog)
     assert "service thread failed, so the node ends: SystemExit: 3" in graph.log(BRIDGE)
     running.restart_bridge()
     restarted = time.monotonic()
     running.open()
     running.live(0.3)
+    graph.journal.note("stopped", BRIDGE)
     assert running.ask(Trigger, "break_loop").success
-    raised = time.monotonic()
     assert running.bridge.wait(PATIENCE) == 1
+    raised = graph.journal.note("ended", BRIDGE, code=1)
     running.live(3 * SLOW.watchdog)
     assert "ZeroDivisionError" in graph.log(BRIDGE)
     truth = running.finish()
-    judge("services die", truth, ended, until=restarted)
-    judge("exception in the loop", truth, raised)
+    judge("services die", truth, ended, "end_of_process", restarted)
+    judge("exception in the loop", truth, raised, "end_of_process")
+
+
+def test_each_change_of_the_gate_is_reported_at_once_whatever_else_there_is_to_report(rig):
+    running = rig()
+    # From now on there are cycles without an answer to report.
+    running.command("mute")
+    running.participant.rest(3.0 * SLOW.period)
+    running.command("sine 1e-4 0.7")
+    for _ in range(5):
+        assert running.ask(SetBool, "enable", data=False).success
+        running.participant.rest(0.7)
+        running.ask(Trigger, "reset_trips")
+        running.enable()
+        running.participant.rest(0.7)
+    truth = running.finish()
+    assert truth.verdicts["changes_are_reported"].evaluated >= 5
 
 
 # The lifecycle
@@ -189,7 +196,7 @@ def test_outside_active_the_valve_is_at_null_and_returning_takes_reset_and_enabl
     assert not running.transition("activate")
     truth = running.finish()
     for labels, since, until in (*moments, ("shutdown", left, np.inf)):
-        judge(labels, truth, since, until=until)
+        judge(labels, truth, since, "outside_active", until)
 
 
 def test_the_end_of_the_process_closes_the_valve(rig, graph):
@@ -205,7 +212,7 @@ def test_the_end_of_the_process_closes_the_valve(rig, graph):
         running.live(0.3)
     truth = running.finish()
     for name, since, until in moments:
-        judge(name, truth, since, until=until)
+        judge(name, truth, since, "killed" if name == "SIGKILL" else "end_of_process", until)
 
 
 # Gaps
@@ -215,38 +222,37 @@ def test_after_a_freeze_or_a_lost_link_the_valve_stays_at_null(rig, graph):
     running = rig()
     moments = []
 
-    def trial(what, cause, seconds, line="clear", frozen=None):
+    def trial(what, cause, seconds, policy, line="clear", frozen=None):
         since = running.fault(line) if frozen is None else graph.freeze(frozen)
         # The rig, too, must have run for that long; it tells its time with every fault.
         while running.fault(line) < since + seconds:
             running.participant.rest(SLOW.period)
         running.fault("clear")
         if frozen is not None:
-            frozen.send_signal(signal.SIGCONT)
+            graph.wake(frozen)
         # Where this computer was late, that is the cause.
         expected = tuple(f"tripped by {cause}" for cause in (cause, "gap", "device_null"))
         assert any(words in running.tripped() for words in expected), what
         running.live(0.3)
-        moments.append((what, since, time.monotonic()))
+        moments.append((what, since, policy, time.monotonic()))
         running.open()
         running.live(0.3)
 
-    trial("bridge frozen for 1 s", "gap", 1.0, frozen=running.bridge)
-    trial("bridge frozen for 220 ms", "device_null", 0.22, frozen=running.bridge)
+    trial("bridge frozen for 1 s", "gap", 1.0, "gap", frozen=running.bridge)
+    trial("bridge frozen for 220 ms", "device_null", 0.22, "device_null", frozen=running.bridge)
     # A packet with a NaN is refused entirely.
-    trial("sensor: nan force", "sensor_stale", 0.5, "nan force")
-    trial("sensor: nan position", "sensor_stale", 0.5, "nan position")
-    trial("link to the target lost for 300 ms", "device_null", 0.3, "deaf")
-    trial("link from the target lost for 500 ms", "sensor_stale", 0.5, "silent")
+    trial("sensor: nan force", "sensor_stale", 0.5, "no_measurement", "nan force")
+    trial("sensor: nan position", "sensor_stale", 0.5, "no_measurement", "nan position")
+    trial("link to the target lost for 300 ms", "device_null", 0.3, "device_null", "deaf")
+    trial("link from the target lost for 500 ms", "sensor_stale", 0.5, "no_measurement", "silent")
     graph.freeze(running.emulator)
     time.sleep(1.0)
-    running.emulator.send_signal(signal.SIGCONT)
-    woken = time.monotonic()
+    woken = graph.wake(running.emulator)
     running.tripped()
     running.live(1.0)
     truth = running.finish()
-    for what, since, until in (*moments, ("target frozen for 1 s", woken, np.inf)):
-        judge(what, truth, since, max(SLOW.watchdog, SLOW.timeout) + RAMPED, until)
+    for what, since, policy, until in (*moments, ("target frozen for 1 s", woken, "latched", np.inf)):
+        judge(what, truth, since, policy, until)
 
 
 def test_corrupted_lost_duplicated_and_reordered_packets_are_refused_and_counted(rig):
@@ -258,7 +264,7 @@ def test_corrupted_lost_duplicated_and_reordered_packets_are_refused_and_counted
     truth = running.finish()
     assert running.counts["refused_tag"] > 0
     assert running.counts["order"] > 0
-    judge("packets corrupted, lost, duplicated, reordered (5 % each), then a stop", truth, stopped, 3.0 * SLOW.period)
+    judge("packets corrupted, lost, duplicated, reordered (5 % each), then a stop", truth, stopped, "emergency_stop")
 
 
 # Attacks that end no process, on one rig
@@ -275,8 +281,8 @@ def test_parameters_slow_controllers_spam_and_forged_messages_take_no_protection
         slow_the_controller(running),
     ]
     truth = running.finish()
-    for attack, since, takes, until in moments:
-        judge(attack, truth, since, takes, until)
+    for attack, since, policy, until in moments:
+        judge(attack, truth, since, policy, until)
     _, stopped, _, until = moments[1]
     assert until - stopped > STOP_TIME
     assert np.any(truth.between(until))
@@ -305,7 +311,7 @@ def weaken_the_gate(running):
         assert accepted(name, value), name
     said = running.said()
     assert sum(line.endswith("s") and "(weaker)" in line for key, line in said.items() if key.startswith("change_")) >= 4
-    moment = "gate disabled for weaker parameters", closed, RAMPED, time.monotonic()
+    moment = "gate disabled for weaker parameters", closed, "disable", time.monotonic()
     for name, _ in weaker:
         assert accepted(name, running.gate.get(name, DEFAULTS[name])), name
     running.open()
@@ -324,6 +330,7 @@ def spam_resets_and_enables(running):
     sent = 0
     while sent <= 20 or time.monotonic() < stopped + 2.0:
         for client, request in zip(clients, requests, strict=True):
+            running.participant.note_unanswered(client.srv_name.rpartition("/")[2], request)
             client.call_async(request)
         sent += 1
         running.participant.rest(2e-3)
@@ -332,7 +339,7 @@ def spam_resets_and_enables(running):
     assert not early.success
     running.open()
     running.live(0.3)
-    return f"{sent} resets and enables within {until - stopped:.1f} s of a stop", stopped, 0.0, until
+    return f"{sent} resets and enables within {until - stopped:.1f} s of a stop", stopped, "emergency_stop", until
 
 
 def forge_snapshots_and_measurements(running):
@@ -352,7 +359,7 @@ def forge_snapshots_and_measurements(running):
     running.bears(forge)
     stopped = running.emergency_stop()
     running.live(0.3)
-    return "forged snapshots and measurements, then a stop", stopped, 0.0, time.monotonic()
+    return "forged snapshots and measurements, then a stop", stopped, "emergency_stop", time.monotonic()
 
 
 def slow_the_controller(running):
@@ -364,4 +371,4 @@ def slow_the_controller(running):
     running.restart_bridge()
     # In a window without any answer, as where this computer is late, the controller counts as missing instead.
     running.participant.until(lambda: running.enable().message.startswith("too slow: "))
-    return "controller too slow for a new bridge", closed, 0.0, np.inf
+    return "controller too slow for a new bridge", closed, "end_of_process", np.inf

@@ -109,6 +109,7 @@ class Trial:
     def run(self, cycles):
         """Let the rig run for some cycles that begin after this call."""
         states, known, called = self.rig.states, len(self.rig.states), time.time_ns()
+        self.rig.ear.listen()
         self.rig.participant.until(lambda: len(states.after(called, known)) >= cycles)
 
     def told(self, words):
@@ -139,7 +140,7 @@ class Trial:
     def finish(self):
         """Stop the rig and check the valve's motion; return the emulator's counts."""
         counts = self.rig.stop_emulator()
-        seen = self.rig.seen()
+        seen, _ = self.rig.judged()
         command, clock = seen["valve_command_m"], seen["monotonic_s"]
         assert len(command) >= BLENDED_IN
         assert np.all(np.isfinite(command))
@@ -176,9 +177,7 @@ def trial(graph, participant, tmp_path):
 
     yield start
     for rig in started:
-        if rig.emulator.poll() is None:
-            rig.emulator.kill()
-            rig.emulator.communicate()
+        rig.close()
 
 
 def test_controller_and_reference_freeze_die_and_return(trial, graph):
@@ -189,7 +188,7 @@ def test_controller_and_reference_freeze_die_and_return(trial, graph):
         "controller frozen",
         lambda: graph.freeze(controller),
         GATE.command_timeout,
-        lambda: controller.send_signal(signal.SIGCONT),
+        lambda: graph.wake(controller),
         cycles=AFTER_CUT,
     )
     running.trips_it(
@@ -257,7 +256,7 @@ def test_the_rig_gone_and_back(trial, graph):
     back = time.monotonic()
     running.enable()
     running.finish()
-    seen = running.rig.seen()
+    seen, _ = running.rig.judged()
     assert not np.any(seen["valve_command_m"][seen["monotonic_s"] < back])
     assert all(graph.processes[name].poll() is None for name in (CONTROLLER, BRIDGE, REFERENCE))
     running.tell("rig gone and back", "null until reset and enabled")

@@ -97,6 +97,21 @@ def test_a_second_reference_is_refused_and_taken_only_after_the_first_has_left(s
     participant.until(lambda: two.follows(-FORCE))
 
 
+def test_what_was_refused_does_not_count_once_its_sender_has_left(sources):
+    two, participant = sources, sources.participant
+    two.second("reference_node", "reference_node_2")
+    participant.until(lambda: two.is_refused("reference_node_2", "/ehls/reference_node-"))
+    participant.until(lambda: participant.state_of("reference_node_2") == "inactive")
+    # The second one owns nothing, although what it sent was kept.
+    for transition in ("deactivate", "activate"):
+        assert participant.change("reference_node", transition)
+    two.states.clear()
+    participant.until(lambda: two.follows(FORCE))
+    assert participant.state_of("reference_node") == "active"
+    assert max(abs(state.force - FORCE) for state in two.states) < FOLLOWED
+    assert "is refused" not in two.graph.log("reference_node")
+
+
 def test_a_programme_beside_a_reference_does_not_begin(sources):
     two, participant = sources, sources.participant
     file = two.folder / "programme.yaml"
@@ -136,3 +151,6 @@ def test_a_reference_that_was_killed_is_replaced_by_one_of_another_name(sources)
     two.graph.kill("reference_node")
     two.second("reference_node", "reference_node_2")
     participant.until(lambda: two.follows(-FORCE))
+    # It was not refused in the name of the one that was killed.
+    assert participant.state_of("reference_node_2") == "active"
+    assert "is refused" not in two.graph.log("reference_node_2")

@@ -19,12 +19,14 @@ class ToldNode(NamedTuple):
     """A node that answers one topic with valve commands.
 
     Attributes:
+        node: the rclpy node.
         inbox: messages of its topic.
         outbox: its valve commands.
         told: returns the last line read.
         stopping: set by SIGINT.
     """
 
+    node: Any
     inbox: Inbox
     outbox: Outbox
     told: Callable[[], str]
@@ -40,7 +42,7 @@ def told_node(name: str, message: Any, topic: str, first: str) -> Iterator[ToldN
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name, namespace="ehls")
     inbox, outbox = Inbox(node, message, topic), Outbox(node, ValveCommand, "valve_command", sender=name)
-    yield ToldNode(inbox, outbox, lambda: lines[-1], stopping)
+    yield ToldNode(node, inbox, outbox, lambda: lines[-1], stopping)
     inbox.destroy()
     outbox.destroy()
     node.destroy_node()

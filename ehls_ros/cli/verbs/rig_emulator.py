@@ -94,7 +94,9 @@ def run(options: Namespace) -> int:
     parameters = bridge.parameters
     opened = bound_socket(parameters.host, parameters.port if options.port is None else options.port)
     with opened:
-        wire = Wire(opened) if impairments == Impairments() else BadWire(opened, impairments, period, seed)
+        # A fault may delay packets.
+        is_good = options.lockstep or (impairments == Impairments() and not options.faults_from_stdin)
+        wire = Wire(opened) if is_good else BadWire(opened, impairments, period, seed)
         output = bridge.calibration.output
         target = Target(codec(parameters), period, output.offset)
         kind = DISTURBANCES.load(spec.disturbance.name)
