@@ -95,7 +95,7 @@ def messages(cycles: int, seed: int) -> list[tuple[str, int, bytes]]:
     signals = {name: draw.normal(size=cycles) for name in SIGNALS}
     signals["friction_elements_n"] = draw.normal(size=(cycles, 4))
     signals["friction_slipping"] = draw.integers(0, 2, (cycles, 4)).astype(float)
-    signals["saturated"] = signals["friction_fallback"] = draw.integers(0, 2, cycles).astype(float)
+    signals["saturated"] = signals["at_bound"] = signals["friction_fallback"] = draw.integers(0, 2, cycles).astype(float)
     signals["response_s"] = draw.integers(10**5, 10**6, cycles) / 1e9
     trajectory = Trajectory(START_NS / 1e9 + 1e-3 * np.arange(cycles, dtype=np.float64), signals, {})
     sent = [

@@ -23,6 +23,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.friction_estimator import FrictionEstimator
+from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.experiments.loop import sampled, simulator_of
 from ehls_ros.experiments.spec import Spec, chosen_spec
 from ehls_ros.physics import sensors
@@ -59,7 +60,8 @@ class Contestant(NamedTuple):
     def controller(self, spec: Spec) -> Controller:
         """Return it ready to run."""
         values = {name: float(value) for name, _, value in (word.partition("=") for word in self.tuning.split())}
-        parameters = parse(CONTROLLERS.load(self.law).Parameters, values, str(self))
+        declared = CONTROLLERS.load(self.law).Parameters
+        parameters = parse(declared, values, str(self), defaults_for(declared, spec.controller_rig))
         return Controller(self.law, parameters, model_of(spec.controller_rig, spec.settings.control_period))
 
 

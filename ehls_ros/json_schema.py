@@ -70,7 +70,7 @@ def _with_note(schema: Schema, note: Note) -> Schema:
     if note.choices:
         own["enum"] = list(note.choices)
     if note.description:
-        schema["description"] = note.description + (f" [{note.unit}]" if note.unit else "")
+        schema["description"] = note.text
     if note.typical is not None:
         schema["examples"] = [note.typical]
     return schema

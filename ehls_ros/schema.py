@@ -26,6 +26,12 @@ class Note(NamedTuple):
     above: float | None = None
     choices: tuple[str, ...] = ()
     typical: Any = None
+    scale: str = ""
+
+    @property
+    def text(self) -> str:
+        """Description and unit, and what the default follows from; the empty text where nothing is declared."""
+        return _described(self.description, self.unit, self.scale) if self.description else ""
 
     def explained(self) -> str:
         """Return description, unit, range and a typical value in brackets; the empty text where nothing is declared."""
@@ -36,6 +42,11 @@ class Note(NamedTuple):
         span = "" if low is None or self.maximum is None else f", {low:g} to {self.maximum:g}"
         typical = "" if self.typical is None else f", such as {plain_text(self.typical)}"
         return f" ({self.description}{unit}{span}{typical})"
+
+
+def _described(description: str, unit: str, scale: str) -> str:
+    origin = f"; default in proportion to the rig's {scale}" if scale else ""
+    return description + (f" [{unit}]" if unit else "") + origin
 
 
 def plain_text(value: float | tuple[float, ...]) -> str:
@@ -68,6 +79,7 @@ def quantity(
     maximum: float | None = None,
     above: float | None = None,
     typical: float | None = None,
+    scale: str = "",
 ) -> Note:
     """Declare a number with a unit, for ``Annotated[float, ...]``.
 
@@ -78,8 +90,10 @@ def quantity(
         maximum: largest accepted value.
         above: the value must be larger than this.
         typical: a usual value, for errors and for who has none.
+        scale: quantities of the rig in proportion to which the default is chosen, such as ``force`` or ``1 / pressure``; the
+            declared default is the one for the paper's rig.
     """
-    return Note(description, unit, minimum, maximum, above, typical=typical)
+    return Note(description, unit, minimum, maximum, above, typical=typical, scale=scale)
 
 
 def text(description: str, unit: str = "", choices: Sequence[str] = (), typical: tuple[float, ...] | None = None) -> Note:
@@ -104,6 +118,12 @@ class Declaration(NamedTuple):
     minimum: float | None
     maximum: float | None
     description: str
+    scale: str
+
+    @property
+    def text(self) -> str:
+        """Description and unit, and what the default follows from."""
+        return _described(self.description, self.unit, self.scale)
 
 
 class Field(NamedTuple):
@@ -137,7 +157,42 @@ def declarations(parameters: type) -> Iterator[Declaration]:
     defaults: Mapping[str, Any] = getattr(parameters, "_field_defaults", {})
     for name, (kind, note) in fields_of(parameters).items():
         low = note.above if note.minimum is None else note.minimum
-        yield Declaration(name, kind, defaults.get(name), note.unit, low, note.maximum, note.description)
+        yield Declaration(name, kind, defaults.get(name), note.unit, low, note.maximum, note.description, note.scale)
+
+
+def scaled_defaults(
+    parameters: type, ratios: Mapping[str, float], stated: Mapping[str, Any] = MappingProxyType({})
+) -> dict[str, Any]:
+    """Return the defaults that follow from a rig, by name.
+
+    Args:
+        parameters: a ``NamedTuple`` class whose fields carry :func:`quantity`.
+        ratios: size of each of the rig's quantities over that for which defaults are declared.
+        stated: defaults in place of the declared ones, for the same rig.
+
+    Returns:
+        A value for each field with a ``scale``, within its range, and those of ``stated``.
+    """
+    scaled = dict(stated)
+    for declared in declarations(parameters):
+        default = stated.get(declared.name, declared.default)
+        if declared.scale and default is not None:
+            value = default * _ratio(declared.scale, ratios)
+            low, high = declared.minimum, declared.maximum
+            value = value if low is None else max(value, low)
+            scaled[declared.name] = value if high is None else min(value, high)
+    return scaled
+
+
+def _ratio(scale: str, ratios: Mapping[str, float]) -> float:
+    """Return a product of ratios, such as ``mass * pressure`` or ``1 / force``."""
+    ratio, times = 1.0, True
+    for word in scale.split():
+        if word in {"*", "/"}:
+            times = word == "*"
+        elif word != "1":
+            ratio = ratio * ratios[word] if times else ratio / ratios[word]
+    return ratio
 
 
 def parse(
@@ -150,7 +205,7 @@ def parse(
         data: the user's values. An int is accepted for a float, and a float without a fraction for an int; nothing else
             is converted: YAML's ``yes`` is not 1, and a quoted number is text.
         where: file and section, for the error.
-        absent: values of keys that may be missing although they have no default.
+        absent: values of keys that may be missing, in place of their defaults.
 
     Returns:
         The parameter set.

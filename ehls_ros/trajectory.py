@@ -70,6 +70,7 @@ SIGNALS: dict[str, Signal] = {
     "force_error_n": Signal("force error", "N"),
     "force_bound_n": Signal("bound (44) of the force error", "N"),
     "saturated": Signal("valve command at its limit", "1"),
+    "at_bound": Signal("estimate of the controller at its bound", "1"),
     "friction_fallback": Signal("static friction used instead", "1"),
     # timing of the loop
     "response_s": Signal("snapshot to command", "s"),

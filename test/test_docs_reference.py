@@ -59,7 +59,8 @@ def test_every_node_message_and_signal_is_there(reference: ModuleType) -> None:
 def test_a_table_shows_required_parameters_and_ranges(reference: ModuleType) -> None:
     page = reference.parameters_page()
     assert "| `supply_pressure` | required | Pa |" in page
-    assert "| `k` | 12 | MPa/s | 0.1 … 1000 |" in page
+    assert "| `k` | 12 × pressure | MPa/s | 0.1 … 1000 |" in page
+    assert "| `phi1` | 0.001 × 1 / force / pressure / compression |" in page
     assert "| `spacing` | linear | – | linear, log |" in page
 
 

@@ -222,12 +222,19 @@ def verbs(top: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentParser]
     return next(dict(action.choices) for action in actions if isinstance(action, argparse._SubParsersAction))  # noqa: SLF001
 
 
+PARAMETERS = (
+    "# Parameters\n\nThe keys of YAML files, in SI units unless noted. A default such as 5500 × force is that for the paper's"
+    " rig; on another it is multiplied by the ratio of the two rigs' [quantities](../design.md#parameters).\n"
+)
+"""Heading of the page."""
+
+
 # --- parameters -------------------------------------------------------------------------------------------------------
 
 
 def parameters_page() -> str:
     """Return the tables of all keys of YAML files."""
-    parts = ["# Parameters\n\nThe keys of YAML files, in SI units unless noted.\n"]
+    parts = [PARAMETERS]
     for title, sets in FILES.items():
         parts.append(f"## {title}\n")
         parts += [text_of(Section(name, "", declared, Path(module.__file__ or ""))) for name, declared, module in sets]
@@ -269,7 +276,7 @@ def shown_default(parameters: Any, declared: Declaration) -> str:
         return "required"
     default = declared.default
     if isinstance(default, float):
-        return f"{default:g}"
+        return f"{default:g} × {declared.scale}" if declared.scale else f"{default:g}"
     if isinstance(default, tuple):
         return f"[{', '.join(f'{value:g}' for value in default)}]"
     if isinstance(default, bool):

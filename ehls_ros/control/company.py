@@ -22,6 +22,11 @@ class Company:
         """Tell whether there is any."""
         return bool(self.members)
 
+    @property
+    def corrects(self) -> bool:
+        """Whether a companion hands the law another model of the rig."""
+        return any(getattr(member, "corrects", False) for member in self.members.values())
+
     def prepare(self) -> None:
         """Compile, or load, all that the cycles need; nothing else changes."""
         for member in self.members.values():
@@ -57,6 +62,10 @@ class Company:
         """Tell all that what is half learnt does not count."""
         for member in self.members.values():
             member.interrupt()
+
+    def at_bounds(self) -> tuple[str, ...]:
+        """Return a sentence for each estimate of a companion that stands at its bound."""
+        return tuple(sentence for member in self.members.values() for sentence in member.at_bounds())
 
     def report(self) -> dict[str, float | str]:
         """Return figures and sentences, each under its companion's name."""

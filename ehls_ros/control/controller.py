@@ -1,20 +1,26 @@
-"""A controller ready to run: its law compiled, its memory, and a change of tuning or of controller without a bump."""
+"""A controller ready to run: its law compiled, its memory, and a change of tuning, rig or controller without a bump."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array, direct, plain
+from ehls_ros.control.adaptation.acceptance import NO_SIZES, WHERE, Transition, with_own_sensors
+from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
 from ehls_ros.control.company import Company
 from ehls_ros.control.composition import controller_kernel
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, Model
+from ehls_ros.errors import BadInput
 
 BUMP_TIME = 0.02
 """Time constant of the change of command from the old tuning, or the old controller, to the new [s]."""
+
+CAUTION = adaptation.caution_of(adaptation.Parameters())
+"""How far and how fast the model may change to that of an accepted rig: as adaptation may move it."""
 
 
 class Outlook(NamedTuple):
@@ -59,13 +65,14 @@ class Controller:
         self._step = compiled.step
         self._follow: Callable[[float, float, Array], float] | None = getattr(compiled, "follow", None)
         self.parameters = parameters
-        self.model = model
+        self.model = self._original = model
+        self._transition: Transition | None = None
         self.company = Company({}) if company is None else company
         self.uses_friction = self._law.FRICTION
         self.status = np.zeros(STATUS_SIZE)
         self._bump = 0.0
         self._own = math.nan
-        self._previous: tuple[Any, Model] | None = None
+        self._previous: Any = None
         self._fade = math.exp(-model.period / BUMP_TIME)
         self._row = np.full(ROW, np.nan)
         self._nowhere, self._unknown = np.full(PLACE, np.nan), np.full(FORESEEN, np.nan)
@@ -97,23 +104,31 @@ class Controller:
         The law uses the new tuning at once; the jump of the command that the change alone would cause is subtracted
         and fades with :data:`BUMP_TIME`.
         """
-        self._keep_previous()
+        if self._previous is None:
+            self._previous = self.parameters
         self.parameters = parameters
         self._bind()
 
-    def adopt(self, model: Model) -> None:
-        """Know the rig otherwise from the next step on, likewise without a bump.
+    def accept(self, model: Model, sizes: Mapping[str, float] = NO_SIZES) -> float:
+        """Change the model to that of an accepted rig from the next step on, within the bounds and at the rate of adaptation.
 
         Args:
-            model: the rig as it is now known; companions keep what they were made with.
-        """
-        self._keep_previous()
-        self.model = model
-        self._bind()
+            model: of the accepted rig; companions keep the one that they were made with.
+            sizes: what changes are relative to, by name, of coefficients that may be about zero, such as a leakage.
 
-    def _keep_previous(self) -> None:
-        if self._previous is None:
-            self._previous = self.parameters, self.model
+        Returns:
+            The duration of the change [s].
+
+        Raises:
+            BadInput: it is another rig, or differs from the one that the controller was started with by more than adaptation
+                may change; or a companion corrects the model already. Nothing changes then.
+        """
+        if self.company.corrects:
+            expected = "a controller without it: both would move the same coefficients"
+            raise BadInput("a companion corrects the model", WHERE, expected)
+        wanted = with_own_sensors(self._original, model)
+        self._transition = Transition(self._original, self.model, wanted, CAUTION, sizes)
+        return self._transition.duration
 
     def step(
         self,
@@ -161,12 +176,15 @@ class Controller:
 
     def _step_alone(self, measured: Array, friction: Array, elapsed: int) -> float:
         """Return the law's command [m] for the row of what it follows, without a bump after a change of tuning."""
+        if self._transition is not None:
+            self.model = self._transition.after(elapsed * self.model.period)
+            if self._transition.complete:
+                self._transition = None
         model = self.model if elapsed == 1 else self.model._replace(period=elapsed * self.model.period)
         old: float | None = None
         if self._previous is not None:
-            parameters, known = self._previous
             trial = self._memory.copy()
-            old = self._step(measured, self._row, friction, parameters, known._replace(period=model.period), trial, self.status)
+            old = self._step(measured, self._row, friction, self._previous, model, trial, self.status)
             self._previous = None
         command: float = self._direct(measured, self._row, friction, self.parameters, model, self._memory, self.status)
         self._bump *= self._fade**elapsed

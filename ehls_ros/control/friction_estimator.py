@@ -6,6 +6,7 @@ from ehls_ros.arrays import Array, direct
 from ehls_ros.control.composition import observer_kernel
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS
+from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.control.serving import check_serves
 from ehls_ros.physics.rig import Rig
 
@@ -20,7 +21,7 @@ class FrictionEstimator:
             name: file name of the observer.
             rig: the rig as identified, for its friction.
             period: time between updates [s].
-            parameters: its parameters; None: the declared defaults.
+            parameters: its parameters; None: the defaults for the rig.
 
         Raises:
             BadInput: the observer does not serve the rig's friction model.
@@ -30,7 +31,7 @@ class FrictionEstimator:
         self._update = observer_kernel(name, rig.friction_model).update
         self._rig = rig
         self.period = period
-        self.parameters = parameters if parameters is not None else self._observer.Parameters()
+        self.parameters = tuned_for(self._observer.Parameters, rig) if parameters is None else parameters
         self.reset()
         self._direct = direct(self._update, 0.0, period, rig.friction, self.parameters, self.state)
         for velocity in (0.0, 1e-3):

@@ -45,7 +45,10 @@ STEEPEST = 3.0
 
 
 Slope = Annotated[
-    float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
+    float,
+    quantity(
+        "MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3, scale="pressure"
+    ),
 ]
 RateWeight = Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)]
 ReachingRate = Annotated[float, quantity("1/s", "rate at which s is removed", minimum=0.0, maximum=1e6)]

@@ -26,6 +26,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, apart, copy, kernel
 from ehls_ros.control.controllers.base import Model
+from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_PRESSURE, PAPER_SPEED, largest_force, largest_speed
 from ehls_ros.physics import sensors
 from ehls_ros.physics.beam import applied_force
 from ehls_ros.physics.cylinder import load_pressure_rate
@@ -72,25 +73,42 @@ MEMORY_SIZE = 1 + 2 * (_LENGTH + MOST_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + ST
 
 MotionNoise = Annotated[
     float,
-    quantity("N s^1/2", "force missing in the model of the motion, root of its spectral density", minimum=0.0, maximum=1e6),
+    quantity(
+        "N s^1/2",
+        "force missing in the model of the motion, root of its spectral density",
+        minimum=0.0,
+        maximum=1e6,
+        scale="force",
+    ),
 ]
 OilNoise = Annotated[
     float,
     quantity(
-        "Pa/s^1/2", "pressure rate missing in the model of the flow, root of its spectral density", minimum=0.0, maximum=1e9
+        "Pa/s^1/2",
+        "pressure rate missing in the model of the flow, root of its spectral density",
+        minimum=0.0,
+        maximum=1e9,
+        scale="pressure",
     ),
 ]
 ValveNoise = Annotated[
     float,
-    quantity("m/s^1/2", "spool rate missing in the model of the valve, root of its spectral density", minimum=0.0, maximum=1.0),
+    quantity(
+        "m/s^1/2",
+        "spool rate missing in the model of the valve, root of its spectral density",
+        minimum=0.0,
+        maximum=1.0,
+        scale="spool",
+    ),
 ]
 GainNoise = Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", minimum=0.0, maximum=1e3)]
 DischargeNoise = Annotated[float, quantity("1/s^1/2", "noise of the discharge coefficient", minimum=0.0, maximum=1e3)]
 LeastOpening = Annotated[
-    float, quantity("m", "opening from which the flow tells of the discharge coefficient", minimum=0.0, maximum=1.0)
+    float,
+    quantity("m", "opening from which the flow tells of the discharge coefficient", minimum=0.0, maximum=1.0, scale="spool"),
 ]
-FlowNoise = Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12)]
-OffsetNoise = Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6)]
+FlowNoise = Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12, scale="pressure")]
+OffsetNoise = Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6, scale="force")]
 
 
 class Assumptions(NamedTuple):
@@ -394,33 +412,36 @@ def correct(reading: float, signal: int, scale: float, offset: float, noise: flo
 
 
 FIRST_VELOCITY = 0.01
-"""Standard deviation of the velocity at the first measurement [m/s]."""
+"""Standard deviation of the velocity at the first measurement on the paper's rig [m/s], in proportion to the rig's speed."""
 
 FIRST_FORCE, FIRST_FORCE_RATE, FIRST_FORCE_CURVATURE = 1e3, 1e5, 1e6
-"""Standard deviations of the external force about balance [N], and of its rates [N/s, N/s^2]."""
+"""Standard deviations of the external force about balance [N], and of its rates [N/s, N/s^2], likewise to its force."""
 
 FIRST_GAIN, FIRST_DISCHARGE, FIRST_FLOW, FIRST_OFFSET = 0.1, 0.1, 1e7, 100.0
-"""Standard deviations of the errors of valve gain and discharge coefficient [1], flow [Pa/s] and load cell [N]."""
+"""Standard deviations of the errors of valve gain and discharge coefficient [1], flow [Pa/s], likewise to its supply pressure,
+and load cell [N], to its force."""
 
 
 @apart
 def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
     """Start at rest from the first measurement, with the external force that balances it."""
     plant, y, covariance = model.plant, state.mean, state.covariance
+    force, pressure = largest_force(plant) / PAPER_FORCE, plant.supply_pressure / PAPER_PRESSURE
+    speed = largest_speed(plant, model.spool_limit) / PAPER_SPEED
     y[X], y[PL], y[XV] = measured[sensors.POSITION], measured[sensors.LOAD_PRESSURE], measured[sensors.SPOOL]
     y[EXTERNAL] = applied_force(y[X], 0.0, y[PL], 0.0, -p.coupling_stiffness * y[X], plant)
     deviations = (
         p.position_noise,
-        FIRST_VELOCITY,
+        FIRST_VELOCITY * speed,
         p.pressure_noise,
         p.spool_noise,
-        FIRST_FORCE,
-        FIRST_FORCE_RATE,
-        FIRST_FORCE_CURVATURE,
+        FIRST_FORCE * force,
+        FIRST_FORCE_RATE * force,
+        FIRST_FORCE_CURVATURE * force,
         FIRST_GAIN,
         FIRST_DISCHARGE,
-        FIRST_FLOW,
-        FIRST_OFFSET,
+        FIRST_FLOW * pressure,
+        FIRST_OFFSET * force,
     )
     for i in range(STATES):
         covariance[i, i] = deviations[i] ** 2

@@ -8,12 +8,14 @@ Time is counted in passes of the server's loop, a second or more apart, so that 
 """
 
 import asyncio
+import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum, auto
 from typing import Any
 
+import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 PER_PEER = 16
@@ -27,6 +29,16 @@ PER_PAGE = 2
 
 PASS = 1.0
 """Time between two passes [s]."""
+
+LONGEST_HEAD = 16 * 1024
+"""Size of the largest request line and headers [B]."""
+
+_BLANK_LINE = re.compile(rb"\n\r?\n")
+
+_TOO_LARGE = (
+    b"HTTP/1.1 431 Request Header Fields Too Large\r\ncontent-type: text/plain; charset=utf-8\r\nconnection: close\r\n\r\n"
+    b"request line and headers may have %d bytes\n" % LONGEST_HEAD
+)
 
 
 class State(Enum):
@@ -52,13 +64,21 @@ class Connections:
         self._open: dict[Address, _Connection] = {}
 
     def protocol(self) -> type[asyncio.Protocol]:
-        """Return a protocol class that registers its connections here; h11 limits the size of request headers."""
+        """Return a protocol class that registers its connections here and limits the size of request headers."""
         connections = self
 
         class Protocol(H11Protocol):
             def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
                 connections.opened(transport)
                 super().connection_made(transport)
+
+            def handle_events(self) -> None:
+                # h11 has a limit for incomplete heads only: one that comes complete in a single read would pass.
+                if self.conn.their_state is h11.IDLE and _head_size(self.conn.trailing_data[0]) > LONGEST_HEAD:
+                    self.transport.write(_TOO_LARGE)
+                    self.transport.close()
+                    return
+                super().handle_events()
 
         return Protocol
 
@@ -145,6 +165,12 @@ class _Connection:
         self.passes = self.passes + 1 if state is self._before else 1
         self._before = state
         return self.passes > PASSES.get(state, self.passes)
+
+
+def _head_size(received: bytes) -> int:
+    """Return the size of the request line and headers at the beginning of received data, as far as they have come [B]."""
+    end = _BLANK_LINE.search(received)
+    return len(received) if end is None else end.end()
 
 
 def _address(peer: Any) -> Address:

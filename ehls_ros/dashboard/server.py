@@ -15,14 +15,11 @@ from nicegui import ui
 from starlette.responses import PlainTextResponse
 
 from ehls_ros.dashboard.access import AWAY, TOKEN, WRITES, Access, AccessMiddleware
-from ehls_ros.dashboard.connections import Connections
+from ehls_ros.dashboard.connections import LONGEST_HEAD, Connections
 from ehls_ros.dashboard.graph import Graph, Timing
 from ehls_ros.dashboard.messages import LARGEST
 from ehls_ros.dashboard.page import Page
 from ehls_ros.errors import BadInput
-
-LONGEST_HEAD = 16 * 1024
-"""Size of the largest request line and headers [B]."""
 
 FAREWELL = 1
 """Time open pages are given to close when the server stops [s]."""

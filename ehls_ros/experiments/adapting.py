@@ -28,10 +28,12 @@ class Adapted(NamedTuple):
 
     Attributes:
         sentences: for the user.
+        at_bounds: those of coefficients out of the adaptation's reach, with the remedy.
         rig: the controller's rig with what was handed over; None where that is nothing.
     """
 
     sentences: tuple[str, ...]
+    at_bounds: tuple[str, ...]
     rig: Rig | None
 
     def text(self) -> str:
@@ -62,7 +64,7 @@ def adapted(spec: Spec, trajectory: Trajectory) -> Adapted | None:
     search.solve()
     sentences = tuple(str(told) for told in search.report().values() if isinstance(told, str))
     rig = corrected_rig(spec.controller_rig, original, search.values()) if search.changed() else None
-    return Adapted(sentences, rig)
+    return Adapted(sentences, search.at_bounds(), rig)
 
 
 def _stretches(trajectory: Trajectory, period: float) -> list[Past]:

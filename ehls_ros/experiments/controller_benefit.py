@@ -16,6 +16,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
+from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import home_of, largest_force, room_of
 from ehls_ros.experiments.loop import run_in_process
@@ -189,8 +190,8 @@ def _spec(case: _Case, plant: Rig, believed: Rig) -> Spec:
         controller_rig=believed,
         reference=case.reference,
         disturbance=case.disturbance,
-        controller=Use("fasmc", CONTROLLERS.load("fasmc").Parameters()),
-        compensation=Use(observer, OBSERVERS.load(observer).Parameters()),
+        controller=Use("fasmc", tuned_for(CONTROLLERS.load("fasmc").Parameters, believed)),
+        compensation=Use(observer, tuned_for(OBSERVERS.load(observer).Parameters, believed)),
     )
 
 

@@ -16,6 +16,7 @@ from numpy.random import Generator
 
 from ehls_ros import __version__
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.control.at_bounds import bounds_of
 from ehls_ros.control.companions.base import Past, Upcoming
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, STATUS_SIZE, STATUS_TO_SI, Model, model_of
@@ -453,6 +454,9 @@ def trajectory_of(
         signals["friction_slipping"] = estimate[:, ELEMENTS + elements :]
     status = record[:, columns.status] * STATUS_TO_SI
     signals.update(zip(CONTROLLER_STATUS.signals.values(), status.T, strict=False))
+    bounds = bounds_of(law, spec.controller.parameters)
+    at_bound = [bound.reached(status[:, bound.place]) for bound in bounds]
+    signals["at_bound"] = np.any(at_bound, axis=0).astype(np.float64) if at_bound else np.zeros(len(record))
     signals.update(zip(REFERENCE_TOPICS[law.FOLLOWS].signals.values(), reference.T, strict=True))
     signals.update(zip(DISTURBANCE.signals.values(), disturbance.T, strict=True))
     period = spec.settings.control_period

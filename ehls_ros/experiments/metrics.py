@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ehls_ros.control.at_bounds import Bound, bounds_of, sentence
+from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.plausibility import LIMIT_UNITS, WARNING_FACTOR, beyond
-from ehls_ros.recording.topics import LOADER_STATE
+from ehls_ros.recording.topics import CONTROLLER_STATUS, LOADER_STATE
 from ehls_ros.schema import parse
 from ehls_ros.trajectory import Trajectory, steady_error
 
@@ -130,7 +132,7 @@ def evaluate_controlled(trajectory: Trajectory) -> Metrics | None:
 
 
 def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
-    """Say why a run is of little use: the reference is not followed, the valve saturates, the rig leaves its limits."""
+    """Say why a run is of little use: reference not followed, valve saturated, an estimate at its bound, limits left."""
     followed = (("force", "force_n", "force_reference_n", "N"), ("position", "position_m", "position_reference_m", "m"))
     for quantity, signal, reference, unit in followed:
         error = steady_error(run, signal, reference)
@@ -142,11 +144,31 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
             )
     if "saturated" in run and (share := float(np.mean(run["saturated"][late] > 0.5))) >= MOSTLY:
         yield f"the valve command is at its limit for {100.0 * share:.0f} % of the last half: the rig can give no more"
+    for bound in bounds_in(run.metadata):
+        # An estimate's place in the status is that of its signal in the topic.
+        values = run.signals.get(tuple(CONTROLLER_STATUS.signals.values())[bound.place])
+        stood = 0.0 if values is None else float(np.mean(bound.reached(values[late])))
+        if stood > 0.0:
+            yield sentence(bound, f"for {max(round(100.0 * stood), 1)} % of the last half")
     limits = _limits(run.metadata)
     for name in LIMIT_UNITS if limits is not None else ():
         signal = LOADER_STATE.signals[name]
         if signal in run and limits is not None and (out := beyond(run[signal], limits, name, WARNING_FACTOR)) is not None:
             yield f"the rig leaves its limits: {out.what} (at {run.time_s[out.row]:.3g} s); a real rig would have been stopped"
+
+
+def bounds_in(metadata: Mapping[str, Any]) -> tuple[Bound, ...]:
+    """Return the bounds of the estimates of a run's controller; none where the metadata do not tell the controller."""
+    spec = metadata.get("spec")
+    given = spec.get("controller") if isinstance(spec, Mapping) else None
+    if not isinstance(given, Mapping) or given.get("name") not in CONTROLLERS.names():
+        return ()
+    law = CONTROLLERS.load(str(given["name"]))
+    try:
+        tuning = parse(law.Parameters, {key: value for key, value in given.items() if key != "name"}, "metadata")
+    except BadInput:
+        return ()
+    return bounds_of(law, tuning)
 
 
 def _limits(metadata: Mapping[str, Any]) -> Limits | None:

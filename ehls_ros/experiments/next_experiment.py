@@ -39,6 +39,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import FORCE as LOAD
 from ehls_ros.control.observers import ANY_MODEL, rig_model
 from ehls_ros.control.observers.base import ObserverState
+from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, reach
 from ehls_ros.experiments.loop import plant_of, sampled
@@ -201,8 +202,8 @@ class _Experiment:
     def _run(self, rig: Rig, source: int, given: Array) -> _Run:
         plant = plant_of(self.spec._replace(rig=rig.quiet()))
         design, chosen = self.spec.controller_rig, self.spec.controller
-        force_tuning = chosen.parameters if chosen.name == "fasmc" else fasmc.Parameters()
-        position_tuning = chosen.parameters if chosen.name == "pid" else pid.Parameters()
+        force_tuning = chosen.parameters if chosen.name == "fasmc" else tuned_for(fasmc.Parameters, design)
+        position_tuning = chosen.parameters if chosen.name == "pid" else tuned_for(pid.Parameters, design)
         control = _Control(
             friction=design.friction,
             compensation=rig_model.Parameters(),

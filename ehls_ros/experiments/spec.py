@@ -19,6 +19,7 @@ from ehls_ros.control.controllers.base import Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.references import REFERENCES
+from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured
@@ -26,7 +27,15 @@ from ehls_ros.experiments.points_file import read_points
 from ehls_ros.experiments.programme_file import programme_values
 from ehls_ros.physics.integration_step import LONGEST_STEP, check_step, steps_per_period
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal
-from ehls_ros.physics.rig import EffectUse, Rig, check_known, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import (
+    EffectUse,
+    Rig,
+    check_effect_count,
+    check_known,
+    effects_from_list,
+    rig_from_mapping,
+    rig_to_mapping,
+)
 from ehls_ros.physics.servo import Servo
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
@@ -220,7 +229,8 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     believed = data.get("controller_rig")
     controller_rig = rig if believed is None else _rig(believed, f"{where}: controller_rig", folder)
     rig = rig.with_effects(effects_from_list(data.get("effects") or [], f"{where}: effects"))
-    disturbance = _disturbance(data.get("disturbance"), f"{where}: disturbance", folder)
+    check_effect_count(len(rig.effects), f"{where}: effects")
+    disturbance = _disturbance(data.get("disturbance"), f"{where}: disturbance", folder, rig)
     acting = DISTURBANCES.load(disturbance.name).loader_effects(disturbance.parameters)
     known = _known_effects(data.get("known_effects") or [], (*rig.effects, *acting), f"{where}: known_effects")
     compensation = data["compensation"] if "compensation" in data else default_observer(controller_rig)
@@ -230,9 +240,9 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
         controller_rig=controller_rig.with_effects(known),
         reference=_use(REFERENCES, data.get("reference"), f"{where}: reference", folder),
         disturbance=disturbance,
-        controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder),
-        compensation=_use(OBSERVERS, compensation, f"{where}: compensation", folder),
-        companions=_companions(data.get("companions") or [], f"{where}: companions", folder),
+        controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder, controller_rig),
+        compensation=_use(OBSERVERS, compensation, f"{where}: compensation", folder, controller_rig),
+        companions=_companions(data.get("companions") or [], f"{where}: companions", folder, controller_rig),
     )
     _sampled_once(spec.reference, f"{where}: reference")
     _sampled_once(spec.disturbance.signal, f"{where}: disturbance: signal")
@@ -303,7 +313,8 @@ def _rig(data: Any, where: str, folder: Path) -> Rig:
     return rig
 
 
-def _use(family: Any, data: Any, where: str, folder: Path) -> Use:
+def _use(family: Any, data: Any, where: str, folder: Path, rig: Rig | None = None) -> Use:
+    """Read a member of a family; ``rig``: the one that defaults in proportion to a rig follow from."""
     if isinstance(data, str):
         data = {"name": data}
     if not isinstance(data, Mapping) or "name" not in data:
@@ -314,16 +325,17 @@ def _use(family: Any, data: Any, where: str, folder: Path) -> Use:
         values["points"] = read_points(folder / str(values.pop("file")))
     if "file" in values and "blocks" in member.Parameters._fields:
         values = {**programme_values(configured(str(values.pop("file")), "programmes", folder)), **values}
-    return Use(data["name"], parse(member.Parameters, values, f"{where}: {data['name']}"))
+    defaults = None if rig is None else defaults_for(member.Parameters, rig)
+    return Use(data["name"], parse(member.Parameters, values, f"{where}: {data['name']}", defaults))
 
 
-def _disturbance(data: Any, where: str, folder: Path) -> DisturbanceUse:
+def _disturbance(data: Any, where: str, folder: Path, rig: Rig) -> DisturbanceUse:
     if data is None:
         data = {"name": "force", "signal": {"name": "constant", "value": 0.0}}
     if not isinstance(data, Mapping):
         raise BadInput(f"section is {data!r}", where, f"a mapping with a name, one of {', '.join(DISTURBANCES.names())}")
     rest = {key: value for key, value in data.items() if key != "signal"}
-    use = _use(DISTURBANCES, rest, where, folder)
+    use = _use(DISTURBANCES, rest, where, folder, rig)
     return DisturbanceUse(use.name, use.parameters, _use(REFERENCES, data.get("signal"), f"{where}: signal", folder))
 
 
@@ -341,10 +353,10 @@ def _known_effects(data: Any, acting: Sequence[EffectUse], where: str) -> tuple[
     return effects_from_list([acting_as[entry] if isinstance(entry, str) else entry for entry in data], where)
 
 
-def _companions(data: Any, where: str, folder: Path) -> tuple[Use, ...]:
+def _companions(data: Any, where: str, folder: Path, rig: Rig) -> tuple[Use, ...]:
     if not isinstance(data, list):
         raise BadInput(f"companions is {data!r}", where, f"a list of names or mappings, of {', '.join(COMPANIONS.names())}")
-    uses = tuple(_use(COMPANIONS, entry, f"{where}[{index}]", folder) for index, entry in enumerate(data))
+    uses = tuple(_use(COMPANIONS, entry, f"{where}[{index}]", folder, rig) for index, entry in enumerate(data))
     if len({use.name for use in uses}) < len(uses):
         raise BadInput(f"companions are {', '.join(use.name for use in uses)}", where, "each name once")
     return uses

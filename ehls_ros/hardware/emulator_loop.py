@@ -73,20 +73,24 @@ def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delay
     period = emulator.period
     values = emulator.sense()
     start = time.monotonic() + period
+    paused = 0.0
     for cycle in range(run.cycles):
         if run.stopped():
             return
         deadline = start + cycle * period
         now = wire.wait(deadline)
         delays.add(now - deadline)
-        start += max(now - deadline - GIVEN_UP, 0.0)
+        given_up = max(now - deadline - GIVEN_UP, 0.0)
+        start += given_up
+        paused += given_up
         _put_faults(emulator, run, now)
         wire.delay = emulator.faults.delay
         for data, sender in wire.received():
             if not emulator.faults.deaf:
                 target.receive(data, sender, now, cycle - 1)
         raw, status = target.output(now)
-        _send(emulator, target, wire, status, values)
+        stamp = cycle * period + paused
+        _send(emulator, target, wire, status, values, stamp, now)
         emulator.advance(raw, status, target.commanded, target.answered, now)
         values = emulator.sense()
 
@@ -112,7 +116,7 @@ def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patie
         give_up = time.monotonic() + patience
         while target.answered != cycle:
             if target.greeted and target.address is not None:
-                _send(emulator, target, wire, status, values)
+                _send(emulator, target, wire, status, values, emulator.cycle * emulator.period)
             target.greeted = False
             now = time.monotonic()
             if run.stopped():
@@ -129,11 +133,19 @@ def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patie
         commanded, answered = target.commanded, target.answered
 
 
-def _send(emulator: Emulator, target: Target, wire: Wire, status: Status, values: tuple[float, ...]) -> None:
+def _send(
+    emulator: Emulator,
+    target: Target,
+    wire: Wire,
+    status: Status,
+    values: tuple[float, ...],
+    stamp: float,
+    now: float | None = None,
+) -> None:
     if target.address is None or emulator.faults.silent:
         return
-    time_ns = round(1e9 * emulator.cycle * emulator.period) + emulator.faults.clock_ns
-    wire.send(target.measurement(emulator.cycle, time_ns, status, values), target.address)
+    time_ns = round(1e9 * stamp) + emulator.faults.clock_ns
+    wire.send(target.measurement(emulator.cycle, time_ns, status, values, now), target.address)
 
 
 def _put_faults(emulator: Emulator, run: Run, now: float) -> None:

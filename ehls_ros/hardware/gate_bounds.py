@@ -71,6 +71,6 @@ def out_of_bounds(parameters: Parameters, bounds: Mapping[str, Bound]) -> Iterat
 
 
 def within(parameters: Parameters, bounds: Mapping[str, Bound]) -> Parameters:
-    """Clip the parameters to the bounds; for the defaults, which know no rig."""
+    """Clip the parameters to the bounds; for the defaults."""
     held = {name: min(max(getattr(parameters, name), low), high) for name, (low, high, _) in bounds.items()}
     return parameters._replace(**held)

@@ -16,7 +16,7 @@ PROTECTS_WHEN_LARGER = frozenset({"enable_time", "position_margin"})
 """Parameters that protect more when larger; all others protect more when smaller."""
 
 SIMULATED: Final[dict[str, float]] = {"enable_time": 0.0, "position_margin": -0.005}
-"""Defaults for a simulated rig, which starts at once and has no end stop.
+"""Defaults for a simulated rig of the paper's size, which starts at once and has no end stop.
 
 The paper's constant 10 kN with its large disturbance moves the piston to 0.303 m, with SIC to 0.304 m; the stroke is 0.3 m.
 """
@@ -40,7 +40,9 @@ class Parameters(NamedTuple):
         float, quantity("s", "age at which a command is stale and its sender may be replaced", minimum=0.002, maximum=0.5)
     ] = 0.02
     sensor_timeout: Annotated[float, quantity("s", "age at which a snapshot is stale", minimum=0.002, maximum=0.5)] = 0.02
-    command_rate: Annotated[float, quantity("m/s", "largest rate of the spool command", above=0.0, maximum=20.0)] = 2.0
+    command_rate: Annotated[
+        float, quantity("m/s", "largest rate of the spool command", above=0.0, maximum=20.0, scale="spool")
+    ] = 2.0
     hold_time: Annotated[float, quantity("s", "longest hold; after it the gate ramps to null", minimum=0.0, maximum=0.1)] = 0.02
     ramp_time: Annotated[float, quantity("s", "time of the ramp to null", minimum=0.0, maximum=0.2)] = 0.02
     enable_time: Annotated[
@@ -51,32 +53,49 @@ class Parameters(NamedTuple):
     ] = 0.9
     limit_time: Annotated[float, quantity("s", "time a limit must be exceeded", minimum=0.0, maximum=0.1)] = 0.002
     position_margin: Annotated[
-        float, quantity("m", "clearance to the ends of the rig's stroke", minimum=-0.05, maximum=0.5)
+        float, quantity("m", "clearance to the ends of the rig's stroke", minimum=-0.05, maximum=0.5, scale="stroke")
     ] = 0.015
-    force_error: Annotated[float, quantity("N", "largest sustained force error", above=0.0, maximum=1e5)] = 2e3
+    force_error: Annotated[float, quantity("N", "largest sustained force error", above=0.0, maximum=1e9, scale="force")] = 2e3
     force_error_time: Annotated[float, quantity("s", "time the force error must last", minimum=0.0, maximum=10.0)] = 2.0
     sensor_range: Annotated[
         float, quantity("1", "multiple of the rig's limits beyond which a reading is implausible", minimum=1.0, maximum=10.0)
     ] = 1.5
-    acceleration: Annotated[float, quantity("m/s^2", "largest plausible acceleration", above=0.0, maximum=1e5)] = 1e3
+    acceleration: Annotated[
+        float, quantity("m/s^2", "largest plausible acceleration", above=0.0, maximum=1e5, scale="force / mass")
+    ] = 1e3
     pressure_rate: Annotated[
         float,
-        quantity("Pa/s", "largest plausible pressure rate; higher for the load with an open valve", above=0.0, maximum=1e11),
+        quantity(
+            "Pa/s",
+            "largest plausible pressure rate; higher for the load with an open valve",
+            above=0.0,
+            maximum=1e11,
+            scale="compression * speed",
+        ),
     ] = 2e9
     frozen_time: Annotated[
         float, quantity("s", "time after which an unchanged reading may be frozen", minimum=0.005, maximum=10.0)
     ] = 0.05
     frozen_command: Annotated[
-        float, quantity("m", "span of the command over which a reading must change", above=0.0, maximum=0.1)
+        float, quantity("m", "span of the command over which a reading must change", above=0.0, maximum=0.1, scale="spool")
     ] = 2e-4
     force_mismatch: Annotated[
-        float, quantity("N", "largest difference between force and load pressure times piston area", above=0.0, maximum=1e5)
+        float,
+        quantity(
+            "N", "largest difference between force and load pressure times piston area", above=0.0, maximum=1e9, scale="force"
+        ),
     ] = 1e3
     position_mismatch: Annotated[
-        float, quantity("m", "largest difference between travel and integrated velocity over 0.1 s", above=0.0, maximum=1.0)
+        float,
+        quantity(
+            "m", "largest difference between travel and integrated velocity over 0.1 s", above=0.0, maximum=1.0, scale="stroke"
+        ),
     ] = 5e-3
     supply_mismatch: Annotated[
-        float, quantity("Pa", "largest excess of the load pressure over the supply pressure", above=0.0, maximum=1e8)
+        float,
+        quantity(
+            "Pa", "largest excess of the load pressure over the supply pressure", above=0.0, maximum=1e8, scale="pressure"
+        ),
     ] = 7e5
     mismatch_time: Annotated[float, quantity("s", "time a mismatch must last", minimum=0.0, maximum=1.0)] = 0.02
 

@@ -13,7 +13,7 @@ Version 1, little-endian, 64 + 8 n bytes::
         32     8  measurement: sequence number of the last command accepted, 0 for none;
                   command: sequence number of the measurement it answers
         40     8  sender's time [ns], signed
-        48     4  command: time without a valid command after which the target goes to null [us]; otherwise 0
+        48     4  command: time without a valid command after which the target goes to null, 1 to 1e6 us; otherwise 0
         52     4  measurement: why the output is at null, see Status; otherwise 0
         56   8 n  values, IEEE 754 doubles, finite
     56 + 8 n   8  tag of all preceding bytes: CRC-32 (as in zlib) or, with a key, keyed BLAKE2b of 8 bytes
@@ -83,6 +83,10 @@ class Packet(NamedTuple):
 
 VALUES = tuple(struct.Struct(f"<{count}d") for count in range(MOST_VALUES + 1))
 COUNTS: dict[int, range] = {Kind.HELLO: range(1), Kind.MEASUREMENT: range(1, MOST_VALUES + 1), Kind.COMMAND: range(1, 2)}
+LONGEST_WATCHDOG_US = 1_000_000
+WATCHDOGS: dict[int, range] = {
+    Kind.HELLO: range(1), Kind.MEASUREMENT: range(1), Kind.COMMAND: range(1, LONGEST_WATCHDOG_US + 1),
+}  # fmt: skip
 STATUSES: dict[int, range] = {Kind.HELLO: range(1), Kind.MEASUREMENT: range(len(Status)), Kind.COMMAND: range(1)}
 
 
@@ -135,7 +139,7 @@ class Codec:
         if packet.session == 0:
             return "session"
         # Unused fields must be 0, so that a later version can use them.
-        if packet.status not in STATUSES[kind] or (packet.watchdog_us != 0) != (kind == Kind.COMMAND):
+        if packet.status not in STATUSES[kind] or packet.watchdog_us not in WATCHDOGS[kind]:
             return "field"
         return packet
 

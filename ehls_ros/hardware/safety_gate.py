@@ -26,6 +26,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.command_intake import HOLD_REACTION, ROUNDING, CommandIntake
 from ehls_ros.hardware.detectors import Detector, Readings, SensorDetectors
@@ -137,7 +138,7 @@ class Gate:
         Args:
             rig: the rig behind the actuator, for its limits.
             period: control period [s].
-            parameters: limits and reactions; None: the declared defaults, clipped to the bounds.
+            parameters: limits and reactions; None: the defaults for the rig, clipped to the bounds.
             measured: signals of ``SENSED`` that the rig measures; the others are ignored.
             bounds: of the parameters; None: those of the rig; empty for an actuator that cannot be damaged.
             clock: times the emergency stop [s].
@@ -147,7 +148,7 @@ class Gate:
         """
         _check_rig(rig, period, measured)
         self._bounds = bounds_of(rig, float(period)) if bounds is None else bounds
-        chosen = _checked(within(Parameters(), self._bounds) if parameters is None else parameters)
+        chosen = _checked(within(tuned_for(Parameters, rig), self._bounds) if parameters is None else parameters)
         for complaint in out_of_bounds(chosen, self._bounds):
             raise complaint
         self._lock = threading.Lock()

@@ -1,14 +1,16 @@
 """The real-time target's side of the protocol, with its watchdog: what firmware has to do, in Python."""
 
+import math
+from collections import deque
 from typing import Any
 
-from ehls_ros.hardware.packet import Codec, Kind, Packet, Status, random_session
+from ehls_ros.hardware.packet import LONGEST_WATCHDOG_US, Codec, Kind, Packet, Status, random_session
 
 SILENCE = 0.1
 """Silence of the computer in command after which another may take over [s]."""
 
-LONGEST_WATCHDOG = 1.0
-"""Longest time that the target holds a command, whatever the command asks for [s]."""
+LONGEST_WATCHDOG = 1e-6 * LONGEST_WATCHDOG_US
+"""Longest time that the target holds a command, and that its measurements can be answered [s]."""
 
 REASONS = ("busy", "stranger", "session", "order", "late", "kind")
 """Why a valid packet is refused: another computer is in command; unknown sender address; wrong or earlier session; not newer
@@ -51,6 +53,7 @@ class Target:
         self.answered = -1
         self.commanded = 0
         self.greeted = False
+        self._sent: deque[tuple[int, float]] = deque(maxlen=math.ceil(LONGEST_WATCHDOG / period) + 1)
         self._counts = dict.fromkeys(("commands", "watchdog", *REASONS), 0)
 
     def receive(self, data: bytes, sender: Any, now: float, cycle: int) -> None:
@@ -84,15 +87,21 @@ class Target:
             return self._null, Status.WATCHDOG
         return self._command, Status.COMMANDED
 
-    def measurement(self, cycle: int, time_ns: int, status: Status, values: tuple[float, ...]) -> bytes:
-        """Pack a measurement.
+    def measurement(
+        self, cycle: int, time_ns: int, status: Status, values: tuple[float, ...], now: float | None = None
+    ) -> bytes:
+        """Pack a measurement that is sent now.
 
         Args:
             cycle: its sequence number.
             time_ns: the target's time [ns].
             status: why the output is at null.
             values: raw values by channel number.
+            now: time on the target's clock, from which the age of its answer counts [s]; None: time passes with the cycles
+                alone, as in lockstep.
         """
+        if now is not None:
+            self._sent.append((cycle, now))
         packet = Packet(Kind.MEASUREMENT, self._session, self._peer, cycle, self.commanded, time_ns, 0, status, values)
         return self._codec.pack(packet)
 
@@ -111,19 +120,19 @@ class Target:
         return ""
 
     def _take(self, packet: Packet, sender: Any, now: float, cycle: int) -> str:
-        wrong = self._unfit(packet, sender, cycle)
+        wrong = self._unfit(packet, sender, now, cycle)
         if wrong:
             return wrong
         self.commanded, self.answered = packet.sequence, packet.answered
         self._command = packet.values[0]
         self._locked &= self._command != self._null
-        self._watchdog = min(1e-6 * packet.watchdog_us, LONGEST_WATCHDOG)
+        self._watchdog = 1e-6 * packet.watchdog_us
         self._commanded_at = self._heard = now
         self._tripped = False
         self._counts["commands"] += 1
         return ""
 
-    def _unfit(self, packet: Packet, sender: Any, cycle: int) -> str:
+    def _unfit(self, packet: Packet, sender: Any, now: float, cycle: int) -> str:
         """Return why a command is refused; empty if it is accepted."""
         if packet.kind != Kind.COMMAND:
             return "kind"
@@ -133,6 +142,17 @@ class Target:
             return "session"
         if packet.sequence <= self.commanded:
             return "order"
-        if (cycle - packet.answered) * self._period > 1e-6 * packet.watchdog_us:
+        if self._age(packet.answered, now, cycle) > 1e-6 * packet.watchdog_us:
             return "late"
         return ""
+
+    def _age(self, answered: int, now: float, cycle: int) -> float:
+        """Return the age of a measurement [s].
+
+        The target's clock counts beside its cycles: one that was held up has sent fewer measurements than periods have passed.
+        """
+        by_cycles = (cycle - answered) * self._period
+        if not self._sent:
+            return by_cycles
+        sent = (at for number, at in reversed(self._sent) if number <= answered)
+        return max(by_cycles, now - next(sent, -math.inf))

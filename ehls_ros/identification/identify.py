@@ -13,7 +13,7 @@ from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.identification.balance import Recorded, check_unit, without_known
 from ehls_ros.identification.declared import fit_declared
-from ehls_ros.identification.elements import MODEL, fit_elements
+from ehls_ros.identification.elements import MODEL, fit_elements, understated
 from ehls_ros.identification.motion import SMALL_TRAVEL, Motion, motions_of
 from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.result import Identification
@@ -124,13 +124,22 @@ def identify(
         by_elements = fit_elements(recorded, rig, start, steady, elements, tell) if rig.friction_model == MODEL else None
         result = by_elements or fit_declared(recorded._replace(usable=slow), rig, start, steady, tell)
     found = estimates(result.fit, rig)
+    too_small = understated(found.by_name) if by_elements else {}
     tell(DONE)
     return Identification(
         rig=found.rig,
         estimates=found.by_name,
         correlations=found.correlations,
         not_identifiable=found.not_identifiable,
-        remarks=(*_readings(recordings), *doubts, *_remarks(motions), *_said(lacking), *result.remarks, *found.remarks),
+        remarks=(
+            *_readings(recordings),
+            *doubts,
+            *_remarks(motions),
+            *_said(lacking),
+            *result.remarks,
+            *found.remarks,
+            *_too_small(too_small),
+        ),
         static=steady,
         branch=by_elements.branch if by_elements else None,
         nodes=by_elements.nodes if by_elements else (),
@@ -140,6 +149,7 @@ def identify(
         method=optimiser,
         wall_s=clock.perf_counter() - began,
         lacking=lacking,
+        understated=too_small,
     )
 
 
@@ -221,6 +231,14 @@ def _said(lacking: Missing) -> list[str]:
         if lacking.told
         else []
     )
+
+
+def _too_small(factors: Mapping[str, float]) -> list[str]:
+    """Return a sentence on standard errors that are too small."""
+    if not factors:
+        return []
+    named = ", ".join(f"{name} {factor:g} times" for name, factor in factors.items())
+    return [f"Errors may exceed their standard errors where a loop moves the piston by less than its sensor resolves: {named}."]
 
 
 def _remarks(motions: Sequence[Motion]) -> list[str]:

@@ -280,6 +280,24 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
     )
 
 
+def moved_with_held(fit: JointFit, recorded: Recorded) -> Array:
+    """Return how what was fitted moves with the coordinates that were held, so as to keep the force.
+
+    Args:
+        fit: the fit.
+        recorded: its recordings.
+
+    Returns:
+        Derivatives of the free coordinates and the linear coefficients by the held ones, shape (fitted, held).
+    """
+    usable = tuple(np.isfinite(residuals) for residuals in fit.residuals)
+    everything = Start(fit.coordinates, fit.friction, fit.coordinates.names)
+    problem = Problem(recorded._replace(usable=usable), everything, fit.z, fit.noise)
+    slopes, searched = problem.slopes(fit.z), np.array([name in fit.free for name in fit.coordinates.names])
+    moved, *_ = np.linalg.lstsq(np.column_stack([-slopes[:, searched], problem.rows]), slopes[:, ~searched], rcond=None)
+    return np.asarray(moved, dtype=np.float64)
+
+
 def with_doubt(fit: JointFit, recorded: Recorded) -> JointFit:
     """Return a fit whose covariance counts that what was not searched for may be wrong, by as much as without any data.
 
@@ -287,12 +305,7 @@ def with_doubt(fit: JointFit, recorded: Recorded) -> JointFit:
         fit: the fit.
         recorded: its recordings.
     """
-    usable = tuple(np.isfinite(residuals) for residuals in fit.residuals)
-    everything = Start(fit.coordinates, fit.friction, fit.coordinates.names)
-    problem = Problem(recorded._replace(usable=usable), everything, fit.z, fit.noise)
-    slopes, searched = problem.slopes(fit.z), np.array([name in fit.free for name in fit.coordinates.names])
-    # What is fitted moves with what is held, so as to keep the force.
-    moved, *_ = np.linalg.lstsq(np.column_stack([-slopes[:, searched], problem.rows]), slopes[:, ~searched], rcond=None)
+    moved = moved_with_held(fit, recorded)
     return fit._replace(covariance=fit.covariance + DOUBT**2 * moved @ moved.T)
 
 
@@ -320,21 +333,32 @@ def placed(fit: JointFit, at: Sequence[int], motions: Sequence[Motion]) -> Joint
     return fit._replace(noise=tuple(noise), residuals=tuple(residuals))
 
 
-def combined(first: JointFit, second: JointFit) -> JointFit:
+def combined(first: JointFit, second: JointFit, moved: Array) -> JointFit:
     """Return one fit made of two that searched for different coordinates, the second starting from the first.
+
+    The second holds what the first found, so errors of the first move it; its covariance grows by that (Murphy and Topel,
+    Journal of Business & Economic Statistics 3, 1985, (15), with independent recordings).
 
     Args:
         first: the fit whose linear coefficients are kept.
         second: the other fit, of the same recordings; where one has no residual the other's counts.
+        moved: how the second moves with what it held, from :func:`moved_with_held`.
     """
     names = [name for name in first.coordinates.names if name in {*first.free, *second.free}]
     size = len(names) + len(first.linear_names)
+    of_first = [*(names.index(name) for name in first.free), *range(len(names), size)]
+    of_second = [names.index(name) for name in second.free]
+    held = [name for name in second.coordinates.names if name not in second.free]
+    by_first = np.zeros((len(of_second), len(of_first)))
+    for place, name in enumerate(first.free):
+        if name in held:
+            by_first[:, place] = moved[: len(of_second), held.index(name)]
+    shared = by_first @ first.covariance
     covariance = np.zeros((size, size))
-    for fit, linear in ((first, True), (second, False)):
-        where = [names.index(name) for name in fit.free]
-        if linear:
-            where += range(len(names), size)
-        covariance[np.ix_(where, where)] = fit.covariance[: len(where), : len(where)]
+    covariance[np.ix_(of_first, of_first)] = first.covariance
+    covariance[np.ix_(of_second, of_first)] = shared
+    covariance[np.ix_(of_first, of_second)] = shared.T
+    covariance[np.ix_(of_second, of_second)] = second.covariance[: len(of_second), : len(of_second)] + shared @ by_first.T
     return second._replace(
         free=tuple(names),
         limited=(*first.limited, *second.limited),

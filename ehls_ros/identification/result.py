@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array
@@ -33,6 +34,7 @@ class Identification(NamedTuple):
         method: the optimiser of the static fit.
         wall_s: wall time [s].
         lacking: strokes that the recordings lack.
+        understated: by which factor standard errors are known to be too small, by name of the estimate.
     """
 
     rig: Rig
@@ -49,6 +51,7 @@ class Identification(NamedTuple):
     method: str
     wall_s: float
     lacking: Missing = Missing(())
+    understated: Mapping[str, float] = MappingProxyType({})
 
     @property
     def elements(self) -> int:
@@ -60,6 +63,7 @@ def to_json(found: Identification) -> dict[str, Any]:
     """Return what ``identification.json`` holds."""
     return {
         "parameters": {name: estimate._asdict() for name, estimate in found.estimates.items()},
+        "understated": dict(found.understated),
         "correlations": {"names": list(found.estimates), "matrix": found.correlations.tolist()},
         "not_identifiable": list(found.not_identifiable),
         "remarks": list(found.remarks),

@@ -16,11 +16,14 @@ import numpy as np
 from std_msgs.msg import String
 
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
+from ehls_ros.control.adaptation.reach import sizes
+from ehls_ros.control.at_bounds import Bound, bounds_of, sentence
 from ehls_ros.control.controller import NOTHING_KNOWN, Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
 from ehls_ros.control.friction_estimator import FrictionEstimator
+from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.accepted_rig import accepted_model
@@ -57,6 +60,9 @@ LOCKSTEP_PATIENCE = 10.0
 """friction_patience in lockstep, and longest wait for another's command and for the word of who drives [s]: nothing is late
 there, and a run must not depend on what else the machine does."""
 
+
+NOTICE = 2.0
+"""Time for which diagnostics go on showing an estimate that has left its bound [s]."""
 
 HEARING = 0.5
 """Time after which a driver that is not heard on the topic of the node's commands counts as one that passes them on [s]."""
@@ -133,13 +139,17 @@ class ControllerNode(ControlNode):
         self.kind = CONTROLLERS.load(law)
         check_law(self.spec, law, self.get_name())
         given = self.spec.controller
-        values = given.parameters._asdict() if given.name == law else {}
-        declare(self, self.kind.Parameters, values, live=True)
-        self.tuning = values_of(self, self.kind.Parameters, self.get_name())
+        declared = self.kind.Parameters
+        same = given.name == law
+        values = given.parameters._asdict() if same else defaults_for(declared, self.spec.controller_rig)
+        declare(self, declared, values, live=True)
+        self.tuning = values_of(self, declared, self.get_name())
         self.new_tuning: Any = None
         self.new_model: Model | None = None
+        self.acceptance = ""
         self.tuned_at = -1
-        follow(self, self.kind.Parameters, self._retune)
+        self.bounds = bounds_of(self.kind, self.tuning)
+        follow(self, declared, self._retune)
 
     def _retune(self, tuning: Any) -> None:
         self.new_tuning = tuning
@@ -149,22 +159,35 @@ class ControllerNode(ControlNode):
         publishers = self.get_publishers_info_by_topic(ACCEPTED_RIG.name)
         if len(publishers) > 1:
             names = ", ".join(sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers))
-            self.get_logger().error(
-                f"the accepted rig is not used: {names} publish {ACCEPTED_RIG.name}; stop all but one, and accept again"
-            )
+            self._refuse_rig(f"{names} publish {ACCEPTED_RIG.name}; stop all but one, and accept again")
             return
         own, period = self.spec.controller_rig, self.spec.settings.control_period
         try:
             self.new_model = accepted_model(message.data, own, period, ACCEPTED_RIG.name)
         except BadInput as error:
-            self.get_logger().error(f"the accepted rig is not used: {error}")
+            self._refuse_rig(str(error))
+
+    def _refuse_rig(self, reason: str) -> None:
+        self.acceptance = f"refused: {reason}"
+        self.get_logger().error(f"the accepted rig is not used: {reason}")
+
+    def _accept(self, model: Model, cycle: int) -> None:
+        """Begin the change to an accepted rig, or refuse one that differs too much from the rig file's."""
+        try:
+            rig = self.spec.controller_rig
+            duration = self.controller.accept(model, sizes(model_of(rig, model.period), rig.limits))
+        except BadInput as error:
+            self._refuse_rig(str(error))
+        else:
+            self.acceptance = f"in use from cycle {cycle} on"
+            self.get_logger().info(f"the accepted rig is known from control cycle {cycle} on, all of it after {duration:.1f} s")
 
     def prepare(self) -> None:
         """Compile the law and open the topics."""
         period = self.spec.settings.control_period
         model = model_of(self.spec.controller_rig, period)
-        for sentence in untold(self.spec, self.law):
-            self.get_logger().warning(sentence)
+        for warning in untold(self.spec, self.law):
+            self.get_logger().warning(warning)
         self.company = company_of(self.spec, model, self.get_name(), self.law, self.tuning)
         learnt_files.recall(self.company, self.spec)
         self.controller = Controller(self.law, self.tuning, model, self.company)
@@ -173,6 +196,7 @@ class ControllerNode(ControlNode):
         self.cycles = Cycles(friction=self.kind.FRICTION, patience=self.friction_patience)
         self.fallback, self.fallbacks = False, 0
         self.saturated = False
+        self.at_bound: dict[Bound, int] = {}
         self.latency = Latency()
         self.states = Inbox(self, LoaderState, "loader_state")
         topic = REFERENCE_TOPICS[self.kind.FOLLOWS]
@@ -351,12 +375,12 @@ class ControllerNode(ControlNode):
             self.told.clear()
         if self.new_tuning is not None:
             self.controller.retune(self.new_tuning)
+            self.bounds = bounds_of(self.kind, self.new_tuning)
             self.new_tuning = None
             self.tuned_at = ready.cycle
         if self.new_model is not None:
-            self.controller.adopt(self.new_model)
+            self._accept(self.new_model, ready.cycle)
             self.new_model = None
-            self.get_logger().info(f"the accepted rig is known from control cycle {ready.cycle} on")
         self.measured[:] = ready.measured
         self.wanted[:] = ready.reference
         fallback = ready.friction is None and self.kind.FRICTION
@@ -385,8 +409,10 @@ class ControllerNode(ControlNode):
             (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
         values = [value * factor for value, factor in zip(self.controller.status.tolist(), TO_SI, strict=True)]
         self.saturated = values[SATURATED] != 0.0
+        reached = [bound for bound in self.bounds if bound.reached(values[bound.place])]
+        self.at_bound.update(dict.fromkeys(reached, cycle))
         if not shadow:
-            self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, self.fallback)
+            self.status.send(stamp_ns, cycle, *values[:SATURATED], self.saturated, bool(reached), self.fallback)
 
     def _unmeasured(self) -> list[str]:
         """Return the readings that the law needs and the last snapshot lacked."""
@@ -411,6 +437,12 @@ class ControllerNode(ControlNode):
         able = [name for name, law in laws.items() if law.FOLLOWS == self.kind.FOLLOWS and not set(law.NEEDS) & set(unmeasured)]
         return f"usable instead: {', '.join(able)}" if able else "no controller can do without"
 
+    def _at_bounds(self) -> list[str]:
+        """Return a sentence for each estimate, of law and companions, that stands at its bound or did so shortly before."""
+        recent = self.cycles.answered - NOTICE / self.spec.settings.control_period
+        standing = [sentence(bound) for bound, cycle in list(self.at_bound.items()) if recent <= cycle <= self.cycles.answered]
+        return [*standing, *self.company.at_bounds()]
+
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Say how answering goes."""
         figures = {
@@ -418,6 +450,7 @@ class ControllerNode(ControlNode):
             "friction_fallbacks": self.fallbacks,
             "tuned_at_cycle": self.tuned_at,
             "saturated": self.saturated,
+            **({"accepted_rig": self.acceptance} if self.acceptance else {}),
             **self.company.report(),
             **self.latency.figures(),
         }
@@ -427,6 +460,8 @@ class ControllerNode(ControlNode):
             return WARN, "no friction estimate arrives: the friction of steady sliding takes its place", figures
         if self.cycles.waited(time.perf_counter()) > PATIENCE:
             return WARN, f"no {self.kind.FOLLOWS} reference for the present cycle", figures
+        if self._active.is_set() and (standing := self._at_bounds()):
+            return WARN, "; ".join(standing), figures
         if not self.sent and self._active.is_set():
             return OK, f"stands by: {self._driver_of(self.cycles.answered)} drives", figures
         return OK, "running" if self._active.is_set() else "inactive", figures

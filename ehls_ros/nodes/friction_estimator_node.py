@@ -7,6 +7,7 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 from ehls_msgs.msg import FrictionEstimate, LoaderState
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.control.serving import check_serves
 from ehls_ros.nodes.control import OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare, values_of
@@ -32,7 +33,8 @@ class FrictionEstimatorNode(ControlNode):
         self.model = self.text_parameter("model") or given.name
         check_serves(OBSERVERS, self.model, self.spec.controller_rig, f"{self.get_name()}: model")
         observer = OBSERVERS.load(self.model)
-        values = given.parameters._asdict() if given.name == self.model else {}
+        same = given.name == self.model
+        values = given.parameters._asdict() if same else defaults_for(observer.Parameters, self.spec.controller_rig)
         declare(self, observer.Parameters, values, live=False)
         self.observer_parameters = values_of(self, observer.Parameters, self.get_name())
 

@@ -10,6 +10,7 @@ from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.hardware.backends.base import Reading
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.hardware.free_running import free_running_time
 from ehls_ros.hardware.pace import ADVICE, LEAST, Pace
 from ehls_ros.hardware.safety_gate import DISABLED
 from ehls_ros.hardware.sample_clock import SampleClock
@@ -28,11 +29,6 @@ SILENCE = 2.0
 
 OTHER_RATE = 0.25
 """Deviation of the samples' rate from the control period's, as a fraction, at which they are not meant for each other."""
-
-
-def now() -> float:
-    """Return a monotonic time that includes the time the computer was suspended [s]."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class Parameters(NamedTuple):
@@ -89,6 +85,7 @@ class HardwareBridgeNode(PlantNode):
         self.samples = SampleClock(self.period)
         self.cycle = -1
         self.sequence = -1
+        self.session = 0
         self.saturated: tuple[str, ...] = ()
         self.at_null = True
         self.restarts = 0
@@ -111,7 +108,6 @@ class HardwareBridgeNode(PlantNode):
         """Begin with the next sample, disabled."""
         self.first = self.cycle + 1
         self.begin_stamps(self.first)
-        self.samples.begin()
         self._reset_counts()
         self.gate.begin()
 
@@ -176,27 +172,36 @@ class HardwareBridgeNode(PlantNode):
         wanted = f"control_period {self.period:g} s means {1.0 / self.period:.0f}"
         return f"the device samples {rate:.0f} times a second, {wanted}: set one of them to the other's"
 
+    def _straying_clock(self) -> str:
+        """Return how the device's clock and the arrival of its samples differ in rate; empty if they do not."""
+        drift = self.samples.drift
+        if self.lockstep or not self.samples.strays:
+            return ""
+        if drift > 0.0:
+            return f"samples arrive later by {1e3 * drift:.2g} ms each second: the delay grows, or the device's clock loses"
+        return f"the device's clock gains {-1e3 * drift:.2g} ms each second: a delay that grows would not show"
+
     def _time(self) -> float:
         """Return the gate's time [s]: the wall clock's, or in lockstep, where the device waits, that of the cycles."""
         if not self.lockstep:
-            return now()
+            return free_running_time()
         self.lockstep_time += self.elapsed * self.period
         return self.lockstep_time
 
     def _open_cycle(self, reading: Reading) -> None:
         """Number and publish the sample; lost samples count as cycles, so that the cycles keep the device's time."""
-        following = self.sequence >= 0 and reading.sequence > self.sequence
+        following = self.sequence >= 0 and reading.sequence > self.sequence and reading.session == self.session
         self.restarts += self.sequence >= 0 and not following
         self.elapsed = reading.sequence - self.sequence if following else 1
         self.cycle += self.elapsed
-        self.sequence = reading.sequence
+        self.sequence, self.session = reading.sequence, reading.session
         self.at_null = reading.at_null
         self.saturated = self.calibration.saturated(reading.values)
         signals = self.calibration.signals(reading.values)
         if self.saturated:
             # A saturated converter measures nothing.
             signals = tuple(math.nan if name in self.saturated else value for name, value in zip(SENSED, signals, strict=True))
-        self.samples.take(reading.sequence, reading.time_ns, now())
+        self.samples.take(reading.sequence, reading.time_ns, free_running_time(), reading.session)
         # In lockstep the device waits as long as this computer takes.
         lag = 0.0 if self.lockstep else self.samples.lag
         self.publish(self.cycle, signals, elapsed=self.samples.elapsed, lag=lag, at_null=reading.at_null)
@@ -218,8 +223,9 @@ class HardwareBridgeNode(PlantNode):
         """Return figures for diagnostics."""
         counted = {f"device_{name}": count for name, count in self.device.figures().items()}
         own = {"cycle": self.cycle, "device_began_anew": self.restarts, "device_at_null": self.at_null}
+        clock = {"sample_lag_s": self.samples.lag, "device_clock_drift_ppm": -1e6 * self.samples.drift}
         pace = self.pace.figures() if self._active.is_set() else {}
-        return {**super().figures(), **own, **counted, **pace}
+        return {**super().figures(), **own, **clock, **counted, **pace}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report the state of device, gate and cycles."""
@@ -228,10 +234,11 @@ class HardwareBridgeNode(PlantNode):
             return ERROR, self.failure, figures
         if level == OK and self.at_null and self.gate.state != DISABLED:
             return WARN, "the device keeps the valve closed: commands do not reach it", figures
-        if level != ERROR and self._active.is_set() and (wrong := self._other_rate()):
-            return WARN, wrong, figures
-        if level != ERROR and self._active.is_set() and self.pace.complaint:
-            return WARN, f"{self.pace.complaint}: {ADVICE}", figures
+        if level != ERROR and self._active.is_set():
+            slow = f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else ""
+            wrong = self._other_rate() or slow or self._straying_clock()
+            if wrong:
+                return WARN, wrong, figures
         if level == OK and self.saturated:
             return WARN, f"converter at the end of its range: {', '.join(self.saturated)}", figures
         return level, message, figures

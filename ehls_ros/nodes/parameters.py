@@ -113,8 +113,7 @@ def coerced(declared: Declaration, value: Any) -> Any:
 
 
 def _descriptor(declared: Declaration, *, live: bool) -> ParameterDescriptor:
-    unit = f" [{declared.unit}]" if declared.unit else ""
-    descriptor = ParameterDescriptor(description=f"{declared.description}{unit}", read_only=not live)
+    descriptor = ParameterDescriptor(description=declared.text, read_only=not live)
     if declared.kind is float and (declared.minimum is not None or declared.maximum is not None):
         low = declared.minimum if declared.minimum is not None else -1e308
         high = declared.maximum if declared.maximum is not None else 1e308

@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import Driver, ForceReference, LoaderState, ValveCommand
 from ehls_msgs.srv import AcknowledgeStop, SwitchController
+from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
@@ -83,7 +84,7 @@ class PlantNode(ControlNode):
     """
 
     gate_defaults: Mapping[str, Any] = MappingProxyType({})
-    """Gate parameters that differ from the declared defaults."""
+    """Gate parameters that differ from the declared defaults, for the paper's rig like those."""
 
     gate_bounds: Mapping[str, Bound] | None = None
     """Bounds of the gate's parameters; None: those the rig's limits set."""
@@ -100,7 +101,9 @@ class PlantNode(ControlNode):
         self.period = self.spec.settings.control_period
         rig, self.sensed = self.spec.rig, self.measured()
         sound = Gate(rig, self.period, None, self.sensed, bounds=self.gate_bounds).parameters
-        declare(self, GateParameters, {**sound._asdict(), **self.gate_defaults}, live=True)
+        changed = tuned_for(GateParameters, rig, self.gate_defaults)._asdict()
+        defaults = {**sound._asdict(), **{name: changed[name] for name in self.gate_defaults}}
+        declare(self, GateParameters, defaults, live=True)
         self.awaited: tuple[str, ...] = ()
         self.take_over_after = float(self.get_parameter("take_over_after").value)
         # Who is to drive next; the last driver that left or fell silent.

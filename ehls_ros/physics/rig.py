@@ -129,6 +129,9 @@ ABSENT: Mapping[type, Mapping[str, Any]] = {
 
 SECTIONS = ("plant", "friction", "effects", "sensors", "limits")
 
+MOST_EFFECTS = 64
+"""Most effects of a rig, those of an experiment included; the time to compile its equations grows faster than their number."""
+
 DEFAULT_FRICTION = "gms"
 """The default friction model of a rig file."""
 
@@ -270,6 +273,7 @@ def effects_from_list(data: Any, where: str) -> tuple[EffectUse, ...]:
     """
     if not isinstance(data, list):
         raise BadInput(f"effects is {data!r}", where, "a list of {name: <effect>, <parameter>: value}")
+    check_effect_count(len(data), where)
     uses = []
     for index, entry in enumerate(data):
         place = f"{where}[{index}]"
@@ -281,6 +285,20 @@ def effects_from_list(data: Any, where: str) -> tuple[EffectUse, ...]:
     if len(joints := [use.name for use in uses if use.piston_share > 0.0]) > 1:
         raise BadInput(f"{' and '.join(joints)} both separate the load from the piston", where, "at most one that does")
     return tuple(uses)
+
+
+def check_effect_count(count: int, where: str) -> None:
+    """Check that a rig does not have more effects than :data:`MOST_EFFECTS`.
+
+    Args:
+        count: number of effects.
+        where: file and section of the effects, for errors.
+
+    Raises:
+        BadInput: it has.
+    """
+    if count > MOST_EFFECTS:
+        raise BadInput(f"{count} effects", where, f"at most {MOST_EFFECTS}, those of rig and experiment together")
 
 
 def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:

@@ -3,6 +3,7 @@
 import json
 import shutil
 import sqlite3
+import struct
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -23,6 +24,12 @@ from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.salvage import Found, Loss, Salvage
 from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
 from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
+
+JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
+"""Beginning of a rollback journal of SQLite, and the end of one that names another file."""
+
+SMALLEST_PAGE = 512
+"""Smallest page of a SQLite database [B]."""
 
 RECOVERABLE = "a bag of ROS 2, its folder or its storage file"
 
@@ -122,18 +129,45 @@ def _beginning(file: Path) -> bytes:
 def _rolled_back(file: Path, folder: Path) -> Path:
     """Return a copy with the unfinished transaction rolled back; the file itself if there is none."""
     beside = [*file.parent.glob("*-journal"), *file.parent.glob("*-wal")]
-    journals = [journal for journal in beside if journal.stat().st_size]
+    journals = [journal for journal in beside if journal.is_file() and journal.stat().st_size]
     own = [journal for journal in journals if journal.name.startswith(file.name)] or journals
     if len(own) != 1:
         return file
     copy = folder / "copy.db3"
     shutil.copyfile(file, copy)
-    shutil.copyfile(own[0], f"{copy}-{own[0].name.rpartition('-')[2]}")
+    journal = Path(f"{copy}-{own[0].name.rpartition('-')[2]}")
+    shutil.copyfile(own[0], journal)
+    most = copy.stat().st_size + journal.stat().st_size
+    if journal.name.endswith("-journal"):
+        _bound_journal(journal, most)
     # If this fails, the copy is salvaged as it is.
     with suppress(sqlite3.Error), closing(sqlite3.connect(copy)) as database:
         database.execute("PRAGMA user_version").fetchone()
         database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-    return copy
+    return copy if 0 < copy.stat().st_size <= most else file
+
+
+def _bound_journal(journal: Path, most: int) -> None:
+    """Change a rollback journal so that SQLite neither extends the database beyond all that is there nor deletes another file.
+
+    SQLite sets the database to the number of pages that the journal's header claims, and then deletes the super-journal of
+    which the journal's end has the path, if none of the databases listed in that file is there.
+
+    Args:
+        journal: a copy of the journal.
+        most: size of database and journal together [B].
+    """
+    with journal.open("r+b") as stream:
+        magic, pages, page_size = struct.unpack(">8s8xI4xI", stream.read(28).ljust(28, b"\0"))
+        # A size of 0 stands for that of the database, which is at least the smallest.
+        there = most // max(page_size, SMALLEST_PAGE)
+        if magic == JOURNAL_MAGIC and pages > there:
+            stream.seek(16)
+            stream.write(struct.pack(">I", there))
+        stream.seek(-min(len(JOURNAL_MAGIC), stream.seek(0, 2)), 2)
+        if stream.read() == JOURNAL_MAGIC:
+            stream.seek(-len(JOURNAL_MAGIC), 2)
+            stream.write(bytes(len(JOURNAL_MAGIC)))
 
 
 def _expected(folder: Path) -> tuple[Mapping[str, Flushed], list[str]]:

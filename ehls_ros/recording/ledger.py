@@ -17,6 +17,7 @@ from zlib import error as CompressionError  # noqa: N812 - an exception, and zli
 import numpy as np
 from numpy.typing import NDArray
 
+from ehls_ros.recording.piecewise import first_match
 from ehls_ros.recording.provenance import checksum_of, checksum_sum, message_checksum, message_digest
 from ehls_ros.schema import from_json, quantity
 
@@ -24,12 +25,13 @@ MOST_PARTS = 255
 """Most blocks of a bag's provenance."""
 
 MARK = b"\x9dLEDGER\x1a"
+_MARK = re.compile(re.escape(MARK))
 
 ROOM = 4000
 """Largest block [B]: fits a SQLite page of 4096 B with its overhead."""
 
-LONGEST_TEXT = 1 << 24
-"""Size to which the text in a block may expand [B]."""
+LONGEST_HEAD, LONGEST_TEXT = 1 << 17, 1 << 24
+"""Sizes to which the head of a block and a bag's provenance may expand [B]."""
 
 ENTRY = Struct("<BQ8s")
 ENTRIES = np.dtype([("topic", "u1"), ("stamp_ns", "<u8"), ("checksum", "<u8")])
@@ -175,7 +177,9 @@ class _Block(NamedTuple):
 
 
 def _blocks_in(content: bytes | mmap) -> Iterator[_Block]:
-    for match in re.finditer(re.escape(MARK), content):
+    offset = 0
+    while (match := first_match(_MARK, content, offset, len(content), len(MARK))) is not None:
+        offset = match.end()
         block = content[match.start() : match.start() + ROOM]
         if len(block) < _FRAME.size:
             continue
@@ -294,7 +298,8 @@ class Ledger:
 def _parsed_head(head: bytes) -> Mapping[str, tuple[int, int]] | None:
     """Return each topic's number and the count of its earlier messages, by full name, from the head of a block."""
     try:
-        return cast(Mapping[str, tuple[int, int]], from_json(Mapping[str, tuple[_Number, _Number]], _expanded(head)))
+        text = _expanded(head, LONGEST_HEAD)
+        return cast(Mapping[str, tuple[int, int]], from_json(Mapping[str, tuple[_Number, _Number]], text))
     except (CompressionError, ValueError):
         return None
 
@@ -304,10 +309,10 @@ def _joined(parts: Mapping[tuple[int, int], bytes]) -> str | None:
     if not total or len(parts) < total:
         return None
     try:
-        return _expanded(b"".join(part for _, part in sorted(parts.items()))).decode()
+        return _expanded(b"".join(part for _, part in sorted(parts.items())), LONGEST_TEXT).decode()
     except (CompressionError, UnicodeDecodeError):
         return None
 
 
-def _expanded(packed: bytes) -> bytes:
-    return decompressobj().decompress(packed, LONGEST_TEXT)
+def _expanded(packed: bytes, longest: int) -> bytes:
+    return decompressobj().decompress(packed, longest)

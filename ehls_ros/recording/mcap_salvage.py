@@ -13,14 +13,15 @@ from typing import NamedTuple
 from zlib import crc32
 
 from ehls_ros.recording.ledger import Ledger
-from ehls_ros.recording.salvage import Found, Loss, Names
+from ehls_ros.recording.piecewise import first_match
+from ehls_ros.recording.salvage import LONGEST_NAME, Budget, Found, Loss, Names
 from ehls_ros.recording.storage_file import MCAP_MESSAGE, MCAP_RECORD
 
 CHUNK_HEAD = struct.Struct("<BQQQQII")
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 CHANNEL_HEAD = struct.Struct("<BQHHI")
 
-LONGEST_NAME = 8
+LONGEST_COMPRESSION = 8
 """Longest name of a compression [characters]."""
 
 # A record's kind and a length below 16 MiB; the rest is checked in code.
@@ -42,43 +43,48 @@ class _Chunk(NamedTuple):
 def names_in_mcap(content: mmap) -> dict[int, str]:
     """Return the topics described in an mcap file."""
     names: dict[int, str] = {}
-    for match in _CHANNEL.finditer(content):
+    offset = 0
+    while (match := first_match(_CHANNEL, content, offset, len(content), CHANNEL_HEAD.size)) is not None:
+        offset = match.end()
         _, length, channel, _, size = CHANNEL_HEAD.unpack_from(content, match.start())
-        path = content[match.end() : match.end() + size]
-        if path.startswith(b"/") and size < length and path.isascii():
-            names.setdefault(channel, path.decode())
+        if size < length and size <= LONGEST_NAME:
+            path = content[match.end() : match.end() + size]
+            if path.startswith(b"/") and path.isascii():
+                names.setdefault(channel, path.decode())
     return names
 
 
 def salvage_mcap(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> Iterator[Found]:
     """Find the messages of an mcap file; see :data:`~ehls_ros.recording.salvage.Salvage`."""
-    behind = 0
+    behind, budget = 0, Budget(content, loss)
     while (chunk := _next_chunk(content, behind)) is not None:
-        yield from _searched(content[behind : chunk.start], names, ledger)
+        yield from _searched(content, behind, chunk.start, names, ledger, budget)
         behind = chunk.end
-        records = content[chunk.records : chunk.end]
         if chunk.compressed:
             loss.places.append(f"the chunk at byte {chunk.start} is compressed")
-        elif chunk.checksum and crc32(records) == chunk.checksum:
+            continue
+        records = content[chunk.records : chunk.end]
+        if chunk.checksum and crc32(records) == chunk.checksum:
             yield from _from_sound_chunk(records, names, ledger)
         elif chunk.checksum and ledger.empty:
             loss.places.append(f"the chunk at byte {chunk.start} is damaged")
             for topic, _, _ in _messages(records, names):
                 loss.count(topic)
         else:
-            yield from _searched(records, names, ledger)
-    yield from _searched(content[behind:], names, ledger)
+            yield from _searched(content, chunk.records, chunk.end, names, ledger, budget)
+    yield from _searched(content, behind, len(content), names, ledger, budget)
 
 
 def _next_chunk(content: mmap, behind: int) -> _Chunk | None:
-    for match in _CHUNK.finditer(content, behind):
+    while (match := first_match(_CHUNK, content, behind, len(content), MCAP_RECORD.size)) is not None:
         start = match.start()
+        behind = start + 1
         if start + CHUNK_HEAD.size > len(content):
             return None
         _, length, _, _, expanded, checksum, name = CHUNK_HEAD.unpack_from(content, start)
         records = start + CHUNK_HEAD.size + name + 8
         end = start + MCAP_RECORD.size + length
-        if name > LONGEST_NAME or end > len(content) or end < records:
+        if name > LONGEST_COMPRESSION or end > len(content) or end < records:
             continue
         (size,) = struct.unpack_from("<Q", content, records - 8)
         if records + size == end and (name or size == expanded):
@@ -110,20 +116,21 @@ def _from_sound_chunk(records: bytes, names: Names, ledger: Ledger) -> Iterator[
             yield Found(*message, verified=True)
 
 
-def _searched(records: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
-    """Try every offset that looks like a message."""
-    offset = 0
-    while (match := _MESSAGE.search(records, offset)) is not None:
-        start = match.start()
-        offset = start + 1
-        if start + MESSAGE_HEAD.size > len(records):
+def _searched(content: mmap, start: int, end: int, names: Names, ledger: Ledger, budget: Budget) -> Iterator[Found]:
+    """Try every offset of a part of the file that looks like a message."""
+    while (match := first_match(_MESSAGE, content, start, end, MCAP_RECORD.size)) is not None:
+        head = match.start()
+        start = head + 1
+        if head + MESSAGE_HEAD.size > end:
             return
-        _, length, channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(records, start)
-        end = start + MCAP_RECORD.size + length
-        if length < MESSAGE_HEAD.size - MCAP_RECORD.size or end > len(records) or channel not in names:
+        _, length, channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(content, head)
+        behind = head + MCAP_RECORD.size + length
+        if length < MESSAGE_HEAD.size - MCAP_RECORD.size or behind > end or channel not in names:
             continue
-        message = names[channel], stamp_ns, records[start + MESSAGE_HEAD.size : end]
+        if not budget.covers(behind - head):
+            return
+        message = names[channel], stamp_ns, content[head + MESSAGE_HEAD.size : behind]
         [verified] = ledger.verify([message])
         if verified or ledger.empty:
             yield Found(*message, verified)
-            offset = end
+            start = behind

@@ -1,10 +1,23 @@
-"""The interface of the salvagers of both storages: messages as they are found, verified or not."""
+"""The interface of the salvagers of both storages: messages as they are found, verified or not; and bounds of their work."""
 
 from collections.abc import Callable, Iterator, Mapping
 from mmap import mmap
 from typing import NamedTuple
 
 from ehls_ros.recording.ledger import Ledger
+
+LONGEST_NAME = 1024
+"""Longest name of a topic [characters]; ROS 2 permits 255."""
+
+MOST_WORK = 16
+"""Bytes copied and compared with the ledger, over the size of the file.
+
+Each byte belongs to one message, so a damaged file needs about one; in a file made for it, messages that begin inside each
+other would take the square of its size.
+"""
+
+SPENT = "messages begin inside each other in too many places: the rest is not searched for more"
+"""Remark on a file that takes more work."""
 
 
 class Found(NamedTuple):
@@ -38,6 +51,32 @@ class Loss:
     def count(self, topic: str) -> None:
         """Count a damaged message."""
         self.damaged[topic] = self.damaged.get(topic, 0) + 1
+
+
+class Budget:
+    """Bounds the bytes that are copied and compared in search of messages by the size of the file."""
+
+    def __init__(self, content: mmap, loss: Loss) -> None:
+        """Start with :data:`MOST_WORK` times the size of a file.
+
+        Args:
+            content: of the file.
+            loss: gets a remark when the budget is spent.
+        """
+        self._left = MOST_WORK * len(content)
+        self._loss = loss
+
+    def covers(self, size: int) -> bool:
+        """Return whether another candidate may be looked at, and take its size off; once spent, the budget stays so.
+
+        Args:
+            size: of the candidate [B].
+        """
+        if self._left >= 0:
+            self._left -= size
+            if self._left < 0:
+                self._loss.places.append(SPENT)
+        return self._left >= 0
 
 
 Names = Mapping[int, str]

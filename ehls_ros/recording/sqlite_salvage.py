@@ -11,7 +11,8 @@ from mmap import mmap
 from typing import NamedTuple
 
 from ehls_ros.recording.ledger import Ledger
-from ehls_ros.recording.salvage import Found, Loss, Names
+from ehls_ros.recording.piecewise import first_match
+from ehls_ros.recording.salvage import LONGEST_NAME, Budget, Found, Loss, Names
 
 DEFAULT_PAGE = 4096
 HEADER = 100
@@ -36,7 +37,10 @@ _VARINT = rb"([\x80-\xff]{0,4}[\x00-\x7f])"
 _ROW = re.compile(rb"[\x05-\x09]\x00" + _INTEGER + _INTEGER + _VARINT)
 _CELL = re.compile(rb"([\x80-\xff]{0,4}[\x00-\x7f])([\x80-\xff]{0,8}[\x00-\x7f])" + _ROW.pattern)
 # A topic: its id, then name, type and the serialization format, which is a text of three letters.
-_TOPIC = re.compile(rb"([\x01-\x7f])[\x05-\x0c]\x00" + _VARINT + _VARINT + rb"\x13[\x00-\xff]{0,6}?(/[ -~]+cdr)")
+_TOPIC = re.compile(
+    rb"([\x01-\x7f])[\x05-\x0c]\x00" + _VARINT + _VARINT + rb"\x13[\x00-\xff]{0,6}?(/[ -~]{1,%d}cdr)" % (2 * LONGEST_NAME)
+)
+_LONGEST_TOPIC = 3 + 5 + 5 + 1 + 6 + 1 + 2 * LONGEST_NAME + 3
 
 
 class _Row(NamedTuple):
@@ -50,7 +54,9 @@ class _Row(NamedTuple):
 def names_in_sqlite(content: mmap) -> dict[int, str]:
     """Return the topics described in a SQLite file."""
     names: dict[int, str] = {}
-    for match in _TOPIC.finditer(content):
+    offset = 0
+    while (match := first_match(_TOPIC, content, offset, len(content), _LONGEST_TOPIC)) is not None:
+        offset = match.end()
         size = (_varint(match[2]) - TEXT) // 2
         if 0 < size < len(match[4]):
             names.setdefault(match[1][0], match[4][:size].decode())
@@ -59,10 +65,10 @@ def names_in_sqlite(content: mmap) -> dict[int, str]:
 
 def salvage_sqlite(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> Iterator[Found]:
     """Find the messages of a SQLite file; see :data:`~ehls_ros.recording.salvage.Salvage`."""
-    size = _page_size(content)
+    size, budget = _page_size(content), Budget(content, loss)
     for start in range(0, len(content), size):
         page = content[start : start + size]
-        rows, all_rows = _rows(page, HEADER if start == 0 else 0, content, size)
+        rows, all_rows = _rows(page, HEADER if start == 0 else 0, content, size, budget)
         messages = [(names.get(row.topic, f"topic {row.topic}"), row.stamp_ns, row.serialized) for row in rows]
         sound = ledger.verify(messages)
         for row, message, verified in zip(rows, messages, sound, strict=True):
@@ -71,7 +77,7 @@ def salvage_sqlite(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> I
             else:
                 loss.count(message[0])
         if not ledger.empty and not (all_rows and rows and all(sound)):
-            yield from _searched(page, names, ledger)
+            yield from _searched(page, names, ledger, budget)
 
 
 def _page_size(content: mmap) -> int:
@@ -80,27 +86,27 @@ def _page_size(content: mmap) -> int:
     return size if size in {1 << exponent for exponent in range(9, 17)} else DEFAULT_PAGE
 
 
-def _rows(page: bytes, start: int, content: mmap, size: int) -> tuple[list[_Row], bool]:
+def _rows(page: bytes, start: int, content: mmap, size: int, budget: Budget) -> tuple[list[_Row], bool]:
     """Return the messages that a page lists, and whether everything it lists is a message."""
     if page[start : start + 1] != bytes([LEAF]):
         return [], False
     count = int.from_bytes(page[start + 3 : start + 5], "big")
     listed = page[start + 8 : start + 8 + 2 * count]
     cells = [int.from_bytes(listed[at : at + 2], "big") for at in range(0, len(listed), 2)]
-    rows = [row for cell in cells if (row := _row(page, cell, content, size)) is not None]
+    rows = [row for cell in cells if (row := _row(page, cell, content, size, budget)) is not None]
     return rows, len(rows) == count
 
 
-def _row(page: bytes, cell: int, content: mmap, size: int) -> _Row | None:
+def _row(page: bytes, cell: int, content: mmap, size: int, budget: Budget) -> _Row | None:
     match = _CELL.match(page, cell)
     if match is None:
         return None
     length = _varint(match[1])
-    if length > LONGEST_ROW:
+    if length > LONGEST_ROW or not budget.covers(length):
         return None
     head = match.start(3) - 2
     here = _stored_in_page(length, size)
-    payload = page[head : head + here]
+    payload = bytearray(page[head : head + here])
     if here < length:
         # The rest is in a linked list of overflow pages.
         following = int.from_bytes(page[head + here : head + here + 4], "big")
@@ -110,8 +116,7 @@ def _row(page: bytes, cell: int, content: mmap, size: int) -> _Row | None:
                 return None
             payload += content[at + 4 : at + size]
             following = int.from_bytes(content[at : at + 4], "big")
-        payload = payload[:length]
-    row = _unpacked(payload, 0)
+    row = _unpacked(bytes(payload[:length]), 0)
     return row and row._replace(ordinal=_varint(match[2]) - 1)
 
 
@@ -147,13 +152,15 @@ def _unpacked(payload: bytes, start: int) -> _Row | None:
     return _Row(numbers[0], numbers[1], payload[at:end], -1, end)
 
 
-def _searched(page: bytes, names: Names, ledger: Ledger) -> Iterator[Found]:
+def _searched(page: bytes, names: Names, ledger: Ledger, budget: Budget) -> Iterator[Found]:
     """Try every offset that looks like a row."""
     offset = 0
     while (match := _ROW.search(page, offset)) is not None:
         offset = match.start() + 1
         row = _unpacked(page, match.start())
         if row is not None and row.topic in names:
+            if not budget.covers(row.end - match.start()):
+                return
             message = names[row.topic], row.stamp_ns, row.serialized
             if ledger.verify([message])[0]:
                 yield Found(*message, verified=True)

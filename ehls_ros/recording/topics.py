@@ -128,6 +128,7 @@ CONTROLLER_STATUS = _cycle_topic(
         "force_error": "force_error_n",
         "force_bound": "force_bound_n",
         "saturated": "saturated",
+        "at_bound": "at_bound",
         "friction_fallback": "friction_fallback",
     },
 )

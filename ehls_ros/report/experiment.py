@@ -90,6 +90,14 @@ def _done_to(events: Sequence[Event]) -> list[str]:
     return [page.heading("What was done"), page.table(("Time / s", "Node", "Event"), rows[:MOST_EVENTS]), more]
 
 
+COUNTED = {
+    "saturated": "Command at its limit",
+    "at_bound": "Estimate at its bound",
+    "friction_fallback": "Steady friction in use",
+}
+"""Facts of which the cycles are counted, by signal."""
+
+
 def summary(trajectory: Trajectory, metrics: Metrics | None) -> tuple[str, bool | None]:
     """Summarise a run in one sentence.
 
@@ -151,7 +159,7 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
             ("Cycles", number(metrics.cycles)),
             ("Missed cycles", number(metrics.missed_cycles)),
         ]
-    for name, label in (("saturated", "Command at its limit"), ("friction_fallback", "Steady friction in use")):
+    for name, label in COUNTED.items():
         if known(trajectory, name):
             items.append((label, f"{number(int(np.sum(trajectory[name] > 0.5)))} cycles"))
     response = trajectory.signals.get("response_s", np.empty(0))

@@ -227,6 +227,8 @@ def adaptation(run: Trajectory) -> Panel | LeftOut:
         rows.append(Axis("D̂", KILONEWTON))
         label = "D̂, remaining disturbance"
         traces.append(time_line(time, run["delta_n"], label, KILONEWTON, GREEN, row=len(rows)))
+    if known(run, "at_bound"):
+        traces += event_marks(time, run["at_bound"] > 0.5, "estimate at its bound", VERMILION)
     return Panel(title, traces, time_layout(time[-1], rows), height=160 + 80 * len(rows))
 
 

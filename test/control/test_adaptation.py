@@ -197,6 +197,12 @@ def test_no_coefficient_goes_beyond_its_reach(run: Run) -> None:
     last = fed(one, model, run.measured, run.command)[-1]
     assert last.plant.discharge_coefficient == pytest.approx(1.3 * model.plant.discharge_coefficient)
     assert "the controller is given a change of 30 % at most" in str(one.report()["discharge_coefficient_told"])
+    [said] = [sentence for sentence in one.at_bounds() if "discharge coefficient" in sentence]
+    assert "30 % at most: correct the rig file" in said
+    right = known(run.spec, discharge_coefficient=0.9)
+    near = companion(run.spec, right)
+    fed(near, right, run.measured, run.command)
+    assert not any("discharge coefficient" in sentence for sentence in near.at_bounds())
 
 
 def test_cycle_by_cycle_gives_the_same_as_many_at_once(run: Run) -> None:

@@ -118,26 +118,6 @@ def test_retuning_twice_before_a_step_starts_from_the_tuning_in_force(rig):
         assert once.step()[2] == twice.step()[2]
 
 
-def test_another_knowledge_of_the_rig_makes_no_bump_and_counts_from_then_on(rig):
-    """Two cycles later the law compares the change of pressure with that of the model it had then: that costs a small move."""
-    law = make(rig)
-    bench = Bench(rig, law)
-    commands = [bench.step()[2] for _ in range(2310)]
-    before = np.max(np.abs(np.diff(commands[1500:])))
-    plant = rig.plant._replace(discharge_coefficient=1.1 * rig.plant.discharge_coefficient)
-    known = base.model_of(rig._replace(plant=plant), PERIOD)
-    law.adopt(known)
-    after = [bench.step()[2] for _ in range(600)]
-    assert law.model == known
-    assert abs(after[0] - commands[-1]) <= before
-    assert np.max(np.abs(np.diff(after[:100]))) <= 4.0 * before
-    fresh = Controller("fasmc", law.parameters, known)
-    fresh._memory = law._memory.copy()
-    measured, wanted = measure(rig, bench.simulator), np.array([2.5e3, 1e3, 0.0])
-    friction = bench.estimator.state.estimate
-    assert law.step(measured, wanted, friction) == pytest.approx(fresh.step(measured, wanted, friction), abs=1e-11)
-
-
 def test_reset_forgets_everything_but_the_tuning(rig):
     law = make(rig, k=15.0)
     first = [bench.step()[2] for bench in [Bench(rig, law)] for _ in range(300)]

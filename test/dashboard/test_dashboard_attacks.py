@@ -16,7 +16,7 @@ from served import answer, begin, event, hear, open_socket, own_address, page, s
 from websockets.protocol import State
 
 from ehls_ros.dashboard.access import PAGES
-from ehls_ros.dashboard.connections import PER_PEER
+from ehls_ros.dashboard.connections import LONGEST_HEAD, PER_PEER
 from ehls_ros.dashboard.messages import LARGEST
 
 HALF_OPEN = (b"", b"GET / HTTP/1.1\r\nHost: x\r\n")
@@ -189,6 +189,35 @@ def test_a_request_without_end_is_cut_off(shown, begun):
 def test_unusual_requests_are_refused_and_the_connection_is_closed(shown, request_line, code):
     head = request_line + b"\r\nHost: 127.0.0.1\r\n\r\n"
     assert code in heard(shown.port, head, *[b"10000\r\n" + b"a" * 65536 + b"\r\n"] * 100)
+
+
+def head_of(size, upgrade=b""):
+    """Return a request head of a given size."""
+    begun = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n" + upgrade + b"X: "
+    return begun + b"a" * (size - len(begun) - 4) + b"\r\n\r\n"
+
+
+@pytest.mark.parametrize("upgrade", [b"", b"Upgrade: websocket\r\nConnection: upgrade\r\n"], ids=["page", "socket"])
+@pytest.mark.parametrize("size", [LONGEST_HEAD + 1, 40_000, 200_000])
+def test_a_head_beyond_the_limit_is_refused_however_it_arrives(shown, size, upgrade):
+    head = head_of(size, upgrade)
+    assert len(head) == size
+    assert heard(shown.port, head).startswith(b"HTTP/1.1 431 ")
+    assert heard(shown.port, *(head[at : at + 1000] for at in range(0, size, 1000))).startswith(b"HTTP/1.1 431 ")
+
+
+def test_a_head_up_to_the_limit_is_answered_also_behind_another_request(shown):
+    bare = b"GET /favicon.ico HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    last = head_of(LONGEST_HEAD, b"Connection: close\r\n")
+    assert heard(shown.port, last) == b"HTTP/1.1 200 OK"
+    with socket.create_connection(("127.0.0.1", shown.port), timeout=PATIENCE) as one:
+        one.sendall(bare + head_of(LONGEST_HEAD + 1))
+        answered = b""
+        with contextlib.suppress(OSError):
+            while part := one.recv(65536):
+                answered += part
+    assert answered.count(b"HTTP/1.1 ") == 2
+    assert b"HTTP/1.1 431 " in answered
 
 
 def test_neither_the_token_nor_request_texts_are_printed(here, shown):

@@ -32,11 +32,11 @@ class Bench:
         self.cycle = 0
         self.time = 100.0
 
-    def sense(self, reference=math.nan, **readings):
-        """Pass a snapshot of the rig at rest except for the given readings; the others change slightly."""
+    def sense(self, reference=math.nan, lag=0.0, **readings):
+        """Pass a snapshot of the rig at rest except for the given readings, ``lag`` s old; the others change slightly."""
         values = {**REST, **readings}
         tremble = 1e-9 * (self.cycle % 2)
-        self.gate.sense(self.cycle, [values.get(signal, tremble) for signal in SENSED], reference)
+        self.gate.sense(self.cycle, [values.get(signal, tremble) for signal in SENSED], reference, lag=lag)
         self.cycle += 1
 
     def step(self, elapsed=PERIOD):

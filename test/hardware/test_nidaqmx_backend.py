@@ -145,10 +145,10 @@ def test_tasks_are_set_up_with_the_valve_closed_first(card, device):
 
 def test_newest_of_the_waiting_samples(card, device):
     card.waiting = [(1.0, 2.0)]
-    assert device.read(0.25)[::2] == (0, (1.0, 2.0))
+    assert device.read(0.25)[:3:2] == (0, (1.0, 2.0))
     assert card.arguments_of("read")[-1] == ((0.25,), {})
     card.waiting = [(float(number), -float(number)) for number in range(150)]
-    assert device.read(0.25)[::2] == (150, (149.0, -149.0))
+    assert device.read(0.25)[:3:2] == (150, (149.0, -149.0))
     assert device.figures()["skipped"] == 149
 
 

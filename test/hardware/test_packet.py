@@ -80,6 +80,7 @@ DAMAGED = {
     "unknown status": (documented(status=3), "field"),
     "measurement with a watchdog": (documented(watchdog_us=1), "field"),
     "command without a watchdog": (documented(kind=3, values=(1.0,), status=0), "field"),
+    "command with a watchdog of an hour": (documented(kind=3, values=(1.0,), status=0, watchdog_us=3_600_000_000), "field"),
 }
 
 

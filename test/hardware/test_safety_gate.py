@@ -733,11 +733,15 @@ def test_no_parameter_exceeds_the_bounds_of_the_rig(name, value):
         Gate(RIG, PERIOD, Parameters(**{name: value}))
 
 
-def test_the_defaults_are_clipped_for_a_faster_and_shorter_rig():
+def test_the_defaults_follow_the_spool_and_are_clipped_for_a_faster_and_shorter_rig():
     limits = RIG.limits._replace(velocity=5.0, position=(-0.1, 0.1), spool=1e-3)
-    gate = Gate(RIG._replace(limits=limits), PERIOD)
+    short = RIG._replace(limits=limits)
+    gate = Gate(short, PERIOD)
     assert gate.parameters.command_timeout == pytest.approx(0.004)
-    assert gate.parameters.command_rate == pytest.approx(0.4)
+    # In proportion to the spool, 2 m/s for 10 mm, it would be 0.2 m/s.
+    assert gate.parameters.command_rate == pytest.approx(0.25)
+    for periods, rate in ((2.0, 0.2), (4.0, 0.1)):
+        assert Gate(short, periods * PERIOD).parameters.command_rate == pytest.approx(rate)
 
 
 def test_another_limit_applies_from_the_next_cycle():

@@ -43,7 +43,7 @@ def address_of(end):
 def test_reading_has_the_wired_channels(end, device):
     end.measure(7, status=Status.WATCHDOG)
     reading = device.read(PATIENCE)
-    assert reading == (7, 7000, (VALUES[2], VALUES[0]), True)
+    assert reading[:4] == (7, 7000, (VALUES[2], VALUES[0]), True)
     end.measure(8)
     assert not device.read(PATIENCE).at_null
 
@@ -108,12 +108,15 @@ def test_recording_of_an_earlier_run_is_refused(end):
 
 def test_restarted_target_is_found_again(end, device):
     end.measure(500)
-    assert device.read(PATIENCE).sequence == 500
+    before = device.read(PATIENCE)
+    assert before.sequence == 500
     old = end.target.measurement(501, 0, Status.COMMANDED, VALUES)
     end.restart()
     greeted(end, device)
     end.measure(0)
-    assert device.read(PATIENCE).sequence == 0
+    after = device.read(PATIENCE)
+    assert after.sequence == 0
+    assert after.session != before.session
     end.socket.sendto(old, address_of(end))
     assert device.read(0.02) is None
     device.write(1.0, 0)
@@ -209,6 +212,26 @@ def test_commands_that_are_doubled_overtaken_or_late_are_refused(end, device):
     figures = end.target.figures()
     assert (figures["commands"], figures["order"], figures["late"], figures["session"]) == (1, 1, 1, 1)
     assert end.target.output(1.0) == (1.0, Status.COMMANDED)
+
+
+@pytest.mark.parametrize(("pause", "reason"), [(0.9 * WATCHDOG, "commands"), (1.5 * WATCHDOG, "late"), (0.3, "late")])
+def test_age_of_a_command_counts_by_the_clock_of_a_target_that_was_held_up(end, device, pause, reason):
+    for cycle in range(5):
+        end.measure(cycle, now=5.0 + cycle * PERIOD)
+        device.read(PATIENCE)
+    device.write(1.0, 4)
+    # It stands still between measurement 4 and the next cycle, in which it takes the command.
+    end.take(now=5.0 + 4 * PERIOD + pause, cycle=4)
+    assert end.target.figures()[reason] == 1
+    assert (end.target.answered == 4) == (reason == "commands")
+
+
+def test_answer_to_a_measurement_that_was_never_sent_is_late(end, device):
+    end.measure(7, now=5.0)
+    device.read(PATIENCE)
+    device.write(1.0, 6)
+    end.take(now=5.0, cycle=7)
+    assert end.target.figures()["late"] == 1
 
 
 def test_commands_of_strangers_and_of_earlier_runs_are_refused(end, device, stranger):

@@ -43,9 +43,9 @@ class TargetEnd:
         except BlockingIOError:
             return
 
-    def measure(self, cycle, values=VALUES, status=Status.COMMANDED):
+    def measure(self, cycle, values=VALUES, status=Status.COMMANDED, now=None):
         """Send the measurement of a cycle and return its bytes."""
-        data = self.target.measurement(cycle, 1000 * cycle, status, values)
+        data = self.target.measurement(cycle, 1000 * cycle, status, values, now)
         self.socket.sendto(data, self.target.address)
         return data
 

@@ -71,6 +71,17 @@ def test_the_papers_three_elements_are_one(found, rig):
     assert found.estimates["attraction_rate"].value == pytest.approx(1650.0, rel=0.1)
 
 
+def test_standard_errors_known_to_be_too_small_are_said(found, rig):
+    truth = {"coulomb_force": rig.friction.coulomb_force, "element_stiffness_1": sum(rig.friction.element_stiffness)}
+    truth["attraction_rate"] = rig.friction.attraction_rate
+    assert set(found.understated) == set(truth)
+    [said] = [remark for remark in found.remarks if "exceed their standard errors" in remark]
+    for name, value in truth.items():
+        estimate, factor = found.estimates[name], found.understated[name]
+        assert f"{name} {factor:g} times" in said
+        assert abs(estimate.value - value) < 3.0 * factor * estimate.std
+
+
 def test_viscous_damping_is_said_to_be_part_of_a_sum(found):
     assert "viscous_damping" in found.not_identifiable
     assert "viscous_damping" not in found.estimates

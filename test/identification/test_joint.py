@@ -152,16 +152,30 @@ def test_two_fits_make_one():
     first = joint.fit(data.chosen([1]), START._replace(free=("level",)))
     then = START._replace(friction=first.friction, free=("exponent",))
     second = joint.fit(data.chosen([0]), then)
-    both = joint.combined(joint.placed(first, [1], data.motions), joint.placed(second, [0], data.motions))
+    moved = joint.moved_with_held(second, data.chosen([0]))
+    both = joint.combined(joint.placed(first, [1], data.motions), joint.placed(second, [0], data.motions), moved)
     assert both.free == ("level", "exponent")
     np.testing.assert_array_equal(both.linear, first.linear)
     np.testing.assert_array_equal(both.z, second.z)
     np.testing.assert_array_equal(both.covariance[np.ix_([0, 2, 3, 4], [0, 2, 3, 4])], first.covariance)
-    assert both.covariance[1, 1] == second.covariance[0, 0]
-    np.testing.assert_array_equal(both.covariance[1, [0, 2, 3, 4]], 0.0)
+    np.testing.assert_allclose(both.covariance[1, [0, 2, 3, 4]], moved[0, 0] * first.covariance[0])
+    assert both.covariance[1, 1] == pytest.approx(second.covariance[0, 0] + moved[0, 0] ** 2 * first.covariance[0, 0])
+    np.testing.assert_allclose(both.covariance, both.covariance.T)
     assert both.noise == (*second.noise, *first.noise)
     np.testing.assert_array_equal(both.residuals, [second.residuals[0], first.residuals[0]])
     assert both.cost == first.cost + second.cost
+
+
+def test_what_a_fit_held_moves_what_it_found():
+    data = recorded(noise=2.0)
+    step = 1e-3
+    held = [START._replace(friction=TRUE._replace(level=TRUE.level * np.exp(by)), free=("exponent",)) for by in (-step, step)]
+    low, high = (joint.fit(data, start) for start in held)
+    moved = joint.moved_with_held(low, data)
+    assert moved.shape == (1 + len(low.linear), 1)
+    assert moved[0, 0] == pytest.approx((high.z[1] - low.z[1]) / (2.0 * step), rel=0.05)
+    linear = (high.linear - low.linear) / (2.0 * step)
+    np.testing.assert_allclose(moved[1:, 0], linear, rtol=0.05, atol=1e-3 * np.abs(moved).max())
 
 
 def test_a_recording_that_did_not_count_has_no_residuals():

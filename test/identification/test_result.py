@@ -40,6 +40,7 @@ def test_the_json_has_the_promised_keys():
         motions=(made,),
         method="pso",
         wall_s=1.5,
+        understated={"level": 2.5},
     )
     written = json.loads(json.dumps(to_json(found)))
     assert written == {
@@ -47,6 +48,7 @@ def test_the_json_has_the_promised_keys():
             "level": {"value": 100.0, "std": 0.5, "unit": "N"},
             "gravity": {"value": 9.81, "std": 0.01, "unit": "m/s^2"},
         },
+        "understated": {"level": 2.5},
         "correlations": {"names": ["level", "gravity"], "matrix": [[1.0, 0.25], [0.25, 1.0]]},
         "not_identifiable": ["viscous_damping"],
         "remarks": ["A sentence."],

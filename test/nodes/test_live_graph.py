@@ -55,6 +55,7 @@ def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(runn
     figure(participant, diagnostics, "recorder_node", "nodes_known", lambda _, known: known >= len(NODES) + 3)
     tuned_after = a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics)
     the_estimator_may_go_and_come_back(running, participant, diagnostics, graph, spec_file(duration=1000.0))
+    an_estimate_at_its_bound_is_said(running, participant, diagnostics)
     assert participant.call(Trigger, "emergency_stop", Trigger.Request()).success
     # SIGINT to all, then their exit codes.
     for name in (*NODES, "plant_sim_node"):
@@ -99,6 +100,15 @@ def the_estimator_may_go_and_come_back(running, participant, diagnostics, graph,
     graph.start("friction_estimator_node", spec=spec)
     participant.until(lambda: not running[-1].friction_fallback)
     goes_on(participant, running)
+
+
+def an_estimate_at_its_bound_is_said(running, participant, diagnostics):
+    assert participant.set_parameter("fasmc_node", "delta_maximum", 1e-3).successful
+    participant.until(lambda: running[-1].at_bound and abs(running[-1].delta) <= 1.001e-3)
+    words = "D̂ stands at its bound of ±0.001 N: raise delta_maximum"
+    participant.until(lambda: any(status.message.startswith(words) for array in diagnostics for status in array.status))
+    assert participant.set_parameter("fasmc_node", "delta_maximum", 5e4).successful
+    participant.until(lambda: not running[-1].at_bound)
 
 
 def it_is_all_in_the_bag(bag, tuned_after):

@@ -26,6 +26,7 @@ def make_trajectory(samples: int = 20, *, start_s: float = 0.0) -> Trajectory:
     signals["friction_elements_n"] = random.normal(size=(samples, 4))
     signals["friction_slipping"] = random.integers(0, 2, (samples, 4)).astype(float)
     signals["saturated"] = random.integers(0, 2, samples).astype(float)
+    signals["at_bound"] = random.integers(0, 2, samples).astype(float)
     signals["friction_fallback"] = random.integers(0, 2, samples).astype(float)
     for name in ("programme_block", "programme_repetition", "programme_load_cycles", "programme_state"):
         signals[name] = random.integers(0, 5, samples).astype(float)

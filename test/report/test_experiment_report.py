@@ -52,6 +52,9 @@ def make_run(count=600, **metadata):
     signals["friction_slipping"] = (random.random((count, 3)) > 0.5).astype(float)
     signals["supply_pressure_pa"] = np.full(count, 7e6)
     signals["force_bound_n"] = np.full(count, 78.0)
+    for name in ("alpha", "beta"):
+        signals[name] = 1.0 + 0.1 * signals[name]
+    signals["at_bound"] = (random.random(count) > 0.99).astype(float)
     signals["response_s"] = 2e-4 * random.lognormal(0.0, 0.3, count)
     signals["saturated"] = (random.random(count) > 0.99).astype(float)
     signals["friction_fallback"] = (random.random(count) > 0.99).astype(float)

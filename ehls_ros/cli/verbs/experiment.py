@@ -13,7 +13,7 @@ from ehls_ros.cli.configured import Configured
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
-from ehls_ros.experiments.adapting import adapted
+from ehls_ros.experiments.adapting import Adapted, adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
@@ -85,21 +85,20 @@ def run(options: Namespace) -> int:
         metrics = with_causal_limit(evaluate(done.trajectory), done.trajectory)
         metrics = metrics._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
         metrics = with_failure(metrics, done.failure)
-        metrics = metrics._replace(warnings=(*metrics.warnings, *untold(spec)))
+        found = adapted(spec, done.trajectory)
+        limited = () if found is None else found.at_bounds
+        metrics = metrics._replace(warnings=(*metrics.warnings, *untold(spec), *limited))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
-        found = _adapted(spec, folder, done.trajectory)
-    _print(spec, metrics, done.trajectory, found, machine=options.json)
+        told = () if found is None else _write_adapted(found, folder)
+    _print(spec, metrics, done.trajectory, told, machine=options.json)
     if done.failure is not None:
         raise done.failure
     return 0
 
 
-def _adapted(spec: Spec, folder: RunFolder, trajectory: Trajectory) -> tuple[str, ...]:
+def _write_adapted(found: Adapted, folder: RunFolder) -> tuple[str, ...]:
     """Write the rig file that adaptation leaves, if there is anything to change; return what the user is told of it."""
-    found = adapted(spec, trajectory)
-    if found is None:
-        return ()
     text = found.text()
     if text:
         folder.rig_adapted.write_text(text, encoding="utf-8")

@@ -22,8 +22,9 @@ import numpy as np
 import scipy
 from numpy.polynomial.legendre import legvander
 
-from ehls_ros.arrays import Array, kernel
+from ehls_ros.arrays import Array, in_python, kernel
 from ehls_ros.control.controllers.base import Model
+from ehls_ros.control.rig_scale import PAPER_FORCE, largest_force
 from ehls_ros.physics.friction import gms
 from ehls_ros.physics.friction.gms import level as sliding_level
 
@@ -80,7 +81,7 @@ POINTS = 60
 """About how many points a window is thinned out to."""
 
 LEAST_LEFT = 0.05
-"""Least force that is left, for the weights [N]."""
+"""Least force that is left on the paper's rig, for the weights [N], in proportion to the rig's force."""
 
 REVERSALS = 2
 """Fewest reversals that tell anything."""
@@ -303,9 +304,10 @@ class Reversals:
         regressors = np.column_stack((slope, viscous, inertia, smoothly))
         coupled, long = around.stiffness > 0.0, len(window) >= 2 * LONG
         corners = _corners(len(window), width)[thin] if coupled and long else None
-        fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing, corners) for degree in DEGREES]
+        least = LEAST_LEFT * in_python(largest_force)(plant) / PAPER_FORCE
+        fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing, corners, least) for degree in DEGREES]
         # What explains the window better counts more.
-        weights = np.array([1.0 / max(left, LEAST_LEFT) ** 2 for *_, left in fits])
+        weights = np.array([1.0 / left**2 for *_, left in fits])
         values, variance = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
         floors = np.array(FLOORS)
         if coupled:
@@ -315,13 +317,14 @@ class Reversals:
         return values + np.array([level, 1.0, 1.0]), variance + floors**2, (weights / weights.sum())[:, np.newaxis]
 
 
-def _solved(regressors: Array, missing: Array, corners: Array | None) -> tuple[Array, Array, float]:
+def _solved(regressors: Array, missing: Array, corners: Array | None, least: float) -> tuple[Array, Array, float]:
     """Return the errors of what is sought, their variance, both of shape (SOUGHT,), and what is left [N].
 
     Args:
         regressors: what is sought, then the polynomial, shape (points, n).
         missing: force that they explain [N], shape (points,).
         corners: functions of which that counts that explains most of what the others leave, shape (points, m); None: none.
+        least: lower bound of what is left [N].
     """
     if corners is not None:
         span = np.linalg.qr(regressors)[0]
@@ -329,9 +332,9 @@ def _solved(regressors: Array, missing: Array, corners: Array | None) -> tuple[A
         explained = (missing @ beside) ** 2 / np.sum(beside**2, axis=0)
         regressors = np.column_stack((regressors, corners[:, np.argmax(explained)]))
     free = np.linalg.lstsq(regressors, missing, rcond=None)[0]
-    left = float(np.sqrt(np.mean((missing - regressors @ free) ** 2)))
+    left = max(float(np.sqrt(np.mean((missing - regressors @ free) ** 2))), least)
     # What is left is as structured as the friction: all points together count as one.
-    together = max(left, LEAST_LEFT) * math.sqrt(len(missing))
+    together = left * math.sqrt(len(missing))
     known = np.zeros((2, regressors.shape[1]))
     known[0, VISCOUS] = known[1, MASS] = together / KNOWN
     inverse = np.linalg.pinv(np.vstack((regressors, known)))[:SOUGHT]

@@ -65,6 +65,30 @@ class Caution(NamedTuple):
     significance: float
 
 
+class Leeway(NamedTuple):
+    """How far and how fast one coefficient may move.
+
+    Attributes:
+        change: largest change from its nominal value, in its unit.
+        rate: largest change in a second.
+    """
+
+    change: float
+    rate: float
+
+
+def leeway(caution: Caution, nominal: float, least: float = 0.0) -> Leeway:
+    """Return how far and how fast a coefficient may move.
+
+    Args:
+        caution: relative bounds.
+        nominal: the rig file's value.
+        least: smallest change that is always allowed: a delay of none has no relative change.
+    """
+    size = max(abs(nominal), least)
+    return Leeway(max(caution.reach * size, least), caution.rate * size)
+
+
 class HandedOver:
     """One coefficient on its way from the rig file's value to the estimate.
 
@@ -82,24 +106,22 @@ class HandedOver:
         """
         self._named = COEFFICIENTS[name]
         self._nominal = nominal
-        # A delay of none has no relative change: a cycle then is its size.
-        self._size = max(nominal, period) if self._named.unit else nominal
-        self._least_reach = period / self._size if self._named.unit else 0.0
+        self._least = period if self._named.unit else 0.0
         self._aim = self.value = float(nominal)
         self._latest: Estimated | None = None
 
     def judge(self, latest: Estimated | None, caution: Caution) -> None:
         """Choose where to go from the latest estimate; None: there is none."""
         self._latest = latest
-        if latest is None or not latest.std <= self._named.rough * caution.certain * self._size:
+        if latest is None or not self._known(latest, caution):
             return
         if abs(latest.value - self._aim) > caution.significance * latest.std or self._aim != self._nominal:
-            reach = max(caution.reach, self._least_reach) * self._size
+            reach = self._reach(caution)
             self._aim = float(min(max(latest.value, self._nominal - reach, 0.0), self._nominal + reach))
 
     def move(self, duration: float, caution: Caution) -> bool:
         """Go on for a time [s]; return whether anything changed."""
-        most = caution.rate * self._size * duration
+        most = leeway(caution, self._nominal, self._least).rate * duration
         change = min(max(self._aim - self.value, -most), most)
         self.value += change
         return change != 0.0
@@ -107,7 +129,7 @@ class HandedOver:
     def told(self, caution: Caution) -> str:
         """Return the sentence for the user."""
         name, latest = self._named.words, self._latest
-        if latest is None or not latest.std <= self._named.rough * caution.certain * self._size:
+        if latest is None or not self._known(latest, caution):
             how = (
                 ""
                 if latest is None or not math.isfinite(latest.std)
@@ -121,10 +143,28 @@ class HandedOver:
             return f"{about} agrees with this run (± {std})"
         words = ("short", "long") if self._named.unit else ("low", "high")
         amount = self._amount(abs(off) / self._relative(latest.value))
-        reach = max(caution.reach, self._least_reach)
-        capped = abs(off) > reach * self._size
-        end = f"; the controller is given a change of {self._amount(reach * self._size)} at most" if capped else ""
+        most = self._amount(self._reach(caution))
+        end = f"; the controller is given a change of {most} at most" if self.capped(caution) else ""
         return f"{about} seems {amount} {words[int(off < 0.0)]} (± {std}){end}"
+
+    def capped(self, caution: Caution) -> bool:
+        """Return whether the latest estimate is known well enough to be used, and out of reach."""
+        latest = self._latest
+        if latest is None or not self._known(latest, caution):
+            return False
+        off = abs(latest.value - self._nominal)
+        return off > max(self._reach(caution), caution.significance * latest.std)
+
+    def at_bound(self, caution: Caution) -> str:
+        """Return what is to be done about an estimate that is out of reach."""
+        return f"{self.told(caution)}: correct the rig file, for which the run leaves rig_adapted.yaml"
+
+    def _reach(self, caution: Caution) -> float:
+        """Return the largest change, in the coefficient's unit."""
+        return leeway(caution, self._nominal, self._least).change
+
+    def _known(self, latest: Estimated, caution: Caution) -> bool:
+        return latest.std <= self._named.rough * caution.certain * max(self._nominal, self._least)
 
     def _relative(self, value: float) -> float:
         """Return what an estimate is divided by to speak of the rig file's error: it is this much off the truth."""

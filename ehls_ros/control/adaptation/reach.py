@@ -46,9 +46,9 @@ def check_reach(model: Model, own: Model, limits: Limits) -> None:
     """
     if type(model.friction) is not type(own.friction):
         raise ValueError("it has another friction model")
-    sizes = _sizes(own, limits)
+    largest = sizes(own, limits)
     for moved in _moved(model, own):
-        size = max(abs(moved.own), sizes.get(moved.name, 0.0))
+        size = max(abs(moved.own), largest.get(moved.name, 0.0))
         # A delay of none has no share: a control cycle then is its reach.
         reach = max(REACH * size, own.period if moved.name == "command_delay" else 0.0)
         if not abs(moved.value - moved.own) <= reach * (1.0 + 1e-9):
@@ -56,21 +56,26 @@ def check_reach(model: Model, own: Model, limits: Limits) -> None:
             raise ValueError(f"{moved.name} is {moved.value:.4g}, the rig file's is {moved.own:.4g}: it may move by {share}")
 
 
-def _sizes(own: Model, limits: Limits) -> Mapping[str, float]:
-    """Return the values at which coefficients would take up all flow or force."""
+def sizes(own: Model, limits: Limits) -> Mapping[str, float]:
+    """Return the values at which coefficients would take up all flow or force, by name.
+
+    Args:
+        own: the model of the rig file.
+        limits: of the rig.
+    """
     plant = own.plant
     flow = plant.discharge_coefficient * plant.valve_area_gradient * own.spool_limit
     flow *= math.sqrt(plant.supply_pressure / plant.oil_density)
     low, high = limits.position
     damping = limits.force / limits.velocity
-    sizes = {
+    found = {
         "leakage_coefficient": flow / plant.supply_pressure,
         "spring_stiffness": limits.force / (high - low),
         "viscous_damping": damping,
         "viscous_coefficient": damping,
         "gravity": limits.force / plant.moving_mass,
     }
-    return {name: size for name, size in sizes.items() if math.isfinite(size)}
+    return {name: size for name, size in found.items() if math.isfinite(size)}
 
 
 def _moved(model: Model, own: Model) -> Iterator[Moved]:

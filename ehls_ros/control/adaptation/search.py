@@ -92,6 +92,10 @@ class Search:
         figures.update({f"{name}_told": each.told(self._caution) for name, each in self._coefficients.items()})
         return figures
 
+    def at_bounds(self) -> tuple[str, ...]:
+        """Return a sentence for each coefficient that the controller is given at its bound, as the estimate is beyond it."""
+        return tuple(each.at_bound(self._caution) for each in self._coefficients.values() if each.capped(self._caution))
+
     def solve(self) -> None:
         """Estimate all coefficients from what was gathered."""
         for found in (self._valve(), self._area_and_flow(), self._friction()):

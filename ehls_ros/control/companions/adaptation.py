@@ -44,16 +44,22 @@ class Parameters(NamedTuple):
     )
 
 
+def caution_of(p: Parameters) -> Caution:
+    """Return when a coefficient moves, how far and how fast."""
+    return Caution(p.reach, p.rate, p.certain, p.significance)
+
+
 class Adaptation:
     """The companion at work."""
+
+    corrects = True
 
     def __init__(self, p: Parameters, setting: Setting) -> None:
         """Start from what the rig file says."""
         self._wait = p.wait
         self._next = 0
         self._started: int | None = None
-        caution = Caution(p.reach, p.rate, p.certain, p.significance)
-        self._search = Search(setting.model, caution, p.forgetting, _surroundings(setting))
+        self._search = Search(setting.model, caution_of(p), p.forgetting, _surroundings(setting))
 
     @property
     def search(self) -> Search:
@@ -89,6 +95,10 @@ class Adaptation:
     def report(self) -> Mapping[str, float | str]:
         """Return what the controller is given, over the rig file's values, and a sentence for each coefficient."""
         return self._search.report()
+
+    def at_bounds(self) -> tuple[str, ...]:
+        """Return a sentence for each coefficient whose estimate is out of reach."""
+        return self._search.at_bounds()
 
     def kept(self) -> Kept:
         """Keep nothing: the rig file to write is in the run's folder."""

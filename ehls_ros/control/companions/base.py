@@ -7,7 +7,7 @@ run, it may change the rows that the law will follow; after them, it sees what h
 once. What it does depends on the numbers of the cycles alone, so both come to the same.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from ehls_ros.arrays import Array
@@ -89,7 +89,7 @@ class Past(NamedTuple):
 
 
 class Companion(Protocol):
-    """A companion at work."""
+    """A companion at work; one that hands the law another model of the rig says so with ``corrects = True``."""
 
     def prepare(self) -> None:
         """Compile, or load, what :meth:`ahead` and :meth:`done` call, so that no cycle waits for it; change nothing."""
@@ -113,6 +113,9 @@ class Companion(Protocol):
 
     def report(self) -> Mapping[str, float | str]:
         """Return figures and sentences for diagnostics and run folders."""
+
+    def at_bounds(self) -> Sequence[str]:
+        """Return a sentence for each estimate that stands at its bound, with the remedy."""
 
     def kept(self) -> Kept:
         """Return the learnt arrays. They are written to the file that the parameter ``file`` names, if there is one."""

@@ -61,6 +61,10 @@ class ForceActuator:
         """Return nothing."""
         return {}
 
+    def at_bounds(self) -> tuple[str, ...]:
+        """Return nothing: nothing is estimated."""
+        return ()
+
     def kept(self) -> Kept:
         """Keep nothing: nothing is learnt."""
         return Kept()

@@ -232,6 +232,10 @@ class Learning:
             **file,
         }
 
+    def at_bounds(self) -> tuple[str, ...]:
+        """Return nothing: the report says where a correction ends."""
+        return ()
+
     def kept(self) -> Kept:
         """Return the learnt arrays by block; none if the file is of another programme."""
         learnt = {} if self._foreign else {block: lesson.stored() for block, lesson in self._lessons.items() if lesson.active}

@@ -18,6 +18,8 @@ and from :data:`FORESEEN` on the external force that is foreseen, with its first
 are NaN where nothing is foreseen. A law that uses them says so with ``PREVIEW = True``. One that reckons with effects of the
 rig which :class:`Model` tells of names them in ``KNOWS``: it may lose the force where the rig has one that it is not told of.
 
+A law that keeps estimates within bounds names them in ``BOUNDED``, so that one that stands at its bound is reported.
+
 A law that reckons with the commands under way, or adapts to what its own do, adds a compiled
 
 ``follow(command, own, memory) -> own``
@@ -27,6 +29,7 @@ the last step returned. It corrects ``memory`` by that, and returns what the ste
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -70,6 +73,26 @@ class Noise(NamedTuple):
     force: float = 0.0
 
 
+class Bounded(NamedTuple):
+    """An estimate in the status that a law keeps within bounds, which are parameters of the law.
+
+    Attributes:
+        estimate: its symbol.
+        place: index of it in the status.
+        upper: name of the parameter that is its upper bound.
+        lower: name of the lower one; empty: minus the upper one.
+        unit: of the estimate.
+        instead: what may be done beside moving a bound, as the end of a sentence.
+    """
+
+    estimate: str
+    place: int
+    upper: str
+    lower: str = ""
+    unit: str = "1"
+    instead: str = ""
+
+
 class Model(NamedTuple):
     """What a controller knows of the rig.
 
@@ -94,9 +117,10 @@ class Model(NamedTuple):
 
 
 class ControllerLaw(Protocol):
-    """The attributes of one controller's file; ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS`` and ``follow`` may be absent.
+    """The attributes of one controller's file.
 
-    What is learnt of the force to come is told to a law that has ``PREVIEW`` and ``assumptions``, of its filter.
+    ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS``, ``BOUNDED`` and ``follow`` may be absent. What is learnt of the force to come is
+    told to a law that has ``PREVIEW`` and ``assumptions``, of its filter.
     """
 
     Parameters: Any
@@ -125,11 +149,16 @@ def model_of(rig: Rig, period: float) -> Model:
         rig.friction,
         period,
         rig.limits.spool,
-        Noise(*(_deviation(rig.sensors.get(signal, Sensor())) for signal in Noise._fields)),
+        noise_of(rig.sensors),
         0.0 if delay is None else delay.delay,
         0.0 if coupling is None else coupling.stiffness,
         0.0 if coupling is None else coupling.damping,
     )
+
+
+def noise_of(sensors: Mapping[str, Sensor]) -> Noise:
+    """Return the noise of a rig's sensors."""
+    return Noise(*(_deviation(sensors.get(signal, Sensor())) for signal in Noise._fields))
 
 
 def _deviation(sensor: Sensor) -> float:

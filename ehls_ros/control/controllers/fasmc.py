@@ -27,7 +27,7 @@ import numpy as np
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.bounds import pressure_error_bound_kernel
 from ehls_ros.control.controllers import base
-from ehls_ros.control.controllers.base import ELEMENTS_FORCE, VISCOUS_FORCE, Model, saturate
+from ehls_ros.control.controllers.base import ELEMENTS_FORCE, VISCOUS_FORCE, Bounded, Model, saturate
 from ehls_ros.physics import sensors
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.vector_math import exp
@@ -45,25 +45,58 @@ class Parameters(NamedTuple):
     """Tuning of the law; k, g, h, b, xi and delta_f are the paper's."""
 
     k: Annotated[
-        float, quantity("MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3)
+        float,
+        quantity(
+            "MPa/s", "slope of the sliding surface: speed of a large error is k/2", minimum=0.1, maximum=1e3, scale="pressure"
+        ),
     ] = 12.0
-    g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 60.0
-    h: Annotated[float, quantity("t/s", "gain of the robust term", minimum=0.0, maximum=1e4)] = 25.0
+    g: Annotated[
+        float,
+        quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4, scale="1 / pressure"),
+    ] = 60.0
+    h: Annotated[float, quantity("t/s", "gain of the robust term", minimum=0.0, maximum=1e4, scale="mass")] = 25.0
     b: Annotated[
-        float, quantity("t MPa/s^2", "half width of the robust term: |s| ends within b/h", minimum=1e-3, maximum=1e6)
+        float,
+        quantity(
+            "t MPa/s^2",
+            "half width of the robust term: |s| ends within b/h",
+            minimum=1e-3,
+            maximum=1e6,
+            scale="mass * pressure",
+        ),
     ] = 107.5
     xi: Annotated[float, quantity("1", "weight of the error's rate in the sliding variable", minimum=1e-3, maximum=1e3)] = 1.0
-    delta_f: Annotated[float, quantity("N", "bound of the disturbance force", minimum=0.0, maximum=1e6)] = 5500.0
+    delta_f: Annotated[float, quantity("N", "bound of the disturbance force", minimum=0.0, maximum=1e9, scale="force")] = 5500.0
     phi1: Annotated[
         float,
-        quantity("mm^5/N^3", "adaptation rate of alpha, the scale of the identified friction", minimum=0.0, maximum=1e6),
+        quantity(
+            "mm^5/N^3",
+            "adaptation rate of alpha, the scale of the identified friction",
+            minimum=0.0,
+            maximum=1e6,
+            scale="1 / force / pressure / compression",
+        ),
     ] = 1e-3
     phi2: Annotated[
-        float, quantity("mm^5/N^3", "adaptation rate of beta, the scale of the viscous friction", minimum=0.0, maximum=1e6)
+        float,
+        quantity(
+            "mm^5/N^3",
+            "adaptation rate of beta, the scale of the viscous friction",
+            minimum=0.0,
+            maximum=1e6,
+            scale="1 / force / pressure / compression",
+        ),
     ] = 1e-6
-    phi3: Annotated[float, quantity("mm^5/N", "adaptation rate of D, the remaining disturbance", minimum=0.0, maximum=1e9)] = (
-        2.5e5
-    )
+    phi3: Annotated[
+        float,
+        quantity(
+            "mm^5/N",
+            "adaptation rate of D, the remaining disturbance",
+            minimum=0.0,
+            maximum=1e9,
+            scale="force / pressure / compression",
+        ),
+    ] = 2.5e5
     implicitness: Annotated[
         float,
         quantity(
@@ -80,9 +113,16 @@ class Parameters(NamedTuple):
     scale_minimum: Annotated[float, quantity("1", "lower bound of alpha and beta", above=0.0, maximum=1.0)] = 0.2
     scale_maximum: Annotated[float, quantity("1", "upper bound of alpha and beta", minimum=1.0, maximum=100.0)] = 5.0
     delta_maximum: Annotated[
-        float, quantity("N", "bound of D to either side, above the largest load", minimum=0.0, maximum=1e6)
+        float, quantity("N", "bound of D to either side, above the largest load", minimum=0.0, maximum=1e9, scale="force")
     ] = 5e4
 
+
+_FRICTION = ", or identify the friction of the controller's rig"
+BOUNDED = (
+    Bounded("D̂", base.DELTA, "delta_maximum", unit="N", instead=", or give the controller's rig the load that it lacks"),
+    Bounded("α̂", base.ALPHA, "scale_maximum", "scale_minimum", instead=_FRICTION),
+    Bounded("β̂", base.BETA, "scale_maximum", "scale_minimum", instead=_FRICTION),
+)
 
 ALPHA, BETA, DELTA, CORRECTION, LAST_PRESSURE, LAST_RATE, STARTED, SINCE, ELEMENTS, VISCOUS, STRENGTH, MEMORY_SIZE = range(12)
 

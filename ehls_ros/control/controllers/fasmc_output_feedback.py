@@ -42,29 +42,41 @@ class Parameters(NamedTuple):
     """Tuning of the law, and the filter's assumptions; k, g and xi are the paper's."""
 
     k: Slope = 12.0
-    g: Annotated[float, quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4)] = 13.0
+    g: Annotated[
+        float,
+        quantity("1/MPa", "steepness of the sliding surface near zero error", minimum=0.1, maximum=1e4, scale="1 / pressure"),
+    ] = 13.0
     xi: RateWeight = 1.0
     reaching_rate: ReachingRate = 300.0
     command_delay: Annotated[float, quantity("s", "time a command takes to the valve", minimum=0.0, maximum=0.05)] = 1e-3
     coupling_stiffness: Annotated[
-        float, quantity("N/m", "stiffness between the piston and its surroundings", minimum=0.0, maximum=1e9)
+        float,
+        quantity("N/m", "stiffness between the piston and its surroundings", minimum=0.0, maximum=1e9, scale="force / stroke"),
     ] = 2e6
     coupling_damping: Annotated[
-        float, quantity("N s/m", "damping between the piston and its surroundings", minimum=0.0, maximum=1e6)
+        float,
+        quantity("N s/m", "damping between the piston and its surroundings", minimum=0.0, maximum=1e6, scale="force / stroke"),
     ] = 2e3
     position_noise: Annotated[
-        float, quantity("m", "standard deviation of a position reading, rounding included", above=0.0, maximum=1.0)
+        float,
+        quantity(
+            "m", "standard deviation of a position reading, rounding included", above=0.0, maximum=1.0, scale="position_noise"
+        ),
     ] = 2.5e-6
     pressure_noise: Annotated[
-        float, quantity("Pa", "standard deviation of a load pressure reading", above=0.0, maximum=1e7)
+        float, quantity("Pa", "standard deviation of a load pressure reading", above=0.0, maximum=1e7, scale="pressure_noise")
     ] = 1.1e3
-    spool_noise: Annotated[float, quantity("m", "standard deviation of a spool reading", above=0.0, maximum=1e-2)] = 1.05e-6
-    force_noise: Annotated[float, quantity("N", "standard deviation of a load cell reading", above=0.0, maximum=1e5)] = 2.3
+    spool_noise: Annotated[
+        float, quantity("m", "standard deviation of a spool reading", above=0.0, maximum=1e-2, scale="spool_noise")
+    ] = 1.05e-6
+    force_noise: Annotated[
+        float, quantity("N", "standard deviation of a load cell reading", above=0.0, maximum=1e5, scale="force_noise")
+    ] = 2.3
     motion_noise: MotionNoise = 0.5
     oil_noise: OilNoise = 500.0
     valve_noise: ValveNoise = 1e-6
     external_noise: Annotated[
-        float, quantity("N/s^5/2", "noise of the external force's second derivative", minimum=0.0, maximum=1e15)
+        float, quantity("N/s^5/2", "noise of the external force's second derivative", minimum=0.0, maximum=1e15, scale="force")
     ] = 1.3e8
     gain_noise: GainNoise = 0.05
     discharge_noise: DischargeNoise = 0.005

@@ -21,6 +21,7 @@ from ehls_ros.control import reaching, state_estimator, unrest
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.reaching import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching import tracking as surface_tracking
+from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_PRESSURE, PAPER_SPOOL, largest_force
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
     Assumptions,
@@ -49,7 +50,8 @@ KNOWS = ("command_delay", "coupling_stiffness")
 follow = reaching.follow
 
 LEAST_POSITION_NOISE, LEAST_PRESSURE_NOISE, LEAST_SPOOL_NOISE, LEAST_FORCE_NOISE = 1e-9, 10.0, 1e-9, 0.03
-"""Lower bounds of the sensors' standard deviations [m, Pa, m, N]: no model is better than that."""
+"""Lower bounds of the sensors' standard deviations on the paper's rig [m, Pa, m, N], since no model is better than that; those
+of pressure, spool and force in proportion to the rig's."""
 
 
 class Parameters(NamedTuple):
@@ -59,13 +61,25 @@ class Parameters(NamedTuple):
     g: Annotated[
         float,
         quantity(
-            "1/MPa", "steepness of the surface near zero error while the disturbance is restless", minimum=0.1, maximum=1e4
+            "1/MPa",
+            "steepness of the surface near zero error while the disturbance is restless",
+            minimum=0.1,
+            maximum=1e4,
+            scale="1 / pressure",
         ),
     ] = 60.0
-    calm_g: Annotated[float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4)] = 300.0
+    calm_g: Annotated[
+        float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4, scale="1 / pressure")
+    ] = 300.0
     calm_noise: Annotated[
         float,
-        quantity("N/s^5/2", "noise of the external force's second derivative half way between both", above=0.0, maximum=1e15),
+        quantity(
+            "N/s^5/2",
+            "noise of the external force's second derivative half way between both",
+            above=0.0,
+            maximum=1e15,
+            scale="force",
+        ),
     ] = 4e6
     xi: RateWeight = 1.0
     reaching_rate: ReachingRate = 300.0
@@ -73,7 +87,8 @@ class Parameters(NamedTuple):
     oil_noise: OilNoise = 500.0
     valve_noise: ValveNoise = 1e-6
     least_noise: Annotated[
-        float, quantity("N/s^5/2", "noise of a resting external force's second derivative", minimum=0.0, maximum=1e15)
+        float,
+        quantity("N/s^5/2", "noise of a resting external force's second derivative", minimum=0.0, maximum=1e15, scale="force"),
     ] = 1e6
     rate_noise: Annotated[
         float,
@@ -83,9 +98,9 @@ class Parameters(NamedTuple):
     reversal_factor: Annotated[
         float, quantity("1", "factor of the noise after a reversal of the motion", minimum=1.0, maximum=1e3)
     ] = 2.0
-    reversal_travel: Annotated[float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0)] = (
-        1.7e-3
-    )
+    reversal_travel: Annotated[
+        float, quantity("m", "travel after a reversal for which it holds", minimum=0.0, maximum=1.0, scale="sticking")
+    ] = 1.7e-3
     gain_noise: GainNoise = 0.02
     discharge_noise: DischargeNoise = 0.01
     least_opening: LeastOpening = 1e-4
@@ -109,14 +124,15 @@ def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> A
     habits = Habits(p.least_noise, p.rate_noise, p.unrest_memory, p.reversal_factor, p.reversal_travel)
     rate = state.mean[EXTERNAL_RATE] - state.expected[1]
     noise = external_noise(rate, state.mean[V], model.period, habits, restless)
+    force, pressure = largest_force(model.plant) / PAPER_FORCE, model.plant.supply_pressure / PAPER_PRESSURE
     return Assumptions(
         model.coupling_stiffness,
         model.coupling_damping,
         model.command_delay,
         max(model.noise.position, LEAST_POSITION_NOISE),
-        max(model.noise.load_pressure, LEAST_PRESSURE_NOISE),
-        max(model.noise.spool_position, LEAST_SPOOL_NOISE),
-        max(model.noise.force, LEAST_FORCE_NOISE),
+        max(model.noise.load_pressure, LEAST_PRESSURE_NOISE * pressure),
+        max(model.noise.spool_position, LEAST_SPOOL_NOISE * (model.spool_limit / PAPER_SPOOL)),
+        max(model.noise.force, LEAST_FORCE_NOISE * force),
         p.motion_noise,
         p.oil_noise,
         p.valve_noise,

@@ -31,7 +31,7 @@ class Parameters(NamedTuple):
     proportional: Annotated[float, quantity("1/s", "velocity per position error", minimum=0.0, maximum=1e3)] = 40.0
     integral: Annotated[float, quantity("1/s^2", "rate of that velocity for a lasting error", minimum=0.0, maximum=1e4)] = 400.0
     correction: Annotated[
-        float, quantity("m/s", "largest velocity by which an error is corrected", above=0.0, maximum=10.0)
+        float, quantity("m/s", "largest velocity by which an error is corrected", above=0.0, maximum=10.0, scale="speed")
     ] = 0.05
 
 

@@ -20,18 +20,21 @@ from ehls_ros.schema import quantity
 REACTS = True
 
 
-MovingMass = Annotated[float, quantity("kg", "moving mass of the servo", above=0.0, maximum=1e5)]
-SupplyPressure = Annotated[float, quantity("Pa", "supply pressure of the servo", above=0.0, maximum=1e8)]
+MovingMass = Annotated[float, quantity("kg", "moving mass of the servo", above=0.0, maximum=1e5, scale="mass")]
+SupplyPressure = Annotated[float, quantity("Pa", "supply pressure of the servo", above=0.0, maximum=1e8, scale="pressure")]
 PositionGain = Annotated[float, quantity("1/s", "velocity per position error", minimum=0.0, maximum=1e3)]
 
 
 class Parameters(NamedTuple):
     """The servo and the beam between it and the loader; valve and cylinder are of the loader's type."""
 
-    stiffness: Annotated[float, quantity("N/m", "stiffness of beam and hinges between the pistons", above=0.0, maximum=1e8)] = (
-        2e6
-    )
-    damping: Annotated[float, quantity("N s/m", "damping of beam and hinges", minimum=0.0, maximum=1e5)] = 2e3
+    stiffness: Annotated[
+        float,
+        quantity("N/m", "stiffness of beam and hinges between the pistons", above=0.0, maximum=1e9, scale="force / stroke"),
+    ] = 2e6
+    damping: Annotated[
+        float, quantity("N s/m", "damping of beam and hinges", minimum=0.0, maximum=1e6, scale="force / stroke")
+    ] = 2e3
     moving_mass: MovingMass = 70.0
     supply_pressure: SupplyPressure = 2.1e7
     position_gain: PositionGain = 30.0

@@ -13,9 +13,9 @@ from ehls_ros.schema import quantity
 class Parameters(NamedTuple):
     """How the curve is smoothed: s(v) tanh(v/smoothing)."""
 
-    smoothing: Annotated[float, quantity("m/s", "velocity over which the curve changes sides", minimum=1e-6, maximum=10.0)] = (
-        0.2
-    )
+    smoothing: Annotated[
+        float, quantity("m/s", "velocity over which the curve changes sides", minimum=1e-6, maximum=10.0, scale="speed")
+    ] = 0.2
 
 
 def state(model: FrictionModel, friction: Any) -> ObserverState:

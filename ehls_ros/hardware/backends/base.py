@@ -40,15 +40,17 @@ class Reading(NamedTuple):
 
     Attributes:
         sequence: number of the sample. A gap means lost samples, a number not above the last one a restarted device.
-        time_ns: time of the sample by the device's clock [ns].
+        time_ns: time of the sample by the device's clock, which runs freely: no time server adjusts it [ns].
         values: raw values in the order of the wiring's inputs, all finite.
         at_null: the device itself keeps its output at null, because it has no valid command.
+        session: changes when the device restarts; 0 where only the sequence number shows that.
     """
 
     sequence: int
     time_ns: int
     values: tuple[float, ...]
     at_null: bool = False
+    session: int = 0
 
 
 class Device(Protocol):

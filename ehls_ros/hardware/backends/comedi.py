@@ -12,6 +12,7 @@ from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.hardware.backends.base import Channel, Reading, Wiring, permitted
+from ehls_ros.hardware.free_running import free_running_time
 from ehls_ros.hardware.realtime import sleep_until
 from ehls_ros.schema import quantity, text
 
@@ -116,6 +117,7 @@ class ComediDevice:
             self._close_cards()
             raise
         self._epoch = time.monotonic()
+        self._begun = free_running_time()
         self._cycle = -1
 
     def read(self, timeout: float) -> Reading | None:
@@ -130,8 +132,9 @@ class ComediDevice:
         self._figures["lost"] += cycle - self._cycle - 1
         self._figures["read"] += 1
         self._cycle = cycle
+        sampled = free_running_time() - self._begun
         values = tuple(map(self._get, self._inputs))
-        return Reading(cycle, round(1e9 * (now - self._epoch)), values)
+        return Reading(cycle, round(1e9 * sampled), values)
 
     def write(self, value: float, sequence: int) -> None:
         """Set the output; see :class:`~ehls_ros.hardware.backends.base.Device`."""

@@ -5,7 +5,6 @@ output is written immediately, on this computer's timing. A card keeps its last 
 has a watchdog for analog outputs, set it up in NI-DAQmx.
 """
 
-import time
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
@@ -14,6 +13,7 @@ import numpy as np
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.extras import library
 from ehls_ros.hardware.backends.base import Reading, Wiring, permitted
+from ehls_ros.hardware.free_running import free_running_time
 from ehls_ros.schema import quantity, text
 
 NOT_YET = -200284
@@ -78,7 +78,7 @@ class NidaqmxDevice:
         except self._error as error:
             self._close_tasks()
             raise WorkFailed(f"{parameters.device} cannot be set up ({_first_line(error)})") from error
-        self._epoch = time.monotonic_ns()
+        self._epoch = free_running_time()
 
     def read(self, timeout: float) -> Reading | None:
         """Wait for the card's next sample; see :class:`~ehls_ros.hardware.backends.base.Device`."""
@@ -96,7 +96,7 @@ class NidaqmxDevice:
         self._figures["read"] += 1
         self._figures["skipped"] += taken - 1
         self._sequence += taken
-        return Reading(self._sequence, time.monotonic_ns() - self._epoch, tuple(newest.tolist()))
+        return Reading(self._sequence, round(1e9 * (free_running_time() - self._epoch)), tuple(newest.tolist()))
 
     def write(self, value: float, sequence: int) -> None:
         """Set the output; see :class:`~ehls_ros.hardware.backends.base.Device`."""

@@ -182,7 +182,7 @@ class UdpDevice:
         self._last, self._answered = packet.sequence, packet.answered
         self._greet_at = time.monotonic() + HELLO_INTERVAL
         values = tuple(packet.values[channel] for channel in self._channels)
-        return Reading(packet.sequence, packet.time_ns, values, packet.status != Status.COMMANDED)
+        return Reading(packet.sequence, packet.time_ns, values, packet.status != Status.COMMANDED, packet.session)
 
     def _unfit(self, packet: Packet) -> str:
         """Return why a valid packet is refused; empty if it is accepted."""

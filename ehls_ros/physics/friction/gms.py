@@ -45,12 +45,17 @@ class Parameters(NamedTuple):
 
 level = stribeck_level
 
+MOST_ELEMENTS = 64
+"""Most elements; the time to compile the equations grows with their number."""
+
 
 def check(p: Parameters, where: str) -> None:
-    """Raise BadInput if the lists of the elements do not match, or Coulomb exceeds static friction."""
+    """Raise BadInput if the elements' lists do not match or are too long, or if Coulomb exceeds static friction."""
     if not p.element_stiffness or len(p.element_stiffness) != len(p.element_weight):
         what = f"{len(p.element_stiffness)} element_stiffness and {len(p.element_weight)} element_weight"
         raise BadInput(what, where, "lists of the same length, with at least one element")
+    if len(p.element_stiffness) > MOST_ELEMENTS:
+        raise BadInput(f"element_stiffness has {len(p.element_stiffness)} values", where, f"at most {MOST_ELEMENTS}")
     for key, values in (("element_stiffness", p.element_stiffness), ("element_weight", p.element_weight)):
         if not all(0.0 < value < math.inf for value in values):
             raise BadInput(f"{key} is {list(values)}", where, "finite numbers above 0")
