@@ -84,8 +84,7 @@ def test_a_companions_file_is_read_by_who_runs_the_controller_only(spec, tmp_pat
     assert load_spec(path).companions[0].parameters.file == str(learnt)
     for how in ((), ("--in-process",)):
         line = complaint(capsys, "experiment", path, *how, "--out", tmp_path / "run")
-        assert f"spec.yaml: {learnt}" in line
-        assert "cannot be read" in line
+        assert f"experiment: {learnt}: the learnt file cannot be " in line
         assert not (tmp_path / "run").exists()
 
 
