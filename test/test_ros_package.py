@@ -39,7 +39,19 @@ WITH_ROSBAGS = {"backports", "compression", "lz4"}
 WITH_NUMBA = {"llvmlite"}
 """What numba needs itself, and brings."""
 
-OPTIONAL = {"distributed", "fastapi", "foxglove", "nicegui", "orjson", "pyarrow", "pymoo", "pyswarms", "starlette", "uvicorn"}
+OPTIONAL = {
+    "distributed",
+    "fastapi",
+    "foxglove",
+    "h11",
+    "nicegui",
+    "orjson",
+    "pyarrow",
+    "pymoo",
+    "pyswarms",
+    "starlette",
+    "uvicorn",
+}
 """What the extras bring."""
 
 BY_NAME = {"joblib", "plotly", "shtab"}
