@@ -110,7 +110,7 @@ class AheadNode(ControlNode):
             if cycle < self.last or cycle > self.next:
                 # The plant restarted, or this node started late.
                 self.next = cycle
-            self.last, self.moved = cycle, time.perf_counter()
+            self._note_progress(cycle)
             self.epoch_ns = stamp - round(cycle * self.period_ns)
             self._publish_to(cycle + self.lead)
         if self.lockstep and time.perf_counter() - self.moved > PATIENCE:
@@ -124,6 +124,11 @@ class AheadNode(ControlNode):
             return True
         self.resting = now + self.pause
         return False
+
+    def _note_progress(self, cycle: int) -> None:
+        """Note the newest cycle; a snapshot that the rig repeats, as it waits for an answer, is no progress."""
+        if cycle != self.last:
+            self.last, self.moved = cycle, time.perf_counter()
 
     def _repeat(self) -> None:
         """Publish the rows ahead again: the cycles may wait for a reader that receives nothing sent before it was matched."""

@@ -190,7 +190,8 @@ class ProgrammeNode(AheadNode):
                 if self.runner is not None:
                     self.gone |= self.senders
                     self._fall_out(cycle, "the rig began anew")
-            self.last, self.stamped, self.moved = cycle, stamp, time.perf_counter()
+            self._note_progress(cycle)
+            self.stamped = stamp
             self.epoch_ns = stamp - round(cycle * self.period_ns)
         if self.runner is None:
             self._begin()
