@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -165,14 +165,14 @@ class Draft:
         self.random = random
         self.period = float(random.choice(PERIODS))
         cycles = max(LEAST_LOAD_CYCLES, math.ceil(DURATION / self.period))
-        self.t = np.arange(cycles * round(self.period / CONTROL_PERIOD) + 1) * CONTROL_PERIOD
+        self.t = cast(Array, np.arange(cycles * round(self.period / CONTROL_PERIOD) + 1) * CONTROL_PERIOD)
         self.load_cycles = cycles
         self.coupled = bool(random.random() < 0.5)
         self.motion: list[Line] = []
         self.force: list[Line] = []
         self.added = np.zeros(len(self.t))
         self.scale: Array | float = 1.0
-        self.shift = np.zeros(len(self.t))
+        self.shift: Array = np.zeros(len(self.t))
         self.mean = float(random.uniform(-5e3, 5e3))
         self.wanted = [Line(*self._wanted())] if random.random() < 0.7 else []
         self.wanted_scale: Array | float = 1.0
@@ -347,13 +347,8 @@ def stiffness(draft: Draft) -> None:
 
     def cracked(rig: Rig) -> Rig:
         softer = Coupling((1.0 - share) * STIFFNESS, DAMPING)
-        return (
-            rig.with_effects(tuple(EffectUse(u.name, softer) for u in rig.effects if u.name == "coupling_stiffness"))
-            if False
-            else rig._replace(
-                effects=tuple(EffectUse(u.name, softer) if u.name == "coupling_stiffness" else u for u in rig.effects)
-            )
-        )
+        changed = (EffectUse(use.name, softer) if use.name == "coupling_stiffness" else use for use in rig.effects)
+        return rig._replace(effects=tuple(changed))
 
     draft.later.append((when, cracked))
     draft.text += f" stiffness -{100 * share:.0f} % at {when / draft.period:.2f} load cycles"
@@ -489,9 +484,9 @@ def judge(case: Case, noises: Sequence[int]) -> Judged:
     largest = [float(np.mean([np.abs(run.error[FIRST:]).max() for run in runs])) for runs in (learnt, bare)]
     by_cycle, by_rms = peaks[0] / peaks[1], rms[0] / rms[1]
     ratios = Ratios(largest[0] / largest[1], float(by_cycle.max()), float(by_rms.max()))
-    return Judged(
-        case.kind, case.text, ratios, FIRST + int(np.argmax(by_cycle)), *peaks, learnt[-1].report, time.monotonic() - began
-    )
+    worst = FIRST + int(np.argmax(by_cycle))
+    wall = time.monotonic() - began
+    return Judged(case.kind, case.text, ratios, worst, peaks[0], peaks[1], learnt[-1].report, wall)
 
 
 def _judged(args: tuple[int, int, Sequence[str], Sequence[str], Sequence[str], Sequence[int]]) -> Judged:
