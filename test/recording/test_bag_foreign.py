@@ -166,10 +166,6 @@ def record_own_version(path: Path, definition: str) -> Path:
             fields: dict[str, Any] = dict.fromkeys([name for name, _ in store.fielddefs[LOADER_STATE.type][1]], 0)
             own = {"force": cycle + 1, "extra": np.zeros(2 * cycle, np.float32), "sender": "theirs"}
             fields |= loader_state(cycle).fields | own
-                "force": cycle + 1,
-                "extra": np.zeros(2 * cycle, np.float32),
-                "sender": "theirs",
-            }
             content = store.types[LOADER_STATE.type](**fields)
             writer.write(topic, cycle, store.serialize_cdr(content, LOADER_STATE.type))
     return path
