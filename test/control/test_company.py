@@ -60,9 +60,6 @@ class Made:
     def report(self) -> dict[str, float | str]:
         return {"calls": float(len(self.calls))}
 
-    def save(self) -> None:
-        self.calls.append("save")
-
 
 def column(past: list[Past], name: str) -> np.ndarray:
     return np.concatenate([getattr(part, name) for part in past])
@@ -125,7 +122,7 @@ def test_no_more_cycles_run_than_the_narrowest_has_room_for_and_none_is_left_out
         assert max(len(past.rows) for past in member.seen) == 700
         assert [past.first for past in member.seen] == [0, 700, 1400, 2100]
         assert sum(len(past.rows) for past in member.seen) == CYCLES
-        assert member.calls == ["ahead", "done"] * 4 + ["save"]
+        assert member.calls == ["ahead", "done"] * 4
 
 
 def test_the_loop_in_one_process_and_a_controller_that_is_stepped_come_to_the_same(spec):

@@ -113,7 +113,7 @@ def test_messages_shorter_than_their_type_are_refused(tmp_path: Path):
     file = storage_file(bag)
     with closing(sqlite3.connect(file)) as database, database:
         database.execute("UPDATE messages SET data = substr(data, 1, 60) WHERE id = 2")
-    assert "/ehls/loader_state: message has 60 bytes where its fields need" in refuses(bag)
+    assert "/ehls/loader_state: message is truncated after 60 bytes" in refuses(bag)
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,8 @@ def record_own_version(path: Path, definition: str) -> Path:
         topic = writer.add_connection("/ehls/loader_state", LOADER_STATE.type, msgdef=definition, rihs01=hash_of(definition))
         for cycle in (0, 1):
             fields: dict[str, Any] = dict.fromkeys([name for name, _ in store.fielddefs[LOADER_STATE.type][1]], 0)
-            fields |= loader_state(cycle).fields | {"force": cycle + 1, "extra": np.zeros(2 * cycle, np.float32)}
+            own = {"force": cycle + 1, "extra": np.zeros(2 * cycle, np.float32), "sender": "theirs"}
+            fields |= loader_state(cycle).fields | own
             content = store.types[LOADER_STATE.type](**fields)
             writer.write(topic, cycle, store.serialize_cdr(content, LOADER_STATE.type))
     return path

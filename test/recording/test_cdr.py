@@ -10,6 +10,7 @@ from ehls_ros.recording.typestore import typestore
 
 FRICTION = "ehls_msgs/msg/FrictionEstimate"
 LOADER = "ehls_msgs/msg/LoaderState"
+SENDER = "/ehls/friction_estimator_node-12"
 FRICTION_FIELDS = flatten(typestore().fielddefs, FRICTION)
 LOADER_FIELDS = flatten(typestore().fielddefs, LOADER)
 
@@ -19,7 +20,7 @@ def friction_message(cycle: int, forces: list[float], frame: str = "loader", *, 
     fields["header"].frame_id = frame
     slipping = np.array([force > 0 for force in forces])
     content = typestore().types[FRICTION](
-        **fields, gms_force=cycle + 0.5, viscous_force=-1.0, element_forces=np.array(forces), slipping=slipping
+        **fields, gms_force=cycle + 0.5, viscous_force=-1.0, sender=SENDER, element_forces=np.array(forces), slipping=slipping
     )
     return bytes(typestore().serialize_cdr(content, FRICTION, little_endian=little_endian))
 
@@ -59,6 +60,7 @@ def test_encoding_gives_the_bytes_of_rosbags(elements: int, frame: str):
         "cycle": np.arange(5),
         "gms_force": np.arange(5) + 0.5,
         "viscous_force": np.full(5, -1.0),
+        "sender": SENDER,
         "element_forces": forces,
         "slipping": forces > 0,
     }
@@ -70,16 +72,17 @@ def test_encoding_gives_the_bytes_of_rosbags(elements: int, frame: str):
     [
         (
             (
-                "000100000300000007000000070000006c6f616465720000000000000900000000000000000000000000f03f"
-                "00000000000000000300000000000000000000000000f03f0000000000000040000000000000084003000000010001"
+                "000100000300000007000000070000006c6f61646572000d880d880d0900000000000000000000000000f03f"
+                "00000000000000000b0000002f65686c732f662d3132000003000000006a0100000000000000f03f0000000000000040"
+                "000000000000084003000000010001"
             ),
             [1.0, 2.0, 3.0],
             [1, 0, 1],
         ),
         (  # padding holds whatever was in memory
             (
-                "000100000300000007000000070000006c6f61646572000080f257dc0900000000000000000000000000f03f"
-                "000000000000000000000000000000008a7f0000"
+                "000100000300000007000000070000006c6f616465720025f00015050900000000000000000000000000f03f"
+                "000000000000000002000000660034a0000000000000000005060518"
             ),
             [],
             [],
@@ -87,7 +90,7 @@ def test_encoding_gives_the_bytes_of_rosbags(elements: int, frame: str):
         (
             (
                 "00010000000000000000000004000000616263000900000000000000000000000000f03f0000000000000000"
-                "00000000010000000100000000"
+                "010000000000000000000000010000000100000000"
             ),
             [],
             [1],

@@ -4,18 +4,17 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.recording.cdr import flatten
 from ehls_ros.recording.topics import (
     CLOCK,
-    CONTROLLER_STATUS,
     CYCLE_TOPICS,
     DIAGNOSTICS,
     DRIVER,
     LOADER_STATE,
     MODEL_HEALTH,
     REFERENCE_TOPICS,
+    REFUSED,
     RESPONSE,
     SENDER,
     TELEMETRY_TOPICS,
     TOPICS,
-    VALVE_COMMAND,
     Topic,
     known_topic,
     transition_topic,
@@ -32,8 +31,9 @@ def test_every_signal_comes_from_one_field():
 @pytest.mark.parametrize("topic", CYCLE_TOPICS, ids=lambda topic: topic.name)
 def test_the_fields_of_a_cycle_topic_are_header_cycle_and_its_signals(topic: Topic):
     fields = [field.name for field in flatten(typestore().fielddefs, topic.type)]
-    sender = [SENDER] if topic in (VALVE_COMMAND, CONTROLLER_STATUS) else []
-    assert fields == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle", *topic.signals, *sender]
+    assert fields[:4] == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "cycle"]
+    assert SENDER in fields
+    assert [name for name in fields[4:] if name != SENDER] == [*topic.signals]
 
 
 def test_every_quantity_a_controller_follows_has_a_topic():
@@ -43,7 +43,7 @@ def test_every_quantity_a_controller_follows_has_a_topic():
 
 def test_every_message_definition_is_recorded_or_told_beside_the_recording():
     parts = {"ehls_msgs/msg/ModelChange", "ehls_msgs/msg/TrackedCoefficient"}
-    assert {topic.type for topic in (*CYCLE_TOPICS, DRIVER, MODEL_HEALTH)} | parts == {
+    assert {topic.type for topic in (*CYCLE_TOPICS, DRIVER, MODEL_HEALTH, REFUSED)} | parts == {
         f"ehls_msgs/msg/{file.stem}" for file in MESSAGE_FILES.iterdir()
     }
 
