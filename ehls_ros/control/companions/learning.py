@@ -227,11 +227,12 @@ class Learning:
             return {"repetitions": 0.0, "state": why, **file}
         return {
             "repetitions": float(lesson.cycles),
-            "state": "correcting" if lesson.applied else self._why,
+            "state": "; ".join(filter(None, ("correcting" if lesson.applied else self._why, _out_of_step(lesson)))),
             "error_before_n": lesson.first_error,
             "error_now_n": lesson.last_error,
             "convergence": lesson.last_error / lesson.first_error if lesson.first_error > 0.0 else math.nan,
             **lesson.learners.reference.report(),
+            **({} if lesson.learners.force is None else {"force_change": lesson.learners.force.change}),
             **file,
         }
 
@@ -309,7 +310,7 @@ class Learning:
             lesson.begin(errors)
         elif self._added == (len(cycle.columns) if lesson.active else 0):
             lesson.take(errors, self._p.freeze)
-            self._why = _not_learnt(lesson)
+            self._why = "nothing that repeats stands out from the noise"
             if reason := out_of_bounds(lesson, self._p.method, self._bounds):
                 # Nothing of it is kept, the foreseen force included.
                 del self._lessons[turn.block]
@@ -377,13 +378,13 @@ class Learning:
         self._unproven.add(block)
 
 
-def _not_learnt(lesson: Lesson) -> str:
-    """Return in words why nothing is corrected, where nothing is."""
+def _out_of_step(lesson: Lesson) -> str:
+    """Return in words that the external force is not foreseen, as it does not repeat; empty: it does."""
     force = lesson.learners.force
-    if force is not None and force.change > MOST_CHANGE:
-        share = 100.0 * force.change
-        return f"the external force is not in step with the load cycle: it changes by {share:.0f} % from one to the next"
-    return "nothing that repeats stands out from the noise"
+    if force is None or force.change <= MOST_CHANGE:
+        return ""
+    share = 100.0 * force.change
+    return f"the external force is not in step with the load cycle: it changes by {share:.0f} % from one to the next"
 
 
 def _whole_cycles(period: float, control_period: float) -> int:

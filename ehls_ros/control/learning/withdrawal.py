@@ -15,7 +15,7 @@ MARGIN = 0.2
 WORSE = 1.05
 """Rms error of a load cycle, over that without correction, above which the correction did harm."""
 
-TRANSIENT = 0.25
+TRANSIENT = 0.5
 """Squared error of a load cycle, over that of the one before, below which the one before held a transient."""
 
 WAIT, LONGEST_WAIT = 4, 64
