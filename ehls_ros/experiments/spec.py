@@ -386,7 +386,9 @@ def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tunin
     name = spec.controller.name if law is None else law
     kind = CONTROLLERS.load(name)
     if spec.companions and kind.FOLLOWS != "force":
-        raise BadInput(f"{name} follows a {kind.FOLLOWS}", f"{where}: companions", "none, or a controller that follows a force")
+        beside = ", ".join(use.name for use in spec.companions)
+        expected = "no companion, or a controller that follows a force"
+        raise BadInput(f"{beside} beside {name}, which follows a {kind.FOLLOWS}", f"{where}: companions", expected)
     actuator = signal_kind(spec.disturbance.name)
     tuning = spec.controller.parameters if tuning is None else tuning
     return Setting(kind, tuning, model, actuator, spec.controller_rig.limits)
@@ -394,8 +396,9 @@ def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tunin
 
 def _check_companions(spec: Spec, where: str, setting: Setting) -> None:
     """Refuse companions that cannot work together with the rest."""
-    with _placed(where):
-        for use in spec.companions:
+    law = str(getattr(setting.law, "__name__", "")).rpartition(".")[2]
+    for use in spec.companions:
+        with _placed(f"{where}: {use.name} beside {law}"):
             COMPANIONS.load(use.name).check(use.parameters, setting)
 
 

@@ -93,12 +93,12 @@ def errors(force: np.ndarray, size: float = 1e3, mean: float = 0.0) -> tuple[flo
 
 def test_after_three_corrections_peaks_valleys_and_phase_are_those_wanted_and_in_stretches_alike(rig):
     single, stretches = Lag(rig, stretch=1), Lag(rig, stretch=170)
-    force = single.run(8, mean=500.0)
-    assert np.array_equal(stretches.run(8, mean=500.0), force)
+    force = single.run(9, mean=500.0)
+    assert np.array_equal(stretches.run(9, mean=500.0), force)
     peak, valley, phase = errors(force[: 2 * SIZE], mean=500.0)
     # A gain of 0.8 and a lag of 60 rad/s at 2 Hz.
     assert (peak, valley, phase) == pytest.approx((-317.0, 117.0, -11.8), abs=3.0)
-    peak, valley, phase = errors(force[: 5 * SIZE], mean=500.0)
+    peak, valley, phase = errors(force[: 6 * SIZE], mean=500.0)
     assert max(abs(peak), abs(valley)) < 20.0
     assert abs(phase) < 0.5
     peak, valley, phase = errors(force, mean=500.0)
@@ -123,14 +123,16 @@ def test_what_is_added_has_no_step_and_its_derivatives_are_its_own(rig):
     assert np.abs(np.diff(value)).max() < 1.2 * np.abs(rate).max() * PERIOD
 
 
-@pytest.mark.parametrize(("gain", "useless"), [(-0.6, "mean"), (0.0, "amplitude")])
-def test_a_force_that_does_not_follow_never_gets_more_than_the_reach(rig, gain, useless):
+@pytest.mark.parametrize(
+    ("gain", "entry", "reason"),
+    [(-0.6, "state", "larger than without a correction"), (0.0, "limits", "does not follow the amplitude")],
+)
+def test_a_force_that_does_not_follow_never_gets_more_than_the_reach(rig, gain, entry, reason):
     lag = Lag(rig, gain=gain, reach=0.3, freeze=1e3)
     lag.run(30)
     assert np.abs(lag.correction[:, 0]).max() <= 1e3 * (0.3 + 2.0 * math.sin(0.15) * 1.3 + 0.3)
     report = lag.companion.report()
-    assert f"does not follow the {useless}" in str(report["limits"])
-    assert report[f"{useless}_added_n"] == 0.0
+    assert reason in str(report[entry])
     assert abs(float(report["amplitude_added_n"])) <= 300.0
 
 
@@ -274,9 +276,9 @@ def extremes(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("gain", [0.8, 1.2])
-def test_with_a_valve_gain_off_by_a_fifth_a_simple_law_has_its_peaks_after_seven_load_cycles(gain):
+def test_with_a_valve_gain_off_by_a_fifth_a_simple_law_has_its_peaks_after_eight_load_cycles(gain):
     parts: dict[str, Any] = {"emulated": True, "gain": gain, "reference": {"name": "sine", "amplitude": 1e4, "frequency": 1.0}}
-    alone, beside = (extremes(spec_of(9.5, learns=learns, **parts))[0][6:] for learns in (False, True))
+    alone, beside = (extremes(spec_of(10.5, learns=learns, **parts))[0][7:] for learns in (False, True))
     assert np.all(np.abs(alone) > 80.0)
     assert np.all(np.abs(beside) < 40.0)
 

@@ -15,7 +15,7 @@ from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.learning import repetition
 from ehls_ros.control.learning.base import Learner
 from ehls_ros.control.learning.bumpless import Bumpless
-from ehls_ros.control.learning.foresight import Foresight
+from ehls_ros.control.learning.foresight import MOST_CHANGE, Foresight
 from ehls_ros.control.learning.harmonics import Harmonics
 from ehls_ros.control.learning.kept import bounds_of, check_block, out_of_bounds
 from ehls_ros.control.learning.lesson import LOOK, Errors, Learners, Lesson, errors_of, recent_errors
@@ -109,7 +109,8 @@ class Learning:
         self._turn: Turn | None = None
         self._usual: Turn | None = None
         self._settling, self._interrupted = True, False
-        self._added = 0
+        self._added = self._foretold = 0
+        self._squares = 0.0
         self._previewed = np.empty(0)
         self._why = "no load cycle is complete"
         if p.period > 0.0:
@@ -179,6 +180,7 @@ class Learning:
             if math.isnan(row[FORESEEN]):
                 row[FORESEEN:] = 0.0
             row[FORESEEN:] += table[FORESEEN:]
+            self._foretold += 1
 
     def done(self, past: Past, model: Model) -> Model:
         """Record what happened; learn from a load cycle once it is complete."""
@@ -199,8 +201,9 @@ class Learning:
             rows[:, repetition.SMOOTHED] = math.nan
             recorder.smoothed(forces.first, forces.smoothed)
         lesson = self._lessons.get(turn.block)
+        self._squares += float(rows[:, repetition.ERROR] @ rows[:, repetition.ERROR])
         if lesson is not None and (lesson.applied or lesson.foresees) and (past.first + len(rows)) % LOOK == 0:
-            self._look(turn, lesson)
+            self._look(turn, lesson, int((float(rows[-1, repetition.PHASE]) % 1.0) * lesson.size) + 1)
         if recorder.full():
             self._end(turn)
         return model
@@ -224,11 +227,12 @@ class Learning:
             return {"repetitions": 0.0, "state": why, **file}
         return {
             "repetitions": float(lesson.cycles),
-            "state": "correcting" if lesson.applied else self._why,
+            "state": "; ".join(filter(None, ("correcting" if lesson.applied else self._why, _out_of_step(lesson)))),
             "error_before_n": lesson.first_error,
             "error_now_n": lesson.last_error,
             "convergence": lesson.last_error / lesson.first_error if lesson.first_error > 0.0 else math.nan,
             **lesson.learners.reference.report(),
+            **({} if lesson.learners.force is None else {"force_change": lesson.learners.force.change}),
             **file,
         }
 
@@ -253,13 +257,22 @@ class Learning:
 
     def _begin(self, turn: Turn | None) -> None:
         """Begin a load cycle."""
-        before, self._turn, self._added = self._turn, turn, 0
+        before, self._turn, self._added, self._foretold, self._squares = self._turn, turn, 0, 0, 0.0
         self._recorder.begin(follows=turn is not None and before == turn._replace(number=turn.number - 1))
         if turn is not None and turn.block in self._lessons:
             self._lessons[turn.block].turn_begins()
 
-    def _look(self, turn: Turn, lesson: Lesson) -> None:
-        """Stop correcting where the error has grown, in a load cycle that follows a usual one without a gap."""
+    def _look(self, turn: Turn, lesson: Lesson, samples: int) -> None:
+        """Stop correcting where the error has grown, in a load cycle that follows a usual one without a gap.
+
+        Args:
+            turn: the load cycle.
+            lesson: its block's.
+            samples: samples of the load cycle so far.
+        """
+        if not lesson.stale and lesson.withdrawal.exceeds(self._squares, samples):
+            self._withdraw(lesson)
+            return
         recent = self._recorder.latest(LOOK)
         if recent is None or self._usual != turn._replace(number=turn.number - 1):
             return
@@ -286,8 +299,15 @@ class Learning:
         if settling:
             return
         errors = errors_of(cycle)
+        if self._added == 0 and self._foretold == 0:
+            lesson.withdrawal.observe(errors.force)
+        elif lesson.applied and lesson.withdrawal.did_harm(errors.force):
+            self._withdraw(lesson)
         if lesson.stale or lesson.paused:
             self._judge(lesson, turn, cycle, errors)
+        elif self._p.method == "peak_valley" and not lesson.withdrawal.repeats:
+            # Three numbers do not tell a transient from an error that repeats.
+            lesson.begin(errors)
         elif self._added == (len(cycle.columns) if lesson.active else 0):
             lesson.take(errors, self._p.freeze)
             self._why = "nothing that repeats stands out from the noise"
@@ -299,12 +319,19 @@ class Learning:
 
     def _judge(self, lesson: Lesson, turn: Turn, cycle: LoadCycle, errors: Errors) -> None:
         """Take a correction up again, or start anew, after a load cycle without it."""
-        if self._added > 0:
+        if self._added > 0 or self._foretold > 0 or lesson.withdrawal.waiting > 0:
             return
         if lesson.stale or lesson.still_holds(errors):
             lesson.stale = lesson.paused = False
         else:
             self._anew(turn, cycle)
+            self._lessons[turn.block].withdrawal = lesson.withdrawal
+
+    def _withdraw(self, lesson: Lesson) -> None:
+        """Leave reference and law alone, as the error is larger than without a correction."""
+        lesson.paused = True
+        lesson.withdrawal.withdraw()
+        self._why = "the force error is larger than without a correction"
 
     def _anew(self, turn: Turn, cycle: LoadCycle) -> None:
         """Start to learn a block's load cycle. The one that shows the reference holds a transition, and does not count."""
@@ -349,6 +376,15 @@ class Learning:
             raise ValueError(f"block {block}: {reason}")
         self._lessons[block] = lesson
         self._unproven.add(block)
+
+
+def _out_of_step(lesson: Lesson) -> str:
+    """Return in words that the external force is not foreseen, as it does not repeat; empty: it does."""
+    force = lesson.learners.force
+    if force is None or force.change <= MOST_CHANGE:
+        return ""
+    share = 100.0 * force.change
+    return f"the external force is not in step with the load cycle: it changes by {share:.0f} % from one to the next"
 
 
 def _whole_cycles(period: float, control_period: float) -> int:

@@ -25,7 +25,9 @@ from ehls_ros.control.state_estimator import (
     MotionNoise,
     OffsetNoise,
     OilNoise,
+    State,
     ValveNoise,
+    state_of,
 )
 from ehls_ros.schema import quantity
 
@@ -96,7 +98,7 @@ def tracking(omega: Array, p: Parameters, model: Model) -> NDArray[np.complex128
 
 
 @kernel
-def assumptions(p: Parameters) -> Assumptions:
+def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> Assumptions:
     """Return the parameters of the filter."""
     return Assumptions(
         p.coupling_stiffness,
@@ -121,4 +123,5 @@ def assumptions(p: Parameters) -> Assumptions:
 @kernel
 def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
     """Return the spool command [m]."""
-    return answer(m, r, Surface(p.k, p.g, p.xi, p.reaching_rate), model, assumptions(p), memory, status)
+    taken = assumptions(state_of(memory), memory[state_estimator.MEMORY_SIZE :], p, model)
+    return answer(m, r, Surface(p.k, p.g, p.xi, p.reaching_rate), model, taken, memory, status)

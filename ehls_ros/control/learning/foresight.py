@@ -32,8 +32,16 @@ DOUBT = 1.5
 RECENT = 2.0
 """Weight of a load cycle over that of the mean of all: the first ones, not foreseen, moved the actuator otherwise."""
 
+MOST_CHANGE = 0.3
+"""Rms difference of the force from one load cycle to the next, over the rms of its alternating part, above which it is not
+foreseen: a law that has a foreseen force follows any other force less closely."""
+
 LEAST_NEWS = 0.1
 """Least part of the noise's variance that one load cycle makes out."""
+
+
+LEAST_POWER = 1e-12
+"""Lower bound of a sum of squared amplitudes: a force that never acts does not change."""
 
 
 class Foresight:
@@ -42,6 +50,7 @@ class Foresight:
     Attributes:
         size: samples of the load cycle.
         cycles: load cycles that count.
+        change: rms difference between the last two load cycles, over the rms of the force's alternating part.
         spectrum: the force to be foreseen as ``rfft`` has it.
         table: that force and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
     """
@@ -70,6 +79,7 @@ class Foresight:
         self.spectrum = self._mean = self._latest = nothing
         self._noise = np.full(size // 2 + 1, np.inf)
         self._share = np.array(0.0)
+        self.change = 0.0
         self.table = np.zeros((size + 1, 3))
 
     def observe(self, force: Array, *, settled: bool = True) -> None:
@@ -89,6 +99,7 @@ class Foresight:
             window = np.sin(math.pi * np.arange(self.size) / self.size) ** 2
             change = np.fft.rfft(window * np.fft.irfft(change, self.size)) / math.sqrt(float(np.mean(window**2)))
         if np.any(self._latest):
+            self.change = math.sqrt(_power(change) / max(_power(seen), LEAST_POWER))
             noise = 0.5 * mean_around(np.abs(change) ** 2, self._reach)
             news = max(1.0 / self.cycles, LEAST_NEWS)
             self._noise = noise if np.isinf(self._noise[0]) else self._noise + news * (noise - self._noise)
@@ -101,6 +112,10 @@ class Foresight:
         """Foresee what the mean tells; return whether it tells anything."""
         if np.isinf(self._noise[0]) or self.cycles == 0:
             return bool(np.any(self.spectrum))
+        if self.change > MOST_CHANGE:
+            self.spectrum = np.zeros_like(self.spectrum)
+            self.tabulate()
+            return False
         power = np.maximum(mean_around(np.abs(self._mean) ** 2, self._reach), 1e-300)
         kept = np.clip(1.0 - DOUBT * float(self._share) * self._noise / power, 0.0, 1.0)
         self.spectrum = self._passed * kept * self._mean
@@ -133,3 +148,8 @@ class Foresight:
         self.cycles = int(stored["cycles"])
         self.tabulate()
         return True
+
+
+def _power(spectrum: Spectrum) -> float:
+    """Return the sum of the squared amplitudes of all harmonics but the mean."""
+    return float(np.sum(np.abs(spectrum[1:]) ** 2))

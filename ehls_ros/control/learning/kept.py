@@ -47,6 +47,7 @@ BLOCK: Mapping[str, Entry] = {
     "limits": Entry(shape=(2,), least=0.0, infinite=True),
     "largest": Entry(shape=(2,), least=0.0, most=LARGEST),
     "errors": Entry(shape=(2,), least=0.0, most=LARGEST),
+    "bare": Entry(shape=("samples",), least=0.0, infinite=True),
 }
 """Arrays of each block with any method."""
 

@@ -18,6 +18,7 @@ from ehls_ros.control.learning.base import Corrector
 from ehls_ros.control.learning.foresight import Foresight
 from ehls_ros.control.learning.repetition import ERROR, EXTERNAL, PREVIEWED, SMOOTHED, WANTED, LoadCycle
 from ehls_ros.control.learning.repetition import FORESEEN as FORESEEN_FORCE
+from ehls_ros.control.learning.withdrawal import Withdrawal
 from ehls_ros.control.references._blend import quintic
 
 SAME = 0.02
@@ -81,6 +82,7 @@ class Lesson:
         paused: whether it is not added, as the error has grown.
         stale: whether the reference is not corrected, as it is another one at present.
         limits: rms over :data:`LOOK` samples of the two errors above which they have grown.
+        withdrawal: whether the correction does harm.
         first_error, last_error: largest repeatable error in the first load cycle that counted, and in the last [N].
     """
 
@@ -96,6 +98,7 @@ class Lesson:
         self.learners = learners
         self.table = np.zeros((self.size + 1, ROW))
         self.active = self.paused = self.stale = False
+        self.withdrawal = Withdrawal(self.size)
         self._begun = False
         self.limits = np.full(2, np.inf)
         self._largest = np.zeros(2)
@@ -217,6 +220,7 @@ class Lesson:
         reference, force = self.learners
         kept = {"period": np.array(self.period), "wanted": self.wanted[:-1], "limits": self.limits, "largest": self._largest}
         kept["errors"] = np.array([self.first_error, self.last_error])
+        kept["bare"] = self.withdrawal.bare
         kept |= {f"reference.{name}": value for name, value in reference.stored().items()}
         return kept if force is None else kept | {f"force.{name}": value for name, value in force.stored().items()}
 
@@ -229,6 +233,7 @@ class Lesson:
                 return False
         self.limits, self._largest = stored["limits"], stored["largest"]
         self.first_error, self.last_error = map(float, stored["errors"])
+        self.withdrawal.bare = stored["bare"]
         self._combine()
         return True
 

@@ -24,6 +24,10 @@ external force, that part of it which others foresaw, both NaN where nothing is 
 later, NaN where that is not known yet [N]; and their number."""
 
 
+SEAM = 32
+"""Samples from which the difference between two load cycles is led over at the end of a load cycle's known part."""
+
+
 class Turn(NamedTuple):
     """One load cycle of a programme.
 
@@ -192,5 +196,28 @@ class Recorder:
         if late.any() and len(before) > 1:
             # What is not known yet of this load cycle is that of the one before.
             late &= (at >= before[0, PHASE]) & (at <= before[-1, PHASE])
-            columns[late, SMOOTHED] = np.interp(at[late], before[:, PHASE], before[:, SMOOTHED])
+            earlier = np.interp(at, before[:, PHASE], before[:, SMOOTHED])
+            columns[late, SMOOTHED] = earlier[late] + _led_over(columns[:, SMOOTHED] - earlier, late)
         return LoadCycle(period, columns)
+
+
+def _led_over(difference: Array, late: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Array:
+    """Return what leads from the end of a load cycle's known part over to the load cycle before it.
+
+    A force that differs between both would have a step there, which a law that foresees it follows. The load cycle before ends
+    where this one began, so that nothing is added at the end.
+
+    Args:
+        difference: force of this load cycle less that of the one before, shape (size,) [N]; unknown where ``late``.
+        late: samples at the end that are not known, shape (size,).
+    """
+    count = int(np.sum(late))
+    known = np.flatnonzero(~late)[-SEAM:]
+    if not late[-1] or len(known) < SEAM or known[-1] != len(late) - count - 1:
+        return np.zeros(count)
+    at = np.arange(SEAM) - (SEAM - 1.0)
+    _, slope, value = np.polyfit(at, difference[known], 2)
+    share = np.arange(1, count + 1) / (count + 1)
+    # Hermite's cubic with the value and slope of the known part, and neither at the end.
+    led: Array = (1.0 - share) ** 2 * (value * (1.0 + 2.0 * share) + slope * (count + 1) * share)
+    return led
