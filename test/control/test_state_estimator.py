@@ -182,7 +182,9 @@ def test_the_prediction_over_the_delay_is_exact_where_the_equations_are_linear(r
 def test_it_foresees_where_the_plant_goes(rig, ahead):
     """Perfect sensors, and a piston that slides to and fro under late commands: stick, slip and the orifice included."""
     delay = ahead * PERIOD
-    p = law.assumptions.py_func(law.Parameters(coupling_stiffness=0.0, coupling_damping=0.0, command_delay=delay))
+    tuning = law.Parameters(coupling_stiffness=0.0, coupling_damping=0.0, command_delay=delay)
+    # This law's assumptions depend on its parameters alone.
+    p = law.assumptions.py_func(None, None, tuning, None)
     late = effects_from_list([{"name": "command_delay", "delay": delay}], "test")
     simulator, found = Simulator(rig.with_effects(late), PERIOD), Filter(rig, p)
     foreseen, came = [], []
