@@ -270,7 +270,8 @@ class Learning:
             lesson: its block's.
             samples: samples of the load cycle so far.
         """
-        if not lesson.stale and lesson.withdrawal.exceeds(self._squares, samples):
+        # A start from rest has an error of its own.
+        if not (lesson.stale or self._settling) and lesson.withdrawal.exceeds(self._squares, samples):
             self._withdraw(lesson)
             return
         recent = self._recorder.latest(LOOK)
