@@ -17,7 +17,7 @@ from ehls_ros.control.learning.base import Learner
 from ehls_ros.control.learning.bumpless import Bumpless
 from ehls_ros.control.learning.foresight import MOST_CHANGE, Foresight
 from ehls_ros.control.learning.harmonics import Harmonics
-from ehls_ros.control.learning.kept import bounds_of, check_block, out_of_bounds
+from ehls_ros.control.learning.kept import bounds_of, check_block, largest_correction, out_of_bounds
 from ehls_ros.control.learning.lesson import LOOK, Errors, Learners, Lesson, errors_of, recent_errors
 from ehls_ros.control.learning.peak_valley import FADE, PeakValley
 from ehls_ros.control.learning.repetition import LoadCycle, Places, Recorder, Turn
@@ -270,7 +270,8 @@ class Learning:
             lesson: its block's.
             samples: samples of the load cycle so far.
         """
-        if not lesson.stale and lesson.withdrawal.exceeds(self._squares, samples):
+        # A start from rest has an error of its own.
+        if not (lesson.stale or self._settling) and lesson.withdrawal.exceeds(self._squares, samples):
             self._withdraw(lesson)
             return
         recent = self._recorder.latest(LOOK)
@@ -299,6 +300,10 @@ class Learning:
         if settling:
             return
         errors = errors_of(cycle)
+        if not lesson.applied and _rms(errors.force) > largest_correction(lesson.wanted, self._bounds):
+            self._anew(turn, cycle)
+            self._why = "the force is lost: the error is larger than any correction may be"
+            return
         if self._added == 0 and self._foretold == 0:
             lesson.withdrawal.observe(errors.force)
         elif lesson.applied and lesson.withdrawal.did_harm(errors.force):
@@ -376,6 +381,10 @@ class Learning:
             raise ValueError(f"block {block}: {reason}")
         self._lessons[block] = lesson
         self._unproven.add(block)
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
 
 
 def _out_of_step(lesson: Lesson) -> str:

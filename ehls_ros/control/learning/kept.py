@@ -164,14 +164,22 @@ def out_of_bounds(lesson: Lesson, method: Method, bounds: Bounds) -> str:
         bounds: of the rig.
     """
     correction, foreseen = (_largest(lesson.table[:, column]) for column in (0, FORESEEN))
-    bound = bounds.force
-    if method != "peak_valley":
-        bound = max(OF_REFERENCE * float(np.max(np.abs(lesson.wanted))), OF_LIMIT * bounds.force)
+    bound = bounds.force if method == "peak_valley" else largest_correction(lesson.wanted, bounds)
     if correction > bound:
         return f"the reference would be corrected by {correction:.4g} N, more than {bound:.4g} N"
     if foreseen > bounds.foreseen:
         return f"a force of {foreseen:.4g} N would be foreseen, more than {bounds.foreseen:.4g} N"
     return ""
+
+
+def largest_correction(wanted: Array, bounds: Bounds) -> float:
+    """Return the largest correction of a reference, which is also the largest rms error that counts as one of following [N].
+
+    Args:
+        wanted: the reference over a load cycle [N].
+        bounds: of the rig.
+    """
+    return max(OF_REFERENCE * float(np.max(np.abs(wanted))), OF_LIMIT * bounds.force)
 
 
 def _largest(values: Array) -> float:

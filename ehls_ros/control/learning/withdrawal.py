@@ -9,7 +9,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 
-MARGIN = 0.2
+MARGIN = 0.5
 """Squared error by which a load cycle may run ahead of those without correction, over the sum of theirs."""
 
 WORSE = 1.05
