@@ -316,8 +316,8 @@ def test_an_error_that_grows_stops_the_correction_at_once(rig):
     plant.added.clear()
     plant.run(0.5, swing=200.0)
     assert np.all(plant.correction[20:, :FORESEEN] == 0.0)
-    assert "the force error is larger than without a correction" in str(plant.companion.report()["state"])
-    plant.run(9, swing=200.0)
+    assert "the force error is no longer what it was" in str(plant.companion.report()["state"])
+    plant.run(5, swing=200.0)
     assert np.abs(plant.run(1, swing=200.0)).max() < 20.0
 
 
