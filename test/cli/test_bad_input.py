@@ -57,11 +57,11 @@ CASES = {
     "a fraction of a seed": (lambda m: m.update(seed=1.5), ("seed is 1.5", "integer")),
     "a companion that cannot work": (
         lambda m: m.update(companions=[{"name": "disturbance_preview"}]),
-        ("spec.yaml: companion disturbance_preview", "does not use what is foreseen", "PREVIEW"),
+        ("spec.yaml: disturbance_preview beside fasmc", "does not use what is foreseen", "PREVIEW"),
     ),
     "learning that need not converge": (
         lambda m: m.update(companions=[{"name": "learning", "period": 4.0, "gain": 2.0}]),
-        ("spec.yaml: companion learning", "gain 2", "gain 0"),
+        ("spec.yaml: learning beside fasmc", "gain 2", "gain 0"),
     ),
     "text for a number": (lambda m: m.update(duration="long"), ("duration", "long", "number")),
 }
