@@ -321,6 +321,8 @@ def weaken_the_gate(running):
 
 def spam_resets_and_enables(running):
     stopped = running.emergency_stop()
+    # An enable that nobody answers ends what the policy says of the stop.
+    running.live(0.1)
     node = running.participant.node
     clients = [node.create_client(Trigger, "reset_trips"), node.create_client(SetBool, "enable")]
     clients.append(node.create_client(AcknowledgeStop, "acknowledge_stop"))
