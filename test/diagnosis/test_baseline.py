@@ -81,6 +81,7 @@ def imperfect(trajectory, rig):
     return replace(trajectory, signals={**trajectory.signals, "load_pressure_pa": pressure})
 
 
+@pytest.mark.long
 def test_an_imperfect_rig_agrees_with_its_own_past(run, healthy, rig):
     found = against(imperfect(run({}, "rich", 4), rig), [imperfect(healthy, rig)], rig)
     assert found.verdict == "consistent"
@@ -99,6 +100,7 @@ def test_operating_points_never_seen_are_said_and_raise_no_alarm(run, rig):
     assert any("outside what the baseline covers" in remark and "velocity_m_s" in remark for remark in found.remarks)
 
 
+@pytest.mark.long
 def test_a_level_within_the_spread_of_two_baselines_is_no_change(run, rig):
     levels = [run({"coulomb_shift": {"offset": offset}}, "rich", seed) for offset, seed in ((-60.0, 7), (60.0, 8))]
     new = run({"coulomb_shift": {"offset": 40.0}}, "rich", 9)
@@ -151,12 +153,14 @@ def test_a_piston_pushed_slowly_does_not_show_its_mass(seal_rig, healthy, rig):
     assert shown(healthy, rig)
 
 
+@pytest.mark.long
 def test_friction_shows_in_a_load_cell_although_it_answers_to_it(seal_rig):
     found = against(seal(seal_rig, 6.5, 2), [seal(seal_rig, 5.0, 1)], seal_rig)
     assert found.names_causes
     assert "coulomb_shift" in {found.causes[0].name, *found.causes[0].equivalent_to}
 
 
+@pytest.mark.long
 def test_a_seal_that_drifts_may_have_drifted_on(seal_rig):
     drifted, steady = ([seal(seal_rig, 5.0, 1, drift=drift)] for drift in (0.15, 0.0))
     new = seal(seal_rig, 5.75, 2)

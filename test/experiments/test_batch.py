@@ -61,6 +61,7 @@ def assert_same(run, expected):
         np.testing.assert_array_equal(np.signbit(run[name]), np.signbit(values), err_msg=name)
 
 
+@pytest.mark.long
 def test_each_run_has_the_numbers_it_has_by_itself(make_run):
     specs = [make_run(index) for index in range(RUNS)]
     # Two leave their limits at once, and one by itself has other sizes than the rest.

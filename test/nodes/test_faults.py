@@ -180,6 +180,7 @@ def trial(graph, participant, tmp_path):
         rig.close()
 
 
+@pytest.mark.long
 def test_controller_and_reference_freeze_die_and_return(trial, graph):
     running = trial()
     controller = graph.processes[CONTROLLER]
@@ -210,6 +211,7 @@ def test_controller_and_reference_freeze_die_and_return(trial, graph):
     running.finish()
 
 
+@pytest.mark.long
 def test_commands_lost_late_duplicated_and_not_finite(trial):
     running = trial(spoil=True)
 

@@ -106,6 +106,7 @@ def says(diagnostics: list[DiagnosticArray], level: int, sentence: str) -> bool:
     return bool(own) and own[-1].level == bytes([level]) and own[-1].message.startswith(sentence)
 
 
+@pytest.mark.long
 def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec_file, tmp_path: Path, leaky: Trajectory):
     def start() -> None:
         graph.start("monitor_node", spec=spec_file(), timing="lockstep", learning_time=30.0, folder=tmp_path / "monitor")
@@ -151,6 +152,7 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     assert {health.state for health in heard} <= {ModelHealth.WATCHING, ModelHealth.IDLE}
 
 
+@pytest.mark.long
 def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, participant, spec_file, tmp_path: Path):
     spec = spec_file(duration=1000.0)
     folder = tmp_path / "monitor"

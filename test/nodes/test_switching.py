@@ -64,6 +64,7 @@ def in_one_process(spec, drivers, joined, missed, cycles):
     return forces, commands
 
 
+@pytest.mark.long
 def test_a_controller_takes_over_gives_back_and_succeeds_one_that_leaves(graph, participant, spec_file):
     path = spec_file(duration=1000.0, controller=FIRST)
     path.write_text(path.read_text(encoding="utf-8").replace(f"name: {FIRST}", f"name: {WITHOUT_COUPLING}"), encoding="utf-8")
