@@ -183,7 +183,7 @@ def _reported(trace: Trace, *states: str) -> list[float]:
 
 def _untold(trace: Trace) -> list[float]:
     """Return when the plant said that commands do not reach the valve."""
-    return [message[0] for message in trace.heard("driving") if not message[1]]
+    return [message[0] for message in trace.driving if not message[1]]
 
 
 def _shut(trace: Trace) -> list[float]:
@@ -211,7 +211,7 @@ REPORTED_CUT = _closing("diagnostics say cut or stopped", lambda trace: _reporte
 REPORTED_RAMP = _closing("diagnostics say ramping or disabled", lambda trace: _reported(trace, RAMPING, DISABLED))
 NOT_DRIVING = During(
     "driving is false, until enable or driving is true",
-    lambda trace: _cut_short(trace.until_opened(_untold(trace)), [m[0] for m in trace.heard("driving") if m[1]]),
+    lambda trace: _cut_short(trace.until_opened(_untold(trace)), [m[0] for m in trace.driving if m[1]]),
 )
 SHUT = _closing("the target has closed the valve itself", _shut)
 
@@ -525,7 +525,7 @@ def _bounded(trace: Trace) -> Margins:
 
 def _weaker(trace: Trace) -> Margins:
     """Return for each change that weakens the gate how long it had been closed, or -1 if it was open all the time."""
-    told = trace.heard("driving")
+    told = trace.driving
     found = []
     values = trace.setup.gate._asdict()
     started = [happening.time for happening in trace.happenings_of("started", trace.setup.hosts)]
@@ -565,7 +565,7 @@ def _outside_active(trace: Trace) -> Margins:
 
 def _changes_told(trace: Trace) -> Margins:
     """Return for each change between driving and not how much earlier than it has to a report said so [s]."""
-    told = trace.heard("driving")
+    told = trace.driving
     reports = [r for r in trace.reports if r.node == trace.setup.plant and "state" in r.values]
     found = []
     times = np.array([report.time for report in reports])

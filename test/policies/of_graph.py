@@ -211,7 +211,7 @@ def _switches(trace: Trace) -> Margins:
 
     A gate that closes for want of a reference, without which no controller answers, was not closed by the switch.
     """
-    told = trace.heard("driving")
+    told = trace.driving
     closing = [
         call.sent
         for call in trace.calls

@@ -23,6 +23,9 @@ IN_FLIGHT = 2
 ROUNDING = 1e-9
 """What rounding may take from a time or a robustness, in any unit."""
 
+UNDER_WAY = 0.5
+"""Longest time that a message takes on a busy machine [s]."""
+
 ENDS = frozenset({"killed", "ended"})
 """Happenings after which a process is gone."""
 
@@ -100,6 +103,7 @@ class Setup(NamedTuple):
         watchdog: time for which the target holds a command [s].
         plant: name of the node with the gate.
         hosts: names of the processes that run it.
+        second_plants: names of processes that run another plant node for a while.
         lockstep: whether the rig waits for each answer: its time is then that of its cycles.
         resolution: of the valve's converter [m].
         gentle: whether no controller commands more than the rig's limits bear.
@@ -111,6 +115,7 @@ class Setup(NamedTuple):
     watchdog: float = math.inf
     plant: str = "hardware_bridge_node"
     hosts: frozenset[str] = frozenset({"hardware_bridge_node"})
+    second_plants: frozenset[str] = frozenset({"bridge again", "plant again"})
     lockstep: bool = False
     resolution: float = 2e-7
     gentle: bool = True
@@ -341,6 +346,24 @@ class Trace:
     def heard(self, topic: str) -> list[tuple[Any, ...]]:
         """Return the messages of a topic in the order of publication: time [s], stamp [ns], fields."""
         return sorted(self.messages.get(topic, []), key=lambda message: message[0])
+
+    @cached_property
+    def driving(self) -> list[tuple[float, bool]]:
+        """When the plant said that commands reach the valve, or no longer do, in order: time [s], whether they do.
+
+        The message does not name its sender. A second plant, whose gate is closed, says that they do not.
+        """
+        second = self.setup.second_plants
+        lives = [
+            (begun.time, next((h.time for h in self.happenings_of("ended", {begun.whom}) if h.time > begun.time), math.inf))
+            for begun in self.happenings_of("started", second)
+        ]
+        lives = [(begin, end + UNDER_WAY) for begin, end in lives]
+        return [
+            (when, bool(driving))
+            for when, driving, *_ in self.heard("driving")
+            if driving or not any(begin < when < end for begin, end in lives)
+        ]
 
     def with_load_cycles(self, load_cycles: Iterable[tuple[int, int, int]]) -> "Trace":
         """Return the same with a programme's log of load cycles."""
