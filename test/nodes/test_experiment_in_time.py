@@ -47,12 +47,12 @@ def test_realtime_keeps_the_wall_clock_and_loses_no_sample(spec_file, tmp_path):
 
 
 def long_run_under_way(spec_file, out: Path) -> subprocess.Popen[str]:
-    """Start an experiment that does not end, and wait until its bag grows."""
+    """Start an experiment that does not end, and wait until its bag has more than the definitions and the first cycles."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", "experiment", str(spec_file(duration=1000.0))]
     process = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + PATIENCE
     bag = out / "bag" / "bag.mcap"
-    while not (bag.exists() and bag.stat().st_size > 100_000):
+    while not (bag.exists() and bag.stat().st_size > 1_000_000):
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.05)

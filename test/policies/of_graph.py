@@ -168,9 +168,13 @@ def _driver_changes(trace: Trace) -> Margins:
 
 
 def _handovers(trace: Trace) -> Margins:
-    """Return for each change between controllers that follow each other by how much its step is below the usual changes [m]."""
+    """Return for each change between controllers that follow each other by how much its step is below the usual changes [m].
+
+    A sender of commands without a status is no controller of this package, and promises nothing.
+    """
     commands: dict[str, dict[int, float]] = defaultdict(dict)
     shadows = {message[-1] for message in trace.heard("standby_command")}
+    shadows &= {message[-1] for message in trace.heard("controller_status")}
     for _, _, cycle, spool, sender in trace.heard("valve_command"):
         commands[sender][cycle] = spool
     found = []

@@ -186,6 +186,7 @@ def switched(excess, step=0.0):
     messages = {
         "driver": [(at(0), 0, 0, True, "/ehls/a-1", PLANT), (at(EVENT), 0, EVENT, True, "/ehls/b-2", PLANT)],
         "standby_command": [(at(5), 0, 5, 0.0, "/ehls/b-2")],
+        "controller_status": [(at(EVENT + 5), 0, EVENT + 5, *(0.0,) * 10, False, False, "/ehls/b-2")],
         "valve_command": sent,
         "driving": [(at(0), True), *([(at(EVENT + 5), False)] if excess > 0.0 else [])],
     }
