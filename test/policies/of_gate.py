@@ -515,7 +515,7 @@ def _bounded(trace: Trace) -> Margins:
     found = []
     for call in trace.changes:
         bound = bounds.get(str(call.fields["name"]))
-        if bound is None:
+        if bound is None or not call.success:
             continue
         value = float(call.fields["value"])
         width = bound.high - bound.low if np.isfinite(bound.high) else max(abs(bound.low), 1e-3)
