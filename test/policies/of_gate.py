@@ -421,6 +421,11 @@ def _follows(trace: Trace) -> Flags:
     null = trace.moments[~trace.open]
     following = np.append(null, np.inf)[np.searchsorted(null, trace.moments)]
     rows &= following - trace.moments > ramp
+    # A valve that is enabled again before it reaches null was on a ramp all the same; its reports may come later.
+    told = sorted((when - (0.0 if drives else 2.0 * trace.setup.period), drives) for when, drives in trace.driving)
+    rows &= np.array([True, *(drives for _, drives in told)])[
+        np.searchsorted([when for when, _ in told], trace.moments, side="right")
+    ]
     return rows & ~trace.was("on_command_rate", "warn") & (trace.log["output_status"] == Status.COMMANDED)
 
 
@@ -439,13 +444,15 @@ def _obeyed(trace: Trace) -> Margins:
         return NOTHING
     kept = ("command_timeout", "hold_time")
     oldest = sum(float(np.max(trace.parameter(name))) for name in kept) + trace.setup.watchdog + trace.lateness
-    depth = int(np.max(np.searchsorted(sent, trace.moments[rows]) - np.searchsorted(sent, trace.moments[rows] - oldest)))
+    oldest = oldest + trace.transport_delay
+    since = trace.moments[rows] - oldest[rows]
+    depth = int(np.max(np.searchsorted(sent, trace.moments[rows]) - np.searchsorted(sent, since)))
     margins = []
     for begin in range(0, rows.size, CHUNK):
         some = rows[begin : begin + CHUNK]
         newest = np.searchsorted(sent, trace.moments[some], side="right") - 1
         number = newest[:, None] - np.arange(max(depth, 1))[None, :]
-        old = trace.moments[some, None] - sent[np.maximum(number, 0)] > oldest
+        old = trace.moments[some, None] - sent[np.maximum(number, 0)] > oldest[some, None]
         apart = np.abs(trace.command[some, None] - spool[np.maximum(number, 0)])
         margins.append(trace.setup.resolution - np.min(np.where((number < 0) | old, np.inf, apart), axis=1))
     return Margins(trace.moments[rows], np.concatenate(margins))

@@ -168,7 +168,7 @@ class During:
         for span in np.unique(number[number >= 0]):
             rows = np.flatnonzero(number == span)
             begin = begins[span]
-            late = rows[trace.time[rows] >= begin + allowed[rows[0]]]
+            late = rows[trace.time[rows] - trace.transport_delay[rows] >= begin + allowed[rows[0]]]
             found[rows] = in_flight_until(trace, late) - begin
         return found
 

@@ -386,6 +386,31 @@ def test_of_two_references_the_law_follows_one(followed, sources, parts, violate
     assert bool(verdict.violations) is violated
 
 
+def test_a_packet_kept_on_the_wire_is_in_flight_for_as_long():
+    policy = NAMES["driving_is_true"]
+
+    def violations(delay):
+        faults = [happening("fault", 0, f"delay {delay}")]
+        told = {"driving": [(at(0), True), (at(EVENT), False)]}
+        last = EVENT + round((GATE.ramp_time + 0.02) / PERIOD)
+        return judge(trace(until(last), messages=told, happenings=faults), [policy])[policy.name].violations
+
+    assert violations(0.0)
+    assert not violations(0.02)
+
+
+def test_a_valve_enabled_again_on_its_ramp_need_not_follow_before():
+    policy, again = NAMES["obeys_who_drives"], EVENT + 10
+    on_ramp = with_row(EVENT, 0.5 * AMPLITUDE)
+
+    def violations(told):
+        messages = {**driven(), "driving": told}
+        return judge(trace(on_ramp, messages=messages, reports=[report("active", 300)]), [policy])[policy.name].violations
+
+    assert violations([(at(0), True)])
+    assert not violations([(at(0), True), (at(EVENT), False), (at(again), True)])
+
+
 @pytest.mark.parametrize("leaves", [False, True])
 def test_another_reference_is_followed_only_once_its_owner_has_left(leaves):
     force, senders = 2000.0, {4: (FIRST, 600.0), 5: (SECOND, -300.0)}

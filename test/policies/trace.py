@@ -210,6 +210,19 @@ class Trace:
         """Longest time for which the rig itself was held up [s]; a machine that is too busy shows in it."""
         return float(np.max(np.diff(self.moments), initial=0.0)) - self.setup.period if self.moments.size > 1 else 0.0
 
+    @cached_property
+    def transport_delay(self) -> Array:
+        """Longest time that a packet which arrives before each row was kept on the wire on purpose [s]."""
+        lines = self.happenings_of("fault")
+        found = np.zeros(len(self.moments))
+        for number, line in enumerate(lines):
+            until = lines[number + 1].time if number + 1 < len(lines) else math.inf
+            match line.whom.split():
+                case ["delay", value]:
+                    kept = (self.moments >= line.time - self.setup.period) & (self.moments <= until + float(value))
+                    found[kept] = np.maximum(found[kept], float(value))
+        return found
+
     def at(self, moments: Array) -> Array:
         """Convert times of this computer's clock to those of the rows."""
         if not self.setup.lockstep or not self.moments.size:
