@@ -10,7 +10,7 @@ from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import signal_kind, uses_actuator
 from ehls_ros.nodes.codec import NANOSECONDS
 from ehls_ros.nodes.control import OK, PATIENCE, ControlNode
-from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class, newest_qos
+from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, message_class, newest_qos
 from ehls_ros.recording.topics import ACTUATOR_TOPICS
 
 LEAD = 200
@@ -60,8 +60,8 @@ class AheadNode(ControlNode):
             topic = ACTUATOR_TOPICS[signal_kind(disturbance.name)]
             signal = sampled(disturbance.signal, self.spec.settings.control_period)
             self.actuator = Outbox(self, message_class(topic.type), topic.name), signal
-        # In lockstep the rig may stand still in a cycle that lacks this node's row.
-        self.progress = Inbox(self, LoaderState, "loader_state", control_qos(1) if self.lockstep else newest_qos())
+        # In lockstep the rig may stand still in a cycle that lacks this node's row, and a second plant may have sent since.
+        self.progress = Inbox(self, LoaderState, "loader_state", None if self.lockstep else newest_qos())
         self.waiter = Waiter([self.progress])
         self.next = 0
         self.last = -1

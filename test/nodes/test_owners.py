@@ -135,6 +135,17 @@ def test_a_second_source_of_another_input_is_refused(sources, name):
     participant.until(lambda: two.follows(FORCE))
 
 
+def test_a_disturbance_returns_in_the_cycle_that_waits_for_it_although_a_second_plant_has_sent_since(sources):
+    two, participant = sources, sources.participant
+    assert participant.change("disturbance_node", "deactivate")
+    participant.until(lambda: two.said("plant_sim_node")[1].startswith("waiting for"))
+    two.second("plant_sim_node", "plant_sim_node_2")
+    participant.until(lambda: any("plant_sim_node_2" in state.sender for state in two.states))
+    assert participant.change("disturbance_node", "activate")
+    two.states.clear()
+    participant.until(lambda: two.follows(FORCE))
+
+
 def test_two_nodes_of_one_name_are_told_apart(sources):
     two, participant = sources, sources.participant
     owner = two.graph.processes["reference_node"].pid
