@@ -170,27 +170,31 @@ def _driver_changes(trace: Trace) -> Margins:
 def _handovers(trace: Trace) -> Margins:
     """Return for each change between controllers that follow each other by how much its step is below the usual changes [m].
 
-    A sender of commands without a status is no controller of this package, and promises nothing.
+    The usual changes are those of both, and those with which the new one would have gone on from the old one's commands while
+    it stood by. A sender of commands without a status is no controller of this package, and promises nothing.
     """
-    commands: dict[str, dict[int, float]] = defaultdict(dict)
-    shadows = {message[-1] for message in trace.heard("standby_command")}
-    shadows &= {message[-1] for message in trace.heard("controller_status")}
-    for _, _, cycle, spool, sender in trace.heard("valve_command"):
-        commands[sender][cycle] = spool
-    found = []
+    begun = np.array(trace.runs)
+    commands: dict[tuple[str, int], dict[int, float]] = defaultdict(dict)
+    standby: dict[tuple[str, int], dict[int, float]] = defaultdict(dict)
+    for topic, found in (("valve_command", commands), ("standby_command", standby)):
+        for sent, _, cycle, spool, sender in trace.heard(topic):
+            found[sender, int(np.searchsorted(begun, sent, side="right"))][cycle] = spool
+    ours = {message[-1] for message in trace.heard("controller_status")}
+    margins = []
     for before, after in _changes_of_driver(trace):
-        old, new, first = commands[before[3]], commands[after[3]], after[1]
-        if not (before[2] and after[2] and after[3] in shadows) or first not in new or first - 1 not in old:
+        run, first = int(np.searchsorted(begun, after[0], side="right")), after[1]
+        old, new, shadow = commands[before[3], run], commands[after[3], run], standby[after[3], run]
+        if not (before[2] and after[2] and shadow and after[3] in ours) or first not in new or first - 1 not in old:
             continue
         usual = [
-            abs(some[cycle] - some[cycle - 1])
-            for some in (old, new)
+            abs(some[cycle] - some_before[cycle - 1])
+            for some, some_before in ((old, old), (new, new), (shadow, old))
             for cycle in range(first - NEIGHBOURS, first + NEIGHBOURS)
-            if cycle in some and cycle - 1 in some
+            if cycle in some and cycle - 1 in some_before
         ]
         if len(usual) >= NEIGHBOURS:
-            found.append((after[0], HANDOVER * max(usual) - abs(new[first] - old[first - 1])))
-    return as_margins(found)
+            margins.append((after[0], HANDOVER * max(usual) - abs(new[first] - old[first - 1])))
+    return as_margins(margins)
 
 
 def _standing_by(trace: Trace) -> Margins:
