@@ -412,10 +412,18 @@ def _candidates(trace: Trace) -> tuple[Array, Array]:
     return np.array(times), np.array(values)
 
 
+def _active(states: Iterable[str]) -> list[bool]:
+    """Return for each state of the gate whether it blends nothing in; while it holds, it does so if it did before."""
+    found: list[bool] = []
+    for state in states:
+        found.append(state == ACTIVE or (state == HOLDING and bool(found) and found[-1]))
+    return found
+
+
 def _follows(trace: Trace) -> Flags:
     """Return the rows in which the output is a command as it came: neither blended in, nor on a ramp, nor limited."""
     reports = sorted((r.time, r.values["state"]) for r in trace.reports if r.node == trace.setup.plant and "state" in r.values)
-    driven = np.array([False, *(state in {ACTIVE, HOLDING} for _, state in reports)])
+    driven = np.array([False, *_active(state for _, state in reports)])
     rows = trace.open & driven[np.searchsorted([when for when, _ in reports], trace.moments)]
     ramp = trace.parameter("ramp_time") + 2.0 * trace.setup.period + trace.setup.watchdog
     null = trace.moments[~trace.open]

@@ -411,6 +411,14 @@ def test_a_valve_enabled_again_on_its_ramp_need_not_follow_before():
     assert not violations([(at(0), True), (at(EVENT), False), (at(again), True)])
 
 
+@pytest.mark.parametrize(("before", "violated"), [("active", True), ("enabling", False)])
+def test_a_valve_held_while_it_is_blended_in_need_not_follow(before, violated):
+    policy = NAMES["obeys_who_drives"]
+    reports = [report(before, 300), report("holding", EVENT - 5), report("active", EVENT + 10)]
+    found = trace(with_row(EVENT, 0.5 * AMPLITUDE), messages=driven(), reports=reports)
+    assert bool(judge(found, [policy])[policy.name].violations) is violated
+
+
 @pytest.mark.parametrize("leaves", [False, True])
 def test_another_reference_is_followed_only_once_its_owner_has_left(leaves):
     force, senders = 2000.0, {4: (FIRST, 600.0), 5: (SECOND, -300.0)}
