@@ -15,7 +15,7 @@ CONTROLLERS = [path.stem for path in (ROOT / PACKAGE / "control" / "controllers"
 
 
 def dependency_groups() -> dict[str, list[str]]:
-    """Return the dependency groups of pyproject.toml that ask for packages, and for no other group."""
+    """Return the dependency groups of pyproject.toml that list packages, not other groups."""
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]
     return {name: group for name, group in groups.items() if all(isinstance(entry, str) for entry in group)}
 
@@ -54,7 +54,7 @@ setup(
     maintainer="ehls_ros maintainers",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
     package_data={"": ["*.css", "*.js", "*.xml", "py.typed", "msg/*.msg"]},
-    include_package_data=False,  # setuptools warns of each folder without Python in it that MANIFEST.in names
+    include_package_data=False,  # setuptools warns of each folder without Python code that MANIFEST.in names
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -65,12 +65,12 @@ setup(
     install_requires=GROUPS["base"],
     extras_require={
         **{name: GROUPS[name] for name in EXTRAS},
-        "test": ["pytest>=7.4"],  # from which colcon knows what runs the tests
+        "test": ["pytest>=7.4"],  # tells colcon how to run the tests
     },
     entry_points={
         "console_scripts": [
             f"ehls = {PACKAGE}.cli.main:entry",
-            # A controller has no node file of its own: ehls_ros.nodes makes its module.
+            # A controller has no separate node file: ehls_ros.nodes creates its module.
             *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in sorted([*NODES, *(f"{name}_node" for name in CONTROLLERS)])),
         ],
     },

@@ -1,4 +1,4 @@
-"""How much of a wrong rig file the companion ``adaptation`` makes good.
+"""Force errors due to a wrong rig file, without and with the companion ``adaptation``.
 
     python -m benchmarks.adaptation --experiments sine_fd2 measured_sine_fd2 --rigs 100
 
@@ -47,7 +47,7 @@ class Errors(NamedTuple):
 
 
 class Watched(ClosedLoop):
-    """A loop that tells the true driving force of every cycle."""
+    """A loop that records the true driving force of every cycle."""
 
     def __init__(self, spec: Spec) -> None:
         """Prepare the loop."""
@@ -63,7 +63,7 @@ class Watched(ClosedLoop):
 
 
 def errors_of(spec: Spec) -> tuple[Errors, dict[str, float | str]]:
-    """Run an experiment; return its errors and what its companions say."""
+    """Run an experiment; return its errors and its companions' report."""
     loop = Watched(spec)
     wanted: list[Array] = []
     try:
@@ -76,7 +76,7 @@ def errors_of(spec: Spec) -> tuple[Errors, dict[str, float | str]]:
 
 
 def spec_of(name: str, law: str, duration: float, *, adapting: bool, seed: int = 0) -> Spec:
-    """Return an experiment that comes with the package, under another law."""
+    """Return one of the package's experiments under another law."""
     path = EXPERIMENTS / f"{name}.yaml"
     data = dict(read_yaml(path, "spec"))
     data |= {"controller": {"name": law}, "duration": duration, "seed": seed}
@@ -105,7 +105,7 @@ def scaled(rig: Rig, factors: dict[str, float]) -> Rig:
 
 
 def one_wrong(options: argparse.Namespace) -> None:
-    """Print what one wrong coefficient costs, without and with adaptation."""
+    """Print the effect of one wrong coefficient, without and with adaptation."""
     print("| experiment | wrong | off: first s, last half [N] | on: first s, last half [N] | last half over nominal |")
     print("|---|---|---|---|---|")
     for name in options.experiments:
@@ -124,7 +124,7 @@ def one_wrong(options: argparse.Namespace) -> None:
 
 
 def many_wrong(options: argparse.Namespace) -> None:
-    """Print what many rigs cost of which every coefficient is a little wrong."""
+    """Print the effect of small errors in all coefficients, over many rigs."""
     print(f"\n{options.rigs} rigs, every coefficient within {100 * SPREAD:g} % of the controller's rig file, last half [N]")
     print("| experiment | nominal | median | largest | median over nominal | ended early |")
     print("|---|---|---|---|---|---|")
@@ -149,7 +149,7 @@ def _believing(spec: Spec, factors: dict[str, float]) -> Spec:
 
 
 def _drawn(spec: Spec, rng: np.random.Generator) -> float:
-    """Return the error in the last half on a rig whose every coefficient is drawn."""
+    """Return the error in the last half on a rig with randomly drawn coefficients."""
     fixed = {"arm_length", "gravity"}
     names: Iterable[Any] = [n for n in spec.rig.plant._fields if n not in fixed]
     names = [*names, "friction_level", "stribeck_velocity", "stribeck_exponent", "viscous_coefficient", "command_delay"]

@@ -1,13 +1,12 @@
-"""Thousands of sequences of attacks on running graphs, guided by how close each came to violating a policy.
+"""Thousands of attack sequences on running graphs, guided by their distance from violating a policy.
 
     python benchmarks/attacks.py --sequences 2000
     python benchmarks/attacks.py --sequences 200 --on bridge --seed 1 --blind
 
-Three quarters of the sequences attack a bridge with its emulated rig at 1 kHz in real time, the others whole graphs in
-lockstep, apart and composed, with programme, learning and second sources. After each batch its log is evaluated, what came
-closer is kept, and all processes are restarted. The table has the policies: how often each said something, violations, the
-smallest robustness, and the sequence that it was smallest in. A violation ends the run with code 1 and leaves the batch's
-folder.
+Three quarters of the sequences attack a bridge with its emulated rig at 1 kHz in real time. The others attack whole graphs in
+lockstep, apart and composed, with programme, learning and second sources. After each batch its log is evaluated, sequences
+that came closer are kept, and all processes are restarted. The table lists the policies: number of verdicts, violations, the
+smallest robustness, and the sequence with it. A violation ends the run with code 1 and leaves the batch's folder.
 """
 
 import argparse
@@ -41,7 +40,7 @@ from ehls_ros.nodes.graph import free_domain
 from ehls_ros.nodes.shared_memory import leftovers
 
 BATCH = 20
-"""Sequences between two restarts by default."""
+"""Default number of sequences between two restarts."""
 
 
 class Attacks(Protocol):
@@ -56,17 +55,17 @@ class Attacks(Protocol):
     spans: list[tuple[float, float]]
 
     def run(self, attack: Attack) -> None:
-        """Take the actions of a sequence."""
+        """Carry out the actions of a sequence."""
 
     def trace(self) -> Trace:
-        """End the run, and return what happened."""
+        """End the run, and return its trace."""
 
     def close(self) -> None:
-        """End what still runs."""
+        """End all processes still running."""
 
 
 class Arena(NamedTuple):
-    """What is attacked.
+    """Target of the attacks.
 
     Attributes:
         name: for tables.
@@ -80,7 +79,7 @@ class Arena(NamedTuple):
 
 
 class Closest(NamedTuple):
-    """How close a policy came to violation, and the sequence in which it did."""
+    """Smallest robustness of a policy, and the sequence in which it occurred."""
 
     robustness: float
     sequence: str
@@ -97,7 +96,7 @@ class Campaign:
     """
 
     def __init__(self, arena: Arena, seed: int, *, blind: bool) -> None:
-        """Begin with no sequence known."""
+        """Start without known sequences."""
         self.arena = arena
         self.search = Search(random.Random(seed), arena.kinds, blind=blind)  # noqa: S311
         self.sequences, self.batches = 0, 0
@@ -155,13 +154,13 @@ class Campaign:
 
 
 def robustness_in(verdict: Verdict, begin: float, end: float) -> float:
-    """Return a policy's smallest robustness in a period; infinite if it says nothing of it."""
+    """Return a policy's smallest robustness in a period; infinite if it was not evaluated in it."""
     margins = verdict.margins
     return float(np.min(margins.margin[(margins.time >= begin) & (margins.time < end)], initial=np.inf))
 
 
 def late(trace: Trace) -> str:
-    """Return how late the rig itself was: at most, and in how many of a thousand cycles by more than one [ms, 1/1000]."""
+    """Return the lateness of the rig: its maximum, and the share of cycles late by more than a period [ms, 1/1000]."""
     if trace.setup.lockstep or not trace.moments.size:
         return "in lockstep"
     gaps = np.diff(trace.moments) - trace.setup.period
@@ -169,7 +168,7 @@ def late(trace: Trace) -> str:
 
 
 def opened(trace: Trace) -> str:
-    """Return for which part of the time the valve was open [%]."""
+    """Return the fraction of time with the valve open [%]."""
     return f"{100.0 * np.mean(trace.open):.0f} %" if trace.command.size else ""
 
 

@@ -1,12 +1,12 @@
 """Many trajectories side by side: compiled lanes compared with C, the kernel one by one, and other solvers.
 
 First the plant alone, under commands that are the same for all rigs; then whole experiments. All contestants of a table take
-turns, and ratios are within a turn, so that other work on the machine affects all alike. Times are processor times, but for two
-threads: these are compared with one thread by wall time, which only says something on a machine with two idle processors.
+turns, and ratios are within a turn, so that other work on the machine affects all alike. Times are processor times, except for
+two threads. These are compared with one thread by wall time, which is meaningful only on a machine with two idle processors.
 
 The other solvers run the same equations with modes chosen in each evaluation instead of at located events, as is usual with
-them: SciPy's LSODA, a rig at a time, with compiled equations; and diffrax with fixed steps, vectorised by ``jax.vmap`` (its
-place is left empty where it is not installed; it is not among the package's extras).
+them: SciPy's LSODA, a rig at a time, with compiled equations; and diffrax with fixed steps, vectorised by ``jax.vmap``.
+Diffrax is not among the package's extras; its entry is left empty where it is not installed.
 """
 
 import argparse
@@ -47,10 +47,10 @@ VARIED = ("supply_pressure", "bulk_modulus", "total_volume", "moving_mass", "vis
 NATIVE = ("cc", "-O3", "-march=native")
 TWIN = "C -march=native"
 BRIEF = 200
-"""Cycles that are enough to time SciPy by."""
+"""Number of cycles sufficient to time SciPy."""
 TOLERANCES = np.array([1e-9, 1e-8, 10.0, 1e-10, 1e-3, 1e-3, 1e-3])
 TURNING_SPEED = 1e-5
-"""Speed over which the other solvers' direction of motion changes [m/s]."""
+"""Velocity range over which the other solvers' direction of motion changes [m/s]."""
 
 
 def rigs_like(rig: Rig, count: int) -> list[Rig]:
@@ -65,7 +65,7 @@ def rigs_like(rig: Rig, count: int) -> list[Rig]:
 
 
 def sine_fd2(spec: Spec, cycles: int) -> Array:
-    """Return the inputs of the plant in Table 3's sine with fd2, as the closed loop has them."""
+    """Return the inputs of the plant in Table 3's sine with fd2, as in the closed loop."""
     run = run_in_process(spec)
     rows = [run[name][:cycles] for name in ("valve_command_m", "disturbance_force_n")]
     rates = np.gradient(rows[1], PERIOD)
@@ -73,20 +73,20 @@ def sine_fd2(spec: Spec, cycles: int) -> Array:
 
 
 def creeping(cycles: int) -> Array:
-    """Return the inputs of a slow to and fro in which the elements stick and slip: a command of 20 µm at 5 Hz."""
+    """Return the inputs of a slow reciprocating motion in which the elements stick and slip: a command of 20 µm at 5 Hz."""
     t = np.arange(cycles) * PERIOD
     return np.column_stack([2e-5 * np.sin(10.0 * np.pi * t), 0.0 * t, 0.0 * t, t])
 
 
 class Known(NamedTuple):
-    """The numbers of a lane."""
+    """The constants of a lane."""
 
     plant: Plant
     friction: Any
 
 
 class Lanes:
-    """The package's kernel for lanes, for rigs side by side."""
+    """The package's lane kernel, which runs rigs side by side."""
 
     def __init__(self, rigs: list[Rig]) -> None:
         """Compile, and fill the blocks."""
@@ -164,7 +164,7 @@ def equations(xp: Any) -> Callable[..., list[Any]]:
     """Return the paper's equations for other solvers, written with the functions of a module like NumPy.
 
     The modes follow from the state: an element slips where its force has reached its share of the level. The direction of
-    motion changes over a small speed, as a solver of variable step would hardly advance otherwise.
+    motion changes over a small velocity range, as a variable-step solver would hardly advance otherwise.
     """
 
     def rates(y: Any, u: Any, load: Any, p: Any, f: Any, k: Any, a: Any) -> list[Any]:
@@ -288,7 +288,7 @@ def plants(rig: Rig, options: argparse.Namespace, folder: Path) -> None:
 def plant(motion: Motion, rigs: list[Rig], ours: NumbaKernel, twin: CKernel, options: argparse.Namespace) -> None:
     """Print the table of one motion of some rigs."""
     lanes, steps = Lanes(rigs), len(motion.inputs) * motion.steps
-    # Whoever takes rigs one by one takes no more than are needed to time it.
+    # Contestants that take rigs one by one run only as many as are needed for timing.
     some, many, brief = rigs[:LANES], rigs[: 4 * LANES], motion._replace(inputs=motion.inputs[:BRIEF])
 
     def together(threads: int) -> None:
@@ -318,7 +318,7 @@ def plant(motion: Motion, rigs: list[Rig], ours: NumbaKernel, twin: CKernel, opt
 
 
 def two_threads(work: Callable[[int], None], runs: int) -> None:
-    """Print what a second thread gains: in wall time, and in processor time, which on a busy machine says more."""
+    """Print the gain from a second thread: in wall time, and in processor time, which is more meaningful on a busy machine."""
     for clock, what in ((time.perf_counter, "wall time"), (time.process_time, "processor time, of two threads together")):
         times = turns({"one": lambda: work(1), "two": lambda: work(2)}, runs, clock)
         low, middle, high = np.percentile(times["one"] / times["two"], [25, 50, 75])
@@ -326,7 +326,7 @@ def two_threads(work: Callable[[int], None], runs: int) -> None:
 
 
 def singles(kernel: NumbaKernel | CKernel, rigs: list[Rig], motion: Motion) -> None:
-    """Run a motion with rigs, one after another."""
+    """Run a motion with several rigs, one after another."""
     for rig in rigs:
         at_rest(kernel)
         kernel.become(rig)

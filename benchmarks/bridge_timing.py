@@ -7,8 +7,8 @@ Each node is a process, over Fast DDS; the rig is `ehls rig-emulator` on its own
 both see the same state of the machine. The echo is the round trip of one small, reliable message per control period between two
 processes with rclpy's events executor, at the nodes' realtime priority.
 
-With --monitor, each round runs the graph twice, with and without `monitor_node`, in alternating order; the last line says what
-the monitor itself took.
+With --monitor, each round runs the graph twice, with and without `monitor_node`, in alternating order; the last line shows the
+cost of the monitor itself.
 
 With --compose, each round runs the graph twice, with each node in a process and with those of the cycle in one, in alternating
 order, or in one of these ways only. The response times are then the plant's: from snapshot to command taken.
@@ -50,7 +50,7 @@ ITSELF = (sys.executable, "-m", "benchmarks.bridge_timing")
 PERIOD = 1e-3
 ECHO_SECONDS = 10.0
 EMULATOR = "main"
-"""Module that the emulated rig runs as."""
+"""Module run by the emulated rig's process."""
 
 SPEC = config_folder() / "experiments" / "measured_sine_fd1.yaml"
 
@@ -82,7 +82,7 @@ def be_asker(period: float = PERIOD) -> None:
     executor.spin_once(timeout_sec=0.1)
     print("end", flush=True)
     print(*trips[100:], flush=True)
-    # Whoever measures what it took has to find it.
+    # Stay alive long enough for the parent process to measure the cost of this one.
     time.sleep(0.5)
 
 
@@ -98,7 +98,7 @@ def echo(period: float) -> np.ndarray:
 
 
 class Cost(NamedTuple):
-    """What a process took.
+    """Cost of a process.
 
     Attributes:
         share: of a processor.
@@ -115,7 +115,7 @@ def graph(
     """Run the graph on the emulated rig.
 
     Returns:
-        Its recording, what the monitor took if there was one, what the plant said last, and what a cycle took of a processor,
+        Its recording, the cost of the monitor if there was one, the plant's last report, and the processor time of a cycle,
         over all processes but the emulator [s].
     """
     spec = load_spec(SPEC)
@@ -159,7 +159,7 @@ def _monitor(folder: RunFolder) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def _cost(process: int) -> Cost:
-    """Return what a process has taken since it began to wait for the rig."""
+    """Return the cost of a process since it began to wait for the rig."""
     stat = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     ticks = os.sysconf("SC_CLK_TCK")
     lived = float(Path("/proc/uptime").read_text(encoding="utf-8").split()[0]) - float(stat[19]) / ticks
@@ -206,7 +206,7 @@ def main() -> None:
 
 
 def composed(options: argparse.Namespace, number: int, before: np.ndarray) -> None:
-    """Run the graph apart and composed, and print what its plant says of the answers beside the echo's round trips [s]."""
+    """Run the graph apart and composed, and print the plant's response times beside the echo's round trips [s]."""
     order = [options.only] if options.only else WAYS[:: (-1) ** number]
     runs = {way: graph(options, compose=way == COMPOSED) for way in order}
     floor = np.concatenate([before, echo(options.period)])

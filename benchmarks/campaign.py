@@ -6,7 +6,7 @@ Two bare loops side by side, each with half of the runs and no start-up, are the
 
 The variants take turns, so that other work on the machine affects all alike; medians are printed. Processor time covers every
 process of the campaign, including the start of Python and its imports; kernels are compiled before.
-On a busy machine, judge by processor time: it is what two processes would take with a core each.
+On a busy machine, judge by processor time: it is the time that two processes would take with a core each.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The causal limit of every cell beside what a controller reaches: the simulation study's eight and the rig's four.
+"""Causal limit of every cell beside the error that a controller reaches: the simulation study's eight and the rig's four.
 
 The simulation's cells have perfect sensors and FASMC II, those of the rig the sensors and the delay of config/experiments/
 measured_*.yaml and output feedback. The error is that of the true force, the largest of the last half: its median and largest

@@ -1,7 +1,7 @@
 """The force error of each law against its control period, on the paper's rig and on the emulated one.
 
 The error is that of the true force, the largest of the last half, in N; on the emulated rig its median over the seeds of the
-sensors' noise. Sensors, valve and what delays the command stay as the rig file has them. `python -m benchmarks.control_period`
+sensors' noise. Sensors, valve and command delays stay as in the rig file. `python -m benchmarks.control_period`
 """
 
 import argparse
@@ -36,7 +36,7 @@ def spec_of(name: str, law: str, period: float, seed: int) -> Spec:
 def error_of(spec: Spec) -> float:
     """Return the largest true force error of the last half [N]; infinite if the force is lost."""
     if spec.controller.name == "fasmc":
-        # Its sensors are ideal: what is measured is true.
+        # Its sensors are ideal: readings are true values.
         try:
             return evaluate(run_in_process(spec)).max_error_n
         except Implausible:

@@ -57,12 +57,12 @@ STUCK = 60.0
 """Time without any progress after which the worker is killed [s]."""
 
 MEMORY = 2**29
-"""Most memory an input may take beyond the worker's at its start [bytes]."""
+"""Maximum memory of an input beyond the worker's at its start [bytes]."""
 
 LONGEST = 3 * PART + 100
 """Longest readable error message [characters]."""
 
-FAST = Path("/dev/shm")  # noqa: S108 - a folder in memory; the inputs' own folder in it is made by tempfile
+FAST = Path("/dev/shm")  # noqa: S108 - a folder in memory; the subfolder for the inputs is made by tempfile
 """Folder for the inputs' files, if it exists."""
 
 Target = Callable[[random.Random, Path], Callable[[], object]]
@@ -70,7 +70,7 @@ Target = Callable[[random.Random, Path], Callable[[], object]]
 
 
 class Hang(BaseException):
-    """An input took too long; a BaseException, so that no handler catches it."""
+    """Timeout of an input; a BaseException, so that no handler catches it."""
 
 
 def on_time_up(number: int, frame: FrameType | None) -> None:
@@ -117,7 +117,7 @@ def fuzz(
         folder: folder for the inputs; afterwards it holds the last one.
         keep: folder for one input of each failure.
         progress: set to the number of the present input.
-        seconds: time after which no further input is made [s].
+        seconds: time limit for making further inputs [s].
 
     Returns:
         Number of inputs by outcome.
@@ -440,13 +440,13 @@ def files_in(folder: Path) -> Files:
 
 
 def own_bag(folder: Path, storage: Storage) -> Files:
-    """Return a bag of this project's recorder."""
+    """Return a bag written by this project's recorder."""
     write_trajectory(folder / "bag", short_run(), storage)
     return files_in(folder / "bag")
 
 
 def foreign_bag(folder: Path, storage: Storage, compression: CompressionMode) -> Files:
-    """Return a bag as another recorder would make it, without checksums."""
+    """Return a bag in the style of another recorder, without checksums."""
     writer = Writer(folder / "bag", version=9, storage_plugin=StoragePlugin[storage.upper()])
     writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
@@ -458,7 +458,7 @@ def foreign_bag(folder: Path, storage: Storage, compression: CompressionMode) ->
 
 
 def killed_bag(folder: Path, storage: Storage) -> Files:
-    """Return what a killed recorder leaves behind."""
+    """Return the files left by a killed recorder."""
     writer = BagWriter.create(folder / "bag", storage, {"seed": 3}, topics=(LOADER_STATE, FRICTION_ESTIMATE))
     for topic, sent_ns, messages in streams_of(short_run(), "bag"):
         if topic in (LOADER_STATE, FRICTION_ESTIMATE):
@@ -499,7 +499,7 @@ def mcap_records(content: bytes) -> Iterator[tuple[int, int]]:
 
 
 def spoilt_mcap(draw: random.Random, whole: bytes) -> bytes:
-    """Return an mcap file with the kind, length or content of a record altered; the rest keeps its place."""
+    """Return an mcap file with the kind, length or content of one record altered; the rest stays unchanged."""
     result = bytearray(whole)
     for _ in range(draw.choice((1, 1, 2))):
         start, end = draw.choice(list(mcap_records(whole)))

@@ -1,13 +1,14 @@
-"""What the derivatives of a trajectory cost, beside one run and beside central differences.
+"""Cost of the derivatives of a trajectory, compared with one run and with central differences.
 
     python -m benchmarks.gradient
 
-One run is the simulator's own compiled functions with floats: plant and sensors, a cycle a millisecond. The gradient is the
-same functions with duals. Both are interleaved; a ratio is the median of
-the ratios of neighbouring runs. Central differences take two runs a coefficient. The error is the largest deviation from them
-(fourth order, integration step 10 µs), relative to the largest derivative of its signal, with the best of six steps of the
-differences, where they change the signal by more than 1e-7: an event is located to 1e-9 of a step, and no closer. Too long a
-step moves a bend that is no event, as of an end stop's force, to another integration step.
+One run is the simulator's compiled functions with floats: plant and sensors, a cycle a millisecond. The gradient is the same
+functions with duals. Both are interleaved; a ratio is the median of the ratios of neighbouring runs. Central differences take
+two runs per coefficient.
+
+The error is the largest deviation from them (fourth order, integration step 10 µs), relative to the largest derivative of its
+signal. The best of six difference steps counts, where they change the signal by more than 1e-7: an event is located to 1e-9 of
+a step, and no closer. Too long a step moves a bend that is no event, as of an end stop's force, to another integration step.
 """
 
 import argparse
@@ -31,7 +32,7 @@ from ehls_ros.physics.simulator import Constants, State, at_rest, parts_of
 RIG = Path(__file__).resolve().parents[1] / "config" / "rig_paper.yaml"
 PERIOD, FINE = 1e-3, 1e-5
 CHANGES, LONGEST, TOLD = (1e-4, 1e-5, 3e-6, 1e-6, 4e-7, 2e-7), 3e-3, 1e-7
-"""Changes of the signals that differences are taken over, the longest step, and the least change that they tell."""
+"""Signal changes that the differences aim at, the longest step, and the smallest change that can be resolved."""
 
 PLANT = (
     "supply_pressure", "bulk_modulus", "discharge_coefficient", "moving_mass", "spring_stiffness", "valve_bandwidth",
@@ -107,7 +108,7 @@ def paths_of(count: int) -> tuple[str, ...]:
 
 
 def timed(call: Callable[..., Any], *arguments: Any) -> float:
-    """Return the processor time of a call [s], which other work on the machine hardly changes."""
+    """Return the processor time of a call [s], which other work on the machine hardly affects."""
     began = time.thread_time()
     call(*arguments)
     return time.thread_time() - began
@@ -121,7 +122,7 @@ def changed(rig: Rig, path: str, by: float) -> Rig:
 
 
 def largest_error(rig: Rig, paths: tuple[str, ...], inputs: Inputs) -> float:
-    """Return the largest error of the derivatives against central differences, of each signal with the best of their steps."""
+    """Return the largest error of the derivatives against central differences, each signal with its best difference step."""
     found, worst = sensitivities(rig, paths, inputs, step=FINE), 0.0
     size = np.max(np.abs(found.readings), axis=0)
     for index, path in enumerate(paths):
@@ -152,7 +153,7 @@ def main() -> None:
         data["friction"]["model"] = case.model
         rig = rig_from_mapping({**data, "effects": list(case.effects)}, "rig").quiet()
         inputs, parts = inputs_of(case, options.cycles), parts_of(rig)
-        # Kernels are built of modules that can be imported, which the one that is run as a program cannot.
+        # Kernels are built from importable modules, and the program's main module is not one.
         own = import_module("benchmarks.gradient")
         plain = compiled(own.build, {"run": "constants, state, rows, out"}, **parts._asdict()).run
         for count in options.counts:

@@ -7,9 +7,9 @@ Each node is a process, over Fast DDS on this host. The echo is the lower bound:
 between two processes with rclpy's events executor. It has two hops, a cycle has three.
 
 With --compose, each round has a lockstep run and a realtime run with each node in a process and with those of the cycle in one,
-in alternating order, and an echo at one message per period; the table has medians and quartiles, and ratios within a round.
-With --only, the runs are those of one way. A cycle is missed if it has no answer, and late if it ended more than a period late.
-Response times are the plant's: from snapshot to command taken. Processor time is that of all processes and threads.
+in alternating order, and an echo at one message per period. The table has medians and quartiles, and ratios within a round.
+With --only, all runs use one of these ways. A cycle is missed if it has no answer, and late if it ended more than a period
+late. Response times are the plant's: from snapshot to command taken. Processor time is that of all processes and threads.
 """
 
 import argparse
@@ -53,7 +53,7 @@ class Run(NamedTuple):
     Attributes:
         rate: cycles per second of wall time.
         cost: processor time of a cycle, over all processes [s].
-        told: by the plant.
+        told: the plant's last diagnostics.
         lost: snapshots that are not in the bag.
     """
 
@@ -91,7 +91,7 @@ def percentiles(seconds: np.ndarray) -> str:
 
 
 def answer_echoes(priority: int = 0) -> None:
-    """Send back every message until SIGINT, at a realtime priority if given."""
+    """Echo every message until SIGINT, at a realtime priority if given."""
     stopping = [False]
     signal.signal(signal.SIGINT, lambda *_: stopping.__setitem__(0, True))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -144,7 +144,7 @@ def echo_round_trips() -> np.ndarray:
 
 
 def paced_echo(period: float) -> tuple[np.ndarray, float]:
-    """Return the round trips of an empty echo, one per period [s], and what a round trip took of a processor [s]."""
+    """Return the round trips of an empty echo, one per period [s], and the processor time of a round trip [s]."""
     environment = graph_environment()
     echo = [sys.executable, "-m", "benchmarks.bridge_timing", "--period", str(period), "--be"]
     answering = subprocess.Popen([*echo, "echo"], cwd=ROOT, env=environment)
@@ -168,7 +168,7 @@ def paced_echo(period: float) -> tuple[np.ndarray, float]:
 
 
 def compare(lockstep: Spec, realtime: Spec, rounds: int, ways: Sequence[str] = WAYS) -> None:
-    """Print what the cycle in one process gains over each node in its own, or how one of both ways does."""
+    """Print the gain of the cycle in one process over separate processes, or the results of one of both ways."""
     period = realtime.settings.control_period
     runs: dict[str, list[Run]] = {f"{timing}, {way}": [] for timing in TIMINGS for way in ways}
     echoes = []

@@ -1,8 +1,8 @@
-"""Files made to hang a reader or exhaust its memory: the answer to each, and the time and memory it takes.
+"""Files designed to hang a reader or exhaust its memory: the answer to each, and the time and memory it takes.
 
 python benchmarks/hostile_inputs.py [--only Parquet]
 
-Each is read in a process of its own. Time is processor time, of that process and its children; memory is the
+Each is read in a separate process. Time is processor time, of that process and its children; memory is the
 largest resident set of any of them. The first line is a process that only imports the readers.
 """
 
@@ -79,7 +79,7 @@ def read(path: Path) -> None:
 
 
 def ask(path: Path | None) -> Answer:
-    """Read a file in a process of its own; None only starts it."""
+    """Read a file in a separate process; None only starts the process."""
     command = [sys.executable, str(Path(__file__).resolve()), "--read", str(path or "")]
     start = time.perf_counter()
     try:

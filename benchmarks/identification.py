@@ -5,7 +5,7 @@
 
 Each seed is a closed-loop sweep and a small sine with the sensors of config/rig_paper_measured.yaml, identified from a rig
 file whose friction is a rough guess. The Cramér-Rao bound is that of the force sensor's white noise, at the truth; z is the
-error in standard errors, of which the root mean square should be 1.
+error in standard errors, whose root mean square should be 1.
 """
 
 import argparse
@@ -74,7 +74,7 @@ def recordings(rig: Rig, seed: int, repeats: int) -> dict[str, Trajectory]:
 
 
 def given(rig: Rig, seed: int, repeats: int) -> dict[str, Trajectory]:
-    """Move the rod exactly along the reference, without a loop that responds to the sensors' noise, and record it."""
+    """Move the rod exactly along the reference, without feedback of the sensors' noise, and record it."""
     out = {}
     random = np.random.default_rng(seed)
     for name in ("friction_sweep_quick" if repeats == 1 else "friction_sweep", "friction_presliding"):

@@ -1,12 +1,12 @@
-"""An exception in every method of every node, apart and composed: whether the end is reported, and the valve is at null first.
+"""An exception in every method of every node, apart and composed: whether it is reported, and the valve is at null first.
 
     python -m benchmarks.injected_exceptions                     # all nodes, first and 30th call
     python -m benchmarks.injected_exceptions --nodes hardware_bridge_node --ways composed
 
 A case starts the graph with one method of one node made to raise, takes the node through deactivation and activation, and stops
-it. The table counts, by node, the methods that were reached, the cases whose log has one line about the exception and a
-traceback file, those whose process ended with 1 (a refused request does not end it), and those that ended without a word. Where
-there is a rig, the commands that its device was given tell whether the last one was null.
+it. The table counts, by node, the methods reached and the cases whose log has one line about the exception and a traceback
+file. It also counts cases whose process ended with 1 (a refused request does not end it), and those that ended silently.
+With a rig, the commands that its device received show whether the last one was null.
 """
 
 import argparse
@@ -50,13 +50,13 @@ CYCLES = 200
 """Cycles before the node is taken through its lifecycle."""
 
 LONGEST = 60.0
-"""Longest time of a step of a case [s]; it only ends one that hangs."""
+"""Timeout of a step of a case [s]; it only ends a hung one."""
 
 AFTER = 15.0
 """Longest time between the exception and the end of the process [s]."""
 
 LINE = Injected.__name__
-"""Word by which a log's line about the exception is known."""
+"""Word that marks the log line about the exception."""
 
 
 class Outcome(NamedTuple):
@@ -65,7 +65,7 @@ class Outcome(NamedTuple):
     Attributes:
         reached: whether the method was called that often.
         lines: lines of the log about the exception.
-        code: exit code of the process; None if it went on.
+        code: exit code of the process; None if it continued.
         refused: whether a request was refused with the reason.
         null: whether the valve was at null when the process ended; None without a rig.
     """
@@ -78,7 +78,7 @@ class Outcome(NamedTuple):
 
     @property
     def silent(self) -> bool:
-        """Whether the node ended or went on without a word about the exception."""
+        """Whether the node ended or continued without a message about the exception."""
         return self.reached and (self.lines == 0 or not (self.refused or self.code == 1))
 
 
@@ -106,7 +106,7 @@ class Case:
         return path
 
     def run(self, method: str, call: int) -> Outcome:
-        """Run the graph with a method that raises in a call."""
+        """Run the graph with a method that raises in a given call."""
         mark = self.folder / "raised"
         before = {
             "module": "injection",
@@ -163,7 +163,7 @@ class Case:
         return path
 
     def _live(self, process: Any, mark: Path) -> None:
-        """Take the node through its life, as far as it gets."""
+        """Take the node through its lifecycle, as far as possible."""
         for step in self._steps():
             deadline = time.monotonic() + LONGEST
             since = None
@@ -199,7 +199,7 @@ class Case:
         return bool(self._enabling() and self._answer.success)
 
     def _asked(self, kind: Any, service: str, request: Any) -> Callable[[], bool]:
-        """Return a function that asks a service once it is there, and tells whether it has answered."""
+        """Return a function that calls a service once it is available and returns whether it has answered."""
         client = self.participant.node.create_client(kind, service)
         future: list[Any] = []
 
@@ -229,7 +229,7 @@ class Case:
         self.participant.close()
 
     def _null(self) -> bool:
-        """Return whether the last command that the device was given was null."""
+        """Return whether the last command that the device received was null."""
         commands = self.writes.read_text(encoding="utf-8").split() if self.writes.exists() else []
         return not commands or float(commands[-1]) == 0.0
 
@@ -269,7 +269,7 @@ def main() -> int:
                         print(f"  {node} {way} {method} call {call}: {outcome}", file=sys.stderr, flush=True)
                     counts.update(_counted(outcome))
                     if not outcome.reached:
-                        # A later call will not come either.
+                        # A later call will not occur either.
                         break
             total += counts
             print(_row(node, way, len(methods), counts, time.monotonic() - begun), flush=True)

@@ -1,8 +1,8 @@
 """The compiled kernel of the paper's rig, compared with the same scheme written in C.
 
-Both run the same motion, a large sine of the spool with the paper's disturbance fd2, mostly slipping with some reversals, with
-one command per millisecond; and, in a single call, a motion under a constant command. All runs are interleaved, so that other
-work on the machine affects all alike.
+Both run the same motion with one command per millisecond: a large sine of the spool with the paper's disturbance fd2, mostly
+slipping with some reversals. In a single call, they also run a motion under a constant command. All runs are interleaved, so
+that other work on the machine affects all alike.
 """
 
 import argparse
@@ -67,7 +67,7 @@ class NumbaKernel:
         simulator = Simulator(rig, PERIOD, LONGEST_STEP)
         advance = compiled(build, {"advance": "cycle, constants, state"}, **parts_of(simulator.rig)._asdict()).advance
         self.y, self.mode, self.inputs = simulator.y, simulator.mode, simulator.inputs
-        # A period of 1 s: what counts as cycles for the kernel is then time.
+        # With a period of 1 s, the kernel's cycles count time.
         self._constants, self._state = simulator.constants._replace(period=1.0), simulator.state
 
         @numba.njit(error_model="numpy")
@@ -81,7 +81,7 @@ class NumbaKernel:
         self._run = run
 
     def become(self, rig: Rig) -> None:
-        """Go on as another rig without effects."""
+        """Continue as another rig without effects."""
         self._constants = self._constants._replace(plant=rig.plant, friction=rig.friction)
 
     def run(self, motion: Motion) -> int:
@@ -102,7 +102,7 @@ class CKernel:
         self.become(rig)
 
     def become(self, rig: Rig) -> None:
-        """Go on as another rig without effects."""
+        """Continue as another rig without effects."""
         self._plant = np.array(rig.plant)
         self._friction = np.hstack([np.atleast_1d(value) for value in rig.friction])
 

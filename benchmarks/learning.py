@@ -1,14 +1,15 @@
-"""What the companion `learning` brings on the emulated rig, and what it costs where something changes.
+"""Benefit of the companion `learning` on the emulated rig, and its cost after disturbing events.
 
 usage: learning.py [--seeds 8] [--repetitions 20] [--law fasmc_predictive] [--method waveform] [--preview]
                    [--events-only | --cells-only]
 
-The paper's four experiments with a rig's sensors, config/experiments/measured_*.yaml. Errors are true ones, of the force that
-the piston has, without noise; median and largest of the seeds. The noise's own share is what of the last five load cycles does
-not repeat; the ratio is that of the largest error in these five to it. `loaded` is another run, from rest with what was learnt
-and other noise: its first load cycle from 1 s on, or its second where that takes no 1.5 s, over the median of the last five of
-the run before in the same part. An event's figure is the largest error from the event on, over that of the same run without
-learning.
+The paper's four experiments with a rig's sensors, config/experiments/measured_*.yaml. Errors are those of the piston's true
+force, without noise; median and largest of the seeds. The noise floor is the non-repeating part of the last five load cycles;
+the ratio is that of the largest error in these five to it.
+
+`loaded` is another run, from rest with the learnt data and other noise: its first load cycle from 1 s on, or its second where
+that takes no 1.5 s. It is relative to the median of the last five of the run before in the same part. An event's figure is the
+largest error from the event on, relative to that of the same run without learning.
 """
 
 import argparse
@@ -43,27 +44,27 @@ LEARNT = 8
 """Load cycles before an event."""
 
 RISE = 1.0
-"""Time from rest to the wanted force, at which no correction helps [s]: the law's speed is 15.6 kN/s."""
+"""Time from rest to the wanted force, in which no correction helps [s]: the law's speed is 15.6 kN/s."""
 
 BACK, SETTLED = 50.0, 0.2
-"""Error at which the force is back after a trip [N], and the time after that from which the error counts [s]."""
+"""Error at which the force counts as recovered after a trip [N], and the time after that from which the error counts [s]."""
 
 SHORT = 1.5
-"""Length of a load cycle of which too little is left after that [s]."""
+"""Length of a load cycle of which too little remains after that [s]."""
 
 AFTER = 4
-"""Load cycles looked at after it."""
+"""Load cycles evaluated after it."""
 
 
 class Case(NamedTuple):
-    """What is run.
+    """Configuration of a run.
 
     Attributes:
         experiment: of config/experiments, without ``measured_``.
         law: name of the controller.
         companions: as in a spec.
         seed: of the noise.
-        reference: in place of the experiment's.
+        reference: replaces the experiment's.
     """
 
     experiment: str
@@ -109,8 +110,8 @@ class Run:
         """Run for a while and return the true force error by cycle [N].
 
         Args:
-            duration: how long [s].
-            valve: what it does: ``follows``; ``closed``, as after a trip; ``held``, as no answer comes.
+            duration: duration [s].
+            valve: behaviour of the valve: ``follows``; ``closed``, as after a trip; ``held``, as without answers.
         """
         cycles = round(duration / self._period)
         error, nowhere = np.empty(cycles), np.full(PLACE, np.nan)
@@ -133,7 +134,7 @@ class Run:
         learnt_files.keep(self.controller.company, self._spec)
 
     def soften(self, share: float) -> None:
-        """Let the coupling lose a share of its stiffness."""
+        """Reduce the stiffness of the coupling by a share."""
         parameters = self._spec.disturbance.parameters
         softer = parameters._replace(stiffness=(1.0 - share) * parameters.stiffness)
         spec = self._spec._replace(disturbance=self._spec.disturbance._replace(parameters=softer))
@@ -141,7 +142,7 @@ class Run:
 
 
 def trip(run: Run, period: float) -> Array:
-    """Close the valve for a quarter of a load cycle; what counts is the error once the force is back."""
+    """Close the valve for a quarter of a load cycle; the error counts once the force has recovered."""
     run.seconds(0.25 * period, valve="closed")
     run.controller.reset()
     error = run.seconds((AFTER - 0.25) * period)
@@ -172,7 +173,7 @@ EVENTS: dict[str, tuple[float, Callable[[Run, float], Array]]] = {
     "stiffness -30 %": (0.4, crack),
     "5 missed cycles": (0.4, miss),
 }
-"""What happens, and at which part of a load cycle."""
+"""Events, each with its position in the load cycle."""
 
 
 def companions(args: argparse.Namespace, period: float, file: str = "") -> list[dict[str, Any]]:
@@ -192,7 +193,7 @@ def spread(values: Sequence[float]) -> str:
 
 
 def cells(args: argparse.Namespace) -> None:
-    """Print what the repetitions bring."""
+    """Print the benefit of the repetitions."""
     print("largest true error, N: median (largest) of the seeds\n")
     print(f"| | without | after 5 repetitions | after {args.repetitions} | noise's own share | ratio | loaded |")
     print("|---|---|---|---|---|---|---|")
@@ -230,7 +231,7 @@ def cells(args: argparse.Namespace) -> None:
 
 
 def events(args: argparse.Namespace) -> None:
-    """Print what learning costs where something changes."""
+    """Print the cost of learning after an event."""
     period = PERIODS[EVENT_EXPERIMENT]
     print(f"\n{EVENT_EXPERIMENT}, after {LEARNT} load cycles: largest error from the event on, N\n")
     print("| | without learning | with | ratio |")
@@ -263,7 +264,7 @@ def _print_event(what: str, found: list[list[float]]) -> None:
 
 
 def main() -> None:
-    """Run everything asked for."""
+    """Run all requested parts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--repetitions", type=int, default=20)

@@ -1,10 +1,10 @@
-"""Whether the companion `learning` ever makes the force error larger than it is without.
+"""Search for cases in which the companion `learning` increases the force error.
 
 usage: learning_harm.py [--cases 200] [--seed 1] [--noises 3] [--kinds ...] [--laws ...] [--methods ...] [--jobs 1]
 
 Each case is a random disturbance under one law and one method. It runs without and with learning, on the same noise, for some
-seeds of that noise. Errors are true ones, of the force that the piston has, from the third load cycle on. Three ratios, with
-over without, of which the largest over the load cycles counts:
+seeds of that noise. Errors are those of the piston's true force, from the third load cycle on. Three ratios are formed, with
+over without; the largest over the load cycles counts:
 
 * peak: largest error of the whole run, mean of the seeds;
 * cycle: largest error of one load cycle, mean of the seeds;
@@ -39,15 +39,15 @@ FIRST = 2
 """Load cycles that do not count."""
 
 BOUND = 1.1
-"""Ratio that is not to be exceeded."""
+"""Ratio that must not be exceeded."""
 
 
 class Case(NamedTuple):
-    """What is run.
+    """Configuration of a case.
 
     Attributes:
         kind: of disturbance.
-        text: what it is, in words.
+        text: description of the disturbance.
         spec: law and rig; its signals are not used.
         period: of the load cycle [cycles].
         wanted: reference with its two derivatives, shape (n, 3).
@@ -71,7 +71,7 @@ class Outcome(NamedTuple):
 
     Attributes:
         error: true force error by load cycle, shape (load cycles, samples) [N].
-        report: what the companions say at the end.
+        report: the companions' report at the end.
     """
 
     error: Array
@@ -123,7 +123,7 @@ PERIODS = (0.5, 1.0, 2.0, 4.0)
 """Length of the load cycles [s]."""
 DURATION, LEAST_LOAD_CYCLES = 16.0, 10
 STIFFNESS, DAMPING = 2e6, 2e3
-"""Coupling to the servo, where there is one [N/m, N s/m]."""
+"""Coupling to the servo, if any [N/m, N s/m]."""
 
 
 class Line(NamedTuple):
@@ -141,7 +141,7 @@ class Line(NamedTuple):
 
 
 class Draft:
-    """A case in the making: what its kind may change.
+    """A case under construction, modified by its kind.
 
     Attributes:
         random: numbers that the kind draws.
@@ -150,18 +150,18 @@ class Draft:
         coupled: whether the actuator under test is a position servo.
         motion: lines of its command [m].
         force: lines of a force on the piston [N].
-        added: force beside them, shape (n + 1,) [N].
+        added: additional force, shape (n + 1,) [N].
         scale: of motion and force lines, shape (n + 1,) or 1.
         wanted: lines of the reference [N].
         mean: of the reference [N].
         wanted_scale: of these lines, shape (n + 1,) or 1.
-        noise: of the sensors, over the usual one.
+        noise: of the sensors, relative to the usual one.
         later: rigs to come, as changes of a rig at a time [s].
-        text: what the kind did.
+        text: description of the kind's changes.
     """
 
     def __init__(self, random: np.random.Generator) -> None:
-        """Draw what is common to all kinds."""
+        """Draw the values common to all kinds."""
         self.random = random
         self.period = float(random.choice(PERIODS))
         cycles = max(LEAST_LOAD_CYCLES, math.ceil(DURATION / self.period))
@@ -195,7 +195,7 @@ class Draft:
         return int(self.random.integers(1, max(2, 1 + int(highest * self.period)))) / self.period
 
     def in_step(self, size: float = 1.0) -> None:
-        """Let the actuator under test move with the load cycle."""
+        """Make the actuator under test move in step with the load cycle."""
         if self.coupled:
             frequency = self.harmonic(1.0)
             self.motion.append(Line(size * self.random.uniform(0.02, 0.1) * min(1.0, 1.0 / frequency), frequency, self.angle()))
@@ -206,7 +206,7 @@ class Draft:
                 self.force.append(Line(size * self.random.uniform(0.2, 1.0) * most, frequency, self.angle()))
 
     def line(self, frequency: float) -> Line:
-        """Return a force of some frequency [Hz] that a law can hold."""
+        """Return a force of a given frequency [Hz] that a law can hold."""
         most = 1.5e3 / max(1.0, frequency / 2.0)
         made = Line(float(np.exp(self.random.uniform(math.log(0.05), 0.0))) * most, frequency, self.angle())
         self.force.append(made)
@@ -214,11 +214,11 @@ class Draft:
         return made
 
     def when(self) -> float:
-        """Return a time at which something happens, with load cycles before and after it [s]."""
+        """Return the time of an event, with load cycles before and after it [s]."""
         return float(self.random.uniform(3.0, self.load_cycles - 3.0)) * self.period
 
     def at(self, time: float, value: float, before: float = 1.0) -> Array:
-        """Return a number that changes at a time."""
+        """Return a value that changes at a time."""
         return np.where(self.t < time, before, value)
 
     def case(self, kind: str, law: str, method: str) -> Case:
@@ -275,12 +275,12 @@ def _sum(lines: Sequence[Line], t: Array, derivative: int = 0) -> Array:
 
 
 def in_step(draft: Draft) -> None:
-    """All repeats."""
+    """A disturbance that repeats completely."""
     draft.in_step()
 
 
 def out_of_step(draft: Draft) -> None:
-    """One line beside the load cycle."""
+    """One line at a frequency unrelated to the load cycle."""
     if draft.random.random() < 0.5:
         draft.in_step()
     draft.line(float(np.exp(draft.random.uniform(math.log(0.3), math.log(15.0)))))
@@ -321,7 +321,7 @@ def steps(draft: Draft) -> None:
 
 
 def drift(draft: Draft) -> None:
-    """What repeats grows, fades, or comes ever later."""
+    """The repeating part grows, fades, or shifts later and later."""
     draft.in_step()
     end = draft.t[-1]
     what = int(draft.random.integers(3))
@@ -368,13 +368,13 @@ def friction(draft: Draft) -> None:
 
 
 def load(draft: Draft) -> None:
-    """The actuator under test moves less or more, at once, or stops; or jumps on in its motion."""
+    """The actuator under test moves less or more, at once, or stops; or jumps ahead in its motion."""
     draft.in_step()
     when = draft.when()
     if draft.random.random() < 0.5:
         factor = float(draft.random.choice([0.0, 0.5, 0.8, 1.3]))
         at = when if not draft.coupled else math.ceil(when / draft.period) * draft.period
-        # A motion cannot jump: it is led over.
+        # A motion cannot jump: it is blended.
         lead = np.clip((draft.t - at) / (0.2 if draft.coupled else 0.01), 0.0, 1.0)
         draft.scale = 1.0 + (factor - 1.0) * lead**2 * (3.0 - 2.0 * lead)
         draft.text += f" load x {factor:g} at {at / draft.period:.2f} load cycles"
@@ -458,7 +458,7 @@ class Judged(NamedTuple):
     Attributes:
         kind, text: the case's.
         ratios: worst of them.
-        worst: number of the load cycle with the worst of its own.
+        worst: number of the load cycle with the largest ratio.
         with_peaks, without_peaks: largest error of each load cycle, mean of the seeds [N].
         report: of the last run.
     """
@@ -495,7 +495,7 @@ def _judged(args: tuple[int, int, Sequence[str], Sequence[str], Sequence[str], S
 
 
 def main() -> None:
-    """Run the cases asked for, and print the ratios."""
+    """Run the requested cases, and print the ratios."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)

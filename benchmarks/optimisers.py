@@ -93,7 +93,7 @@ def contestants(problem: Problem, evaluations: int) -> list[Contestant]:
 
 
 def lowest_cost(problem: Problem) -> float:
-    """Return the best cost known: of many least-squares fits."""
+    """Return the lowest known cost: the best of many least-squares fits."""
     optimiser = OPTIMISERS.load("least_squares")
     parameters = optimiser.Parameters(starts=20, tolerance=1e-14)
     return min(optimiser.minimise(problem, parameters, seed).cost for seed in range(5))
@@ -106,7 +106,7 @@ def quartiles(values: Array, digits: int) -> str:
 
 
 def race(problem: Problem, field: list[Contestant], seeds: int, target: float) -> dict[str, tuple[Array, Array, Array]]:
-    """Run all for each seed, each time another one first.
+    """Run all for each seed, in rotating order.
 
     Returns:
         Success, time [s] and evaluations of every run, by label.

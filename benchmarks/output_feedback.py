@@ -1,4 +1,4 @@
-"""What `fasmc_output_feedback` leaves with a rig's sensors, and what each imperfection and each wrong number costs.
+"""Residual error of `fasmc_output_feedback` with a rig's sensors, and the cost of each imperfection and each wrong number.
 
 The paper's four experiments, config/experiments/measured_*.yaml. The error is that of the true force, the largest of the last
 half, in N. With several seeds of the sensors' noise, their median and largest, otherwise that of seed 0.
@@ -82,7 +82,7 @@ def off(spec: Spec, section: str, name: str, factor: float) -> Spec:
 
 
 def slippery(spec: Spec) -> Spec:
-    """Return an experiment whose friction is viscous only, as the controller knows."""
+    """Return an experiment with viscous friction only, also in the controller's model."""
 
     def rig(one: Rig) -> Rig:
         return one._replace(friction=one.friction._replace(**SLIPPERY))
@@ -91,14 +91,14 @@ def slippery(spec: Spec) -> Spec:
 
 
 def as_an_exact_sine(spec: Spec) -> Cycles:
-    """Run an experiment whose servo moves exactly as it is to."""
+    """Run an experiment whose servo follows its command exactly."""
     settings = spec.settings
     plant = Simulator(spec.loader_rig(), settings.control_period, settings.integration_step)
     return true_cycles(spec, plant=plant)
 
 
 class _Weakened:
-    """A plant between which and the controller a command is changed or lost."""
+    """A plant whose commands are changed or lost on the way from the controller."""
 
     def __init__(self, plant: Simulator, gain: float, lost: int) -> None:
         self._plant, self._gain, self._lost, self._held = plant, gain, lost, 0.0
@@ -113,7 +113,7 @@ class _Weakened:
 
 
 def weakened(spec: Spec, gain: float = 1.0, lost: int = 0) -> Cycles:
-    """Run an experiment whose commands act by another gain, or of which every so many is lost."""
+    """Run an experiment with another command gain, or in which every ``lost``-th command is lost."""
     plant: Any = _Weakened(simulator_of(spec), gain, lost)
     return true_cycles(spec, plant=plant)
 

@@ -1,13 +1,13 @@
-"""What `learning` with `method: peak_valley` brings: errors of peak, valley, mean and phase by load cycle.
+"""Benefit of `learning` with `method: peak_valley`: errors of peak, valley, mean and phase by load cycle.
 
 usage: python -m benchmarks.peak_valley [--seeds 2] [--gain 1.0] [--method peak_valley] [--only rig]
 
-`PI` is `sic` without compensation of the motion, 100 1/s and 100 1/s^2, against a servo that stands still. Otherwise the servo
+`PI` is `sic` without compensation of the motion, 100 1/s and 100 1/s^2, against a servo at standstill. Otherwise the servo
 moves by 50 mm at 0.5 Hz.
 
-The errors are those of the force that the piston has, without the load cell's noise: its largest and smallest value in a load
-cycle less the reference's, its mean less the reference's, and the phase of its first harmonic to the reference's. Means of
-three load cycles on end, of those from the load cycle in the heading on, the first being 0; of the seed of the noise with the
+The errors are those of the piston's true force, without the load cell's noise: its largest and smallest value in a load cycle
+less the reference's, its mean less the reference's, and the phase of its first harmonic relative to the reference's. They are
+means of three consecutive load cycles, starting with the one in the heading, the first being 0; of the noise seed with the
 largest error of peak or valley. `--gain` is the valve gain of the rig over that of the controller's rig file.
 """
 
@@ -43,7 +43,7 @@ AFTER = (1, 3, 5, 10)
 
 
 class Errors(NamedTuple):
-    """Of one load cycle.
+    """Errors of one load cycle.
 
     Attributes:
         peak, valley, mean: [N].

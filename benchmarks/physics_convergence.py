@@ -1,7 +1,7 @@
 """The study behind the default integration step.
 
 1. Order: force error over the step, with located events and with mode changes at the ends of steps only, for the paper's
-   Stribeck exponent and for 2. A Stribeck curve with |v|^0.8764 is not differentiable at v = 0: the error of a step that slips
+   Stribeck exponent and for 2. A Stribeck curve with |v|^0.8764 is not differentiable at v = 0. The error of a step that slips
    toward a reversal is of order h^1.8764 there, for any method, and dominates at small steps.
 2. Closed loop: force of config/experiments/sine_fd2.yaml, compared with the smallest step.
 3. Halving: change of the steady max error of constant and sine with fd1 and fd2 at half the step.

@@ -1,8 +1,8 @@
 """Margins of the loop that `fasmc_predictive` closes, measured as on a rig: by a small multi-sine on the spool command.
 
-The same experiment runs twice with perfect sensors, once with d added between controller and plant. The difference of what the
-plant is given, u, over d is the sensitivity S = 1/(1 + L), and L = 1/S - 1. Runs of several multi-sines average away what
-friction and reference put beside the frequencies asked for. `python -m benchmarks.predictive_margins`
+The same experiment runs twice with perfect sensors, once with d added between controller and plant. The difference of the
+plant's input, u, over d is the sensitivity S = 1/(1 + L), and L = 1/S - 1. Runs of several multi-sines average out the
+contributions of friction and reference at the excited frequencies. `python -m benchmarks.predictive_margins`
 """
 
 import argparse
@@ -25,7 +25,7 @@ FREQUENCIES = 120
 
 LOWEST = 1.0
 AMPLITUDE = 1e-7
-"""Of each sine [m]."""
+"""Amplitude of each sine [m]."""
 
 
 class Loop(NamedTuple):

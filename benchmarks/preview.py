@@ -1,4 +1,4 @@
-"""What the preview of the disturbance brings on the emulated rig, and what it costs when its servo is described wrongly.
+"""Benefit of the preview of the disturbance on the emulated rig, and its cost when its servo is described wrongly.
 
 The four experiments config/experiments/measured_*.yaml under `fasmc_predictive`: without preview, with it, and with the
 servo's position gain or all of its numbers 20 % off. The error is that of the true force, the largest of the last half: its
@@ -33,7 +33,7 @@ def previews() -> Mapping[str, list[dict[str, Any]]]:
 
 
 def with_preview(name: str, companions: list[dict[str, Any]], seed: int = 0) -> Spec:
-    """Return one of the experiments under the law that foresees, with these companions."""
+    """Return one of the experiments under the predictive law, with these companions."""
     path = EXPERIMENTS / f"{name}.yaml"
     content: Mapping[str, Any] = read_yaml(path, "spec")
     known = ["command_delay", "coupling_stiffness"]

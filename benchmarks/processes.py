@@ -1,4 +1,4 @@
-"""What the processes of a graph take, and what its plant says of the answers: for the benchmarks of the graph."""
+"""Processor time of a graph's processes, and the response times reported by its plant: for the benchmarks of the graph."""
 
 import os
 import time
@@ -12,10 +12,10 @@ from rosbags.rosbag2 import Reader
 from ehls_ros.recording.typestore import typestore
 
 LOOK = 0.2
-"""Time between two looks at the processes [s]."""
+"""Sampling interval of the processes [s]."""
 
 APART, COMPOSED = WAYS = ("apart", "composed")
-"""Each node in a process of its own, or those of the cycle in one."""
+"""Each node in a separate process, or those of the cycle in one."""
 
 PARTS = ("p50", "p99", "p99.9", "max")
 """Parts of the answers in the plant's diagnostics, as ``response_<part>_us``."""
@@ -52,7 +52,7 @@ class Meter:
             self._looks = [*self._looks[:1], look]
 
     def per_cycle(self, rate: float) -> dict[str, float]:
-        """Return what a cycle took of a processor, by process [s].
+        """Return the processor time of a cycle, by process [s].
 
         Args:
             rate: cycles per second of wall time.
@@ -63,13 +63,13 @@ class Meter:
 
 
 class Told(NamedTuple):
-    """What the plant's last diagnostics say.
+    """Contents of the plant's last diagnostics.
 
     Attributes:
         response: from snapshot to command taken [s], by :data:`PARTS`.
         missed: cycles without an answer.
         late: cycles of a simulated rig that ended more than a period late; 0 for another.
-        slipped: time by which a simulated rig is behind the wall clock [s].
+        slipped: lag of a simulated rig behind the wall clock [s].
     """
 
     response: Mapping[str, float]
@@ -79,7 +79,7 @@ class Told(NamedTuple):
 
 
 def told_by_plant(bag: Path) -> Told:
-    """Return what the plant node of a recorded run said last."""
+    """Return the last diagnostics of the plant node of a recorded run."""
     values: dict[str, str] = {}
     with Reader(bag) as reader:
         connections = [connection for connection in reader.connections if connection.topic == "/diagnostics"]

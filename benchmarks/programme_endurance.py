@@ -2,8 +2,8 @@
 
 usage: programme_endurance.py [--cycles 20000]
 
-Each load cycle has ten control cycles of 1 ms. At 10 % of the load cycles the programme is stopped and resumed, at 40 % its
-node is killed with SIGKILL and started again, at 50 % both: it is killed while it is stopped, and resumed. The log is judged.
+Each load cycle has ten control cycles of 1 ms. At 10 % of the load cycles the programme is stopped and resumed. At 40 % its
+node is killed with SIGKILL and restarted, at 50 % it is killed while it is stopped, and resumed. The log is judged.
 """
 
 import argparse
@@ -33,16 +33,16 @@ from ehls_ros.nodes.graph import PROGRAMME, Running, graph_environment, last_lin
 SAMPLES = 10
 PERIOD = 1e-3
 PATIENCE = 300.0
-"""Longest time without a new load cycle [s]; it ends a run that hangs."""
+"""Timeout for a new load cycle [s]; it ends a hung run."""
 
 LOOK = 0.05
-"""Time between two looks at the log [s]."""
+"""Interval between checks of the log [s]."""
 
 STOP_TIME = 0.05
 HOLD_TIME = 0.1
 
 FOLLOWED = {"programme_stop": "the programme is stopped", "programme_resume": "the programme is not stopped"}
-"""What the node answers to a request that was followed before."""
+"""The node's answer to a request that was carried out before."""
 
 NODES = (PROGRAMME, "disturbance_node", "sic_node", "plant_sim_node")
 
@@ -69,13 +69,13 @@ controller: {{name: sic}}
 
 
 class Outcome(NamedTuple):
-    """What the log says, and the memory of the programme node.
+    """Contents of the log, and the memory of the programme node.
 
     Attributes:
         asked: load cycles of the programme.
         logged: lines of the log.
-        once: load cycles that are in it exactly once.
-        whole: load cycles with all their control cycles on end.
+        once: load cycles that occur exactly once.
+        whole: load cycles whose control cycles are all consecutive.
         stretched: load cycles with more: the programme was stopped or resumed in them.
         lost: control cycles between two load cycles of one pass that belong to none.
         rates: load cycles per second of wall time.
@@ -141,7 +141,7 @@ def endure(folder: Path, cycles: int) -> Outcome:
 
 
 def judge(log: Path, cycles: int, wall: float, memory: list[list[float]]) -> Outcome:
-    """Return what a log says of load cycles that were asked for."""
+    """Evaluate a log against the requested load cycles."""
     with log.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     numbers = [int(row["load_cycle"]) for row in rows]
@@ -187,7 +187,7 @@ class _Runner:
 
     @contextmanager
     def standing(self) -> Iterator[None]:
-        """Let the rig stand still: a node may be found only seconds after its start, when the programme could be over."""
+        """Pause the rig: a node may be discovered only seconds after its start, when the programme could be over."""
         plant = self._graph[-1].process
         plant.send_signal(signal.SIGSTOP)
         try:
@@ -238,7 +238,7 @@ class _Runner:
 
 
 class _Asker:
-    """Calls services of the graph, again until they do what they are asked for."""
+    """Client of the graph's services that retries until a request succeeds."""
 
     def __enter__(self) -> Self:
         self._context = rclpy.Context()
@@ -246,7 +246,7 @@ class _Asker:
         self._node = rclpy.create_node("asker", context=self._context, namespace=NAMESPACE)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        # Found before they are needed: the programme does not wait for that.
+        # Discovered in advance: the programme does not wait for discovery.
         self._clients = {name: self._node.create_client(Trigger, name) for name in ("programme_stop", "programme_resume")}
         return self
 
@@ -255,13 +255,13 @@ class _Asker:
         deadline = time.monotonic() + PATIENCE
         said, asked = "it does not answer", list[Any]()
         while time.monotonic() < deadline:
-            # A killed node still seems to be there for a while, and swallows requests.
+            # A killed node still seems to be present for a while, and swallows requests.
             if client.wait_for_service(1.0):
                 asked.append(client.call_async(Trigger.Request()))
                 self._executor.spin_until_future_complete(asked[-1], 1.0)
                 answers = [future.result() for future in asked if future.done()]
                 said = answers[-1].message if answers else said
-                # One that was not answered in time may have been followed all the same: then the next is refused for that.
+                # An unanswered request may have been carried out all the same; then the next is refused for that reason.
                 followed = len(answers) < len(asked) and said == FOLLOWED[service]
                 if followed or any(answer.success for answer in answers):
                     break

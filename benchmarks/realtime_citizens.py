@@ -3,8 +3,8 @@
 usage: realtime_citizens.py [--seconds 60] [--priority 10] [--skip-share]
 
 First, the five nodes of the simulated rig run at SCHED_FIFO: locked and resident memory of each, and page faults per second of
-its loop and its process. Then one overloaded node per processor, whose loop never rests, beside one normal busy process each:
-the share of the processor that process gets, with `processor_share` off and on.
+its loop and its process. Then one overloaded node per processor, whose loop never rests, runs beside one normal busy process
+each. The table has the share of the processor that this process gets, with `processor_share` off and on.
 """
 
 import argparse
@@ -57,7 +57,7 @@ def figures(process: int) -> tuple[int, int, list[int]]:
 
 
 def show_memory(seconds: float, priority: int) -> None:
-    """Run the five nodes and print a line of each."""
+    """Run the five nodes and print a line for each."""
     spec = load_spec(config_folder() / "experiments" / "sine_fd2.yaml")
     with tempfile.TemporaryDirectory() as place:
         folder = RunFolder.create(Path(place) / "run", "benchmark", overwrite=True)

@@ -1,4 +1,4 @@
-"""Damaged bags: result of `ehls recover`, compared with what was recorded.
+"""Damaged bags: result of `ehls recover`, compared with the recorded messages.
 
 usage: recovery.py [--truncations 200] [--flips 200] [--notes 30] [--cycles 400] [--seed 1]
 
@@ -48,7 +48,7 @@ UNFLUSHED = 0.1
 
 SNAPSHOTS = "/ehls/loader_state"
 
-FAST = Path("/dev/shm") if Path("/dev/shm").is_dir() else None  # noqa: S108 - a folder of its own in it, if there is one
+FAST = Path("/dev/shm") if Path("/dev/shm").is_dir() else None  # noqa: S108 - a separate folder in it, if there is one
 """Folder of the bags in memory, so that the disk is not measured."""
 
 Message = tuple[str, int, bytes]
@@ -56,7 +56,7 @@ Message = tuple[str, int, bytes]
 
 
 class Place(NamedTuple):
-    """Place of a message in the intact file: its own bytes, and those of its chunk or page."""
+    """Place of a message in the intact file: its bytes, and those of its chunk or page."""
 
     message: Message
     start: int
@@ -66,7 +66,7 @@ class Place(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What a killed recorder leaves, and the truth about it."""
+    """Files left by a killed recorder, and the truth about them."""
 
     folder: Path
     storage: Storage
@@ -127,7 +127,7 @@ def record_and_die(folder: Path, storage: Storage, sent: Sequence[tuple[str, int
 
 
 def left_behind(folder: Path, storage: Storage, cycles: int, seed: int) -> Left:
-    """Return what a killed recorder leaves."""
+    """Return the files left by a killed recorder."""
     sent = messages(cycles, seed)
     record_and_die(folder, storage, sent)
     last = int((1 - UNFLUSHED) * len(sent))
@@ -220,14 +220,14 @@ def flipped(path: Path, bit: int) -> None:
 
 
 def judged(left: Left, bag: Path, intact: Callable[[Place], bool], beyond: Callable[[Place], bool], *, told: bool) -> Outcome:
-    """Recover a bag and compare it with what was written.
+    """Recover a bag and compare it with the messages written.
 
     Args:
         left: the bag before the damage.
         bag: the damaged bag.
-        intact: whether a message's own bytes are unchanged.
+        intact: whether a message's bytes are unchanged.
         beyond: whether its chunk or page is unchanged.
-        told: whether the bag still tells how many messages it had.
+        told: whether the bag still contains its number of messages.
     """
     out = bag.with_name("out")
     began = time.process_time()

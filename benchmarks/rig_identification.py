@@ -1,10 +1,10 @@
-"""How well a whole rig is identified: rigs nobody knows, from a first guess that is off by a factor of two everywhere.
+"""Accuracy of the identification of a whole rig: unknown rigs, from a first guess that is off by a factor of two everywhere.
 
     python -m benchmarks.rig_identification --cases 20
 
 Each case draws a rig, every coefficient within 30 % of the rig file's, records an experiment of the truth generator with
-nothing hidden, and identifies it from a guess in which every coefficient that can be fitted is twice or half the truth. What
-is taken as declared (piston area, density, volume, ...) is known to the guess.
+nothing hidden, and identifies it. The first guess has every coefficient that can be fitted at twice or half the truth;
+declared coefficients (piston area, density, volume, ...) are correct.
 """
 
 import argparse
@@ -31,7 +31,7 @@ SPREAD = 0.3
 OFF = 2.0
 NORMAL_95 = 1.96
 TOGETHER = {"static_force": "coulomb_force"}
-"""Coefficients that vary by one factor with another, so that they do not contradict each other."""
+"""Coefficients scaled by the factor of another, so that they do not contradict each other."""
 
 
 def hidden_rig(rng: np.random.Generator) -> dict[str, Any]:

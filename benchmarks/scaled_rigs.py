@@ -2,9 +2,9 @@
 
     python -m benchmarks.scaled_rigs [--sizes 0.1 1 10]
 
-Reference and disturbance are n times as large too, so the error over n would be the same if the tuning followed the rig. Beside
-the defaults for the rig, each law runs with the numbers of the paper's rig typed in, which are used as they are. The two laws
-with a filter run on the rig with sensors, with a command delay of 1 ms, against the position servo.
+Reference and disturbance are n times as large too, so the error over n would be the same if the tuning followed the rig.
+Besides the defaults for the rig, each law runs with the numbers of the paper's rig given explicitly, which are not scaled. The
+two laws with a filter run on the rig with sensors, with a command delay of 1 ms, against the position servo.
 """
 
 import argparse
@@ -80,7 +80,7 @@ def case(law: str, size: float, duration: float = 10.0, **tuning: Any) -> Spec:
 
 
 def largest(spec: Spec) -> Metrics | None:
-    """Run an experiment; None if it came to what no rig can."""
+    """Run an experiment; None if it reached physically impossible values."""
     try:
         return evaluate(run_in_process(spec))
     except Implausible:

@@ -1,12 +1,12 @@
-"""Spoilt files of everything that is learnt or remembered: none may crash a program, exhaust it, or cost a foreign file.
+"""Spoilt files of all learnt or remembered data: none may crash a program, exhaust it, or destroy a foreign file.
 
 python -m benchmarks.spoilt_memory [--files 300] [--seed 1] [--kinds learnt,programme]
 
 Each file is spoilt in one way: bytes damaged, cut, compressed or huge; of another rig or control rate, or with values that are
-impossible although its checksum is right; or a pipe, a folder, a device, a link. Then a program starts with it and ends, as far
-as its files are concerned. The table counts, for each kind, in how many cases the file was taken, refused or put aside, and in
-how many the end could not be written; and the failures: tracebacks, foreign files changed, more than :data:`SECONDS` or
-:data:`MEMORY`. A case is made by its number and the seed alone.
+impossible although its checksum is right; or a pipe, a folder, a device, a link. Then the parts of a program that use the
+file start and end. The table counts, for each kind, the cases in which the file was taken, refused or set aside, and those
+in which the end could not be written. Failures are tracebacks, foreign files changed, more than :data:`SECONDS` or
+:data:`MEMORY`. A case depends on its number and the seed alone.
 """
 
 import argparse
@@ -88,10 +88,10 @@ SECONDS = 20.0
 """Longest time for one case [s]."""
 
 MEMORY = 1 << 29
-"""Most memory that one case may take beyond the process's own [B]."""
+"""Maximum memory of one case beyond the process's baseline [B]."""
 
 NOBODY = 65534
-"""User id without rights, for folders that root may not write either."""
+"""User id without privileges, for read-only folders that root could write."""
 
 SMALL_DISK = 2048
 """Size of a file at which the disk is full [B]."""
@@ -144,7 +144,7 @@ def learning_company(spec: Spec) -> Company:
 
 
 def learn(company: Company, cycles: int = 6) -> None:
-    """Let the companion learn an error that repeats."""
+    """Train the companion on a repeating error."""
     companion, nowhere, rest = company.members["learning"], np.full((1, PLACE), np.nan), np.zeros(1)
     draw = np.random.default_rng(1)
     model = model_of(RIG, PERIOD)
@@ -172,7 +172,7 @@ def _learnt(method: str, law: str) -> bytes:
 
 
 def forged(content: bytes, law: str) -> bytes:
-    """Return a learnt file as a law that foresees leaves it."""
+    """Return a learnt file as a predictive law leaves it."""
     force = Foresight(SIZE, SIZE * PERIOD, 80.0, 0.02)
     pull = 500.0 * np.sin(2.0 * math.pi * np.arange(SIZE) / SIZE)
     for noise in np.random.default_rng(2).standard_normal((4, SIZE)):
@@ -207,7 +207,7 @@ def use_learnt(folder: Path, method: str, law: str) -> str:
 
 
 def check_commands(company: Company) -> None:
-    """Check that the correction of the reference is finite and a share of it."""
+    """Check that the correction of the reference is finite and a fraction of it."""
     companion, nowhere = company.members["learning"], np.full((1, PLACE), np.nan)
     for cycle in range(0, SIZE, 10):
         rows = np.full((1, ROW), np.nan)
@@ -274,7 +274,7 @@ def make_programme(folder: Path, name: str) -> Path:
 
 
 def use_programme(folder: Path) -> str:
-    """Start a programme where it was and end it."""
+    """Resume a programme where it was and end it."""
     try:
         records = open_records(folder, PROGRAMME, ORIGIN, "force", RIG.limits, anew=False)
     except BadInput as error:
@@ -388,7 +388,7 @@ class Ended:
 
 @contextmanager
 def no_processes() -> Iterator[None]:
-    """Let the flight recorder start none."""
+    """Prevent the flight recorder from starting processes."""
     with mock.patch.object(subprocess, "Popen", return_value=Ended()):
         yield
 
@@ -414,7 +414,7 @@ def use_flight(folder: Path) -> str:
     except BadInput as error:
         outcome = refused(error)
     except OSError as error:
-        # As the process that does it says it.
+        # In the words of the process that does it.
         raise NotWritten(str(error)) from None
     with no_processes():
         for second in range(1, 5):
@@ -433,7 +433,7 @@ def make_accepted(folder: Path) -> Path:
 
 
 def use_accepted(folder: Path) -> str:
-    """Hand the rig to a controller, and replace its file by another one."""
+    """Pass the rig to a controller, and replace its file by another one."""
     path, outcome = folder / "rig_accepted.yaml", TAKEN
     try:
         text = read_text(path, limits.TEXT, "an accepted rig")
@@ -447,7 +447,7 @@ def use_accepted(folder: Path) -> str:
 
 
 def learnt_kind(name: str, method: str, law: str = "fasmc") -> Memorised:
-    """Return the memory of one way to learn."""
+    """Return the memory of one learning method."""
     return Memorised(
         f"learnt, {name}", partial(make_learnt, method=method, law=law), partial(use_learnt, method=method, law=law)
     )
@@ -477,11 +477,11 @@ NUMBERS: tuple[Any, ...] = (
     *(0, -1, 1, 2, 1e9, -1e12, 1e12, 1e300, 5e-324, 10**30, 2**53, 2**63, 0.5),
     *(True, None, "1", "", [], {}, [[]]),
 )
-"""Values in place of others."""
+"""Replacement values."""
 
 
 def sealed(document: Mapping[str, Any] | bytes) -> bytes:
-    """Return a document with the checksum that belongs to it."""
+    """Return a document with a matching checksum."""
     whole = document if isinstance(document, bytes) else json.dumps(document).encode()
     body = whole[:-1]
     return body + CHECKSUM + f"{checksum_of(body):016x}".encode() + CHECKSUM_END
@@ -498,7 +498,7 @@ Change = Callable[[dict[str, Any], dict[str, Any]], None]
 
 
 def changed_archive(content: bytes, change: Change) -> bytes:
-    """Return a file with arrays whose content was changed, with the right checksums."""
+    """Return a file with arrays whose content was changed, with correct checksums."""
     held = archive.read(content, 100_000)
     document, arrays = opened(held.document), dict[str, Any](held.arrays)
     change(document, arrays)
@@ -508,7 +508,7 @@ def changed_archive(content: bytes, change: Change) -> bytes:
 
 
 def changed(path: Path, change: Change) -> None:
-    """Change document, and arrays if there are any, of a state file; a table or text gets a wrong cell instead."""
+    """Change document, and arrays if any, of a state file; a table or text gets a wrong cell instead."""
     content = path.read_bytes()
     if path.suffix == ".npz":
         path.write_bytes(changed_archive(content, change))
@@ -521,7 +521,7 @@ def changed(path: Path, change: Change) -> None:
 
 
 class NotApplicable(Exception):
-    """A way to spoil a file that this one has not."""
+    """Raised if a way to spoil a file does not apply to it."""
 
 
 def places(part: Any) -> Iterator[tuple[Any, Any]]:
@@ -534,7 +534,7 @@ def places(part: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def other_value(draw: random.Random, path: Path) -> None:
-    """Put another value, or none, in place of one of the document."""
+    """Replace one value of the document by another, or by none."""
 
     def change(document: dict[str, Any], _: dict[str, Any]) -> None:
         part, key = draw.choice(list(places(document["content"])) or [(document, "content")])
@@ -590,7 +590,7 @@ def other_array(draw: random.Random, path: Path) -> None:
 
 
 def other_origin(draw: random.Random, path: Path) -> None:
-    """Let the file be of another rig or control rate, or of another layout."""
+    """Relabel the file as of another rig, control rate or layout."""
 
     def change(document: dict[str, Any], _: dict[str, Any]) -> None:
         match draw.randrange(4):
@@ -654,7 +654,7 @@ def empty(draw: random.Random, path: Path) -> None:
 
 
 def huge(draw: random.Random, path: Path) -> None:
-    """A sparse file of ten gigabytes, which may begin as it should."""
+    """A sparse file of ten gigabytes, which may begin correctly."""
     if draw.random() < 0.5:
         empty(draw, path)
     os.truncate(path, 10**10)
@@ -673,7 +673,7 @@ def cut(draw: random.Random, path: Path) -> None:
 
 
 def pipe(draw: random.Random, path: Path) -> None:
-    """A pipe that nobody writes to."""
+    """A pipe without a writer."""
     path.unlink()
     os.mkfifo(path)
 
@@ -713,11 +713,11 @@ def link(draw: random.Random, path: Path) -> None:
 
 
 def left_alone(draw: random.Random, path: Path) -> None:
-    """The file as it should be, on a disk or in a folder that is not."""
+    """The intact file, on a disk or in a folder that is not."""
 
 
 class Surroundings(NamedTuple):
-    """Disk and folder of the file.
+    """State of disk and folder of the file.
 
     Attributes:
         full: whether no file can become larger than :data:`SMALL_DISK`.
@@ -749,9 +749,9 @@ class Case(NamedTuple):
 
     Attributes:
         outcome: one of :data:`TAKEN`, :data:`REFUSED` and :data:`ASIDE`; empty: the program failed.
-        unwritten: whether something could not be written at the end.
+        unwritten: whether a file could not be written at the end.
         failure: the traceback's last line, or the bound that was exceeded; empty: none.
-        changed: foreign files that are not as they were.
+        changed: foreign files that were changed.
     """
 
     outcome: str
@@ -806,7 +806,7 @@ def bounded() -> Iterator[None]:
         raise Hang
 
     before = signal.signal(signal.SIGALRM, on_time_up)
-    # A test has an alarm of its own.
+    # A running test may use the same alarm.
     earlier = signal.setitimer(signal.ITIMER_REAL, SECONDS)
     try:
         yield
@@ -817,7 +817,7 @@ def bounded() -> Iterator[None]:
 
 @contextmanager
 def surrounded(folder: Path, surroundings: Surroundings) -> Iterator[None]:
-    """Let the disk be full, or the folder be read-only."""
+    """Make the disk full, or the folder read-only."""
     size, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     root = os.geteuid() == 0
     if surroundings.read_only:
@@ -911,7 +911,7 @@ HEADER = """| memory | files | taken | refused | put aside | not written | trace
 
 
 def main() -> None:
-    """Run all kinds, or those asked for, and print the table."""
+    """Run all kinds, or the requested ones, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", type=int, default=300, help="files of each kind")
     parser.add_argument("--seed", type=int, default=1)

@@ -1,12 +1,12 @@
-"""What a switch from one running force controller to another costs: jump of the command, and force error.
+"""Cost of a switch from one running force controller to another: jump of the command, and force error.
 
 usage: switching.py [--moments 8] [--handover follow|unaware|cold]
 
 The second controller stands by: it follows every cycle that the first one answers. Then it takes over, at several moments of
-the load cycle. `jump` is the largest change of the command from one cycle to the next in the first cycles after the switch,
-`error` the largest force error in the fifth of a second after it, each beside that of the worse of the two controllers driving
-alone over the same cycles. With `unaware` the second law is stepped without its kernel `follow`, so that it does not know what
-the valve was told; with `cold` it starts at the switch.
+the load cycle. `jump` is the largest change of the command from one cycle to the next in the first cycles after the switch;
+`error` is the largest force error in the fifth of a second after it. Each is compared with that of the worse of the two
+controllers driving alone over the same cycles. With `unaware` the second law is stepped without its kernel `follow`, so that
+it ignores the command that the valve received; with `cold` it starts at the switch.
 """
 
 import argparse
@@ -33,10 +33,10 @@ from ehls_ros.schema import parse
 CONFIG = Path(__file__).resolve().parent.parent / "config" / "experiments"
 
 FIRST = 5
-"""Cycles after the switch in which the command's changes are looked at."""
+"""Cycles after the switch in which the command's changes are evaluated."""
 
 AFTER = 0.2
-"""Time after the switch in which the force error is looked at [s]."""
+"""Time after the switch in which the force error is evaluated [s]."""
 
 SETTLED = 2.5
 """Time before the first switch [s]."""
@@ -54,11 +54,11 @@ class Contestant(NamedTuple):
     tuning: str = ""
 
     def __str__(self) -> str:
-        """Return the row's words for it."""
+        """Return the label of the row."""
         return f"{self.law} {self.tuning}".rstrip()
 
     def controller(self, spec: Spec) -> Controller:
-        """Return it ready to run."""
+        """Return the controller, ready to run."""
         values = {name: float(value) for name, _, value in (word.partition("=") for word in self.tuning.split())}
         declared = CONTROLLERS.load(self.law).Parameters
         parameters = parse(declared, values, str(self), defaults_for(declared, spec.controller_rig))

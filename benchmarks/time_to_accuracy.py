@@ -1,9 +1,9 @@
 """Time to an error of 1e-4, of the simulator and of general solvers, on the four cases of test/physics/reference_solver.py.
 
 Every solver takes the coarsest setting whose largest deviation from the reference, of any state relative to its range, is below
-the bound. SciPy's solvers have the package's own compiled equations, start afresh with each command, and end a call at each
-change of mode. Diffrax has the equations of benchmarks/batch.py, whose modes follow from the state, compiled for one run of
-the whole motion; only the generalised Maxwell slip cases are written for it.
+the bound. SciPy's solvers have the package's compiled equations, restart with each command, and end a call at each change of
+mode. Diffrax has the equations of benchmarks/batch.py, whose modes follow from the state, compiled for one run of the whole
+motion; only the generalised Maxwell slip cases are written for it.
 """
 
 import argparse
@@ -39,17 +39,17 @@ STEPS = (1e-3, 5e-4, 1e-3 / 3.0, 2.5e-4, 1e-4)
 METHODS = ("RK45", "DOP853", "LSODA")
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 LATE = 1e-12
-"""Events count from this value of the event function on: for SciPy, a function that stays at zero crosses it all the time."""
+"""Event function value from which events count: for SciPy, a function that stays at zero crosses it all the time."""
 
 BRIEFLY = 1e-9
 """Time past a located event at which the mode changes [s]: where it is found, its function may still be negative."""
 
 MOST_CHANGES = 20
-"""Most changes of mode in a cycle; a solver that finds more goes to and fro between two modes."""
+"""Maximum number of mode changes in a cycle; a solver that finds more chatters between two modes."""
 
 
 class Stuck(Exception):
-    """A solver does not get past a change of mode."""
+    """Raised if a solver does not get past a change of mode."""
 
 
 Solver = Callable[[float], Array]
@@ -190,7 +190,7 @@ class Contestant(NamedTuple):
 
 
 def contestants(case: Case, reference: Array) -> Iterator[tuple[str, Contestant | None]]:
-    """Yield the solvers by name; None for one that never comes within the bound."""
+    """Yield the solvers by name; None for one that never meets the bound."""
     solvers: dict[str, tuple[Solver, tuple[float, ...]]] = {"ehls_ros": (ours(case), STEPS)}
     solvers |= {f"SciPy {method}": (with_scipy(case, method), TOLERANCES) for method in METHODS}
     if case.law == "gms" and importlib.util.find_spec("diffrax") is not None:

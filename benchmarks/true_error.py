@@ -1,4 +1,4 @@
-"""The error of the true force under a controller, cycle by cycle, with whatever stands between controller and valve."""
+"""Error of the true force under a controller, cycle by cycle, with arbitrary elements between controller and valve."""
 
 from typing import NamedTuple
 
@@ -16,11 +16,11 @@ from ehls_ros.physics.simulator import Simulator
 
 
 class Cycles(NamedTuple):
-    """What happened, a row for each cycle.
+    """Results, a row for each cycle.
 
     Attributes:
         error: true force less the reference wanted [N], shape (n,).
-        command: what the valve was given [m], shape (n,).
+        command: command that the valve received [m], shape (n,).
     """
 
     error: Array
@@ -37,7 +37,7 @@ def true_cycles(spec: Spec, added: Array | None = None, plant: Simulator | None 
     Args:
         spec: the experiment.
         added: added to the spool command on its way to the plant [m], shape (cycles,).
-        plant: in place of the experiment's.
+        plant: replaces the experiment's.
     """
     period, cycles = spec.settings.control_period, spec.cycles
     plant, reference = plant or simulator_of(spec), sampled(spec.reference, period)

@@ -23,7 +23,7 @@ def kernel(function: _Function, python: Callable[..., Any] | None = None) -> _Fu
 
     Args:
         function: the function.
-        python: takes its place in calls from Python, which else compile a function that calls it, in each process anew.
+        python: replacement for calls from Python; without one, each process compiles a wrapper at the first such call.
     """
     return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy"}, python=python))
 
@@ -31,36 +31,37 @@ def kernel(function: _Function, python: Callable[..., Any] | None = None) -> _Fu
 def lean(function: _Function) -> _Function:
     """Compile like :func:`kernel`, but without reference counting of arrays; the function must not allocate any.
 
-    For a function that passes many array views, counting their references would cost ten times the work itself.
+    In a function that passes many array views, counting their references would take ten times as long as the computation.
     """
     return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False}))
 
 
 @kernel
 def copy(source: Array, target: Array) -> None:
-    """Copy an array of one dimension, for compiled callers.
+    """Copy a one-dimensional array, for compiled callers.
 
-    Where one assigns a slice instead, numba compiles the message for arrays that differ in shape, which takes over a second.
+    A slice assignment would make numba compile the error message for a shape mismatch, which takes over a second.
     """
     for i in range(source.size):
         target[i] = source[i]
 
 
 def apart(function: _Function) -> _Function:
-    """Compile a function for compiled callers as numba would by itself, with none of its wrappers for others."""
+    """Compile a function for compiled callers as a separate numba function, without wrappers for Python or C."""
     compile_with: Any = numba.njit
     return cast(_Function, compile_with(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function))
 
 
 def direct(compiled: _Function, *arguments: Any) -> _Function:
-    """Return a compiled function's entry for arguments of certain types, compiled or loaded.
+    """Return the entry point of a compiled function for given argument types, compiled or loaded.
 
-    A call of the function itself finds out the types of its arguments each time: some 10 us for bundles of constants and
-    arrays, more than most kernels run for.
+    A call through the dispatcher determines the argument types each time. For bundles of constants and arrays this takes some
+    10 us, longer than most kernels run.
 
     Args:
-        compiled: the function; it must live as long as its entry.
-        *arguments: an example; later ones must have the same types, and arrays the same dimensions, contiguous.
+        compiled: the function; it must outlive the entry point.
+        *arguments: example arguments; later ones must have the same types, and arrays the same number of dimensions,
+            contiguous.
     """
     if not isinstance(compiled, Dispatcher):
         return compiled
@@ -69,16 +70,16 @@ def direct(compiled: _Function, *arguments: Any) -> _Function:
 
 
 def plain(array: Array) -> Array:
-    """Return an array as a :func:`direct` entry takes it: of floats, contiguous; the array itself if it is that."""
+    """Return an array as contiguous floats, as a :func:`direct` entry point requires; the array itself if it already is."""
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
 def compiler_function(build: Callable[..., Any], python: Callable[..., Any] | None = None) -> Callable[..., Any]:
-    """Make a function of compiled code from its intermediate code, which ``build`` types and writes.
+    """Make a compiled function from the types and intermediate code that ``build`` generates.
 
     Args:
-        build: see :func:`numba.extending.intrinsic`; its first argument is numba's.
-        python: takes its place where nothing is compiled.
+        build: see :func:`numba.extending.intrinsic`; its first argument is numba's typing context.
+        python: replacement where compilation is disabled.
     """
     if numba.config.DISABLE_JIT and python is not None:  # type: ignore[attr-defined]  # set when numba reads the environment
         return python
@@ -86,5 +87,5 @@ def compiler_function(build: Callable[..., Any], python: Callable[..., Any] | No
 
 
 def in_python(compiled: _Function) -> _Function:
-    """Return the Python function behind a compiled one, as a single call is not worth compiling."""
+    """Return the Python function behind a compiled one, for single calls that do not justify compilation."""
     return cast(_Function, cast(Any, compiled).py_func)

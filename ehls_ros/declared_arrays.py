@@ -16,10 +16,10 @@ class Entry(NamedTuple):
 
     Attributes:
         kind: numpy's name of the type: ``float64``, ``float32``, ``complex128`` or ``int64``.
-        shape: lengths; a name stands for one length that all arrays of a group share.
-        least, most: range of the values; of the magnitudes where they are complex.
-        infinite: whether values may be infinite: a variance of which nothing is known.
-        missing: whether values may be NaN: a signal that some samples lack.
+        shape: lengths; a name denotes one length shared by all arrays of a group.
+        least, most: range of the values, or of their magnitudes if complex.
+        infinite: whether values may be infinite, such as an unknown variance.
+        missing: whether values may be NaN, such as missing samples of a signal.
     """
 
     kind: str = "float64"
@@ -42,7 +42,7 @@ def check_arrays(arrays: Arrays, declared: Mapping[str, Entry], lengths: Mapping
         The lengths by name.
 
     Raises:
-        ValueError: naming the first array that does not fit.
+        ValueError: names the first array that does not match.
     """
     for name in arrays:
         if name not in declared:
@@ -71,6 +71,6 @@ def _check(name: str, array: NDArray[Any], entry: Entry, lengths: dict[str, int]
     if np.isinf(array).any() and not entry.infinite:
         raise ValueError(f"{name!r} has an infinite value")
     size = np.abs(array) if np.iscomplexobj(array) else array
-    # NaN, where it is permitted, is in every range.
+    # NaN passes both comparisons; it is rejected above unless permitted.
     if (size < entry.least).any() or (size > entry.most).any():
         raise ValueError(f"{name!r} has a value out of {entry.least:g} to {entry.most:g}")

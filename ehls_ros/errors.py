@@ -1,25 +1,25 @@
-"""The two reasons for work to end early: wrong input, or failure of the work itself."""
+"""Exceptions of the package: invalid input, and failure of the work itself."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
 LONGEST = 1000
-"""Most characters of each part of a message; longer ones are cut in the middle."""
+"""Maximum length of each part of a message [characters]; longer parts are cut in the middle."""
 
 
 class BadInput(ValueError):
-    """Unusable input: one line that says what is wrong, where, and what was expected.
+    """Invalid input, with a one-line message: the offending item, its place and the expected value.
 
     The command line prints it and exits with code 2.
     """
 
     def __init__(self, what: str, where: str, expected: str) -> None:
-        """Make the one line.
+        """Compose the message.
 
         Args:
             what: the offending item and its value, such as ``moving_mass is -70``.
             where: its file, section and key.
-            expected: what would have been accepted.
+            expected: description of acceptable values.
         """
         self.what = _readable(what)
         self.where = _readable(where)
@@ -32,7 +32,7 @@ class BadInput(ValueError):
 
 
 def one_of(given: object, names: Iterable[str]) -> str:
-    """Return what would have been accepted in place of a wrong name, and which of it is spelt like it.
+    """List the accepted names, and suggest the one spelt most like a wrong name.
 
     Args:
         given: the wrong name.
@@ -44,7 +44,7 @@ def one_of(given: object, names: Iterable[str]) -> str:
 
 
 def _readable(text: str) -> str:
-    """Return a text, which may quote a foreign file, as printable characters of limited length."""
+    """Return a text, possibly quoted from a foreign file, as printable characters of limited length."""
     return _cut("".join(char if char.isprintable() else repr(char)[1:-1] for char in _cut(text)))
 
 
@@ -53,7 +53,7 @@ def _cut(text: str) -> str:
 
 
 class WorkFailed(RuntimeError):
-    """Work that failed although its input was valid: one line that says what happened and where to look.
+    """Failure of the work despite valid input, with a one-line message: the failure and where to look.
 
     The command line prints it and exits with code 1.
     """

@@ -1,4 +1,4 @@
-"""Libraries that only some commands need, and the command that installs them."""
+"""Optional libraries, and the commands that install them."""
 
 import os
 import shlex
@@ -25,12 +25,12 @@ def install_command(extra: str) -> str:
 
 
 def library(module: str, extra: str, where: str) -> Any:
-    """Import a module of such a library.
+    """Import a module of an optional library.
 
     Args:
-        module: its dotted name.
+        module: dotted name.
         extra: the extra that brings it.
-        where: what needs it, for the error.
+        where: command or file that requires it, for the error.
 
     Raises:
         BadInput: it cannot be imported.
@@ -42,12 +42,12 @@ def library(module: str, extra: str, where: str) -> Any:
 
 
 def missing(what: str, extra: str, where: str, instead: str = "") -> BadInput:
-    """Return the error that asks for an extra.
+    """Return the error that requests installation of an extra.
 
     Args:
-        what: what is missing.
+        what: the missing library, as a sentence.
         extra: the extra that brings it.
-        where: what needs it.
-        instead: what does without it.
+        where: command or file that requires it.
+        instead: alternative without it.
     """
     return BadInput(what, where, ", or ".join(filter(None, [f"`{install_command(extra)}`", instead])))

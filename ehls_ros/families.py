@@ -1,4 +1,4 @@
-"""Families of interchangeable modules, one file each, known by the file's name.
+"""Families of interchangeable modules, one file each, identified by file name.
 
 A member is a file in the family's folder, or a module that another distribution provides through an entry point::
 
@@ -35,7 +35,7 @@ class Family(Generic[Member]):
 
     Attributes:
         package: dotted name of the package with the project's own members.
-        noun: what errors call a member, such as ``effect``.
+        noun: term for a member in errors, such as ``effect``.
         group: group of entry points for members of other distributions; the project's own names take precedence.
     """
 

@@ -1,9 +1,8 @@
 """Compiled functions that exist only inlined in others.
 
 Numba optimises each function it compiles together with all its callees, generates machine code, and wraps it for calls from
-Python. For a function that is always inlined, this work is wasted. Here such a function stays intermediate code, and only the
-function called from Python is optimised, once and as a whole. The machine code is the same to the bit and takes half the time
-to compile.
+Python. For a function that is always inlined, this work is wasted. Here such a function remains intermediate code, and only the
+function called from Python is optimised, once and as a whole. The machine code is bit-identical and compiles in half the time.
 """
 
 import gc
@@ -20,11 +19,12 @@ from numba.core.registry import CPUDispatcher
 
 
 def take_scipy_for_granted() -> None:
-    """Let numba load its functions without a look whether scipy is there, which this package needs anyway.
+    """Skip numba's check for scipy when it loads its functions; this package requires scipy anyway.
 
-    That look imports scipy's linear algebra and takes more time than all else in loading a kernel. What calls BLAS looks again.
+    The check imports scipy's linear algebra, which dominates the loading time of a kernel. Functions that call BLAS check
+    again.
     """
-    # Numba too loads them with the first function that it compiles or loads, not before.
+    # Numba, too, loads them only with the first function that it compiles or loads.
     linalg: Any = import_module("numba.np.linalg")
     ensure_blas = linalg.ensure_blas
     linalg.ensure_blas = lambda: None
@@ -36,12 +36,12 @@ def take_scipy_for_granted() -> None:
 
 @contextmanager
 def swiftly() -> Iterator[None]:
-    """Spare numba a quarter of its work while it compiles a function and its callees; what it makes is the same.
+    """Reduce numba's compile time by a quarter for a function and its callees; the compiled code is the same.
 
     The caller holds numba's lock.
     """
     collecting = gc.isenabled()
-    # Hundreds of thousands of new objects stay, and would be looked through again and again.
+    # Compilation keeps hundreds of thousands of new objects, which the garbage collector would scan repeatedly.
     gc.disable()
     try:
         with _signatures_remembered():
@@ -53,14 +53,14 @@ def swiftly() -> Iterator[None]:
 
 @contextmanager
 def _signatures_remembered() -> Iterator[None]:
-    """Let numba find only once what an operator or another function of its own returns for arguments of given types.
+    """Cache numba's look-up of the result type of operators and built-in functions by argument types.
 
-    It tries each of its dozens of implementations at each call in the code. An implementation in Python is compiled with the
-    options of its caller and is asked for each time; what the others return depends on the types alone.
+    At each call in the code, numba tries each of dozens of implementations. An implementation in Python is compiled with the
+    options of its caller and is therefore looked up each time; the result of all others depends on the types alone.
     """
     functions: Any = types.Function
     if "get_call_type" in vars(functions):
-        # It compiles a function for another one that is being compiled.
+        # Nested compilation: a callee of the function being compiled.
         yield
         return
     find = functions.get_call_type
@@ -85,7 +85,7 @@ def _signatures_remembered() -> Iterator[None]:
 
 
 class _IntermediateCode(CPUCodeLibrary):
-    """A function and its callees as intermediate code, neither optimised nor translated to machine code."""
+    """Code library of a function and its callees as intermediate code, neither optimised nor translated to machine code."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -96,7 +96,7 @@ class _IntermediateCode(CPUCodeLibrary):
 
 
 class _Inliner(Compiler):
-    """Numba's compiler, stopped at intermediate code."""
+    """Numba compiler that stops at intermediate code."""
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         target = self.state.targetctx
@@ -107,10 +107,9 @@ class _Inliner(Compiler):
 
 
 class Inlined(CPUDispatcher):
-    """A function for compiled callers.
+    """A function that is inlined into compiled callers.
 
-    It can be called from Python too, for tests and debugging; this compiles a function that calls it, where no other is given
-    for Python.
+    A call from Python, for tests and debugging, runs the replacement given for Python; without one, it compiles a wrapper.
     """
 
     def __init__(
@@ -128,7 +127,7 @@ class Inlined(CPUDispatcher):
             locals: types of local variables that cannot be inferred.
             targetoptions: options of :func:`numba.njit`.
             pipeline_class: the compiler.
-            python: takes its place in calls from Python.
+            python: replacement for calls from Python.
         """
         self._python = python
         options = {"nopython": True, "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -139,7 +138,7 @@ class Inlined(CPUDispatcher):
         self.overloads[tuple(cres.signature.args)] = cres
 
     def __call__(self, *args: Any) -> Any:
-        """Call it from Python."""
+        """Call the function from Python."""
         return self._from_python(*args)
 
     @cached_property

@@ -45,7 +45,7 @@ def object_of(parameters: type, needed: Sequence[str] | None = None, **more: Sch
 
     Args:
         parameters: a ``NamedTuple`` class.
-        needed: keys that must be there; by default those without a default value.
+        needed: required keys; by default those without a default value.
         more: schemas of further keys.
     """
     hints = get_type_hints(parameters, include_extras=True)

@@ -1,4 +1,4 @@
-"""Processes: what tells them to stop, those behind all others, and how those end that used the middleware or lost a parent."""
+"""Process control: stop requests, low priority, end with the parent, and exit after use of the middleware."""
 
 import ctypes
 import os
@@ -11,33 +11,33 @@ from typing import NoReturn
 PR_SET_PDEATHSIG = 1
 
 NICENESS = 10
-"""Niceness of a process that gives way. At 19 a busy processor would leave it next to nothing."""
+"""Niceness of a low-priority process; at 19 it would get almost no time on a busy processor."""
 
 
 class Stopping:
-    """Whether a process was told to stop.
+    """Stop request of a process, safe to set in a signal handler.
 
-    A signal handler may set it whatever the handler interrupts. In a ``threading.Event`` it may interrupt the main thread's own
-    call, which holds the event's lock: then the handler waits for that lock forever.
+    With a ``threading.Event``, the handler could interrupt a call of the main thread that holds the event's lock, and would
+    then wait for that lock forever.
     """
 
     def __init__(self) -> None:
-        """Begin without having been told."""
+        """Start without a stop request."""
         self._told = False
-        # Its put is the one in the library that is made for signal handlers.
+        # Its put is reentrant: the only one in the standard library that is meant for signal handlers.
         self._wake: queue.SimpleQueue[None] = queue.SimpleQueue()
 
     def set(self) -> None:
-        """Tell to stop."""
+        """Request the stop."""
         self._told = True
         self._wake.put(None)
 
     def is_set(self) -> bool:
-        """Return whether the process was told."""
+        """Return whether a stop was requested."""
         return self._told
 
     def wait(self, seconds: float) -> bool:
-        """Wait until told, at most for a time [s], and return whether it was; for one thread."""
+        """Wait for a stop request, at most for a time [s], and return whether there was one; for one thread only."""
         if not self._told:
             try:
                 self._wake.get(timeout=seconds)
@@ -47,7 +47,7 @@ class Stopping:
 
 
 def is_running(number: int) -> bool:
-    """Return whether a process of this host runs; one that has ended and waits for its parent does not.
+    """Return whether a process of this host is running; a zombie is not.
 
     Args:
         number: id of the process.
@@ -60,27 +60,27 @@ def is_running(number: int) -> bool:
 
 
 def give_way() -> None:
-    """Let this process give way to others; one whose parent does so already is not put further behind."""
+    """Lower the priority of this process; an inherited lower priority is kept."""
     os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
 
 
 def end_with(parent: int) -> None:
-    """Let this process end when the one that started it does, even if that is killed.
+    """End this process together with its parent, even if the parent is killed.
 
     Args:
-        parent: id of the process that started it.
+        parent: id of the parent process.
     """
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
-        # It ended before this was asked for.
+        # The parent ended before the request took effect.
         os._exit(1)
 
 
 def end(code: int) -> NoReturn:
     """Flush the output and exit at once, without destructors.
 
-    Fast DDS destroys its static objects after Python has finished, while its own threads still run; about one exit in
-    thirty then hangs or crashes. A process that has closed everything it opened can skip that.
+    Fast DDS destroys its static objects after Python has finished, while its own threads still run; about one exit in thirty
+    then hangs or crashes. A process that has closed all its resources can skip this.
 
     Args:
         code: exit code.

@@ -28,8 +28,8 @@ def progress_bar(title: str, *, shown: bool = True) -> Iterator[Update]:
     It disappears once the work is done.
 
     Args:
-        title: what is being done.
-        shown: show it.
+        title: description of the work.
+        shown: whether to show the bar.
 
     Yields:
         A function that sets the steps done and the total.
@@ -54,7 +54,7 @@ def progress_bar(title: str, *, shown: bool = True) -> Iterator[Update]:
 
 
 class _Cell:
-    """A bar below a notebook's cell. Rich's own way needs ipywidgets, which a kernel need not have."""
+    """Progress bar below a notebook's cell, without ipywidgets, which Rich would require."""
 
     def __init__(self, bar: Progress) -> None:
         self._ipython: Any = import_module("IPython.display")

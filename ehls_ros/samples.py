@@ -20,7 +20,7 @@ KEPT, KEPT_VARIANCE = 0.98, 0.874
 variance."""
 
 QUIET, QUIETEST, QUIET_WHITE = 20, 0.2, 0.72
-"""Samples of a part in which a signal may be quiet; the quantile of the parts' noise that is taken; and that quantile for white
+"""Length of a part of a signal that may be quiet [samples]; the quantile taken of the parts' noise; and that quantile for white
 noise, as a fraction of its standard deviation."""
 
 Mask = NDArray[np.bool_]
@@ -58,7 +58,7 @@ def _sides(medians: Array) -> tuple[Array, Array]:
 
 
 def noise_of(third_differences: Array) -> float:
-    """Return the standard deviation of white noise from third differences wherever they were taken, the largest included."""
+    """Return the standard deviation of white noise from given third differences, including the largest."""
     return float(np.sqrt(np.mean(third_differences**2) / 20.0)) if third_differences.size else 0.0
 
 
@@ -76,9 +76,9 @@ def noise(values: Array) -> float:
 
 
 def noise_between_moves(values: Array) -> float:
-    """Return the standard deviation of white noise of a signal that may move much from sample to sample, by its quiet parts.
+    """Return the standard deviation of white noise from the quiet parts of a signal that may move fast between samples.
 
-    Motion that looks like noise only adds to it, so a signal without quiet parts gives too much.
+    Motion that resembles noise adds to it, so the estimate is too high for a signal without quiet parts.
     """
     parts = np.array([noise(part) for part in np.array_split(values, max(1, len(values) // QUIET))])
     moving = parts[parts > 0.0]

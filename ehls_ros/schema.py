@@ -17,7 +17,7 @@ Parameters = TypeVar("Parameters")
 
 
 class Note(NamedTuple):
-    """What is declared of a value beside its type; of a list, unit and text alone."""
+    """Declaration of a value beside its type; for a list, only unit and text."""
 
     description: str = ""
     unit: str = ""
@@ -30,11 +30,11 @@ class Note(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Description and unit, and what the default follows from; the empty text where nothing is declared."""
+        """Description, unit and scaling of the default; empty if nothing is declared."""
         return _described(self.description, self.unit, self.scale) if self.description else ""
 
     def explained(self) -> str:
-        """Return description, unit, range and a typical value in brackets; the empty text where nothing is declared."""
+        """Return description, unit, range and a typical value in brackets; empty if nothing is declared."""
         if not self.description:
             return ""
         unit = f" [{self.unit}]" if self.unit else ""
@@ -50,7 +50,7 @@ def _described(description: str, unit: str, scale: str) -> str:
 
 
 def plain_text(value: float | tuple[float, ...]) -> str:
-    """Return a number, or a list of them, as YAML has it and as short as it is exact enough for a reader."""
+    """Format a number or a list of numbers as short YAML text with six significant digits."""
     return f"[{', '.join(map(plain_text, value))}]" if isinstance(value, tuple) else f"{value:g}"
 
 
@@ -58,12 +58,12 @@ class Misfit(ValueError):
     """A value that does not fit its declaration."""
 
     def __init__(self, value: Any, expected: str, place: str = "") -> None:
-        """Keep what the message is made of.
+        """Keep the parts of the message.
 
         Args:
             value: the offending value.
-            expected: what would have been accepted.
-            place: where it stands in what was declared, such as ``[2]`` in a list.
+            expected: description of acceptable values.
+            place: position within the declared value, such as ``[2]`` in a list.
         """
         super().__init__(f"{value!r}; expected {expected}")
         self.value = value
@@ -89,9 +89,9 @@ def quantity(
         minimum: smallest accepted value.
         maximum: largest accepted value.
         above: the value must be larger than this.
-        typical: a usual value, for errors and for who has none.
-        scale: quantities of the rig in proportion to which the default is chosen, such as ``force`` or ``1 / pressure``; the
-            declared default is the one for the paper's rig.
+        typical: a usual value, for errors and for users without one.
+        scale: quantities of the rig to which the default is proportional, such as ``force`` or ``1 / pressure``; the declared
+            default is that of the paper's rig.
     """
     return Note(description, unit, minimum, maximum, above, typical=typical, scale=scale)
 
@@ -122,25 +122,25 @@ class Declaration(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Description and unit, and what the default follows from."""
+        """Description, unit and scaling of the default."""
         return _described(self.description, self.unit, self.scale)
 
 
 class Field(NamedTuple):
-    """What is declared of a field: its type without the note, and the note."""
+    """Declaration of a field: its type without the note, and the note."""
 
     kind: Any
     note: Note
 
 
 def fields_of(parameters: Any) -> Mapping[str, Field]:
-    """Return what is declared of each field of a ``NamedTuple`` class."""
+    """Return the declaration of each field of a ``NamedTuple`` class."""
     return _fields_of(parameters)
 
 
 @cache
 def _fields_of(parameters: Any) -> Mapping[str, Field]:
-    # Python works annotations out anew each time it is asked.
+    # get_type_hints evaluates the annotations at each call.
     hints = get_type_hints(parameters, include_extras=True)
     return MappingProxyType({name: _annotated(hint) for name, hint in hints.items()})
 
@@ -163,12 +163,12 @@ def declarations(parameters: type) -> Iterator[Declaration]:
 def scaled_defaults(
     parameters: type, ratios: Mapping[str, float], stated: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """Return the defaults that follow from a rig, by name.
+    """Return the defaults scaled to a rig, by name.
 
     Args:
         parameters: a ``NamedTuple`` class whose fields carry :func:`quantity`.
-        ratios: size of each of the rig's quantities over that for which defaults are declared.
-        stated: defaults in place of the declared ones, for the same rig.
+        ratios: ratio of each of the rig's quantities to that of the rig for which defaults are declared.
+        stated: defaults that replace the declared ones, for the same rig.
 
     Returns:
         A value for each field with a ``scale``, within its range, and those of ``stated``.
@@ -211,7 +211,7 @@ def parse(
         The parameter set.
 
     Raises:
-        BadInput: naming the first offending key, its value and what was expected.
+        BadInput: names the first offending key, its value and the expected value.
     """
     fields = fields_of(parameters)
     values = dict(absent or {})
@@ -232,12 +232,12 @@ def parse(
 
 
 def missing_key(key: str, note: Note, where: str) -> BadInput:
-    """Return the error of a key that is needed and missing."""
+    """Return the error for a missing required key."""
     return BadInput(f"key '{key}' is missing", where, f"a value for it{note.explained()}")
 
 
 def notes(parameters: type) -> dict[str, Note]:
-    """Return what is declared of each field of a parameter set."""
+    """Return the note of each field of a parameter set."""
     return {name: field.note for name, field in fields_of(parameters).items()}
 
 
@@ -245,15 +245,15 @@ def from_json(kind: Any, document: str | bytes) -> Any:
     """Read a JSON document.
 
     Args:
-        kind: the type of what it holds, as for :func:`fitted`.
+        kind: type of the content, as for :func:`fitted`.
         document: its text.
 
     Raises:
-        ValueError: it is no JSON, which has no NaN either, or holds something else.
+        ValueError: the document is not valid JSON (NaN is not either), or its content has another type.
     """
     try:
         data = json.loads(document, parse_constant=_refuse)
-        # Half a surrogate pair passes for text until somebody writes it down.
+        # A lone surrogate is valid in a str, but cannot be encoded.
         json.dumps(data, ensure_ascii=False).encode()
     except RecursionError:
         raise Misfit("a list of lists of lists", "a document of a few levels") from None
@@ -265,7 +265,7 @@ def _refuse(constant: str) -> None:
 
 
 def fitted(kind: Any, value: Any) -> Any:
-    """Return a value as its type has it: ints as floats and lists as tuples where these are declared.
+    """Convert a value to its declared type: ints to floats and lists to tuples where declared.
 
     Args:
         kind: a plain type, ``Any``, ``Literal``, an optional type, a tuple, sequence or mapping of such, or a ``NamedTuple``
@@ -273,7 +273,7 @@ def fitted(kind: Any, value: Any) -> Any:
         value: the value.
 
     Raises:
-        Misfit: it is something else, or out of its range.
+        Misfit: the value has another type or is out of range.
     """
     return _fitted(*_annotated(kind), value)
 
@@ -359,7 +359,7 @@ def _tuple(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
 
 
 def _mapping(kind: Any, value: Any) -> Any:
-    """Return a mapping as one, or as the ``NamedTuple`` of its entries."""
+    """Return a mapping as a mapping, or as the ``NamedTuple`` of its entries."""
     if not isinstance(value, Mapping):
         raise Misfit(value, "a mapping of keys to values")
     if get_origin(kind) is Mapping:

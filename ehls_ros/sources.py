@@ -1,4 +1,4 @@
-"""Digest of the package's sources, to tell results of this version from those of an older one."""
+"""Digest of the package's sources, to distinguish results of different versions."""
 
 import hashlib
 import inspect
@@ -26,8 +26,8 @@ def sources_digest(*parts: str) -> str:
 def module_digest(module: ModuleType) -> str:
     """Return a digest of the sources of a family's member.
 
-    These are its file and, for a member from another distribution, all files of that distribution's package, which it may
-    import.
+    The sources are its file and, for a member from another distribution, all files of that distribution's package, as it may
+    import them.
     """
     file = Path(inspect.getfile(module))
     top = sys.modules[module.__name__.partition(".")[0]]
@@ -37,7 +37,7 @@ def module_digest(module: ModuleType) -> str:
 
 
 def import_line(member: object, name: str) -> str:
-    """Return the line with which generated source text imports a module, or a function at the top level of one.
+    """Return the import line of a module or a top-level function, for generated source text.
 
     The line ends with the digest of the member's sources, so that a change of the sources changes the text.
 

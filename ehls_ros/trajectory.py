@@ -75,7 +75,7 @@ SIGNALS: dict[str, Signal] = {
     # timing of the loop
     "response_s": Signal("snapshot to command", "s"),
 }
-"""Every signal that the software knows of."""
+"""All signals defined in the software."""
 
 
 AS_RIGS_GIVE: dict[str, Signal] = {
@@ -88,18 +88,18 @@ AS_RIGS_GIVE: dict[str, Signal] = {
     "torque_n_m": Signal("driving torque of a rotary actuator", "N m"),
     "load_torque_n_m": Signal("torque of the load, positive against the actuator", "N m"),
 }
-"""What other rigs measure instead; turned into signals of :data:`MEASURED` on reading, and in no bag."""
+"""Alternative measurements of other rigs; converted into signals of :data:`MEASURED` on reading, and in no bag."""
 
 READABLE: dict[str, Signal] = {**SIGNALS, **AS_RIGS_GIVE}
-"""Every signal that a table can have. Its column names are these names."""
+"""All signals that a table can contain; the names are its column names."""
 
 
 SAME_AREA = 1e-3
-"""Relative difference of two areas up to which they are the same."""
+"""Relative difference below which two areas are considered equal."""
 
 
 class Own(NamedTuple):
-    """The sampling of a signal before it was brought to a faster clock.
+    """Sampling of a signal before it was resampled to a faster clock.
 
     Attributes:
         period: sampling period [s].
@@ -111,14 +111,14 @@ class Own(NamedTuple):
 
 
 class Preparation(NamedTuple):
-    """What was done to a recording's signals when it was read.
+    """Processing of a recording's signals on reading.
 
     Attributes:
         remarks: one sentence each.
         interpolated: the sampling of the signals that are slower than the time base.
-        measured: signals that a sensor gave although experiments command them.
-        not_judged: stages of a model that these data cannot judge, with the reason.
-        equivalent_area: piston area that load pressure and force are meant for [m^2]; None for any.
+        measured: commanded signals that were measured by a sensor instead.
+        not_judged: stages of a model that cannot be judged from these data, with the reason.
+        equivalent_area: piston area to which load pressure and force refer [m^2]; None for any.
     """
 
     remarks: tuple[str, ...] = ()
@@ -128,11 +128,11 @@ class Preparation(NamedTuple):
     equivalent_area: float | None = None
 
     def adding(self, *remarks: str) -> "Preparation":
-        """Return it with further remarks."""
+        """Return a copy with further remarks."""
         return self._replace(remarks=(*self.remarks, *remarks))
 
     def check_area(self, area: float, name: str) -> None:
-        """Refuse a rig with another piston area than the load pressure is meant for.
+        """Reject a rig whose piston area differs from that of the load pressure.
 
         Args:
             area: piston area of the rig [m^2].
@@ -148,7 +148,7 @@ class Preparation(NamedTuple):
 
 
 AS_READ = Preparation()
-"""Nothing was done."""
+"""No processing."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class Trajectory:
         signals: arrays by the names in :data:`READABLE`, shape (n,), or (n, elements) for the friction elements; NaN
             where a cycle has no sample.
         metadata: configuration of the run: rig, spec, versions, seed.
-        preparation: what was done to the signals when they were read.
+        preparation: processing of the signals on reading.
     """
 
     time_s: NDArray[np.float64]

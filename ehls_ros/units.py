@@ -1,7 +1,7 @@
-"""Units as headers of measured data and data sheets write them, and their SI values.
+"""Units as written in headers of measured data and in data sheets, with their SI values.
 
-The list is closed. A library of all units reads ``Nm`` as a number times a metre, ``C`` as coulombs, ``bar(g)`` as bar times
-grams and ``1/min`` as a frequency, and does not tell an angle from a ratio or a count.
+The list is closed. A general units library reads ``Nm`` as a number times a metre, ``C`` as coulombs, ``bar(g)`` as bar times
+grams and ``1/min`` as a frequency. It does not distinguish an angle from a ratio or a count.
 """
 
 import math
@@ -17,7 +17,7 @@ class Unit(NamedTuple):
     """A unit: the SI value is ``scale`` times the number plus ``offset``.
 
     Attributes:
-        quantity: what it measures.
+        quantity: physical quantity.
         scale: SI units per unit.
         offset: SI value of zero.
     """
@@ -108,7 +108,7 @@ UNITS: Mapping[str, Unit] = {
     "%": Unit("ratio", 1e-2),
     "counts": Unit("counts", 1.0),
 }
-"""The units that are known, spelt with the case that tells mN from MN."""
+"""Known units; case matters, as in mN and MN."""
 
 QUANTITIES: Mapping[str, str] = {
     "s": "time",
@@ -157,10 +157,10 @@ SPELLINGS: Mapping[str, str] = {
     **dict.fromkeys(("count", "digit", "digits", "LSB"), "counts"),
     **dict.fromkeys(("percent", "Prozent"), "%"),
 }
-"""Other ways to write a known unit."""
+"""Alternative spellings of known units."""
 
 GAUGE = re.compile(r"(bar|psi)\s*(?:\(g\)|_?g|rel)\Z")
-"""Pressure above the atmosphere's, whose difference to another one, and so all that is used of it, is the same."""
+"""Gauge pressure; only pressure differences are used, for which gauge and absolute pressure are equivalent."""
 
 POWER = re.compile(r"(?<=[a-z])([23])\b")
 """An exponent without its sign, such as in ``mm2``."""
@@ -170,7 +170,7 @@ NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*"
 
 
 def unit_of(text: str) -> str | None:
-    """Return the known spelling of a unit as people write it, such as ``[µm]`` in either code point; None if unknown."""
+    """Return the standard spelling of a unit as users write it, such as ``[µm]`` with either code point; None if unknown."""
     text = text.strip().removeprefix("[").removesuffix("]")
     written = " ".join(text.split()).replace("\N{GREEK SMALL LETTER MU}", "\N{MICRO SIGN}").replace("º", "°")
     written = written.replace("*", "·").replace("\N{DOT OPERATOR}", "·")
@@ -189,14 +189,14 @@ def size(unit: str) -> float:
 
 
 def in_unit(text: str, unit: str) -> float:
-    """Read a number that may have a unit.
+    """Parse a number with an optional unit.
 
     Args:
-        text: such as ``210 bar``; a number alone is in the unit that is asked for.
-        unit: the unit asked for, such as ``MPa``.
+        text: such as ``210 bar``; a number alone is in the requested unit.
+        unit: requested unit, such as ``MPa``.
 
     Returns:
-        The number in the unit asked for.
+        The number in the requested unit.
 
     Raises:
         Misfit: there is no number, or a unit of another quantity.

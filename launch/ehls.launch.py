@@ -1,8 +1,8 @@
 """The complete graph: ``ros2 launch ehls_ros ehls.launch.py plant:=sim spec:=config/experiments/sine_fd2.yaml``.
 
 The plant starts last, once its partners are active. A node can be left out (``without:=fasmc_node``) and started by hand
-instead. A second rig runs beside the first in its own namespace (``namespace:=rig2``): only /diagnostics is shared, where its
-nodes are named ``rig2/...``, and in lockstep it needs its own ``clock:=/rig2/clock``.
+instead. A second rig runs beside the first in a separate namespace (``namespace:=rig2``): only /diagnostics is shared, where
+its nodes are named ``rig2/...``. In lockstep it also needs a separate ``clock:=/rig2/clock``.
 """
 
 import tempfile
@@ -104,7 +104,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         for name in {reference, "recorder_node"} & set(own):
             own[name]["programme"] = chosen["programme"]
     left_out = set(chosen["without"].split(","))
-    # The rig does not wait for who only watches it.
+    # The rig does not wait for nodes that only observe it.
     own[plant] = {"partners": ",".join(name for name in own if name not in {*left_out, "monitor_node"})}
     if chosen["bridge"]:
         own[plant]["bridge"] = chosen["bridge"]
@@ -114,7 +114,7 @@ def nodes(context: LaunchContext) -> list[Node]:
 
 
 def _process(name: str, own: dict[str, dict[str, object]], controller: str, chosen: dict[str, str]) -> Node:
-    """Return the process of one node, or of several whose names PLUS joins; each has its own parameters."""
+    """Return the process of one node, or of several whose names PLUS joins; each has separate parameters."""
     together = PLUS in name
     parameters: object = own.get(name)
     if together:
@@ -128,7 +128,7 @@ def _process(name: str, own: dict[str, dict[str, object]], controller: str, chos
         package="ehls_ros",
         executable="ehls" if by_ehls else name,
         arguments=["run", name] if by_ehls else [],
-        # One name would be given to all nodes of the process.
+        # The same name would be given to all nodes of the process.
         name=None if together else name,
         namespace=chosen["namespace"],
         parameters=[*filter(None, [chosen["params_file"]]), parameters],
@@ -139,7 +139,7 @@ def _process(name: str, own: dict[str, dict[str, object]], controller: str, chos
 
 
 def frames(context: LaunchContext) -> list[Node | LogInfo]:
-    """Return the node that publishes the rig's frames and its description, or a word on why there is none."""
+    """Return the node that publishes the rig's frames and its description, or a log entry on why there is none."""
     chosen = arguments(context)
     if chosen["frames"] != "true":
         return []

@@ -1,4 +1,4 @@
-"""A ball on the floor, for compiled integrators: with a restitution its bounces come ever more densely."""
+"""A ball on the floor, for compiled integrators: with a restitution its bounces become ever more frequent."""
 
 from ehls_ros.arrays import kernel
 

@@ -1,4 +1,4 @@
-"""What every test gets: a ROS domain of its own, and a check that nothing of it stays behind."""
+"""Fixtures of every test: a separate ROS domain, and a check for leftover processes and files."""
 
 import contextlib
 import fcntl
@@ -27,19 +27,19 @@ from ehls_ros.nodes.shared_memory import leftovers
 # DDS computes its ports from the domain; above domain 101 they reach into the range of ephemeral ports.
 DOMAINS = range(1, 102)
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
-# Every process started by a test inherits this variable, by which it is found again.
+# Every process started by a test inherits this variable, which identifies it.
 SESSION_VARIABLE = "EHLS_ROS_TEST_SESSION"
 SHARED_MEMORY = Path("/dev/shm")
 GRACE_S = 60.0
-# Lock files of this user's: one has its graph run in real time; each run of the tests, or worker of it, is under way.
+# Lock files of this user: one for graphs in real time, and one for each run of the tests or worker of it.
 REALTIME, UNDER_WAY = (Path(tempfile.gettempdir(), f"ehls_ros_test_{what}_{os.getuid()}.lock") for what in ("realtime", "run"))
 
-# Folders, and this one, with tests that take seconds each; the scope of all whose graphs run in real time.
+# Folders, including this one, with tests that take seconds each; the scope of all whose graphs run in real time.
 LONG = ("nodes", "dashboard", "diagnosis", "cli", "experiments", "report", "test")
 IN_REALTIME = "graphs in real time"
 
-# The tests start some hundred processes. Where the environment forbids to keep bytecode, each would compile its libraries anew,
-# which takes longer than all else in the start of a node.
+# The tests start some hundred processes. Where the environment forbids keeping bytecode, each would compile its libraries anew,
+# which takes longer than the rest of a node's start.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
@@ -48,7 +48,7 @@ _rotation = itertools.cycle(random.sample(DOMAINS, len(DOMAINS)))
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Give each worker whole files, those that take longest first; the short ones then fill the end.
+    """Give each worker whole files, the slowest first; the short ones then fill the end.
 
     The files with graphs in real time go to one worker, one after another, as a second worker would wait for its turn.
     """
@@ -71,14 +71,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_finish() -> None:
-    """Let the garbage collector pass over the collected tests and their modules: half a million objects that stay."""
+    """Exempt the collected tests and their modules from garbage collection: half a million permanent objects."""
     gc.collect()
     gc.freeze()
 
 
 @functools.cache
 def has_realtime_graph(file: Path) -> bool:
-    """Tell whether a file of tests takes turns with those of other workers."""
+    """Return whether a test file takes turns with those of other workers."""
     return "one_realtime_graph" in file.read_text(encoding="utf-8")
 
 
@@ -90,20 +90,20 @@ def test_session() -> str:
 
 @pytest.fixture(scope="session")
 def domains_used() -> set[int]:
-    """ROS domains reserved for several tests together: what is left in them is cleared away after the last test."""
+    """ROS domains reserved for several tests together; their leftovers are removed after the last test."""
     return set()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def heard() -> None:
-    """Let Ctrl-C reach what the tests start: a job that a script puts in the background inherits that SIGINT is ignored."""
+    """Let Ctrl-C reach the test processes: a script's background job inherits that SIGINT is ignored."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def nothing_left_behind(test_session: str, domains_used: set[int]) -> Iterator[None]:
-    """Fail if, after the last test, a process started by a test runs on; clear away what those that were killed left."""
+    """Fail if a process started by a test still runs after the last test; remove the leftovers of killed ones."""
     began = time.time()
     with UNDER_WAY.open("a", encoding="utf-8") as under_way:
         fcntl.flock(under_way, fcntl.LOCK_SH)
@@ -114,7 +114,7 @@ def nothing_left_behind(test_session: str, domains_used: set[int]) -> Iterator[N
         while (left := processes_of(test_session)) and time.monotonic() < deadline:
             time.sleep(0.1)
         clear_orphans(domains_used, began)
-        # The last one to end clears away what all domains have in common: somebody else may be about to use it.
+        # The last run to end removes the leftovers common to all domains: another run may be about to use them.
         with contextlib.suppress(BlockingIOError):
             fcntl.flock(under_way, fcntl.LOCK_EX | fcntl.LOCK_NB)
             clear_orphans(domains_used, began, of_all_domains=True)
@@ -137,7 +137,7 @@ def ros_domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 @contextlib.contextmanager
 def realtime_turn() -> Iterator[None]:
-    """Hold a lock that one process at a time has, whichever worker or run of the tests it is; a process may take it again."""
+    """Hold a reentrant lock that only one process at a time can hold, across all workers and runs of the tests."""
     if _has_turn.is_set():
         yield
         return
@@ -155,25 +155,25 @@ _has_turn = threading.Event()
 
 @pytest.fixture
 def one_realtime_graph() -> Iterator[None]:
-    """Run a test's graph in real time without those of other workers, which would take the processors from it."""
+    """Run a test's real-time graph without those of other workers, which would compete for the processors."""
     with realtime_turn():
         yield
 
 
 @pytest.fixture(scope="module")
 def one_realtime_graph_in_file() -> Iterator[None]:
-    """Do the same for a graph that the tests of a file share."""
+    """Run a real-time graph shared by the tests of a file, without those of other workers."""
     with realtime_turn():
         yield
 
 
 def reserve_domain() -> tuple[int, TextIO]:
-    """Lock a domain nobody has ports in.
+    """Lock a domain whose ports are unused.
 
-    The domains are tried in turn, so that one just given back rests while late packets of its last test die away.
+    The domains are tried in turn, so that a released one stays unused while late packets of its last test die away.
 
     Returns:
-        The domain, and the open lock file: closing it, or the death of this process, gives the domain back.
+        The domain, and the open lock file: closing it, or the death of this process, releases the domain.
     """
     deadline = time.monotonic() + PATIENCE
     for domain in _rotation:
@@ -194,7 +194,7 @@ def reserve_domain() -> tuple[int, TextIO]:
 
 
 def processes_of(session: str) -> list[str]:
-    """Return a line for each process started by a test of the session that still runs."""
+    """Return a line for each running process that a test of the session started."""
     mark = f"{SESSION_VARIABLE}={session}".encode()
     found = []
     for process in Path("/proc").glob("[0-9]*"):
@@ -208,21 +208,21 @@ def processes_of(session: str) -> list[str]:
 
 
 def domain_of(file: Path) -> int | None:
-    """Return the domain of a port whose file in shared memory this is; None where it is a segment's, whose name does not say.
+    """Return the domain of a port's shared-memory file; None for a segment's file, whose name does not contain the domain.
 
-    Ports below those of domain 0 are of no domain: Fast DDS numbers all its participants on a machine there.
+    Ports below those of domain 0 belong to no domain: Fast DDS numbers all its participants on a machine there.
     """
     port = re.search(r"_port(\d+)", file.name)
     return (int(port[1]) - FIRST_PORT) // PORTS_PER_DOMAIN if port else None
 
 
 def has_ports(domain: int) -> bool:
-    """Tell whether Fast DDS keeps files for ports of a domain."""
+    """Return whether Fast DDS keeps files for ports of a domain."""
     return any(domain_of(path) == domain for path in SHARED_MEMORY.glob("*_port*"))
 
 
 def clear_orphans(domains: set[int], since: float, *, of_all_domains: bool = False) -> None:
-    """Remove what killed processes left in shared memory, as long as no living process uses it.
+    """Remove shared-memory files left by killed processes and used by no living process.
 
     Args:
         domains: their ports are removed.

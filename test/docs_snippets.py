@@ -1,18 +1,18 @@
 """The code blocks of README.md and docs/: found with their marks, checked and run.
 
-An HTML comment before a block says what is done with it beyond the rule that a block is run as it is:
+An HTML comment before a block states its treatment, other than the rule that a block is run as it is:
 
 * ``file: NAME``    it is the content of a file that later blocks of the page use;
-* ``output: WHAT``  it is what the last command or Python block before it prints, with … for what differs from run to run;
-* ``ros: WHY``      commands are run by ``test_docs_how_to.py`` where ROS 2 is, and else parsed;
-* ``slow: WHY``     commands are parsed, and run only where everything is (``EHLS_DOCS=all``, as `make docs` has it);
+* ``output: WHAT``  it is the output of the last command or Python block before it, with … for parts that vary from run to run;
+* ``ros: WHY``      commands are run by ``test_docs_how_to.py`` where ROS 2 is installed, and otherwise parsed;
+* ``slow: WHY``     commands are parsed, and run only with ``EHLS_DOCS=all``, as in `make docs`;
 * ``parsed: WHY``   commands are parsed by the real parsers and never run;
 * ``not run: WHY``  nothing can be checked.
 
 Blocks in the language ``text`` are no snippets: output, drawings and other programs' files.
 
-A page with the file of a family's member, and in TOML the entry point through which a package offers it, is followed from
-top to bottom by ``test_docs_how_to.py``; ``test_docs_snippets.py`` only parses its blocks.
+A page that contains the file of a family's member, and in TOML the entry point through which a package offers it, is followed
+from top to bottom by ``test_docs_how_to.py``. ``test_docs_snippets.py`` only parses its blocks.
 """
 
 import ast
@@ -37,11 +37,11 @@ EHLS = ("ehls", ".venv/bin/ehls")
 PYTHON = ("python", ".venv/bin/python")
 SHELL = "sh"
 SECOND_RIG = "/rig2/"
-"""Where the pages have a second rig."""
+"""Namespace of the second rig on the pages."""
 
 
 class Block(NamedTuple):
-    """One block of code: where it stands, its language, text and mark."""
+    """One block of code: its position, language, text and mark."""
 
     page: str
     line: int
@@ -55,7 +55,7 @@ class Block(NamedTuple):
 
 
 class Command(NamedTuple):
-    """One command of a block; ``shown`` is how the page has it."""
+    """One command of a block; ``shown`` is its form on the page."""
 
     shown: str
     words: list[str]
@@ -68,7 +68,7 @@ def pages() -> list[str]:
 
 
 def blocks(page: str) -> list[Block]:
-    """Return a page's blocks of code in their order."""
+    """Return a page's blocks of code in order."""
     found, mark, note = [], "", ""
     for token in MarkdownIt().parse((ROOT / page).read_text(encoding="utf-8")):
         if token.type == "html_block" and (match := MARK.match(token.content.strip())):
@@ -106,11 +106,11 @@ def commands(block: Block) -> Iterator[Command]:
 
 
 class Unknown(Exception):
-    """A command names something that is not there."""
+    """Raised if a command refers to something that does not exist."""
 
 
 def check_output(block: Block, printed: str) -> None:
-    """Look for the lines of a block in what was printed, in their order; … stands for anything in a line.
+    """Check that the lines of a block occur in an output, in order; … matches any text in a line.
 
     Raises:
         Unknown: a line was not printed.
@@ -125,10 +125,10 @@ def check_output(block: Block, printed: str) -> None:
 
 
 class ParametersOf:
-    """Nodes, launch arguments and services as the reference pages have them."""
+    """Nodes, launch arguments and services as listed on the reference pages."""
 
     def __init__(self, reference: Any) -> None:
-        """Take the module that writes the reference pages."""
+        """Take the module that generates the reference pages."""
         self._reference = reference
 
     def node(self, name: str) -> Mapping[str, Declaration]:
@@ -181,7 +181,7 @@ def check(command: Command, parameters_of: ParametersOf, made: Sequence[str]) ->
 
 
 def check_ehls(words: list[str], made: Sequence[str]) -> Namespace:
-    """Parse an `ehls` command; what it reads from a folder of the repository has to be there."""
+    """Parse an `ehls` command; input files in a folder of the repository must exist."""
     try:
         options = parser().parse_args(words)
     except SystemExit as end:
@@ -196,7 +196,7 @@ def check_ehls(words: list[str], made: Sequence[str]) -> Namespace:
 
 
 def check_make(words: list[str]) -> None:
-    """Look for the targets, and for the groups to install."""
+    """Check the targets, and the groups to install."""
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     if missing := {word for word in words if "=" not in word} - targets:
         raise Unknown(f"make has no target {', '.join(missing)}")
@@ -207,7 +207,7 @@ def check_make(words: list[str]) -> None:
 
 
 def check_python(words: list[str]) -> None:
-    """Look for the script or the file of tests, and for a script's options in its text."""
+    """Check that the script or the file of tests exists, and that a script's options are in its text."""
     if words[:2] == ["-m", "pytest"]:
         words = [word for word in words[2:] if word.startswith("test/")]
         if missing := [word for word in words if not (ROOT / word).exists()]:
@@ -249,7 +249,7 @@ def check_ros2(words: list[str], parameters_of: ParametersOf) -> None:
 
 
 def in_first_rig(name: str) -> str:
-    """Return what a topic or service of the second rig is called in the first."""
+    """Return the first rig's name of a topic or service of the second."""
     return f"/ehls/{name.removeprefix(SECOND_RIG)}" if name.startswith(SECOND_RIG) else name
 
 

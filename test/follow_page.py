@@ -1,6 +1,6 @@
 """Runs the Python blocks and commands of a page in order, in the present folder: ``follow_page.py PAGE MODULE...``.
 
-What they print is compared with the page. The modules are those the page is about: they have to have been loaded in the end.
+Their output is compared with the page. The modules are those documented by the page: they must be loaded at the end.
 """
 
 import io
@@ -14,7 +14,7 @@ from docs_snippets import EHLS, PYTHON, ROOT, Block, Command, Unknown, blocks, c
 from ehls_ros.cli.main import main
 
 try:
-    import ehls_msgs.msg._loader_state  # noqa: F401 - tells whether the messages are built, where the folder is on the path
+    import ehls_msgs.msg._loader_state  # noqa: F401 - shows whether the messages are built, where the folder is on the path
 except ImportError:
     MARKS = {""}
 else:

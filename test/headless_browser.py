@@ -36,7 +36,7 @@ new MutationObserver(() => {
   for (const one of document.querySelectorAll(".q-notification")) window.told.push(one.innerText);
 }).observe(document, { childList: true, subtree: true });
 """
-"""Notes the page's notifications, which disappear after a few seconds."""
+"""Records the page's notifications, which disappear after a few seconds."""
 
 
 class Tab:
@@ -155,7 +155,7 @@ class Browser:
 
 @contextlib.contextmanager
 def browser(profile: Path) -> Iterator[Browser]:
-    """Run Chromium with its own profile."""
+    """Run Chromium with a separate profile."""
     assert CHROMIUM is not None
     command = [CHROMIUM, *ARGUMENTS, f"--user-data-dir={profile}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

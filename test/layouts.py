@@ -15,7 +15,7 @@ def panels() -> dict[str, Any]:
 
 
 def curves() -> list[str]:
-    """Return the sources of PlotJuggler's curves; for an equation the curve it is computed from."""
+    """Return the sources of PlotJuggler's curves; for an equation, the curve it is computed from."""
     root = ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
     sources = {snippet.attrib["name"]: snippet.findtext("linked_source") for snippet in root.iter("snippet")}
     return [sources.get(curve.attrib["name"]) or curve.attrib["name"] for curve in root.iter("curve")]

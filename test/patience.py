@@ -1,4 +1,4 @@
-"""How long a test waits for what has to come."""
+"""Timeout of the tests for expected events."""
 
 PATIENCE = 600.0
-"""Longest wait for an event [s]. It only ends a test that hangs: a slow and loaded machine has to come nowhere near it."""
+"""Longest wait for an event [s]. It only ends a hung test: a slow and loaded machine must stay well below it."""

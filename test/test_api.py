@@ -1,4 +1,4 @@
-"""`import ehls_ros as ehls`: what scripts and notebooks use."""
+"""`import ehls_ros as ehls`: the interface of scripts and notebooks."""
 
 import subprocess
 import sys
@@ -27,7 +27,7 @@ def run():
 
 @pytest.fixture
 def own_file(run, tmp_path):
-    """The same as a bench would write it, with the map of its columns."""
+    """The run in a bench's file format, with the map of its columns."""
     table = run.to_pandas()
     table["x [mm]"], table["p [bar]"] = 1e3 * table["position_m"], 1e-5 * table["load_pressure_pa"]
     table[["x [mm]", "p [bar]"]].to_csv(tmp_path / "bench.csv", index_label="t")
@@ -189,7 +189,7 @@ def test_a_diagnosis_from_a_file_to_the_extended_rig(tmp_path, capsys):
 
 
 class Displayed(list):
-    """Stands for IPython's display: keeps what it shows."""
+    """Stand-in for IPython's display that records the displayed objects."""
 
     def display(self, shown, *, display_id):
         assert display_id

@@ -1,4 +1,4 @@
-"""The repository builds with colcon, its imports point one way, and its locks and metadata are right."""
+"""The repository builds with colcon, its imports follow the layers, and its locks and metadata are right."""
 
 import os
 import re
@@ -239,7 +239,7 @@ def requirement_blocks(lock: Path) -> list[str]:
 
 
 def requirement_names(lines: list[str]) -> set[str]:
-    """Return the normalised names of the packages that requirement lines ask for."""
+    """Return the normalised names of the packages in requirement lines."""
     stripped = (line.partition("#")[0].strip() for line in lines)
     return {re.sub(r"[-_.]+", "-", re.split(r"[\s\[=<>!~;]", line)[0]).lower() for line in stripped if line}
 
@@ -258,7 +258,7 @@ def test_the_lock_names_no_host_and_no_path(lock: Path) -> None:
 
 
 def asked_for(group: str) -> set[str]:
-    """Return the names of the packages that a dependency group of pyproject.toml asks for."""
+    """Return the names of the packages in a dependency group of pyproject.toml."""
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]
     return requirement_names([entry for entry in groups[group] if isinstance(entry, str)])
 
@@ -277,7 +277,7 @@ def test_a_lock_holds_each_package_once_and_all_that_is_asked_for(lock: str, wor
 
 @pytest.fixture
 def metadata(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Return what setup.py tells setuptools."""
+    """Return the arguments of setup.py to setuptools."""
     setuptools = pytest.importorskip("setuptools", reason="setuptools is not installed")
     told: dict[str, Any] = {}
     monkeypatch.setattr(setuptools, "setup", told.update)

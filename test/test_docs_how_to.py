@@ -1,7 +1,7 @@
 """Each how-to that adds a part is followed as a third party would follow it.
 
-Its file goes into a package of its own, known by the entry point on the page. Then the page's commands and Python run, to the
-last; what they print, as the page has it, shows that the part acted.
+Its file goes into a separate package, known by the entry point on the page. Then all of the page's commands and Python run;
+their output, as on the page, shows that the part acted.
 """
 
 import os

@@ -60,7 +60,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def wrong(link: Link, reference: Path) -> str:
-    """Return what is wrong with a link; empty if it is right."""
+    """Return the fault of a link; empty if it is right."""
     name, _, fragment = link.target.partition("#")
     path = (link.page.parent / name).resolve() if name else link.page
     if path.is_relative_to(DOCS / "reference"):

@@ -1,4 +1,4 @@
-"""The site that `make docs` has just built, in a browser: no page is wider than a telephone or a laptop."""
+"""The site just built by `make docs`, in a browser: no page is wider than a telephone or a laptop."""
 
 import importlib
 import os
@@ -10,7 +10,7 @@ import pytest
 from docs_snippets import ROOT
 
 LISTINGS = "source"
-"""Folder of the pages that show files of the repository; they are all alike."""
+"""Folder of the pages that show files of the repository; they all have the same layout."""
 
 SITE = ROOT / "build" / "docs"
 WIDTHS = (390, 1366)

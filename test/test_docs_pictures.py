@@ -1,4 +1,4 @@
-"""The pictures of README.md and docs/, which docs/make_pictures.py makes, show what the text says and what a run gives now."""
+"""The pictures of README.md and docs/, made by docs/make_pictures.py, match the text and a present run."""
 
 import hashlib
 import json

@@ -28,7 +28,7 @@ def test_every_member_of_every_family_has_its_parameters(reference: ModuleType) 
     page = reference.parameters_page().replace("\\|", "|")
     sections = defaultdict[str, str](str)
     for text in page.split("\n### ")[1:]:
-        # Members of two families may have one name.
+        # Members of two families may have the same name.
         sections[text.partition("\n")[0]] += text
     for family in reference.FAMILIES.values():
         for name in family.names():

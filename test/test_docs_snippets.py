@@ -1,4 +1,4 @@
-"""Every command and snippet of README.md and docs/ runs, or at least parses, or says why it does neither."""
+"""Every command and snippet of README.md and docs/ runs, or at least parses, or states why it does neither."""
 
 import importlib
 import io
@@ -34,7 +34,7 @@ from ehls_ros.schema import declarations
 
 EVERYTHING = os.environ.get("EHLS_DOCS") == "all"
 LIBRARIES = {"docs/how_to/programme.md": "rainflow"}
-"""What the snippets of a page need that an installation of ROS does not bring."""
+"""Requirements of a page's snippets that an installation of ROS does not provide."""
 
 _counts: Counter[str] = Counter()
 _skipped: list[str] = []
@@ -42,7 +42,7 @@ _skipped: list[str] = []
 
 @pytest.fixture(scope="module", autouse=True)
 def report(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Print what was done with the snippets, and why the rest was not."""
+    """Print the treatment of the snippets, and the reasons for skipping the rest."""
     yield
     if _counts:
         with request.config.pluginmanager.get_plugin("capturemanager").global_and_fixture_disabled():
@@ -97,7 +97,7 @@ def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf
 def handle(
     block: Block, folder: Path, parameters_of: ParametersOf, made: list[str], names: dict[str, Any], patch: pytest.MonkeyPatch
 ) -> str:
-    """Do with a block what its language and mark ask for, and say what was done."""
+    """Process a block according to its language and mark, and return the treatment in words."""
     if block.mark not in {"", "file"} and not block.note:
         raise Unknown("the mark gives no reason")
     if block.mark == "not run":
@@ -129,19 +129,19 @@ def handle(
 
 
 def is_member(block: Block) -> bool:
-    """Tell whether a block is the file of a family's member."""
+    """Return whether a block is the file of a family's member."""
     return block in members(block.page).values()
 
 
 def runs(block: Block) -> bool:
-    """Tell whether a block is run here; test_docs_how_to.py runs those of a page that adds a member."""
+    """Return whether a block is run here; test_docs_how_to.py runs those of a page that adds a member."""
     if members(block.page):
         return False
     return block.mark == "" or (block.mark == "slow" and EVERYTHING)
 
 
 def save(block: Block, folder: Path, patch: pytest.MonkeyPatch) -> None:
-    """Write a block to its file; the package it belongs to looks there, too."""
+    """Write a block to its file, and make the package it belongs to search there, too."""
     path = folder / block.note
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(block.text, encoding="utf-8")
@@ -151,7 +151,7 @@ def save(block: Block, folder: Path, patch: pytest.MonkeyPatch) -> None:
 
 
 def load_member(file: str) -> None:
-    """Load a member of a family as the family does; its parameters are declared as the house has it."""
+    """Load a member of a family as the family does; its parameters must be declared by the project's rules."""
     package = importlib.import_module(".".join(Path(file).parent.parts))
     family = next(value for value in vars(package).values() if isinstance(value, Family))
     member: ModuleType = family.load(Path(file).stem)
@@ -163,7 +163,7 @@ def load_member(file: str) -> None:
 
 
 def load_yaml(block: Block, folder: Path) -> None:
-    """Load a block with the loader of what it is; a part of an experiment or rig file goes into one of the project's."""
+    """Load a block with the loader of its kind; a part of an experiment or rig file is inserted into one of the project's."""
     data, where = yaml.safe_load(block.text), str(block)
     example = yaml.safe_load((ROOT / "config" / "rig_paper.yaml").read_text(encoding="utf-8"))
     keys = set(data)
@@ -200,7 +200,7 @@ def shell(block: Block, parameters_of: ParametersOf, made: list[str]) -> str:
 
 
 def run(command: Command) -> None:
-    """Run an `ehls` command; a campaign, which starts workers, in a process of its own."""
+    """Run an `ehls` command; a campaign, which starts workers, in a separate process."""
     words = command.words[1:]
     if words[0] == "campaign" and "--spec" not in words:
         subprocess.run([sys.executable, "-m", "ehls_ros.cli.main", *words], check=True, capture_output=True)

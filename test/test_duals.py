@@ -1,4 +1,4 @@
-"""Numbers that know their derivatives: every rule against differences, and impacts against their closed form."""
+"""Numbers with derivatives: every rule against differences, and impacts against their closed form."""
 
 import math
 
@@ -32,7 +32,7 @@ def advance(y, mode, c, step, steps, work):
 
 @kernel
 def mixed(a, b, n):
-    """Return a number into which every operation enters, with the numbers on either side."""
+    """Return a number that involves every operation, with the numbers on either side."""
     one = (2.0 - a) / b + (a + n) * 0.5 - 1.5 / a + b**a + a**1.5 + 2.0**b + (-a) * n
     one += math.exp(-a) + math.expm1(b) + math.log(a) * math.log1p(b) + math.sqrt(a) * math.sin(b) - math.cos(a)
     one -= math.tanh(a) + math.atan(b) + math.hypot(a, b) * abs(b - a) + math.copysign(a, -b) + math.fabs(-b)
@@ -92,7 +92,7 @@ def test_duals_of_python_follow_the_same_rules():
     assert found.value == pytest.approx(1.2 / 1.7 + 3.0 * 0.8 * 1.7 - 1.0 / 1.7 + 0.8 + 0.8 + 0.9 / 4.0)
     assert found.tangents == pytest.approx({0: -1.0 / 1.7 + 5.1 + 2.0 - 0.25, 1: -1.2 / 1.7**2 + 2.4 + 1.0 / 1.7**2 + 0.25})
     assert [a < b, a <= 0.8, b > a, b >= 1.7, b < a] == [True] * 4 + [False]
-    # What varies is at no special value.
+    # The variable is at no special value.
     assert [a == 0.8, Dual(0.8, {}) == 0.8] == [False, True]
     assert value_of(a) == 0.8
 
@@ -102,7 +102,7 @@ def test_a_signal_keeps_its_derivatives_through_what_is_linear():
     signal = time**2 * x - time
     assert signal.value.tolist() == [0.0, 2.0, 10.0, 24.0]
     assert linear(np.diff, signal).tangents[2].tolist() == [1.0, 3.0, 5.0]
-    # What does not depend on the parameter has no tangent.
+    # A result independent of the parameter has no tangent.
     assert signal[:1].tangents == {}
     assert joined([1.0, x]).tangents[2].tolist() == [0.0, 1.0]
     rows = rows_of(joined([1.0, x]), 4, [5, 2])

@@ -1,4 +1,4 @@
-"""What installs an optional library is said wherever one is missing, and the command named does it."""
+"""Every error about a missing optional library names the command that installs it, and that command works."""
 
 import ast
 import sys
@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def extras_named() -> set[str]:
-    """Return the extras that the sources ask for."""
+    """Return the extras that the sources refer to."""
     found: set[str] = set()
     for file in (ROOT / "ehls_ros").rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

@@ -1,4 +1,4 @@
-"""Every family takes members from other distributions, by one rule, and refuses what cannot be used."""
+"""Every family takes members from other distributions, by one rule, and refuses unusable ones."""
 
 import importlib
 import inspect
@@ -33,14 +33,14 @@ def site(tmp_path, monkeypatch):
 
 
 def add(site, modules, points, name="acme_ehls"):
-    """Install a distribution; this process takes notice of it."""
+    """Install a distribution and make this process notice it."""
     install(site, modules, points, name)
     importlib.invalidate_caches()
     offered.cache_clear()
 
 
 def own(family):
-    """Return the name of a member of the project's own that needs no optional library."""
+    """Return the name of one of the project's members that needs no optional library."""
     return next(name for name in family.names() if not name.startswith("py"))
 
 
@@ -113,7 +113,7 @@ def test_own_names_take_precedence_and_two_packages_must_not_offer_the_same(site
 
 
 def import_line(family: Family, name: str) -> str:
-    """Return the line anew, as another process would make it."""
+    """Recompute the line, as another process would."""
     sources.module_digest.cache_clear()
     return sources.import_line(family.load(name), "part")
 

@@ -11,10 +11,10 @@ from patience import PATIENCE
 TOOL = Path(__file__).resolve().parents[1] / "tools" / "held_back.py"
 
 PAUSE = 0.02
-"""A process that does nothing else is held back if it does not run for as long as this [s]."""
+"""Duration of a pause that shows a process without other work to be held back [s]."""
 
 LONGEST = 20.0
-"""Time after which it ends without one: on a busy machine it may get less than its share [s]."""
+"""Timeout without such a pause: on a busy machine it may get less than its share [s]."""
 
 BUSY = f"""
 import os, sys, time

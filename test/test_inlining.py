@@ -1,4 +1,4 @@
-"""Functions that are compiled only as parts of others, and what numba is spared while it compiles."""
+"""Functions that are compiled only as parts of others, and the work that this saves numba."""
 
 import gc
 import math
@@ -98,7 +98,7 @@ def cubed(x, y):
 
 
 def instructions(function):
-    """Return the instructions of a function compiled for two floats, without what they act on."""
+    """Return the instructions of a function compiled for two floats, without their operands."""
     compiled = njit(error_model="numpy")(function)
     compiled.compile((types.float64, types.float64))
     [code] = compiled.inspect_asm().values()

@@ -75,7 +75,7 @@ def stands_at(number: int, lines: list[str]) -> list[int]:
 
 
 def marked_with(number: int, lines: list[str]) -> list[int]:
-    """Return where a comment at the end of a line names the equation."""
+    """Return the lines on which a trailing comment names the equation."""
     marks = ((index, MARK.search(line)) for index, line in enumerate(lines, start=1))
     return [index for index, mark in marks if mark and f"({number})" in mark[1]]
 
@@ -132,7 +132,7 @@ def rig() -> Rig:
 
 
 def power(value: float, digits: int) -> str:
-    """Write a number as the page does: 3.85·10⁶."""
+    """Write a number in the format of the page: 3.85·10⁶."""
     mantissa, exponent = f"{value:.{digits}e}".split("e")
     return f"{mantissa}·10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
 

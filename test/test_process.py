@@ -1,4 +1,4 @@
-"""A process is told to stop by a signal, whatever the signal interrupts."""
+"""A process is stopped by a signal, whatever the signal interrupts."""
 
 import multiprocessing
 import signal
@@ -12,7 +12,7 @@ from ehls_ros.process import Stopping
 
 
 def wait_while_signals_come() -> None:
-    """Wait for a signal that comes at each line of the wait, and of what the wait calls."""
+    """Wait for a signal that arrives at each line of the wait, and of the functions it calls."""
     stopping = Stopping()
     signal.signal(signal.SIGUSR1, lambda *_: stopping.set())
 

@@ -1,4 +1,4 @@
-"""On a ROS 2 machine: what package.xml brings is enough, and what is missing is named with the line that brings it."""
+"""On a ROS 2 machine: package.xml is sufficient, and missing packages are reported with the line that installs them."""
 
 import ast
 import importlib
@@ -34,10 +34,10 @@ ROSDEP_KEYS = {
 """Keys of rosdistro's rosdep/python.yaml (commit 8468e88) by the package that is imported; all have a rule for Ubuntu."""
 
 WITH_ROSBAGS = {"backports", "compression", "lz4"}
-"""What rosbags needs itself, and brings; ``compression`` is Python's own from 3.14 on."""
+"""Dependencies of rosbags that it installs; ``compression`` is Python's own from 3.14 on."""
 
 WITH_NUMBA = {"llvmlite"}
-"""What numba needs itself, and brings."""
+"""Dependencies of numba that it installs."""
 
 OPTIONAL = {
     "distributed",
@@ -52,17 +52,17 @@ OPTIONAL = {
     "starlette",
     "uvicorn",
 }
-"""What the extras bring."""
+"""Packages installed by the extras."""
 
 BY_NAME = {"joblib", "plotly", "shtab"}
-"""Imported by name where they are used, and not asked for: rosdep does not know them, or noble's is too old."""
+"""Imported by name where they are used, and not declared: rosdep does not know them, or noble's is too old."""
 
 LATE = {"pandas"}
-"""Imported by name because that takes long, and asked for."""
+"""Imported by name because the import takes long, and declared."""
 
 
 def imported() -> set[str]:
-    """Return the top-level packages that the sources import, but for the standard library's and our own."""
+    """Return the top-level packages that the sources import, except for the standard library's and our own."""
     found: set[str] = set()
     for file in (*(ROOT / "ehls_ros").rglob("*.py"), *(ROOT / "launch").glob("*.py")):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -129,7 +129,7 @@ LINE = "ln -sfn ehls_ros/ehls_msgs src/ehls_msgs && colcon build --packages-up-t
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """Return a package folder in a workspace, with what setup.py looks at before it sets up."""
+    """Return a package folder in a workspace, with the files that setup.py examines before it sets up."""
     package = tmp_path / "src" / "ehls_ros"
     package.mkdir(parents=True)
     shutil.copy(ROOT / "setup.py", package)

@@ -1,4 +1,4 @@
-"""Values are taken as their declaration has them, or refused with what was expected."""
+"""Values are converted to their declared type, or refused with the expected value."""
 
 import math
 from collections.abc import Mapping
@@ -69,7 +69,7 @@ def test_what_does_not_fit_is_named(wrong, line):
 
 
 class Counted(NamedTuple):
-    """What a document holds of one topic."""
+    """A document's count of one topic."""
 
     messages: int
     names: Mapping[str, str] | None = None

@@ -1,4 +1,4 @@
-"""`make setup` says in one line what is missing, and mends what an interruption leaves behind."""
+"""`make setup` reports a missing requirement in one line, and repairs the remains of an interruption."""
 
 import importlib.util
 import json
@@ -18,7 +18,7 @@ NO_NETWORK = "packages could not be downloaded, is there a network? (PIP_INDEX_U
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """Return a copy of what setup reads, without an environment."""
+    """Return a copy of the files that setup reads, without an environment."""
     shutil.copytree(ROOT / "tools", tmp_path / "tools")
     shutil.copytree(ROOT / "requirements", tmp_path / "requirements")
     shutil.copytree(ROOT / "ehls_msgs", tmp_path / "ehls_msgs")
@@ -57,7 +57,7 @@ def complaint(checkout: Path, *arguments: str, **variables: str) -> str:
 
 
 def pretend_environment(checkout: Path, **made_for: str) -> None:
-    """Leave what a finished setup leaves, as far as setup looks at it."""
+    """Create the traces of a finished setup that setup checks."""
     (checkout / ".venv" / "bin").mkdir(parents=True)
     (checkout / ".venv" / "bin" / "python").touch()
     made = {"python": "3.12", "folder": str(checkout), "ros": "", "groups": []} | made_for

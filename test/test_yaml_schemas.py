@@ -1,4 +1,4 @@
-"""What editors are told of the YAML files: the same as the loaders."""
+"""The editors' schemas of the YAML files agree with the loaders."""
 
 import copy
 import re

@@ -1,4 +1,4 @@
-"""A distribution of somebody else's, as pip would leave it: modules, and metadata with entry points."""
+"""A third-party distribution in the form that pip leaves: modules, and metadata with entry points."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -43,7 +43,7 @@ def install(site: Path, modules: Mapping[str, str], points: Mapping[str, Mapping
 
 
 def install_page(site: Path, page: str) -> list[str]:
-    """Install what a page adds, as its lines of `pyproject.toml` have it, and return the modules' names."""
+    """Install the parts added by a page, as its lines of `pyproject.toml` declare them, and return the modules' names."""
     files: Mapping[str, Block] = members(page)
     modules = {module: files[name].text for own in entry_points(page).values() for name, module in own.items()}
     install(site, modules, entry_points(page))

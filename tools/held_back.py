@@ -2,7 +2,7 @@
 
 ``python tools/held_back.py 0.33 make test`` gives the command, and everything it starts, a third of the time of each processor;
 with ``taskset -c 0`` before it, a third of one processor. ``--busy 2`` adds two endless loops per processor at full
-speed: a loaded computer.
+speed, to simulate a loaded computer.
 
 If the user may create a control group of Linux's cpu controller (version 1, usually root only) and realtime quota is left, the
 group's quota limits the command. A single thread then gets up to SHARE of all processors together; realtime threads have a
@@ -99,7 +99,7 @@ def busy_loop() -> Iterator[subprocess.Popen[bytes]]:
 
 
 def control_group(share: float, processors: int, period: float) -> Path | None:
-    """Make a control group whose processes get a share of the processors; None if the user may not."""
+    """Create a control group whose processes get a share of the processors; None if the user may not."""
     mounts = [line.split() for line in Path("/proc/mounts").read_text(encoding="utf-8").splitlines()]
     top = next(
         (Path(place) for _, place, kind, options, *_ in mounts if kind == "cgroup" and "cpu" in options.split(",")), None
@@ -158,11 +158,11 @@ def stop_and_go(process: subprocess.Popen[bytes], share: float, period: float, s
         while found := [number for number in running(spared) if number not in stopped]:
             for number in found:
                 with contextlib.suppress(ProcessLookupError, FileNotFoundError):
-                    # What the command itself has stopped meanwhile is left to it; its parent cannot do so any more.
+                    # Processes that the command itself has stopped meanwhile are left to it; its parent cannot do so any more.
                     if state_and_parent(number)[0] not in AT_REST:
                         os.kill(number, signal.SIGSTOP)
                         stopped.add(number)
-        # Stopping takes time, during which some still run; count it.
+        # Stopping takes time, during which some processes still run; count it.
         time.sleep((1.0 - share) / share * (time.monotonic() - let_go))
         let_go = time.monotonic()
         for number in stopped:

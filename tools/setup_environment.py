@@ -1,10 +1,10 @@
-"""Make ``.venv/``: the locked packages of the groups asked for, the messages of ehls_msgs, and the project itself, editable.
+"""Create ``.venv/``: the locked packages of the requested groups, the messages of ehls_msgs, and the project itself, editable.
 
-With ``EHLS_VERSIONS=noble`` it is ``.venv-noble/``, with the versions of Ubuntu 24.04 and without what that has not.
+With ``EHLS_VERSIONS=noble`` it is ``.venv-noble/``, with the versions of Ubuntu 24.04 and without packages it does not have.
 
-``make setup`` runs it. uv installs what `pyproject.toml` lists in its dependency groups, in the versions and with the hashes of
-the lock; it repeats nothing that is there, and continues after an interruption. A sourced ROS 2 installation is used; otherwise
-ROS is installed as locked wheels.
+``make setup`` runs it. uv installs the dependency groups listed in `pyproject.toml`, in the versions and with the hashes of
+the lock; it skips packages already installed, and continues after an interruption. A sourced ROS 2 installation is used;
+otherwise ROS is installed as locked wheels.
 
 Uses only the standard library, and nothing newer than Python 3.8 before the version is checked.
 """
@@ -57,11 +57,11 @@ NO_INDEX = re.compile(
     r"Network is unreachable|No matching distribution|error sending request|[Ff]ailed to fetch"
 )
 LARGE = 2**16
-"""From this size on, files that several packages bring alike are kept once [B]."""
+"""Size from which on files contained in several packages are stored only once [B]."""
 
 
 class SetupError(Exception):
-    """Setup cannot go on; one line says what is wrong and what helps."""
+    """Failure of the setup; one line states the problem and the remedy."""
 
 
 def main() -> int:
@@ -106,7 +106,7 @@ def one_setup_at_a_time() -> Iterator[None]:
 
 
 def set_up(asked: Iterable[str], *, python_was_chosen: bool) -> None:
-    """Make the environment if it is missing, and install what is missing in it.
+    """Create the environment if it is missing, and install the packages missing in it.
 
     Args:
         asked: dependency groups to add to those that are installed.
@@ -153,7 +153,7 @@ def needs_remaking(made: dict[str, Any], ros: str, *, python_was_chosen: bool) -
     """Return whether the environment must be rebuilt.
 
     Args:
-        made: what the environment was made for, empty if it was not or not to its end.
+        made: configuration of the existing environment; empty if there is none or it is incomplete.
         ros: name of the sourced ROS 2 distribution, or empty.
         python_was_chosen: whether the caller asked for the running version of Python.
 
@@ -273,14 +273,14 @@ def locked(python: Path, groups: Iterable[str]) -> None:
 
 
 def remove_half_installed() -> None:
-    """Remove packages left incomplete by an interruption: INSTALLER is none of their own files, and written late."""
+    """Remove packages left incomplete by an interruption: INSTALLER is not one of their files, and written late."""
     for description in Path(python_paths(PYTHON)["purelib"]).glob("*.dist-info"):
         if not (description / "INSTALLER").exists():
             shutil.rmtree(description)
 
 
 def point_exports_here(prefix: Path, python: Path) -> None:
-    """Replace the build machine's paths in the cmake exports of the ROS wheels by an environment's own.
+    """Replace the build machine's paths in the cmake exports of the ROS wheels by the environment's paths.
 
     Args:
         prefix: folder of the environment.
@@ -299,7 +299,7 @@ def point_exports_here(prefix: Path, python: Path) -> None:
 
 
 def keep_one_copy(prefix: Path) -> None:
-    """Keep large files that are there several times over once: wheels hold links as copies, and libraries of their own.
+    """Deduplicate large files: wheels contain links as copies, and bundled libraries.
 
     Args:
         prefix: folder of the environment.
@@ -341,7 +341,7 @@ def message_wheel(python: str, ros: str) -> Path:
 
 
 def build_messages(folder: Path, ros: str) -> Path:
-    """Build ehls_msgs, with packages of its own that go with the folder.
+    """Build ehls_msgs, with build packages installed in a folder that is removed with it.
 
     Args:
         folder: an empty folder.
@@ -376,11 +376,11 @@ def build_messages(folder: Path, ros: str) -> Path:
 
 
 def pack(folder: Path, name: str, tag: str, wheel: Path) -> None:
-    """Write what cmake has installed as a wheel, whose files go where they are below the environment's folder.
+    """Pack a cmake installation as a wheel, whose files are placed relative to the environment's folder.
 
     Args:
-        folder: what cmake has installed.
-        name: name and version, as in the wheel's own name.
+        folder: the cmake installation.
+        name: name and version, as in the file name of the wheel.
         tag: versions of Python and machine that it is for.
         wheel: file to write.
     """
@@ -390,7 +390,7 @@ def pack(folder: Path, name: str, tag: str, wheel: Path) -> None:
         f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {project}\nVersion: {version}\n",
         f"{info}/WHEEL": f"Wheel-Version: 1.0\nGenerator: ehls_ros\nRoot-Is-Purelib: false\nTag: {tag}\n",
     }
-    # cmake's own description of the Python package would be a second one beside the wheel's.
+    # cmake's description of the Python package would duplicate that of the wheel.
     built = [path for path in files_below(folder) if ".egg-info" not in str(path)]
     files = {f"{name}.data/data/{path.relative_to(folder)}": path for path in built}
     texts[f"{info}/RECORD"] = "".join(f"{path},,\n" for path in (*files, *texts, f"{info}/RECORD"))
@@ -431,9 +431,9 @@ def uv(*arguments: str, doing: str) -> None:
 
 @functools.cache
 def settings_of_pip() -> dict[str, str]:
-    """Return where pip is told to find packages, as uv's variables: uv reads none of pip's files and variables.
+    """Return pip's package sources as uv's variables, since uv reads none of pip's files and variables.
 
-    With several indexes, pip takes the best version of them all.
+    With several indexes, pip takes the best version of all of them.
     """
     names = {
         "index-url": "UV_DEFAULT_INDEX",
@@ -445,7 +445,7 @@ def settings_of_pip() -> dict[str, str]:
     listing = [sys.executable, "-m", "pip", "--disable-pip-version-check", "config", "list"]
     listed = subprocess.run(listing, capture_output=True, text=True, check=False, env=child_environment()).stdout
     settings = {"UV_INDEX_STRATEGY": "unsafe-best-match"}
-    for line in reversed(listed.splitlines()):  # variables come first, and count most
+    for line in reversed(listed.splitlines()):  # variables come first, and take precedence
         key, _, value = line.partition("=")
         if variable := names.get(key.rpartition(".")[2]):
             settings[variable] = " ".join(ast.literal_eval(value).split())
@@ -510,7 +510,7 @@ def run(command: list[str], doing: str, environment: dict[str, str]) -> None:
 
 
 def show(line: str) -> None:
-    """Show a line in place of the one before, on a terminal only."""
+    """Replace the previous line, on a terminal only."""
     if sys.stdout.isatty():
         width = shutil.get_terminal_size().columns - 1
         print(f"\r{line[:width]:{width}}\r", end="", flush=True)
@@ -561,7 +561,7 @@ def fingerprint(paths: Iterable[Path]) -> str:
 
 
 def read_made() -> dict[str, Any]:
-    """Return what the environment was made for; empty if there is no valid record of it."""
+    """Return the configuration that the environment was made for; empty if there is no valid record of it."""
     try:
         made = json.loads(MADE.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -570,7 +570,7 @@ def read_made() -> dict[str, Any]:
 
 
 def replace(file: Path, text: str) -> None:
-    """Replace a file by one with this text, in one step: the old one may be a link into a cache, and must stay as it is."""
+    """Replace a file by one with this text in one step: the old one may be a link into a cache, and must stay unchanged."""
     fresh = file.with_name(f"{file.name}.new")
     fresh.write_text(text, encoding="utf-8")
     fresh.replace(file)

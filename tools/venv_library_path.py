@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def main() -> None:
-    """Put the environment first in the search paths of the loader and of ROS, unless it is there."""
+    """Put the environment first in the search paths of the loader and of ROS, unless it is there already."""
     library = str(Path(sys.prefix, "lib"))
     known = os.environ.get("LD_LIBRARY_PATH", "")
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "")

@@ -1,7 +1,7 @@
-"""A rig with hidden effects: recordings whose causes are known, to test a diagnosis with.
+"""Generate recordings of a rig with known hidden effects, to test a diagnosis.
 
-Nothing here comes from `ehls_ros`: the equations, the integrator and the meaning of each effect's name are its own. With
-nothing hidden, a recording is the rig file's model to numerical precision, plus the sensors' noise.
+Nothing here comes from `ehls_ros`: equations, integrator and definitions of the effects are independent. With
+no hidden effect, a recording equals the rig file's model to numerical precision, plus the sensors' noise.
 
     from truth_generator import draw_effect, record
     sizes = draw_effect("valve_dead_zone", rng, rig)
@@ -9,32 +9,32 @@ nothing hidden, a recording is the rig file's model to numerical precision, plus
     r.time, r.columns["spool_m"], r.truth["natural"]["valve_dead_zone"]["positive"]
     r.write_csv("data.csv")
 
-`draw_other_form` draws an effect by another formula; `OTHER_FORMS` has the effects and their formulas.
+`draw_other_form` draws an effect by another formula; `OTHER_FORMS` lists the effects and their formulas.
 
-No rig is its model: `draw_forms` draws form errors of a given size in every stage, which `record(..., forms=...)` adds, and
-`draw_day` the condition of a healthy rig. `measured` samples a fine recording with skew, jitter and offsets, and `variants` has
-the tables that a rig's data acquisition may give instead.
+No rig matches its model: `draw_forms` draws form errors of a given size in every stage, which `record(..., forms=...)` adds.
+`draw_day` draws the condition of a healthy rig. `measured` samples a fine recording with skew, jitter and offsets. `variants`
+has the tables that a rig's data acquisition may write instead.
 
     forms = draw_forms(rng, rig)
     fine = record(rig, {}, "rich", seed=1, rate=FINE, noise=0.0, forms=forms)
     r = measured(fine, rig, 1, draw_measurement(rng, fine.columns, skew=1.0, jitter=0.1))
 
-`LISTED` are the effects that `ehls_ros` has too, `OUTSIDE` physical effects that it does not have. Each declares its stage,
-its range and the listed names that a fair judge would also accept (`near`). `EXPERIMENTS` are the experiments, `degrade`
-spoils data afterwards, `visibility` tells how far an effect stands out of the noise.
+`LISTED` are the effects that `ehls_ros` has too, `OUTSIDE` physical effects that it lacks. Each declares its stage, its range
+and the listed names that are also acceptable as an answer (`near`). `EXPERIMENTS` are the experiments. `degrade` corrupts
+recordings afterwards, and `visibility` returns the signal-to-noise ratio of an effect.
 
 Conventions:
 
 * Time. The control samples the sensors at t_k, and its command holds from t_k to t_k+1; both are recorded at t_k. The
   disturbance's force and the servo's displacement are linear between samples (constant with `hold=True`).
-* Signals. Load pressure and force are separate sensors, and so are position and velocity: a fault of one does not affect the
-  other. `spool_m` and `supply_pressure_pa` have no faults. The controller sees what is recorded.
+* Signals. Load pressure and force are separate sensors, as are position and velocity: a fault of one does not affect the
+  other. `spool_m` and `supply_pressure_pa` have no faults. The controller uses the recorded values.
 * Friction. An element breaks away in the direction of motion, at sgn(v) F_i >= alpha_i s(v), and sticks from the next reversal
   on. LuGre: dF/dt = sigma0 (v - |v| F/s(v)), sigma0 the sum of the element stiffnesses; Ff = F + sigma_f v.
 * Stages are the groups of the effects. An effect with a `site` can act in more than one place: port-side valve faults (dead
   zone, and half the draws of null bias and gain asymmetry) leave the path from command to spool intact and show in the flow.
 
-Files: `kernel` (everything compiled), `effects`, `other_forms`, `forms`, `experiments`, `recording`, `measurement`, `variants`,
+Files: `kernel` (all compiled code), `effects`, `other_forms`, `forms`, `experiments`, `recording`, `measurement`, `variants`,
 `degrade`, `visibility`, `calibration`.
 """
 

@@ -1,4 +1,4 @@
-"""`draw_forms`: a rig that is never the model, its form errors as large as drawn."""
+"""Calibrate form errors, the deviations of a rig from its model, to the sizes drawn (`draw_forms`)."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,7 +15,7 @@ ROUNDS, TOLERANCE, TRIES = 4, 0.05, 20
 
 
 def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]]:
-    """Return the rms of the largest term in each of the residuals of `visibility.leftovers`; 0 for that of the supply."""
+    """Return the rms of the largest term in each residual of `visibility.leftovers`; 0 for that of the supply."""
     plant, c = rig["plant"], r.columns
     area = plant["piston_area"]
     load, speed = _rms(area * c["load_pressure_pa"]), _rms(np.gradient(c["position_m"], TICK))
@@ -32,10 +32,10 @@ def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]
 
 
 class Scale:
-    """The size of form errors in an experiment: the residuals they add to those of the model, against the largest terms."""
+    """Size of form errors in an experiment: the residuals they add to those of the model, relative to the largest terms."""
 
     def __init__(self, rig: Mapping[str, Any], experiment: str, seed: int, duration: float) -> None:
-        """Run the experiment on the model itself."""
+        """Run the experiment on the model without form errors."""
         self.rig, self.experiment, self.same = rig, experiment, {"seed": seed, "duration": duration, "noise": 0.0}
         plain = record(rig, {}, experiment, **self.same)
         c = plain.columns
@@ -75,16 +75,16 @@ def draw_forms(
     Args:
         rng: random number generator.
         rig: content of the rig file.
-        experiment: the experiment in which they are of that size; in others they are larger or smaller.
-        seed: its seed.
-        duration: its duration, s.
+        experiment: the experiment in which they have that size; in others they are larger or smaller.
+        seed: seed of the experiment.
+        duration: duration of the experiment, s.
         smallest: least size.
         largest: largest size.
 
-    Sizes that the kinds drawn cannot reach are drawn again with other kinds.
+    Sizes that the drawn kinds cannot reach are drawn again with other kinds.
 
     Raises:
-        RuntimeError: they could not be reached in any draw.
+        RuntimeError: the sizes were not reached in any draw.
     """
     scale = Scale(rig, experiment, seed, duration)
     for _ in range(TRIES):
@@ -92,7 +92,7 @@ def draw_forms(
         try:
             forms = _fitted(shapes, scale)
         except IntegrationStopped:
-            # While their sizes are found, some shapes go beyond what a rig can be.
+            # During calibration, some shapes exceed the physical limits of a rig.
             continue
         if forms is not None:
             return forms
@@ -100,7 +100,7 @@ def draw_forms(
 
 
 def _fitted(shapes: FormErrors, scale: Scale) -> FormErrors | None:
-    """Return form errors of the sizes drawn; None if they cannot reach these."""
+    """Return form errors of the drawn sizes; None if these cannot be reached."""
     forms = _equal(shapes, scale)
     for _ in range(ROUNDS):
         reached = scale.sizes(forms)
@@ -112,7 +112,7 @@ def _fitted(shapes: FormErrors, scale: Scale) -> FormErrors | None:
 
 
 def _equal(forms: FormErrors, scale: Scale) -> FormErrors:
-    """Give the kinds in each stage equal sizes, which together are the size drawn, as far as they reach."""
+    """Scale the kinds in each stage to equal sizes that add up to the drawn size, within the kinds' limits."""
     for place in range(PER_STAGE):
         chosen = tuple(forms.kinds[stage][place] for stage in STAGES)
         rows = scale.rows(forms.only(chosen))
@@ -123,7 +123,7 @@ def _equal(forms: FormErrors, scale: Scale) -> FormErrors:
 
 
 def _within(forms: FormErrors) -> FormErrors:
-    """Return form errors with every kind no larger than a rig could have."""
+    """Return form errors with every kind limited to the largest value a rig could have."""
     most = {KINDS[kind].amplitude: KINDS[kind].most for kinds in forms.kinds.values() for kind in kinds}
     fields = {
         name: float(np.clip(value, -most[name], most[name])) if name in most else value for name, value in forms.fields.items()

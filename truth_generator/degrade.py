@@ -1,4 +1,4 @@
-"""Spoilt recordings and wrong rig files."""
+"""Corrupt recordings and rig files, to test a diagnosis with imperfect inputs."""
 
 import copy
 import math
@@ -13,14 +13,14 @@ Rng = np.random.Generator
 
 
 def _changed(r: Recording, what: str, time: np.ndarray | None = None) -> Recording:
-    """Return a copy that records what was done to it."""
+    """Return a copy of the recording with the change noted in its truth."""
     truth = copy.deepcopy(r.truth)
     truth["degraded"].append(what)
     return Recording((r.time if time is None else time).copy(), {name: a.copy() for name, a in r.columns.items()}, truth)
 
 
 def drop_samples(r: Recording, rng: Rng, share: float = 0.01) -> Recording:
-    """Drop a fraction of the samples, complete rows."""
+    """Drop a fraction of the samples as complete rows."""
     keep = rng.random(r.time.size) >= share
     out = _changed(r, f"{share:.2%} of the samples lost", r.time[keep])
     out.columns = {name: a[keep] for name, a in out.columns.items()}
@@ -28,7 +28,7 @@ def drop_samples(r: Recording, rng: Rng, share: float = 0.01) -> Recording:
 
 
 def add_outliers(r: Recording, rng: Rng, share: float = 0.001, columns: Iterable[str] | None = None) -> Recording:
-    """Replace a fraction of each column's values by values off by 10 to 100 % of its range."""
+    """Add outliers of 10 to 100 % of the range to a fraction of each column's values."""
     out = _changed(r, f"{share:.2%} outliers")
     for name in columns or list(out.columns):
         a = out.columns[name]
@@ -49,14 +49,14 @@ def blank(r: Recording, rng: Rng, stretches: int = 3, length: float = 0.3, colum
 
 
 def shift(r: Recording, column: str, late: float) -> Recording:
-    """Delay one column against the others by a time, s; advance it if negative."""
+    """Delay one column relative to the others by a time, s; advance it if negative."""
     out = _changed(r, f"{column} late by {late * 1e3:g} ms")
     out.columns[column] = np.interp(r.time - late, r.time, r.columns[column])
     return out
 
 
 def jitter(r: Recording, rng: Rng, std: float = 1.0e-4) -> Recording:
-    """Add an error of standard deviation `std`, s, to the time stamps; the samples stay."""
+    """Add an error of standard deviation `std`, s, to the time stamps; the samples are unchanged."""
     return _changed(r, f"time stamps off by {std * 1e3:g} ms", np.sort(r.time + std * rng.standard_normal(r.time.size)))
 
 

@@ -1,7 +1,7 @@
-"""Effects that the rig file does not have: those that `ehls_ros` lists, and some that it does not.
+"""Hidden effects that the rig file does not contain: those that `ehls_ros` lists, and some that it lacks.
 
-A member declares the stage it acts in, draws its size, writes it into the kernel's record and converts it for comparison with
-estimates. Sizes are absolute (N, Pa, m, s) or factors of a nominal value; those that scale with the rig are drawn for a rig.
+Each effect declares the stage it acts in, draws its size, writes it into the kernel's record and converts it for comparison
+with estimates. Sizes are absolute (N, Pa, m, s) or factors of a nominal value; those that scale with the rig need a rig file.
 """
 
 import math
@@ -25,7 +25,7 @@ PAPER = {
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect; `sites` gives the stage whose residual it appears in if that differs from `stage`."""
+    """Hidden effect; with the size `site` equal to "ports" it appears in the flow residual instead of that of `stage`."""
 
     name: str
     stage: str  # "force_balance", "flow", "valve" or "sensors"
@@ -34,7 +34,7 @@ class Effect:
     neutral: Sizes
     range: str
     natural: Callable[[Sizes, dict], Sizes] = lambda sizes, rig: dict(sizes)
-    near: tuple[str, ...] = ()  # listed names that a fair judge would also accept
+    near: tuple[str, ...] = ()  # listed names that are also acceptable as an answer
 
 
 LISTED: dict[str, Effect] = {}
@@ -73,7 +73,7 @@ def plus(p: np.ndarray, name: str, offset: float) -> None:
 
 
 def put(**fields: str) -> Callable[[np.ndarray, Sizes], None]:
-    """Make an `apply` that copies sizes: field of the kernel = name of the size."""
+    """Make an `apply` that copies sizes: kernel field = name of the size."""
 
     def apply(p: np.ndarray, sizes: Sizes) -> None:
         for field, size in fields.items():
@@ -103,7 +103,7 @@ def outside(*args, **kwargs) -> None:
 
 
 def factor_and_offset(section: str, key: str) -> Callable[[Sizes, dict], Sizes]:
-    """Give a factor of a nominal value also as an offset from it."""
+    """Convert a factor of a nominal value to that factor and an offset from the nominal value."""
 
     def natural(sizes: Sizes, rig: dict) -> Sizes:
         nominal = rig[section][key]
@@ -698,8 +698,8 @@ def draw_effect(name: str, rng: Rng, rig: dict | None = None, **fixed: Any) -> S
     Args:
         name: name in `LISTED` or `OUTSIDE`.
         rng: random number generator.
-        rig: content of the rig file, for sizes proportional to a nominal value; by default the paper's rig.
-        fixed: sizes that are given instead of drawn, such as `site="ports"`.
+        rig: content of the rig file, for sizes proportional to a nominal value; the paper's rig by default.
+        fixed: sizes to use instead of drawn ones, such as `site="ports"`.
     """
     sizes = EFFECTS[name].draw(rng, rig or PAPER)
     if unknown := set(fixed) - set(sizes):
@@ -708,13 +708,13 @@ def draw_effect(name: str, rng: Rng, rig: dict | None = None, **fixed: Any) -> S
 
 
 def wander(sizes: Sizes, rng: Rng, n: int, dt: float) -> np.ndarray:
-    """Return the zero of the pressure sensor at n ticks for `pressure_zero_wander`, Pa."""
+    """Return the drift of the pressure sensor's zero at n ticks for `pressure_zero_wander`, Pa."""
     steps = rng.standard_normal(n)
     return np.cumsum(steps) * sizes["deviation"] * math.sqrt(dt / 60.0)
 
 
 def hang(sizes: Sizes, rng: Rng, n: int, dt: float) -> np.ndarray:
-    """Return which of n ticks `held_dropouts` holds at the last value: bit 0 the pressure, bit 1 the position."""
+    """Return the held ticks of `held_dropouts` among n as bit masks: bit 0 the pressure, bit 1 the position."""
     held = np.zeros(n, np.int64)
     if sizes["share"] <= 0.0:
         return held

@@ -1,8 +1,8 @@
 """Experiments: references and disturbances drawn from a seed.
 
-A plan holds the reference force, position and speed and the disturbance at the control's ticks. The controller
+A plan holds the reference force, position and speed and the disturbance at the control ticks. The controller
 (`kernel.control`) feeds the speed forward and closes a slow PI loop on the force, a P loop on the position, or both. The
-reference force follows from the motion, or the motion from the force, by the rig file's load without hidden effects.
+reference force follows from the motion, or the motion from the force, by the rig file's load model without hidden effects.
 """
 
 import math
@@ -14,15 +14,15 @@ import numpy as np
 from scipy.signal import bilinear, lfilter
 
 Rng = np.random.Generator
-TICK = 1.0e-3  # s, of the control
-LEADING_OVER = 2000  # ticks in which an experiment leads over into the next
+TICK = 1.0e-3  # s, control period
+LEADING_OVER = 2000  # ticks of the transition from one experiment to the next
 # The paper's constant velocities, mm/s.
 SPEEDS = (2, 3, 4, 6, 8, 10, 12, 14, 16, 20, 25, 30, 45, 60, 75, 90, 105, 120, 135, 150)
 
 
 @dataclass
 class Plan:
-    """An experiment, one value a control tick; x0 is the piston's initial position."""
+    """Plan of an experiment, one value per control tick; x0 is the piston's initial position."""
 
     force: np.ndarray
     position: np.ndarray
@@ -47,7 +47,7 @@ def experiment(builder):
 
 
 def smooth(a: np.ndarray, rate: float) -> np.ndarray:
-    """Return a signal after a critically damped second-order low-pass that starts in its steady state."""
+    """Return a signal after a critically damped second-order low-pass, initialised in steady state."""
     decay = math.exp(-rate * TICK)
     gain = 1.0 - decay
     for _ in range(2):
@@ -56,7 +56,7 @@ def smooth(a: np.ndarray, rate: float) -> np.ndarray:
 
 
 def multisine(rng: Rng, t: np.ndarray, low: float, high: float, tones: int) -> np.ndarray:
-    """Return a sum of sines between two frequencies, with amplitudes that fall with frequency and a peak of 1."""
+    """Return a sum of sines between two frequencies; amplitudes fall with frequency, the peak is 1."""
     out = np.zeros_like(t)
     edges = np.geomspace(low, high, tones + 1)
     for first, last in pairwise(edges):
@@ -66,7 +66,7 @@ def multisine(rng: Rng, t: np.ndarray, low: float, high: float, tones: int) -> n
 
 
 def window(n: int, edge: int) -> np.ndarray:
-    """Return ones with a smooth rise and fall at the ends."""
+    """Return a window of ones with a cosine rise and fall at the ends."""
     edge = max(min(edge, n // 2), 1)
     ramp = 0.5 - 0.5 * np.cos(np.pi * np.arange(edge) / edge)
     out = np.ones(n)
@@ -82,7 +82,7 @@ def rates(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def load_of(x: np.ndarray, rig: dict) -> np.ndarray:
-    """Return the force a motion takes according to the rig file, with static friction, N."""
+    """Return the force a motion requires according to the rig file, with Coulomb friction, N."""
     plant, friction = rig["plant"], rig["friction"]
     v, a = rates(x)
     level = friction["coulomb_force"]
@@ -95,7 +95,7 @@ def load_of(x: np.ndarray, rig: dict) -> np.ndarray:
 
 
 def motion_of(force: np.ndarray, rig: dict) -> np.ndarray:
-    """Return the motion under a force, less its disturbance, according to the rig file without Coulomb friction, m."""
+    """Return the motion under a force net of the disturbance, by the rig file without Coulomb friction, m."""
     plant = rig["plant"]
     damping = plant["viscous_damping"] + rig["friction"]["viscous_coefficient"]
     spring = max(plant["spring_stiffness"], 1.0e4)
@@ -111,7 +111,7 @@ def from_motion(x: np.ndarray, fd: np.ndarray, rig: dict, servo: np.ndarray, **m
 
 
 def from_force(force: np.ndarray, fd: np.ndarray, rig: dict, servo: np.ndarray, **more) -> Plan:
-    """Plan a force; the motion follows."""
+    """Plan a force; the motion results from it."""
     x = motion_of(force - fd, rig)
     v, _ = rates(x)
     return Plan(force, x, v, fd, servo, 1.0, 0.0, float(x[0]), **more)
@@ -130,12 +130,12 @@ def servo_motion(rng: Rng, t: np.ndarray, amplitude: float) -> np.ndarray:
 
 
 def quiet_servo(rng: Rng, t: np.ndarray) -> np.ndarray:
-    """Return a displacement of the servo for experiments in which it matters only if it is coupled to the beam."""
+    """Return a servo displacement for experiments in which it matters only with a coupling to the beam."""
     return servo_motion(rng, t, rng.uniform(0.01, 0.025))
 
 
 def ramps(rng: Rng, n: int, low: float, high: float) -> np.ndarray:
-    """Return a motion to and fro at constant speeds between low and high, m/s, starting and ending at 0."""
+    """Return a back-and-forth motion at constant speeds between low and high, m/s, starting and ending at 0."""
     x, at = np.zeros(n), 0
     while at < n:
         speed = math.exp(rng.uniform(math.log(low), math.log(high))) * (1 if rng.random() < 0.5 else -1)
@@ -151,7 +151,7 @@ def ramps(rng: Rng, n: int, low: float, high: float) -> np.ndarray:
 
 
 def bursts(rng: Rng, n: int) -> np.ndarray:
-    """Return small sines, 0.2 to 4 mm at 0.4 to 3 Hz, one after the other, m."""
+    """Return a sequence of small sines, 0.2 to 4 mm at 0.4 to 3 Hz, m."""
     x, at = np.zeros(n), 0
     while at < n:
         length = min(int(rng.uniform(1.5, 3.0) / TICK), n - at)
@@ -219,7 +219,7 @@ def paper_constant(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def steps(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """The reference force steps every one to three seconds, within +-2.5 kN of the weight; a weak slow disturbance."""
+    """The reference force steps every one to three seconds, within +-2.5 kN of the weight; the disturbance is weak and slow."""
     servo = quiet_servo(rng, t)
     weight = rig["plant"]["moving_mass"] * rig["plant"]["gravity"]
     force = np.full(t.size, weight)  # from mid-stroke
@@ -236,7 +236,7 @@ def steps(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def slow_sweep(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """Position loop: the paper's constant speeds in both directions, in random order, as many as the time allows."""
+    """Position loop: the paper's constant speeds in both directions, in random order, as many as the duration allows."""
     servo = quiet_servo(rng, t)
     x, at = np.zeros(t.size), 0
     speeds = 1e-3 * np.array(SPEEDS)
@@ -255,7 +255,7 @@ def slow_sweep(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def presliding(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """Position loop: sines of 0.1 to 1.5 mm around one place, slow."""
+    """Position loop: slow sines of 0.1 to 1.5 mm around one position."""
     servo = quiet_servo(rng, t)
     frequency = rng.uniform(0.15, 0.5)
     amplitude = 0.8e-3 + 0.7e-3 * np.sin(2 * np.pi * t * rng.uniform(0.02, 0.05) + rng.uniform(0, 6.28))
@@ -265,7 +265,7 @@ def presliding(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def servo(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """The position servo moves by some ten mm; the force on the beam without the coupling is recorded as fd."""
+    """The position servo moves by some 10 mm; the force on the beam without the coupling is recorded as fd."""
     displacement = servo_motion(rng, t, rng.uniform(0.015, 0.035))
     x = smooth(wander_by(rng, t.size, rng.uniform(0.08, 0.16)), 60.0)
     fd = rng.uniform(0.3e3, 1.2e3) * multisine(rng, t, 0.1, 1.5, 4) * np.minimum(t / 0.5, 1.0)
@@ -274,7 +274,7 @@ def servo(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def rest(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """Position loop: no pressure, the beam hangs in its spring, nothing moves."""
+    """Position loop: the beam hangs in its spring at equilibrium, at zero pressure and without motion."""
     zero = np.zeros(t.size)
     plant = rig["plant"]
     x0 = -plant["moving_mass"] * plant["gravity"] / plant["spring_stiffness"] if plant["spring_stiffness"] > 0 else 0.0
@@ -283,7 +283,7 @@ def rest(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def tiny(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """Position loop: 10 to 40 um, slow."""
+    """Position loop: slow sine of 10 to 40 um."""
     servo = np.zeros(t.size)
     x = rng.uniform(1e-5, 4e-5) * np.sin(2 * np.pi * rng.uniform(0.2, 0.6) * t) * np.minimum(t, 1.0)
     return at_position(x, np.zeros(t.size), servo)
@@ -291,7 +291,7 @@ def tiny(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 @experiment
 def random(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """Reference and disturbance of random kind, size and spectrum."""
+    """Reference and disturbance of random type, amplitude and spectrum."""
     servo = quiet_servo(rng, t)
     kind = int(rng.integers(4))
     peak = rng.uniform(1.5e3, 5e3)
@@ -320,7 +320,7 @@ def random(rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 
 def planned(name: str, rng: Rng, t: np.ndarray, rig: dict) -> Plan:
-    """Plan an experiment, or several in turn with the same kind of loop, joined by `+`: each leads over into the next.
+    """Plan one experiment, or a sequence with the same kind of loop, joined by `+`, with smooth transitions.
 
     Raises:
         KeyError: unknown experiment.
@@ -339,7 +339,7 @@ def planned(name: str, rng: Rng, t: np.ndarray, rig: dict) -> Plan:
 
 
 def _followed(before: Plan, after: Plan, over: int) -> Plan:
-    """Return a plan led over into another one within its last ticks."""
+    """Return a plan blended into the next one over its last ticks."""
     if (before.w_force, before.w_position) != (after.w_force, after.w_position):
         raise ValueError("one run is under force control or under position control, not both")
     share = np.linspace(0.0, 1.0, over)

@@ -1,9 +1,9 @@
-"""What makes a rig its own: form errors, which no model of it has, and the condition it is in on a day.
+"""Form errors, which no model of the rig contains, and the condition of a healthy rig on a given day.
 
-A form error is no effect: it has no name that a diagnosis could give. Each kind acts in one stage and is proportional to one
-field of the kernel, so that its size can be set; `calibration` does that by simulation. What the rig file's coefficients would
-make of it is taken out of its shape, as a rig's file is fitted to the rig. `Day` is what varies from recording to recording of
-a healthy rig: the level of its friction and the oil's temperature.
+A form error is not an effect: it has no name that a diagnosis could report. Each kind acts in one stage and is proportional to
+one field of the kernel, so that `calibration` can set its size by simulation. The part that the rig file's coefficients would
+absorb is removed from its shape, because a rig file is fitted to its rig. `Day` varies between recordings of a healthy rig: the
+level of its friction and the oil temperature.
 """
 
 import math
@@ -22,7 +22,7 @@ Fields = dict[str, float | tuple[float, ...]]
 
 
 class Signals(NamedTuple):
-    """A noise-free run of the model at the control's rate, for what the rig file's coefficients do about a form error."""
+    """Noise-free run of the model at the control rate, to find the part of a form error that rig file coefficients absorb."""
 
     speed: np.ndarray
     pressure: np.ndarray
@@ -32,10 +32,10 @@ class Signals(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """A kind of form error.
+    """Kind of form error.
 
-    stage, row: the residual of `visibility.leftovers` that shows it. amplitude: the kernel's field it is proportional to.
-    first: a first guess of that field. most: the largest value that a rig could have. shape: draws the other fields.
+    stage, row: the residual of `visibility.leftovers` that shows it. amplitude: the kernel field it is proportional to.
+    first: initial guess of that field. most: the largest value that a rig could have. shape: draws the other fields.
     """
 
     stage: str
@@ -55,7 +55,7 @@ def _phase(rng: Rng) -> float:
 
 
 def _of(shape: np.ndarray, base: np.ndarray) -> float:
-    """Return how much of a term a shape has."""
+    """Return the least-squares coefficient of a term in a shape."""
     return float(np.sum(shape * base) / max(float(np.sum(base * base)), 1e-300))
 
 
@@ -165,17 +165,17 @@ KINDS: dict[str, Kind] = {
     ),
 }
 STAGES = ("force_balance", "flow", "valve", "sensors")
-PER_STAGE = 2  # kinds a rig has in each stage
-SHARED = ("warm_rate", "warm_phase")  # one temperature, whatever it acts on
+PER_STAGE = 2  # kinds per stage of a rig
+SHARED = ("warm_rate", "warm_phase")  # one temperature for all stages
 SMALLEST, LARGEST = 0.002, 0.05
 
 
 @dataclass(frozen=True)
 class FormErrors:
-    """The form errors of one rig.
+    """Form errors of one rig.
 
-    fields: the kernel's fields. kinds: by stage. sizes: by stage, rms of the residual they cause in the experiment they are
-    calibrated for, as a fraction of the rms of the stage's largest term. No fields are no form errors.
+    fields: the kernel's fields. kinds: by stage. sizes: by stage, rms of the residual they cause in the calibration experiment,
+    as a fraction of the rms of the stage's largest term. No fields means no form errors.
     """
 
     fields: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
@@ -188,23 +188,23 @@ class FormErrors:
             p[name] = value
 
     def only(self, kinds: tuple[str, ...]) -> "FormErrors":
-        """Return the form errors of some kinds."""
+        """Return the form errors of the given kinds only."""
         off = {KINDS[kind].amplitude: 0.0 for kinds_of in self.kinds.values() for kind in kinds_of if kind not in kinds}
         return replace(self, fields={**self.fields, **off})
 
     def scaled(self, factors: Mapping[str, float]) -> "FormErrors":
-        """Return the same with the kinds multiplied by factors."""
+        """Return the form errors with their kinds multiplied by factors."""
         amplitudes = {KINDS[kind].amplitude: factor for kind, factor in factors.items()}
         return replace(self, fields={**self.fields, **{name: self.fields[name] * f for name, f in amplitudes.items()}})
 
     def shrunk(self, stage: str, factor: float) -> "FormErrors":
-        """Return the same with smaller form errors in one stage."""
+        """Return the form errors with those of one stage reduced."""
         smaller = self.scaled(dict.fromkeys(self.kinds[stage], factor))
         return replace(smaller, sizes={**self.sizes, stage: self.sizes[stage] * factor})
 
 
 def draw_shapes(rng: Rng, signals: Signals, smallest: float = SMALLEST, largest: float = LARGEST) -> FormErrors:
-    """Draw kinds and shapes, their sizes guessed, and the sizes they are to be given by `calibration`."""
+    """Draw kinds and shapes with initial sizes, and the target sizes for `calibration`."""
     fields: Fields = {}
     kinds, sizes = {}, {}
     for stage in STAGES:
@@ -217,13 +217,13 @@ def draw_shapes(rng: Rng, signals: Signals, smallest: float = SMALLEST, largest:
             fields |= {key: value for key, value in shape.items() if key not in SHARED or key not in fields}
             fields[kind.amplitude] = kind.first * (1.0 if rng.random() < 0.5 else -1.0)
     if "mount" in fields:
-        fields["mount"] = abs(fields["mount"])  # it gives way, never more than that
+        fields["mount"] = abs(fields["mount"])  # a compliance is never negative
     return FormErrors(fields, kinds, sizes)
 
 
 @dataclass(frozen=True)
 class Day:
-    """The condition of a healthy rig: factors of friction's level and viscous part, and how much warmer the oil is, K."""
+    """Condition of a healthy rig: factors of friction's level and viscous part, and the rise of the oil temperature, K."""
 
     level: float = 1.0
     viscous: float = 1.0
@@ -237,7 +237,7 @@ class Day:
 
 
 def draw_day(rng: Rng, spread: float = 0.02) -> Day:
-    """Draw a condition: friction's level within some `spread`, the oil warmer or colder, which thins it by 1 %/K.
+    """Draw a condition: friction level within a `spread`, and an oil temperature offset that changes viscosity by 1 %/K.
 
     Args:
         rng: random number generator.

@@ -1,11 +1,11 @@
-"""The rig itself, compiled: equations (1)-(4) with friction, hidden effects, sensors and the experiment's controller.
+"""Compiled simulation of the rig: equations (1)-(4), friction, hidden effects, sensors and the experiment's controller.
 
-One kernel serves all effects: their sizes are fields of one record (`FIELDS`), each with a value at which the effect does
-nothing. All compiled code is in this file: numba's cache checks the file of the function it keeps, not the files it calls.
+One kernel serves all effects. Their sizes are fields of one record (`FIELDS`), each with a neutral value that disables the
+effect. All compiled code is in this file, because numba's cache checks only the file of the cached function, not its callees'.
 
 State (`N_BASE` values, then the friction forces): piston position and speed, load pressure, spool position and speed, position
 and speed of the second body, supply pressure, inner position of the creeping spring, inner pressure of the swelling hose,
-lagged speed, pressure behind the pressure sensor's lag, speed that the friction remembers, volume that the mount gives way by.
+lagged speed, pressure behind the pressure sensor's lag, filtered speed of the friction memory, volume taken up by the mount.
 """
 
 import math
@@ -17,14 +17,14 @@ X, V, PL, XV, WV, XB, VB, PS, ZS, ZH, VF, PM, VM, QM = range(14)
 N_BASE = 14
 N_ELEMENTS = 8
 GMS, LUGRE = 0.0, 1.0
-# Channels of the sensors.
+# Sensor channels.
 POSITION, VELOCITY, PRESSURE, SPOOL, SUPPLY, FORCE, TEMPERATURE = range(7)
 N_CHANNELS = 7
 N_PLAYS = 5
 N_WAVES = 4
 ATMOSPHERE = 1.0e5
 
-# name: value without effect. Nominal values (first block) are filled in from the rig file.
+# name: neutral value. Nominal values (first block) are filled in from the rig file.
 FIELDS: dict[str, float] = {
     # rig file
     "supply": 0.0, "density": 0.0, "bulk": 0.0, "discharge": 0.0, "gradient": 0.0, "leakage": 0.0, "volume": 0.0,
@@ -68,7 +68,7 @@ FIELDS: dict[str, float] = {
     "p_gain": 1.0, "p_bias": 0.0, "p_lag": 0.0, "x_gain": 1.0, "x_bias": 0.0, "p_quadratic": 0.0, "p_play": 0.0,
     "p_step": 0.0, "p_codes": 0.0, "x_interpolation": 0.0, "x_period": 1.0, "x_phase": 0.0, "p_per_x": 0.0, "p_per_xx": 0.0,
     "p_per_kelvin": 0.0,
-    # the rig's own form, which no model has; the means are what the rig file's coefficients have of it
+    # form errors of the rig, which no model contains; the means are the part that the rig file's coefficients absorb
     "speed_wave": 0.0, "speed_wave_turns": 1.0, "speed_wave_at": 1.0, "speed_wave_phase": 0.0, "speed_wave_mean": 0.0,
     "speed_wave_slope": 0.0, "stroke_wave": 0.0, "memory": 0.0, "memory_time": 1.0, "memory_speed": 1.0, "memory_mass": 0.0,
     "warm_viscous": 0.0, "warm_flow": 0.0, "warm_valve": 0.0, "warm_rate": 0.0, "warm_phase": 0.0, "mount": 0.0,
@@ -105,7 +105,7 @@ A61, A62, A63, A64, A65 = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 
 B1, B3, B4, B5, B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
 E1, E3, E4, E5, E6, E7 = 71 / 57600, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40
 RTOL = 1.0e-9
-# Per state: far below what the rig's sensors see.
+# Per state: far below the resolution of the rig's sensors.
 ATOL = np.array(
     [1e-12, 1e-10, 0.002, 1e-13, 1e-10, 1e-12, 1e-10, 0.002, 1e-12, 0.002, 1e-10, 0.002, 1e-10, 1e-13] + [1e-6] * N_ELEMENTS
 )
@@ -126,13 +126,13 @@ def softplus(a, corner):
 
 @nb.njit(cache=True)
 def wave(a, turns, at, phase):
-    """Return a sine over the logarithm of a size: fine where it is small, coarse where it is large."""
+    """Return a sine over the logarithm of a magnitude: fine where it is small, coarse where it is large."""
     return math.sin(turns * math.log1p(abs(a) / at) + phase)
 
 
 @nb.njit(cache=True)
 def play_along(a, half):
-    """Return what a play of a given half-width passes on."""
+    """Return the output of a play (backlash) of a given half-width."""
     out = np.empty_like(a)
     at = a[0]
     for i in range(a.size):
@@ -143,13 +143,13 @@ def play_along(a, half):
 
 @nb.njit(cache=True)
 def warmth(t, p):
-    """Return how warm the oil in the gaps is, which no sensor sees, -1 to 1."""
+    """Return the unmeasured warmth of the oil in the gaps, -1 to 1."""
     return math.sin(p.warm_rate * t + p.warm_phase)
 
 
 @nb.njit(cache=True)
 def own_friction(v, remembered, x, p):
-    """Return the friction that is the rig's own form: over speed, over the stroke in either direction, and of past speed, N."""
+    """Return the friction of the rig's form errors, N: over speed, over the stroke by direction, and due to past speed."""
     if p.speed_wave == 0.0 and p.stroke_wave == 0.0 and p.memory == 0.0:
         return 0.0
     level = 0.0
@@ -168,7 +168,7 @@ def own_friction(v, remembered, x, p):
 
 @nb.njit(cache=True)
 def sliding_level(v, side, x, p_load, p):
-    """Return s: the steady-state friction of sliding to one side, without the viscous part, N."""
+    """Return s, the steady-state friction of sliding in one direction without the viscous part, N."""
     bump = math.exp(-((abs(v) / p.vs) ** p.exponent)) if p.stribeck_lorentz == 0.0 else 1.0 / (1.0 + (v / p.vs) ** 2)
     s = p.fc + (p.fs - p.fc) * bump
     if p.per_position != 0.0:
@@ -215,20 +215,20 @@ def orifice_flow(xv, ps, p_load, p):
     root = math.sqrt(drop) if drop >= 0.0 else -math.sqrt(-drop)
     if p.flow_exponent != 0.0:
         root *= (abs(drop) / p.supply + 1.0e-6) ** p.flow_exponent
-    if p.laminar != 0.0:  # Reynolds' number is proportional to opening and root; below the transition Cd is proportional to it
+    if p.laminar != 0.0:  # Re is proportional to opening times root; below the transition Cd is proportional to Re
         re = abs(x) * abs(root) / (p.laminar * math.sqrt(p.supply))
         x *= re / math.sqrt(1.0 + re * re)
     conductance = p.discharge * p.gradient * x / math.sqrt(p.density)
-    if p.line != 0.0:  # a turbulent restriction in series takes line * Q^2
+    if p.line != 0.0:  # the pressure drop of a turbulent restriction in series is line * Q^2
         conductance /= math.sqrt(1.0 + p.line * conductance * conductance)
     return conductance * root
 
 
 @nb.njit(cache=True)
 def air_modulus(pressure, p):
-    """Return the modulus of oil with free air in it at a gauge pressure, the air compressed polytropically, Pa."""
+    """Return the bulk modulus of oil with polytropically compressed free air at a gauge pressure, Pa."""
     absolute = max(pressure, 0.0) + ATMOSPHERE
-    if p.air_half > 0.0:  # half of the oil's at that pressure
+    if p.air_half > 0.0:  # half of the oil's modulus at that pressure
         return p.bulk * absolute / (absolute + p.air_half)
     air = p.air
     if p.air_dissolved_at > 0.0:  # Henry: less is free the higher the pressure
@@ -242,9 +242,9 @@ def air_modulus(pressure, p):
 
 @nb.njit(cache=True)
 def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per effect
-    """Write the state's rate.
+    """Write the derivative of the state.
 
-    c: spool target, disturbance and its rate, servo displacement and its rate, time at which these hold, temperature.
+    c: spool target, disturbance and its rate, servo displacement and its rate, time at which these apply, temperature.
     """
     target, fd0, fd_rate, servo0, servo_rate, t0, temperature = c
     for i in range(N_BASE):
@@ -262,7 +262,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
         dy[WV] = p.second_rate * (p.second_rate * (target - xv) - 2.0 * p.second_damping * y[WV])
     else:
         rate = p.valve_rate * (target - xv)
-    if p.spool_pace != 0.0:  # the further the spool has to go, the faster or slower its servo
+    if p.spool_pace != 0.0:  # bandwidth of the spool servo depends on the remaining travel
         r = (target - xv) / p.spool_pace_at
         rate *= 1.0 + p.spool_pace * (r * r / (1.0 + r * r) - p.spool_pace_mean)
     if p.slew != 0.0:
@@ -298,14 +298,14 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     if p.hose != 0.0:
         dy[ZH] = (p_load - y[ZH]) / p.hose_time
         q -= p.hose * dy[ZH]
-    if p.mount != 0.0:  # of rubber: late, and stiffer the more it is pushed
+    if p.mount != 0.0:  # rubber: delayed, and stiffer with increasing load
         dy[QM] = (p.mount * p.mount_pressure * math.asinh(p_load / p.mount_pressure) - y[QM]) / p.mount_time
         q -= dy[QM]
     bulk = p.bulk
     if p.air != 0.0 or p.air_half != 0.0:
         bulk = 0.5 * (air_modulus(0.5 * (ps + p_load), p) + air_modulus(0.5 * (ps - p_load), p))
     pressure_rate = 4.0 * bulk / p.volume * q
-    if p.mount != 0.0:  # the rig file's modulus has the mean of it
+    if p.mount != 0.0:  # the rig file's modulus includes its mean compliance
         pressure_rate /= 1.0 - 4.0 * p.nominal_bulk / p.volume * p.mount * p.mount_mean
     if p.rate_limit != 0.0:
         r = pressure_rate / p.rate_limit
@@ -423,7 +423,7 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
 
 @nb.njit(cache=True)
 def crossed(y, modes, p, out):
-    """Mark the friction elements that change between stick and slip; return whether there are any."""
+    """Mark the friction elements that change between stick and slip; return whether any does."""
     on_second = p.load_on_second != 0.0
     v, x = (y[VB], y[XB]) if on_second else (y[V], y[X])
     found, s = False, -1.0
@@ -443,7 +443,7 @@ def crossed(y, modes, p, out):
 
 @nb.njit(cache=True)
 def switch(y, modes, p, marked):
-    """Switch the marked elements."""
+    """Switch the marked elements between stick and slip."""
     at = VB if p.load_on_second != 0.0 else V
     turned = False
     for i in range(int(p.n_elements)):
@@ -453,13 +453,13 @@ def switch(y, modes, p, marked):
             else:
                 modes[i] = 0
                 turned = True
-    if turned:  # it was found where the speed is zero up to rounding
+    if turned:  # located where the speed is zero up to rounding
         y[at] = 0.0
 
 
 @nb.njit(cache=True)
 def dormand_prince(t, h, y, k, stage, new, n, modes, spool_free, p, c):
-    """Take one step from y with its rate in k[0]; return the error in units of the tolerance."""
+    """Take one step from y with its derivative in k[0]; return the error in units of the tolerance."""
     for i in range(n):
         stage[i] = y[i] + h * A21 * k[0, i]
     rhs(t + h / 5, stage, k[1], modes, spool_free, p, c)
@@ -487,10 +487,10 @@ def dormand_prince(t, h, y, k, stage, new, n, modes, spool_free, p, c):
 
 @nb.njit(cache=True)
 def advance(t, end, h, y, n, modes, spool_free, p, c, work, marked):  # noqa: PLR0912 - the loop is the algorithm
-    """Integrate y in place from t to end with the inputs c; return the step to continue with, negative on failure.
+    """Integrate y in place from t to end with the inputs c; return the next step size, negative on failure.
 
-    A friction element changes between stick and slip only at the end of a step: a step past a change is repeated up to it, as
-    located on the step's cubic interpolant.
+    A friction element changes between stick and slip only at the end of a step. A step past a change is repeated up to the
+    change, which is located on the step's cubic interpolant.
     """
     k, stage, new, trial = work[:7], work[7], work[8], work[9]
     rhs(t, y, k[0], modes, spool_free, p, c)
@@ -570,10 +570,10 @@ def true_signals(t, y, p, out):
 
 @nb.njit(cache=True)
 def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, out):  # noqa: PLR0912 - one branch per effect
-    """Write the sensors' readings at t, with their faults, then noise, then resolution.
+    """Write the sensor readings at t, with faults, then noise, then resolution.
 
-    history: true signals at the control's ticks up to `tick`; now: at t. zero: drifting zero of the pressure sensor; held:
-    whether pressure and position are stuck at their last value. memory: the plays of the pressure sensor and the load cell.
+    history: true signals at the control ticks up to `tick`; now: at t. zero: drifting zero of the pressure sensor. held: bits
+    of pressure and position that are stuck at their last value. memory: the plays of the pressure sensor and the load cell.
     """
     for ch in range(N_CHANNELS):
         value = now[ch]
@@ -627,7 +627,7 @@ def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, ou
 
 @nb.njit(cache=True)
 def spool_target(u, t, plays, p):
-    """Return the spool position that a command aims at; plays: state of the plays in the valve's first stage."""
+    """Return the target spool position of a command; plays: state of the plays in the valve's first stage."""
     u = min(max(u, -p.spool_limit), p.spool_limit)
     if p.play > 0.0:
         mean = 0.0
@@ -654,7 +654,7 @@ def spool_target(u, t, plays, p):
 
 @nb.njit(cache=True)
 def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
-    """Return the command: PI on force and P on position, both as a reference speed, converted to a spool displacement.
+    """Return the command: PI on force and P on position, summed as a reference speed and converted to a spool displacement.
 
     memory: filtered force error, its integral.
     """
@@ -672,7 +672,7 @@ def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
     elif ahead < -p.guard:
         want = max(want, 0.0) - 8.0 * (ahead + p.guard)
     push = (seen[PRESSURE] if want > 0.0 else -seen[PRESSURE]) / p.nominal_supply
-    if push > 0.75:  # do not push against something rigid
+    if push > 0.75:  # limit the pressure against a rigid obstacle
         want *= max((0.87 - push) / 0.12, -0.5)
     want = min(max(want, -1.6), 1.6)
     drop = p.nominal_supply - (seen[PRESSURE] if want > 0.0 else -seen[PRESSURE])
@@ -682,7 +682,7 @@ def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
 
 @nb.njit(cache=True)
 def ticks_of(delay, dt):
-    """Return a delay as whole ticks and a rest."""
+    """Return a delay as whole ticks and a remainder."""
     whole = int(delay / dt + 1.0e-9)
     part = max(delay - whole * dt, 0.0)
     return whole, part if part >= 1.0e-9 else 0.0
@@ -690,7 +690,7 @@ def ticks_of(delay, dt):
 
 @nb.njit(cache=True)
 def become(y, before, now, target, plays, sensor_memory):
-    """Give the states that meant nothing before a change of the rig the values with which nothing jumps."""
+    """Initialise the states that were unused before a change of the rig, for a bumpless transition."""
     if before.p_lag == 0.0:
         y[PM] = y[PL]
     if before.droop + before.droop_square == 0.0:
@@ -721,9 +721,9 @@ def simulate(  # noqa: PLR0912 - the loop is the algorithm
 ):  # fmt: skip
     """Run an experiment; return the number of control ticks completed.
 
-    rigs, begins: what the rig is, and from which tick on, the first 0.
-    At the control's ticks, one tick longer than the run: f_ref, x_ref, v_ref, fd, servo, zero, held; also control_noise.
-    at: times of the recording's samples, with sample_noise; same_times: whether they are the ticks. The rest is output.
+    rigs, begins: records of the rig, and the tick from which each applies, the first 0.
+    At the control ticks, one more than the run has: f_ref, x_ref, v_ref, fd, servo, zero, held; also control_noise.
+    at: times of the recording's samples, with noise; same_times: whether they equal the ticks. The rest is output.
     """
     n_ticks = f_ref.size - 1
     p, piece = rigs[0], 0
@@ -759,7 +759,7 @@ def simulate(  # noqa: PLR0912 - the loop is the algorithm
             if not arrived and t >= arrival - 1.0e-12:
                 arrived = True
                 target = spool_target(u[k - whole] if k >= whole else 0.0, t, plays, p)
-            if p.stiction != 0.0:  # stuck until the pilot's force is large, then loose until it is small
+            if p.stiction != 0.0:  # stuck until the pilot force is large, then free until it is small
                 miss = abs(target - y[XV])
                 spool_free = miss > (0.2 * p.stiction if spool_free else p.stiction)
             stop = end

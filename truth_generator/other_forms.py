@@ -1,7 +1,7 @@
-"""Other forms of listed effects: the same physics by another formula than `effects` has, all of them found in the literature.
+"""Alternative formulas of listed effects: the same physics by formulas from the literature that differ from `effects`.
 
-A diagnosis has to name the effect whichever formula the rig follows. Sizes have the formula's name as `form`; their values are
-not those of another formula, so that estimates cannot be compared with them.
+A diagnosis must name the effect whichever formula the rig follows. Sizes have the formula's name as `form`. Their values have
+another meaning than those of the default formula, so estimates cannot be compared with them.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""`record`: one experiment on the rig, as its data acquisition would store it."""
+"""Record one experiment on the rig, as its data acquisition would store it (`record`)."""
 
 import csv
 import math
@@ -24,7 +24,7 @@ CHANNELS = {
     "force_n": kernel.FORCE,
     "oil_temperature_k": kernel.TEMPERATURE,
 }
-# Noise and resolution: the paper's, and what config/rig_paper_measured.yaml chooses.
+# Noise and resolution: those of the paper, and those chosen in config/rig_paper_measured.yaml.
 SENSORS = {
     "position_m": (2.0e-6, 5.0e-6),
     "velocity_m_s": (1.0e-4, 0.0),
@@ -46,12 +46,12 @@ SERVO_COLUMNS = ("disturbance_displacement_m", "disturbance_velocity_m_s")
 
 
 class IntegrationStopped(RuntimeError):
-    """The rig cannot be integrated: an effect or a form error is beyond what a rig can be."""
+    """The rig cannot be integrated: an effect or a form error exceeds the physical limits of a rig."""
 
 
 @dataclass
 class Recording:
-    """Samples by the data contract's column names, and the truth behind them.
+    """Samples by the data contract's column names, with the ground truth.
 
     truth: effects (their sizes), forms (kinds and sizes of the rig's form errors, by stage), natural (the effects' sizes for
     comparison with estimates; none for another form), stages (their groups), appears_in (the stage whose residual shows
@@ -78,7 +78,7 @@ def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
     """Return the kernel's record for a rig file without hidden effects.
 
     Raises:
-        ValueError: the rig file has something this generator does not support.
+        ValueError: the rig file uses a feature that this generator does not support.
     """
     p = np.zeros(1, kernel.DTYPE)
     for name, value in kernel.FIELDS.items():
@@ -119,10 +119,10 @@ def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
 
 
 def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
-    """Return noise and resolution of a sensor, from the rig file if given there, else from `SENSORS`.
+    """Return noise and resolution of a sensor, from the rig file if given there, otherwise from `SENSORS`.
 
     Raises:
-        ValueError: the rig file has a sensor fault; here sensors have no faults other than hidden effects.
+        ValueError: the rig file has a sensor fault; only hidden effects may add sensor faults.
     """
     key = RIG_SENSORS[column]
     given = rig.get("sensors", {}).get(key)
@@ -134,7 +134,7 @@ def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
 
 
 def effect_of(name: str, given: Sizes) -> tuple[Effect, Sizes]:
-    """Return an effect by the formula that its sizes name, if they do, and the sizes with neutral ones for those left out.
+    """Return an effect by the formula named in its sizes, if any, with neutral values for omitted sizes.
 
     Raises:
         KeyError: unknown effect or formula.
@@ -149,7 +149,7 @@ def effect_of(name: str, given: Sizes) -> tuple[Effect, Sizes]:
 
 
 def _grown(healthy: np.ndarray, effects: Mapping[str, Sizes]) -> np.ndarray:
-    """Return the kernel's record of a rig with effects."""
+    """Return the kernel's record of a healthy rig with effects added."""
     p = healthy.copy()
     for name, given in effects.items():
         effect, sizes = effect_of(name, given)
@@ -158,7 +158,7 @@ def _grown(healthy: np.ndarray, effects: Mapping[str, Sizes]) -> np.ndarray:
 
 
 def start(p: np.ndarray, plan: Plan, rig: Mapping[str, Any]) -> np.ndarray:
-    """Return the initial state: at rest with the nominal load in balance."""
+    """Return the initial state: at rest, with the nominal load in equilibrium."""
     y = np.zeros(kernel.N_BASE + int(p["n_elements"]))
     plant = rig["plant"]
     x = plan.x0
@@ -195,24 +195,24 @@ def record(
 
     Args:
         rig: content of the rig file.
-        effects: sizes by the effects' names, as `draw_effect` and `draw_other_form` give them; sizes left out are neutral.
-        experiment: name in `EXPERIMENTS`, or several in turn, joined by `+`, as `planned` takes them.
-        seed: of the experiment, the noise and random effects; noise and experiment do not depend on the effects.
+        effects: sizes by effect name, as `draw_effect` and `draw_other_form` return them; omitted sizes are neutral.
+        experiment: name in `EXPERIMENTS`, or several in sequence, joined by `+` as for `planned`.
+        seed: seed of the experiment, the noise and random effects; noise and experiment do not depend on the effects.
         duration: duration, s.
         rate: sampling rate of the recording, 1/s; the control always runs at 1 kHz.
         noise: multiple of the sensors' noise and resolution; 0 for perfect sensors.
-        columns: names to record; by default the data contract's, with the servo's columns if the servo moves the beam.
+        columns: names to record; by default those of the data contract, and the servo's columns if the servo moves the beam.
         hold: keep the disturbance constant over a control cycle, as in the simulator, instead of linear between samples as on
             a rig.
-        internals: keep the kernel's states.
-        forms: how the rig differs from every model; by default it is the rig file's model.
-        day: its condition, which varies without any fault; by default the rig file's.
-        disturbed: whether a disturbance force acts; without it the same motion takes another force.
-        growth: other sizes of effects, each from a time on, s, in the order of the times; no random effects.
+        internals: whether to keep the kernel's states.
+        forms: form errors of the rig; without them it matches the rig file's model.
+        day: condition of the healthy rig; the rig file's by default.
+        disturbed: whether a disturbance force acts; without it, the same motion requires another force.
+        growth: later sizes of the effects, each with its start time, s, in ascending order; no random effects.
 
     Raises:
         KeyError: unknown experiment or effect.
-        ValueError: unknown size or column, or a rig file that is not supported.
+        ValueError: unknown size or column, or an unsupported rig file.
         IntegrationStopped: the integration failed.
     """
     rig = dict(rig)

@@ -1,4 +1,4 @@
-"""Recordings as rigs give them: slow, at two rates, without the spool, with two chamber pressures, of a single rod."""
+"""Variants of recordings: low rate, two rates, no spool position, two chamber pressures, single-rod cylinder."""
 
 import copy
 import math
@@ -11,19 +11,19 @@ from .recording import SENSORS, SERVO_COLUMNS, Recording
 
 Rng = np.random.Generator
 TURNING = 2.0e-5
-"""Spool displacement over which the chambers of a single rod change between outward and inward flow, m."""
+"""Spool displacement over which the chamber pressures of a single rod change between outward and inward flow, m."""
 
 
 def slowed(r: Recording, rate: float = 100.0, first: float = 0.0) -> Recording:
-    """Keep one row in several, as a logger without a filter does.
+    """Keep every n-th row, as a logger without an anti-aliasing filter does.
 
     Args:
         r: the recording.
-        rate: rows per second; a whole fraction of the recording's.
+        rate: rows per second; an integer fraction of the recording's rate.
         first: time of the first row, s, rounded down to a row.
 
     Raises:
-        ValueError: the recording's rate is no multiple of that.
+        ValueError: the recording's rate is not a multiple of `rate`.
     """
     ratio = r.truth["rate"] / rate
     every = round(ratio)
@@ -36,7 +36,7 @@ def slowed(r: Recording, rate: float = 100.0, first: float = 0.0) -> Recording:
 
 
 def two_rates(r: Recording, fast: Iterable[str], rate: float = 100.0, first: float = 0.0) -> tuple[Recording, Recording]:
-    """Split a recording into a table of fast columns and one of all others at a lower rate, each with its own time stamps."""
+    """Split a recording into a table of fast columns and one of all others at a lower rate, each with separate time stamps."""
     quick = set(fast)
     if unknown := quick - set(r.columns):
         raise ValueError(f"no columns {sorted(unknown)}; there are {sorted(r.columns)}")
@@ -45,18 +45,18 @@ def two_rates(r: Recording, fast: Iterable[str], rate: float = 100.0, first: flo
 
 
 def command_only(r: Recording) -> Recording:
-    """Leave out the spool's position: of the valve only its command is known."""
+    """Drop the spool position, so that only the command of the valve is known."""
     return without(r, "spool_m")
 
 
 def sparse(r: Recording) -> Recording:
-    """Keep what any rig has: command, load pressure and position, and what acts from outside."""
+    """Keep the columns that any rig has: command, load pressure, position, and the external disturbances."""
     kept = {"valve_command_m", "load_pressure_pa", "position_m", "disturbance_force_n", *SERVO_COLUMNS}
     return without(r, *(name for name in r.columns if name not in kept))
 
 
 def chamber_pressures(r: Recording, rng: Rng) -> Recording:
-    """Give the pressures of both chambers in place of the load pressure, as of a symmetric cylinder with a matched valve.
+    """Replace the load pressure by both chamber pressures, for a symmetric cylinder with a matched valve.
 
     pA - pB is the recorded load pressure, with its faults and noise; pA + pB is the supply pressure (the tank is at zero) with
     the noise of another sensor.
@@ -70,11 +70,11 @@ def chamber_pressures(r: Recording, rng: Rng) -> Recording:
 
 
 def single_rod(r: Recording, areas: tuple[float, float], rng: Rng) -> Recording:
-    """Give the pressures of both chambers in place of the load pressure, as of a single rod with a matched valve.
+    """Replace the load pressure by both chamber pressures, for a single rod with a matched valve.
 
-    With areas A and B, (A pA - B pB) / mean area is the recorded load pressure, with its faults and noise. What both chambers
-    share is that of steady flow, (ps - pA) / pB = (A / B)^2 outwards and pA / (ps - pB) = (A / B)^2 inwards, plus the noise of
-    another sensor. The spool is that of the symmetric cylinder: its flow says nothing about a single rod.
+    With areas A and B, (A pA - B pB) / mean area is the recorded load pressure, with its faults and noise. The common part of
+    both pressures is that of steady flow, (ps - pA) / pB = (A / B)^2 outwards and pA / (ps - pB) = (A / B)^2 inwards, plus the
+    noise of another sensor. The spool is that of the symmetric cylinder: its flow does not apply to a single rod.
     """
     a, b = areas
     out = without(r, "load_pressure_pa")

@@ -1,8 +1,8 @@
-"""How far an effect stands out of the noise, whatever the method of detection.
+"""Visibility of an effect: its signal-to-noise ratio in the residuals, independent of the method of detection.
 
-The nominal equations are applied to the recorded signals one by one. The noise-free residual with an effect, less that without
-it, is compared with the residual of noise alone. This serves to choose sizes; as it needs noise-free signals, it is no method
-of diagnosis. Run as a script, it prints the table of all effects.
+The nominal equations are applied to each recorded signal. The noise-free residual with an effect, minus that without it, is
+compared with the residual of noise alone. This serves to choose sizes. It needs noise-free signals, so it is not a method of
+diagnosis. Run as a script, it prints the table of all effects.
 """
 
 import math
@@ -20,8 +20,8 @@ from scipy.signal import butter, sosfiltfilt
 from .effects import EFFECTS, draw_effect
 from .recording import SENSORS, Recording, record
 
-BAND = 25.0  # Hz, of the balances of flow and force
-EDGE = 0.1  # s, left out at either end
+BAND = 25.0  # Hz, bandwidth of the flow and force balances
+EDGE = 0.1  # s, omitted at either end
 STAGES = ("force_balance", "flow", "valve", "sensors")
 
 
@@ -56,7 +56,7 @@ def friction_along(v, dt, stiffness, weight, attraction, fc, fs, vs, exponent, l
 def leftovers(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray]]:
     """Return the residuals of the nominal equations for a recording, by stage.
 
-    Some columns may be missing, with the residuals that compare them: the spool then follows from the command, the supply
+    Columns may be missing: residuals that compare them are omitted, the spool follows from the command, and the supply
     pressure is the rig file's.
     """
     plant, friction = rig["plant"], rig["friction"]
@@ -111,7 +111,7 @@ def leftovers(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray
 
 @nb.njit(cache=True)
 def _follow(command, decay, first):
-    """Return the spool of (4) at the end of each cycle of a held command."""
+    """Return the spool position by (4) at the end of each cycle of a held command."""
     out = np.empty(command.size - 1)
     at = first
     for i in range(out.size):
@@ -122,7 +122,7 @@ def _follow(command, decay, first):
 
 @dataclass
 class Background:
-    """An experiment without effects: its noise-free recording, its residuals, and the rms that noise adds to these."""
+    """Experiment without effects: its noise-free recording, its residuals, and the rms that noise adds to these."""
 
     recording: Recording
     left: dict[str, list[np.ndarray]]
@@ -143,10 +143,10 @@ def background(
     Args:
         rig: content of the rig file.
         experiment: name in `EXPERIMENTS`.
-        seed: of the experiment and the noise.
+        seed: seed of the experiment and the noise.
         duration: duration, s.
         disturbed: whether a disturbance force acts.
-        given: what is left of a recording, by default all of it.
+        given: selects the available columns of a recording; all by default.
     """
     quiet, noisy = (
         given(record(rig, {}, experiment, seed=seed, duration=duration, noise=noise, disturbed=disturbed))
@@ -158,7 +158,7 @@ def background(
 
 
 def against(without: Background, rig: Mapping[str, Any], r: Recording) -> dict[str, float]:
-    """Return the `visibility` of the effects hidden in a noise-free recording."""
+    """Return the `visibility` of the effects in a noise-free recording against a background."""
     found = leftovers(rig, r)
     return {
         stage: max(
@@ -181,17 +181,17 @@ Rows = dict[str, list[np.ndarray]]
 
 
 def rows_between(a: Rows, b: Rows) -> Rows:
-    """Return the difference of residuals."""
+    """Return the differences between residuals."""
     return {stage: [x - y for x, y in zip(a[stage], b[stage], strict=True)] for stage in STAGES}
 
 
 @dataclass
 class Standing:
-    """How an effect stands on a rig that is not the model.
+    """Prominence of an effect on a rig that differs from the model.
 
-    visibility: by stage, the rms residual due to it in units of that due to noise and everything else that is wrong.
-    share: the fraction that it makes up of the power noise does not explain, over the residuals that it stands out of, each in
-    units of its noise.
+    visibility: by stage, the rms residual due to the effect in units of that due to noise and all other errors.
+    share: the fraction of the power unexplained by noise that is due to the effect. It covers the residuals in which the effect
+    dominates, each in units of its noise.
     """
 
     visibility: dict[str, float]
@@ -199,11 +199,11 @@ class Standing:
 
 
 def standing(without: Background, rest: Sequence[tuple[float, Rows]], healthy: Rows, changed: Rows) -> Standing:
-    """Compare an effect with all else.
+    """Compare an effect with all other errors.
 
     Args:
-        without: the experiment on the model itself.
-        rest: residuals of what else is wrong, each with the factor it counts by.
+        without: the experiment on the model without form errors.
+        rest: residuals of the other errors, each with its weight.
         healthy: the noise-free residuals without the effect.
         changed: the noise-free residuals with it.
     """
@@ -228,7 +228,7 @@ def _rms(a: np.ndarray) -> float:
 
 
 def raw_difference(a: Recording, b: Recording) -> tuple[float, str]:
-    """Return the largest rms difference of a signal in units of its sensor's noise and resolution, and the signal's name."""
+    """Return the largest rms difference of a signal, in units of its sensor's noise and resolution, and its name."""
     found = (0.0, "")
     for name, (std, resolution) in SENSORS.items():
         if name in a.columns and name in b.columns:

@@ -1,1 +1,1 @@
-"""Hidden cases against the diagnosis; `python -m benchmarks.diagnosis --help`."""
+"""Hidden cases for the diagnosis; `python -m benchmarks.diagnosis --help`."""

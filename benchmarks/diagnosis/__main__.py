@@ -1,4 +1,4 @@
-"""Hidden cases for the diagnosis: how often it is right, how accurate and how fast, beside simpler methods on the same cases.
+"""Hidden cases for the diagnosis: its accuracy and speed, compared with simpler methods on the same cases.
 
     python -m benchmarks.diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
     python -m benchmarks.diagnosis --exam partial --cases 200    # rigs that no model describes; also baseline, skew, forms, raw
@@ -60,7 +60,7 @@ def arguments() -> argparse.Namespace:
 
 
 def read(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file of results, without lines that were not written completely."""
+    """Return the rows of a file of results, without incomplete lines."""
     rows = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
         try:
@@ -85,7 +85,7 @@ def run_all(exam: str, seed: int, chosen: list[int], duration: float, jobs: int,
 
 
 def plain(value: Any) -> Any:
-    """Return a numpy value as one that JSON can hold."""
+    """Return a numpy value as a JSON-compatible one."""
     return value.item() if hasattr(value, "item") else str(value)
 
 
@@ -118,7 +118,7 @@ def main() -> None:
         return
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     duration = options.duration or (QUICK_DURATION if options.quick else 60.0)
-    with_peers = options.exam == "clean" and not options.no_peers  # they expect the rig to be the model
+    with_peers = options.exam == "clean" and not options.no_peers  # the peers assume that the rig is the model
     if options.case:
         for row in run_all(options.exam, seed, options.case, duration, 1, with_peers):
             console.print_json(json.dumps(row, default=plain))

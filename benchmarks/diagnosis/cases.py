@@ -1,6 +1,6 @@
-"""Hidden cases of the clean exam: the rig is the model, the hidden effects apart.
+"""Hidden cases of the clean exam: the rig is the model, apart from the hidden effects.
 
-A case depends only on the run's seed and its own number, not on how many cases are run.
+A case depends only on the seed of the run and its number, not on the number of cases.
 """
 
 import hashlib
@@ -29,10 +29,10 @@ EXPERIMENTS = {"rich": 0.45, "random": 0.3, "steps": 0.1, "paper_sine": 0.1, "se
 """Probability of each experiment."""
 
 SHOWS = 1.3
-"""Least visibility of an effect in the experiment drawn; below it, size and experiment are drawn again."""
+"""Minimum visibility of an effect in the experiment drawn; below it, size and experiment are drawn again."""
 
 MOST_DRAWS = 40
-"""Most draws of size and experiment for one case."""
+"""Maximum number of draws of size and experiment for one case."""
 
 ONE_BODY = {"hinge_backlash", "flexible_mode"}
 """Effects that the truth generator cannot combine."""
@@ -43,7 +43,7 @@ Hidden = dict[str, dict[str, Any]]
 
 
 class Case(NamedTuple):
-    """What is to be diagnosed.
+    """A case to be diagnosed.
 
     Attributes:
         seed: seed of the run.
@@ -59,10 +59,10 @@ class Case(NamedTuple):
         forms: how the rig differs from every model; None if it does not.
         measurement: how the channels are sampled; None for all at once, without jitter.
         disturbed: whether a disturbance acts.
-        healthy: experiment and seed of each recording from when the rig was well.
+        healthy: experiment and seed of each healthy recording.
         days: condition of the rig in the recording and in the healthy ones, in that order; empty if it is always the same.
-        share: the fraction of the removable error power due to the hidden effect; None where it is all of it.
-        data: kind of the data in the exam `raw`; empty where all signals are there.
+        share: fraction of the removable error power due to the hidden effect; None if it is the only cause.
+        data: kind of the data in the exam `raw`; empty if all signals are present.
     """
 
     seed: int
@@ -84,7 +84,7 @@ class Case(NamedTuple):
     data: str = ""
 
     def told(self) -> dict[str, Any]:
-        """Return the case ready for JSON."""
+        """Return the case in JSON-compatible form."""
         return {name: _plain(value) for name, value in self._asdict().items()}
 
 
@@ -111,7 +111,7 @@ def rig() -> Rig:
 
 @cache
 def sources() -> str:
-    """Return a fingerprint of the sources that diagnose."""
+    """Return a fingerprint of the sources of the diagnosis."""
     digest = hashlib.sha256()
     for folder in ("diagnosis", "physics"):
         for path in sorted((ROOT / "ehls_ros" / folder).rglob("*.py")):
@@ -125,7 +125,7 @@ def kind_of(number: int) -> str:
 
 
 def names_of(seed: int, number: int) -> tuple[str, ...]:
-    """Return the effects a case hides: all equally often, in an order given by the seed."""
+    """Return the effects hidden in a case: all equally often, in an order given by the seed."""
     kind = kind_of(number)
     if kind == "nothing":
         return ()
@@ -185,12 +185,12 @@ def recording_of(case: Case) -> Recording:
 
 
 def trajectory_of(recording: Recording) -> Trajectory:
-    """Return a recording as the diagnosis takes it."""
+    """Return a recording in the form that the diagnosis takes."""
     return Trajectory(recording.time, recording.columns)
 
 
 def healthy_of(case: Case) -> list[Recording]:
-    """Return the recordings from when the case's rig was well."""
+    """Return the healthy recordings of the case's rig."""
     return [_recorded(case, {}, experiment, seed, 1 + i) for i, (experiment, seed) in enumerate(case.healthy)]
 
 

@@ -1,10 +1,10 @@
-"""The exams: what the rig is, what is measured of it, and what the diagnosis is given.
+"""The exams: the rig, its measured signals, and the inputs of the diagnosis.
 
-clean: the rig is the model, the hidden effects apart. partial: the rig has form errors in every stage, which no model has, and
-one hidden effect; the rig file is the nominal one. baseline: the same, with recordings from when the rig was well, and in half
-of the cases nothing has changed since. skew: the rig is the model, but every channel is skewed and jittered. forms: clean, but
-the hidden effect, or one of a hidden pair, follows another formula of the same physics. raw: the rig is the model, but its data
-are slow, at two rates, without the spool, of few signals, or of a single rod, in turn.
+clean: the rig is the model, apart from the hidden effects. partial: the rig has form errors in every stage, absent from all
+models, and one hidden effect; the rig file is the nominal one. baseline: the same, with healthy recordings, and in half of the
+cases without any change since. skew: the rig is the model, but every channel is skewed and jittered. forms: clean, but the
+hidden effect, or one of a hidden pair, follows another formula of the same physics. raw: the rig is the model, but its data are
+slow, at two rates, without the spool, of few signals, or of a single rod, in turn.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,34 +31,34 @@ from truth_generator.visibility import Background, against, background, leftover
 Rng = np.random.Generator
 
 STANDS_OUT = (2.0, 20.0)
-"""Least and largest visibility aimed at, of an effect on an imperfect rig, against noise and form errors."""
+"""Minimum and maximum of the target visibility of an effect on an imperfect rig, against noise and form errors."""
 
 CANDIDATES = 6
-"""Draws of an effect's size, of which that nearest to the visibility aimed at is taken."""
+"""Draws of an effect's size, of which the one nearest to the target visibility is taken."""
 
 LEAST_FORM = 0.002
-"""Least form error of a stage, as a fraction of its largest term."""
+"""Minimum form error of a stage, as a fraction of its largest term."""
 
 REMEMBERED = 0.3
-"""Fraction of the form errors that an effect must stand out of where healthy recordings tell them."""
+"""Fraction of the form errors above which an effect must stand out if healthy recordings reveal them."""
 
 JITTER = 0.1
 """Largest jitter of a rig with form errors, and that of the exam in skew, in samples."""
 
 SPREAD = 0.02
-"""Spread of friction's level and of its viscous part from day to day."""
+"""Day-to-day spread of the friction level and of its viscous part."""
 
 HEALTHY = {"rich": 0.6, "random": 0.4}
-"""Probability of each experiment for a recording from when the rig was well."""
+"""Probability of each experiment for a healthy recording."""
 
 SKEW_EXPERIMENTS = ("rich", "random", "steps", "paper_sine")
 
 DRAWS_OF_ONE = 8
-"""Draws of an effect that data as rigs give them may fail to show before another one is taken."""
+"""Draws in which raw data may fail to show an effect before another effect is taken."""
 
 LATE = ("command_delay", "sensor_delay")
 LEAST_DELAY = 3e-3
-"""Least delay [s] hidden where up to a millisecond of it is skew."""
+"""Minimum hidden delay where up to a millisecond of it is skew [s]."""
 
 
 class Exam(NamedTuple):
@@ -95,11 +95,11 @@ def _seed(rng: Rng) -> int:
     return int(rng.integers(2**31))
 
 
-# ----------------------------------------------------------------------------------------------------- rigs never the model
+# ----------------------------------------------------------------------------------------------- rigs that no model describes
 
 
 class _Scene:
-    """An experiment on an imperfect rig in a condition, and how an effect would stand out of it."""
+    """An experiment on an imperfect rig in a given condition, and the visibility of an effect in it."""
 
     def __init__(self, forms: FormErrors, day: Day | None, weight: float, where: tuple[str, int, float]) -> None:
         self.forms, self.day, self.weight = forms, day, weight
@@ -107,7 +107,7 @@ class _Scene:
         self.model: Background = background(rig_file(), self.experiment, seed=self.seed, duration=self.duration)
         own = self._left({}, None)
         self.healthy = own if day is None else self._left({}, day)
-        # Weather counts in full: no healthy recording tells that of another day.
+        # Day-to-day variation counts fully: no healthy recording shows that of another day.
         self.rest = [(weight, rows_between(own, self.model.left)), (1.0, rows_between(self.healthy, own))]
 
     def _left(self, hidden: dict[str, Any], day: Day | None) -> dict[str, list[np.ndarray]]:
@@ -124,10 +124,10 @@ class _Scene:
 
 
 def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], Any] | None:
-    """Draw an effect that stands out of the rest; where it cannot, the form errors of its stage are drawn smaller.
+    """Draw an effect that is visible above the rest; if impossible, draw smaller form errors for its stage.
 
     Returns:
-        The scene, the sizes and how the effect stands out; None if not even then.
+        The scene, the sizes and the visibility of the effect; None if it remains hidden.
     """
     low, high = STANDS_OUT
     target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -153,7 +153,7 @@ def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], 
 def _imperfect(
     rng: Rng, name: str | None, duration: float, day: Day | None, weight: float, healthy: Sequence[tuple[str, int]] = ()
 ) -> tuple[Any, ...]:
-    """Draw rig, experiment and size until the effect stands out; return them, how it does, and the draws rejected.
+    """Draw rig, experiment and size until the effect is visible; return them, its visibility, and the rejected draws.
 
     The form errors are of the size drawn in the first healthy recording, or in the recording itself if there is none.
     """
@@ -255,11 +255,11 @@ def make_forms(seed: int, number: int, duration: float) -> Case:
     return shown(rng, seed, number, kind, duration, draw)._replace(exam="forms")
 
 
-# ------------------------------------------------------------------------------------------------- data as rigs give them
+# ------------------------------------------------------------------------------------------------------- raw data of rigs
 
 
 def make_raw(seed: int, number: int, duration: float) -> Case:
-    """Draw a case of the exam `raw`; where its data do not show the effect in some draws, another effect is drawn."""
+    """Draw a case of the exam `raw`; if its data do not show the effect in some draws, draw another effect."""
     rng = np.random.default_rng([seed, number, 4])
     data = list(raw.KINDS)[number % len(raw.KINDS)]
     name = effect_of(seed, number)

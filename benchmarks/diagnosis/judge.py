@@ -1,8 +1,8 @@
-"""Whether a diagnosis is right, strictly and as a fair judge would have it.
+"""Assessment of a diagnosis, by a strict and by a lenient judge.
 
-Rows are what `running.run` returns. Strict: the first cause, or one the diagnosis itself calls equivalent to it, is the hidden
-one. Lenient: for an effect outside the list, a listed one that the truth calls near also counts, and any stage in which the
-effect shows. A true cause named together with one that is not there counts as wrong, for either judge.
+Rows are those returned by `running.run`. Strict: the first cause, or one the diagnosis itself calls equivalent to it, is the
+hidden one. Lenient: for an effect outside the list, a listed one that the truth calls near also counts, and any stage in which
+the effect shows. A true cause named together with an absent one counts as wrong, for either judge.
 """
 
 from itertools import permutations
@@ -13,7 +13,7 @@ from benchmarks.diagnosis.comparable import Quantity, quantities
 
 Row = dict[str, Any]
 CONFIDENT = 0.9
-"""Probability above which a wrong name is a confident one."""
+"""Probability above which a wrong name counts as confident."""
 
 NAMED = ("effect", "partial")
 """Verdicts that name causes."""
@@ -24,12 +24,12 @@ class Judgement(NamedTuple):
 
     Attributes:
         right: by the strict judge.
-        lenient: by the fair judge.
-        first: whether the first causes are right, whatever is named beside them.
-        exact: strictly right, by the causes' own names, and nothing else named.
+        lenient: by the lenient judge.
+        first: whether the first causes are right, regardless of further names.
+        exact: strictly right, by the causes' exact names, and with no other name.
         confident_wrong: whether a wrong name was given with confidence.
         confident_wrong_lenient: the same, with near names allowed.
-        not_there: causes named together with a true one although they are not there.
+        not_there: absent causes named together with a true one.
         what: the verdict in words.
         quantities: those of rightly named causes.
     """
@@ -74,7 +74,7 @@ def judge(row: Row) -> Judgement:
         exact = sorted(names) == sorted(hidden)
     else:
         stages = row["visibility"][hidden[0]]
-        # An effect on the list may explain most of one that is not: it may be named, but not held for certain.
+        # A listed effect may explain most of an unlisted one: it may be named, but not as certain.
         unexplained = verdict == "unknown" or (verdict == "partial" and not confident)
         first = right = unexplained and ours["unknown_stage"] == row["appears_in"][hidden[0]]
         exact = right and verdict == "unknown"
@@ -88,7 +88,7 @@ def judge(row: Row) -> Judgement:
 
 
 def _matched(names: list[str], classes: list[set[str]], hidden: list[str]) -> set[int]:
-    """Return which causes stand for hidden effects, one for each: as many as can be, by their own names first."""
+    """Return the causes that match hidden effects, one for each: as many as possible, exact names first."""
     best: tuple[int, int, set[int]] = (0, 0, set())
     for order in permutations([*range(len(names)), *[-1] * len(hidden)], len(hidden)):
         true = {i for i, effect in zip(order, hidden, strict=True) if i >= 0 and effect in classes[i]}
@@ -98,7 +98,7 @@ def _matched(names: list[str], classes: list[set[str]], hidden: list[str]) -> se
 
 
 def closed_off(row: Row) -> float | None:
-    """Return how far the fraction of error that the causes close is off its true share; None if none is named rightly."""
+    """Return the deviation of the error fraction explained by the causes from its true share; None if none is named rightly."""
     if not judge(row).first or row.get("share") is None or row["ours"]["gain"] is None:
         return None
     return float(row["ours"]["gain"]["closed_fraction"] - row["share"])
@@ -118,7 +118,7 @@ def worded(row: Row) -> str:
 
 
 def peer_right(row: Row, named: list[str]) -> bool:
-    """Judge the names a peer gives, the surest first; none means that it finds the model consistent."""
+    """Judge the names a peer gives, the surest first; an empty list means that it finds the model consistent."""
     if row["kind"] == "outside":
         return False
     hidden = sorted(row["hidden"])
@@ -126,5 +126,5 @@ def peer_right(row: Row, named: list[str]) -> bool:
 
 
 def strength(row: Row) -> float:
-    """Return how far the least visible of a case's effects stands out of the noise."""
+    """Return the visibility of a case's least visible effect, relative to the noise."""
     return min((max(stages.values()) for stages in row["visibility"].values()), default=0.0)

@@ -32,7 +32,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
 WITH_PYSINDY = find_spec("pysindy") is not None
-"""Whether pysindy is there."""
+"""Whether pysindy is installed."""
 
 if WITH_PYSINDY:
     from pysindy import STLSQ
@@ -50,7 +50,7 @@ SENSOR_CHANNELS: frozenset[Channel] = frozenset({"cell", "velocity"})
 """Channels in which two sensors of one quantity are compared."""
 
 MOST_NAMED = 4
-"""Most effects named."""
+"""Maximum number of effects named."""
 
 THRESHOLDS = 24
 """Number of thresholds of STLSQ tried."""
@@ -77,7 +77,7 @@ class Term(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What the peers get.
+    """Inputs of the peers.
 
     Attributes:
         residuals: whitened, by channel.
@@ -281,7 +281,7 @@ def bic(problem: Problem, penalty: float = PENALTY) -> list[str]:
     """Add the effect that lowers the information criterion most, until none does.
 
     The criterion is n log(RSS/n) summed over the channels, and log n for each coefficient; each step weights the channels by
-    what the previous one left in them.
+    the residual of the previous one.
     """
     channels = list(problem.residuals)
     ends = np.cumsum([len(problem.residuals[c]) for c in channels])
@@ -323,7 +323,7 @@ def bic(problem: Problem, penalty: float = PENALTY) -> list[str]:
 
 
 def independent(columns: Array, basis: Array) -> Array:
-    """Return an orthonormal basis of what columns add to another basis."""
+    """Return an orthonormal basis of the part of the columns outside another basis."""
     scale = np.linalg.norm(columns, axis=0)
     columns = columns[:, scale > 0.0] / scale[scale > 0.0]
     if not columns.shape[1]:
@@ -399,7 +399,7 @@ def _fit(columns: Array, e: Array, threshold: float) -> Array:
     if not np.isfinite(threshold):
         return np.zeros(columns.shape[1])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that nothing is kept is a valid result
+        warnings.simplefilter("ignore")  # keeping no term is a valid result
         optimiser = STLSQ(threshold=threshold, alpha=RIDGE * len(e), max_iter=20)
         return np.asarray(optimiser.fit(columns, e[:, None]).coef_, dtype=np.float64).ravel()
 

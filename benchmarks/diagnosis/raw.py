@@ -1,4 +1,4 @@
-"""Data as rigs give them, for the exam `raw`: what each kind of data leaves visible, and what the diagnosis is given of it."""
+"""Raw data of real rigs, for the exam `raw`: the visible effects and the diagnosis's inputs for each kind of data."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -17,7 +17,7 @@ SLOW = 100.0
 """Rate of slow data [1/s]."""
 
 FAST = ("valve_command_m", "spool_m", "load_pressure_pa")
-"""What the fast one of two tables has."""
+"""Signals of the fast one of two tables."""
 
 FIRST = 0.0037
 """Time of the first row of a slow table [s]."""
@@ -26,16 +26,16 @@ RATIO = 1.5
 """Area of the bore to that of the rod side; the mean area is that of the rig file."""
 
 APART = 2.0
-"""Weight of what the nominal equations leave of such data without an effect: recordings of two motions differ by it, too."""
+"""Weight of the nominal equations' residual on such data without an effect: recordings of two motions differ by it, too."""
 
 
 class Kind(NamedTuple):
     """A kind of data.
 
     Attributes:
-        given: the trajectory that the diagnosis gets, of a recording with everything.
-        left: the same for the truth's own measure of visibility; signals at two rates count as slow ones.
-        fast: stages that are seen at the full rate, although ``left`` is slow.
+        given: returns the trajectory for the diagnosis, from a recording with all signals.
+        left: the same for the truth's measure of visibility; signals at two rates count as slow ones.
+        fast: stages visible at the full rate, although ``left`` is slow.
         unseen: stages that cannot be judged.
     """
 
@@ -72,7 +72,7 @@ KINDS: Mapping[str, Kind] = {
 
 
 def visible(kind: str, hidden: Hidden, experiment: str, seed: int, duration: float) -> dict[str, float]:
-    """Return how far an effect stands out of noise and of what the data's rate leaves of the nominal equations, by stage."""
+    """Return the visibility of an effect by stage, against noise and the nominal equations' residual at the data's rate."""
     data = KINDS[kind]
     full = record(rig_file(), hidden, experiment, seed=seed, duration=duration, noise=0.0)
 
@@ -83,6 +83,6 @@ def visible(kind: str, hidden: Hidden, experiment: str, seed: int, duration: flo
 
     found = seen(data.left)
     quick = seen(lambda r: r) if data.fast else {}
-    # Two sensors of one quantity disagree for their own faults alone.
+    # Two sensors of one quantity disagree only because of faults of their own.
     unseen = {*data.unseen, *(() if any(LISTED[name].stage == "sensors" for name in hidden) else ("sensors",))}
     return {s: 0.0 if s in unseen else quick[s] if s in data.fast else value for s, value in found.items()}

@@ -1,4 +1,4 @@
-"""One case from its draw to the row of results."""
+"""One case, from its draw to the row of results."""
 
 import time
 import traceback
@@ -13,12 +13,12 @@ from ehls_ros.diagnosis.result import Diagnosis
 
 
 def diagnose_case(case: Case) -> Diagnosis:
-    """Diagnose a case with what its exam gives: the rig file, and the healthy recordings where there are any."""
+    """Diagnose a case with the inputs of its exam: the rig file, and the healthy recordings if any."""
     recording = recording_of(case)
     new = KINDS[case.data].given(recording) if case.data else trajectory_of(recording)
     if not case.healthy:
         return diagnose(new, rig(), "case", seed=case.number, threads=1)
-    # The other exams run without it.
+    # The other exams run without this module.
     from ehls_ros.experiments.baseline import diagnose_against  # noqa: PLC0415
 
     baselines = [trajectory_of(recording) for recording in healthy_of(case)]
@@ -29,7 +29,7 @@ def run(exam: str, seed: int, number: int, duration: float, with_peers: bool) ->
     """Draw a case and diagnose it, by the peers as well if requested.
 
     Returns:
-        What is judged, ready for JSON.
+        The quantities to be judged, JSON-compatible.
     """
     kind = EXAMS[exam].kind_of(number)
     row: dict[str, Any] = {"exam": exam, "seed": seed, "number": number, "kind": kind, "sources": sources()}
@@ -55,7 +55,7 @@ def run(exam: str, seed: int, number: int, duration: float, with_peers: bool) ->
 
 
 def told(d: Diagnosis) -> dict[str, Any]:
-    """Return a diagnosis ready for JSON."""
+    """Return a diagnosis in JSON-compatible form."""
     return {
         "verdict": d.verdict,
         "missing": d.missing,

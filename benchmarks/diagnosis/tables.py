@@ -75,11 +75,11 @@ MARKS: dict[str, tuple[float, float | None, float | None]] = {
     "forms": (0.94, None, None),
     "raw": (0.9, None, None),
 }  # fmt: skip
-"""By exam: least share of right names, most of confident wrong ones, most of names beside a true one that are not there."""
+"""By exam: minimum share of right names, maximum of confident wrong ones, maximum of absent causes named beside a true one."""
 
 
 def hard_headline(exam: str, judged: Judged, of: dict[str, Judged]) -> Table:
-    """Return the results of another exam than the clean one against its marks."""
+    """Return the results of an exam other than the clean one against its targets."""
     least, confident, beside = MARKS[exam]
     table = Table(title="against the marks", title_justify="left")
     for column in ("", "mark", "", ""):
@@ -129,7 +129,7 @@ def _holds(interval: Sequence[float], value: float) -> bool:
 
 
 def headline(judged: Judged, of: dict[str, Judged]) -> Table:
-    """Return the results against the marks to be met."""
+    """Return the results against the targets."""
     table = Table(title="against the marks", title_justify="left")
     for column in ("", "mark", "strict", "", "lenient"):
         table.add_column(column, justify="left")
@@ -211,7 +211,7 @@ def peer_table(of: dict[str, Judged]) -> Table | None:
 
 
 def by_visibility(of: dict[str, Judged]) -> Table:
-    """Return how often effects are noticed and rightly named, by visibility."""
+    """Return the frequency of detection and of correct naming, by visibility."""
     table = Table(title="against how far the (weaker) effect stands out of the noise", title_justify="left")
     for column in ("visibility", "singles noticed", "right", "pairs right", "outside noticed", "right"):
         table.add_column(column)
@@ -228,7 +228,7 @@ def by_visibility(of: dict[str, Judged]) -> Table:
 
 
 def by_experiment(judged: Judged) -> Table:
-    """Return how often the diagnosis is right, by experiment."""
+    """Return the success rate of the diagnosis, by experiment."""
     table = Table(title="by experiment", title_justify="left")
     for column in ("", *KINDS):
         table.add_column(column)
@@ -239,7 +239,7 @@ def by_experiment(judged: Judged) -> Table:
 
 
 def by_data(judged: Judged) -> Table:
-    """Return how often the diagnosis is right, by the kind of the data, and how many effects it leaves open then."""
+    """Return the success rate of the diagnosis and the number of effects it leaves open, by the kind of data."""
     table = Table(title="by kind of data", title_justify="left")
     for column in ("", "right", "by its own name", "equivalent_to, mean number"):
         table.add_column(column)
@@ -276,7 +276,7 @@ def by_effect(judged: Judged) -> Table:
 
 
 def confusions(judged: Judged) -> Table:
-    """Return what was taken for what, wrong cases only."""
+    """Return the confusions between causes, wrong cases only."""
     table = Table(title="taken for something else", title_justify="left")
     for column in ("hidden", "said", "times"):
         table.add_column(column)
@@ -287,7 +287,7 @@ def confusions(judged: Judged) -> Table:
 
 
 def not_there(judged: Judged) -> Table:
-    """Return the cases in which a true cause is named together with one that is not there."""
+    """Return the cases in which a true cause is named together with an absent one."""
     table = Table(title="a true cause named with one that is not there", title_justify="left")
     for column in ("case", "experiment", "hidden (visibility by stage)", "not there", "detail"):
         table.add_column(column, overflow="fold")
@@ -314,7 +314,7 @@ def failures(judged: Judged) -> Table:
 
 
 def hidden_text(r: Row) -> str:
-    """Return the hidden effects, their sizes and where they show."""
+    """Return the hidden effects, their sizes and the stages in which they show."""
     parts = []
     for name, sizes in r.get("hidden", {}).items():
         given = ", ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in sizes.items())

@@ -21,7 +21,7 @@ LEAST = (0.0, 0.02, 0.05, 0.1, 0.2)
 
 
 def tune(console: Console) -> None:
-    """Print the peers' results for all thresholds, without effects outside the list, where they can never be right."""
+    """Print the peers' results for all thresholds, without effects outside the list, which they cannot name."""
     problems: list[tuple[Row, Problem, dict[Channel, Path]]] = []
     numbers = [n for n in exams.numbers("clean", 2 * CASES, None) if cases.kind_of(n) != "outside"][:CASES]
     for number in track(numbers, "recordings", console=console):

@@ -1,1 +1,1 @@
-"""The monitor on simulated rigs: false alarms, delay and right names, beside simpler detectors, and what it costs."""
+"""The monitor on simulated rigs: false alarms, delay and correct names, compared with simpler detectors, and its cost."""

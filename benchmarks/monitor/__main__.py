@@ -1,4 +1,4 @@
-"""The monitor on simulated rigs: false alarms, delay and right names, beside simpler detectors, and what it costs.
+"""The monitor on simulated rigs: false alarms, delay and correct names, compared with simpler detectors, and its cost.
 
     python -m benchmarks.monitor healthy --hours 1000 --jobs 8       # hours of a healthy rig
     python -m benchmarks.monitor healthy --hours 100 --forms 0.01    # of one that is never its model
@@ -64,7 +64,7 @@ def arguments() -> argparse.Namespace:
 
 
 def read(paths: Sequence[Path]) -> list[Row]:
-    """Return the rows of files of results, without lines that were not written completely."""
+    """Return the rows of files of results, without incomplete lines."""
     rows = list[Row]()
     for path in paths:
         for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
@@ -89,7 +89,7 @@ def run_all(one: Callable[[int], Row], numbers: Sequence[int], jobs: int) -> Ite
 
 
 def work(options: argparse.Namespace) -> tuple[str, Callable[[int], Row], int]:
-    """Return the name of a run, what does one of its numbers, and how many there are."""
+    """Return the name of a run, the function that runs one of its numbers, and how many there are."""
     if options.part == "healthy":
         duration = 60.0 * options.minutes
         name = "healthy" if options.forms is None else f"healthy-forms{options.forms:g}"

@@ -1,7 +1,7 @@
-"""Effects that begin while the adaptive controller runs, in the package's own simulator.
+"""Effects that begin while the adaptive controller runs, in the package's simulator.
 
-truth_generator has a controller of its own, which does not adapt. Here FASMC runs, whose disturbance estimate swallows what the
-rig becomes; the plant is the package's, so that what is tested is the loop and not the physics.
+truth_generator has a separate controller, which does not adapt. Here FASMC runs, whose disturbance estimate absorbs the change
+of the rig; the plant is the package's, so that the loop is tested and not the physics.
 """
 
 import time
@@ -26,7 +26,7 @@ from ehls_ros.trajectory import Trajectory
 EXPERIMENT = ROOT / "config" / "experiments" / "irregular_fd2.yaml"
 SEEN = ("valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa", "position_m", "velocity_m_s", "force_n",
         "disturbance_force_n", "oil_temperature_k")  # fmt: skip
-"""Signals that the monitor is given, as truth_generator's recordings have them."""
+"""Signals given to the monitor, as in truth_generator's recordings."""
 
 Sizes = dict[str, float]
 
@@ -60,7 +60,7 @@ SIZES: dict[str, Callable[[Rng, Rig], Sizes]] = {
     "viscous_asymmetry": lambda rng, of: {"asymmetry": _signed(rng, 0.03, 0.4) * of.friction.viscous_coefficient},
     "viscous_shift": lambda rng, of: {"added": _signed(rng, 0.03, 0.5) * of.friction.viscous_coefficient},
 }
-"""Draws the sizes of effects that can begin within a run: those of the plant without states of their own."""
+"""Draws the sizes of effects that can begin within a run: those of the plant without additional states."""
 
 
 def spec_of(rng: Rng, seed: int, of: Rig, duration: float) -> Spec:
@@ -69,7 +69,7 @@ def spec_of(rng: Rng, seed: int, of: Rig, duration: float) -> Spec:
     Args:
         rng: draws reference and disturbance.
         seed: of the noise.
-        of: the rig in the loop; the controller knows the one of the rig file.
+        of: the rig in the loop; the controller has the one of the rig file.
         duration: its duration [s].
     """
     spec = load_spec(EXPERIMENT, RIG)
@@ -92,7 +92,7 @@ def with_effect(name: str, sizes: Sizes) -> Rig:
 
 
 def recorded(spec: Spec, later: Rig) -> Trajectory:
-    """Run an experiment whose rig becomes another one."""
+    """Run an experiment whose rig changes to another one."""
     found = [
         (stretch.time_s.copy(), {name: stretch.signals[name].copy() for name in SEEN if name in stretch.signals})
         for stretch in run_in_stretches(spec, [(ONSET, later)])
@@ -105,7 +105,7 @@ def run(seed: int, number: int) -> dict[str, Any]:
     """Watch a rig in closed loop in which an effect begins.
 
     Returns:
-        What happened, ready for JSON.
+        The result, JSON-compatible.
     """
     row: dict[str, Any] = {"seed": seed, "number": number, "onset": ONSET, "experiment": "closed loop"}
     began = time.perf_counter()

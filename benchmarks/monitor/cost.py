@@ -1,4 +1,4 @@
-"""What the monitor costs: how fast it replays, and what the parts of a block take."""
+"""Cost of the monitor: replay speed, and the time of the parts of a block."""
 
 import time
 from collections import defaultdict
@@ -23,11 +23,11 @@ from ehls_ros.experiments.monitoring.parameters import Parameters
 from ehls_ros.trajectory import Trajectory
 
 PROGRAMMES, LEARNT, DURATION = "rich+random+steps", 70.0, 300.0
-"""What is replayed, the time of it that is learnt from and not timed, and its whole duration [s]."""
+"""Experiment that is replayed, its untimed initial part that is learnt from, and its whole duration [s]."""
 
 
 def show(console: Console) -> None:
-    """Print how fast a recording is replayed, and what the parts of a block take."""
+    """Print the replay speed of a recording and the time of the parts of a block."""
     recording = recording_of(Onset(PROGRAMMES, 1, DURATION, ()))
     monitor = Monitor(rig(), Parameters(), Timed())
     feed(monitor, part(recording, 0.0, LEARNT))
@@ -48,7 +48,7 @@ def show(console: Console) -> None:
 
 
 def _parts(recording: Trajectory) -> tuple[dict[str, list[float]], int]:
-    """Return what the parts of each block take [s], and the number of directions."""
+    """Return the times of the parts of each block [s], and the number of directions."""
     first = prepare(part(recording, 0.0, 20.0), rig(), "the rig")
     followed = directions(gather(first, rig(), setup(first, rig()), 0))
     test: ChangeTest | None = None
@@ -78,5 +78,5 @@ def _parts(recording: Trajectory) -> tuple[dict[str, list[float]], int]:
 
 
 def _any(count: int) -> Healthy:
-    """Return the scatter of one block that says nothing: no time depends on it."""
+    """Return a dummy scatter of one block: no time depends on it."""
     return learn(np.zeros((1, count)), np.ones((1, count)), np.zeros(1, dtype=np.intp))

@@ -1,4 +1,4 @@
-"""Hours of a healthy rig: how often the monitor alarms, and whether its sums are as large as theory has them."""
+"""Hours of a healthy rig: the monitor's false alarm rate, and its sums compared with theory."""
 
 import time
 import traceback
@@ -10,7 +10,7 @@ from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters
 
 SETTINGS = (100.0, 1000.0)
-"""Mean times between false alarms [h]; monitors run at the first, and the largest sums tell what others would have noticed."""
+"""Mean times between false alarms [h]; monitors run at the first, and the largest sums show what others would have noticed."""
 
 Row = dict[str, Any]
 
@@ -23,10 +23,10 @@ def run(seed: int, number: int, duration: float, form: float | None, with_powers
         number: of the episode.
         duration: of the episode [s].
         form: largest form error, as a fraction of the largest terms.
-        with_powers: whether to keep what simpler detectors watch.
+        with_powers: whether to keep the inputs of the simpler detectors.
 
     Returns:
-        What happened, ready for JSON.
+        The result, JSON-compatible.
     """
     row: Row = {"seed": seed, "number": number, "duration": duration, "forms": form}
     began = time.process_time()

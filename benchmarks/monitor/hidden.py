@@ -1,4 +1,4 @@
-"""Effects that begin while the rig runs, or grow: what the monitor says of them, and after what time."""
+"""Effects that begin or grow while the rig runs: the monitor's verdicts and their delay."""
 
 import math
 import time
@@ -20,16 +20,16 @@ from truth_generator import LISTED, draw_effect
 from truth_generator.effects import EFFECTS
 
 ONSET, AFTER = 90.0, 90.0
-"""Time at which an effect begins, and for which it is watched then [s]."""
+"""Onset of an effect, and duration of the watch from then on [s]."""
 
 OFFLINE = 60.0
 """Length of the recording that an offline diagnosis is given [s]."""
 
 LENGTHS = (2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)
-"""Lengths of a recording with the effect among which the shortest is sought that an offline diagnosis names it from [s]."""
+"""Lengths of a recording with the effect, among which the shortest that suffices for an offline diagnosis is sought [s]."""
 
 GROWING, PIECES = 600.0, 60
-"""Time over which an effect grows [s], shortened from an hour, and steps in which it does."""
+"""Time over which an effect grows [s], shortened from an hour, and number of steps."""
 
 Row = dict[str, Any]
 
@@ -47,12 +47,12 @@ def draw(seed: int, number: int, pool: Mapping[str, Any] | None = None) -> tuple
 
 
 def names_of(found: Finding) -> list[str]:
-    """Return the first cause of a diagnosis and what is alike; none where it names none."""
+    """Return the first cause of a diagnosis and its equivalents; none if it names none."""
     return [found.causes[0].name, *found.causes[0].equivalent_to] if found.names else []
 
 
 def offline(recording: Trajectory) -> list[str]:
-    """Return the first cause that an offline diagnosis names, and what is alike."""
+    """Return the first cause that an offline diagnosis names, and its equivalents."""
     return names_of(examine(Task(recording, rig())))
 
 
@@ -69,7 +69,7 @@ def shortest(recording: Trajectory, onset: float, effect: str, longest: float) -
 
 
 def watch(recording: Trajectory, onset: float, monitor: Monitor, examiner: Timed) -> list[Row]:
-    """Feed a recording to a monitor until it has named something after the onset, and return its alarms."""
+    """Feed a recording to a monitor until it has named a cause after the onset, and return its alarms."""
     alarms = list[Row]()
     examined = 0
     for times, signals in in_chunks(recording):
@@ -95,7 +95,7 @@ def run(seed: int, number: int) -> Row:
     """Watch a rig in which an effect begins.
 
     Returns:
-        What happened, ready for JSON.
+        The result, JSON-compatible.
     """
     row: Row = {"seed": seed, "number": number, "onset": ONSET}
     began = time.perf_counter()
@@ -115,7 +115,7 @@ def run(seed: int, number: int) -> Row:
 
 
 def growable() -> dict[str, str]:
-    """Return the effects that can grow from nothing, each with the size that does."""
+    """Return the effects that can grow from zero, each with its growing size."""
     out = {}
     for name in LISTED:
         sizes = [size for size, neutral in EFFECTS[name].neutral.items() if neutral in (0.0, 1.0)]
@@ -125,7 +125,7 @@ def growable() -> dict[str, str]:
 
 
 FROM_NOTHING_JUMPS = {"valve_second_order", "end_stop", "valve_saturation", "temperature_dependent_friction", "held_dropouts"}
-"""Effects whose sizes do not go to nothing continuously."""
+"""Effects whose sizes do not vanish continuously."""
 
 
 def grown(name: str, sizes: Mapping[str, Any], share: float) -> Hidden:
@@ -139,7 +139,7 @@ def run_growing(seed: int, number: int) -> Row:
     """Watch a rig in which an effect grows.
 
     Returns:
-        What happened, ready for JSON.
+        The result, JSON-compatible.
     """
     row: Row = {"seed": seed, "number": number, "onset": ONSET}
     began = time.perf_counter()

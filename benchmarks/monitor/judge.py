@@ -1,4 +1,4 @@
-"""Whether the monitor named a hidden effect, and how late.
+"""Whether and how late the monitor named a hidden effect.
 
 An effect counts if a diagnosis of a minute with it finds it first: the monitor's test and delay are judged, not the diagnosis.
 """
@@ -20,7 +20,7 @@ class Judged(NamedTuple):
         bound: shortest of the lengths after the onset whose offline diagnosis finds it [s].
         beyond: delay of the name beyond that [s].
         beyond_with_wall: the same with the time that the diagnoses until then took [s].
-        words: what was said.
+        words: the verdict in words.
     """
 
     counts: bool

@@ -1,7 +1,7 @@
 """Simpler detectors on the same streams: the drift detectors of river, a plain CUSUM and an EWMA.
 
-Each watches the power of the whitened residual in each channel, block by block, by its mean and scatter in the first minute.
-They name nothing; the stage of the channel that alarms first is the best they say. Each is tuned to the most sensitive of its
+Each watches the power of the whitened residual in each channel, block by block, relative to its mean and scatter in the first
+minute. They name no causes; at best, the stage of the channel that alarms first. Each is tuned to the most sensitive of its
 settings that raises no false alarm in the healthy hours.
 """
 
@@ -41,14 +41,14 @@ class Detector(Protocol):
     """Watches one channel."""
 
     def alarms(self, value: float) -> bool:
-        """Take a block's value, in standard deviations of the healthy ones, and tell whether that is an alarm."""
+        """Take a block's value, in standard deviations of the healthy ones, and return whether it raises an alarm."""
 
 
 class Cusum:
-    """A two-sided CUSUM that begins anew after an alarm."""
+    """A two-sided CUSUM that restarts after an alarm."""
 
     def __init__(self, threshold: float) -> None:
-        """Begin at zero.
+        """Start at zero.
 
         Args:
             threshold: in standard deviations.
@@ -65,10 +65,10 @@ class Cusum:
 
 
 class Ewma:
-    """An exponentially weighted mean that begins anew after an alarm."""
+    """An exponentially weighted mean that restarts after an alarm."""
 
     def __init__(self, threshold: float) -> None:
-        """Begin at zero.
+        """Start at zero.
 
         Args:
             threshold: in standard deviations of the mean.
@@ -88,7 +88,7 @@ class River:
     """A drift detector of river."""
 
     def __init__(self, detector: Any) -> None:
-        """Take the detector."""
+        """Wrap the detector."""
         self._detector = detector
 
     def alarms(self, value: float) -> bool:
@@ -110,7 +110,7 @@ class Peer(NamedTuple):
 
 
 def peers() -> dict[str, Peer]:
-    """Return the methods that are there."""
+    """Return the available methods."""
     out = {
         "CUSUM": Peer(np.geomspace(4.0, 4000.0, 31).tolist(), Cusum),
         "EWMA": Peer(np.geomspace(3.0, 300.0, 31).tolist(), Ewma),
@@ -133,7 +133,7 @@ def peers() -> dict[str, Peer]:
 
 
 def standardised(powers: Sequence[Sequence[float]]) -> np.ndarray:
-    """Return the powers of the blocks after the first ones, by the mean and scatter of these, shape (blocks, channels)."""
+    """Return the powers of the later blocks, normalised by mean and scatter of the first ones, shape (blocks, channels)."""
     values = np.array(powers, dtype=np.float64).reshape(-1, len(CHANNELS))
     with np.errstate(all="ignore"):
         first = values[:LEARNT]

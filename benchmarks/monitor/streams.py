@@ -1,4 +1,4 @@
-"""What the monitor is fed: hours of a healthy rig, and rigs in which an effect begins or grows while they run.
+"""Input streams of the monitor: hours of a healthy rig, and rigs in which an effect begins or grows while they run.
 
 The streams come from truth_generator, which shares no code with ehls_ros. They depend only on the run's seed and their number.
 """
@@ -30,13 +30,13 @@ STRETCH, PROGRAMME = 180.0, 60.0
 """Length of a stretch, which is one run of the truth generator, and of each programme in it [s]."""
 
 PAUSE = 10.0
-"""Time between two stretches, of which nothing is recorded [s]."""
+"""Time between two stretches, which is not recorded [s]."""
 
 WARMER, WARMING_TIME = (5.0, 25.0), 1200.0
-"""How much warmer the oil gets in an episode [K], and the time constant [s]."""
+"""Rise of the oil temperature in an episode [K], and its time constant [s]."""
 
 PER_KELVIN = (0.005, 0.02)
-"""Part of the viscous friction that a warm rig, whose file says so, loses per kelvin."""
+"""Fraction of the viscous friction that a warm rig loses per kelvin, as stated in its file."""
 
 SHARED = (*COLUMNS, *SERVO_COLUMNS)
 
@@ -50,7 +50,7 @@ class Stretch(NamedTuple):
         seed: its seed.
         duration: its duration [s].
         day: condition of the rig.
-        effects: effects that the rig file knows.
+        effects: effects that are in the rig file.
     """
 
     begin: float
@@ -62,14 +62,14 @@ class Stretch(NamedTuple):
 
 
 class Episode(NamedTuple):
-    """Some time of a healthy rig.
+    """Operating time of a healthy rig.
 
     Attributes:
         number: number in the run.
-        kind: ``exact`` or ``warm``: the rig's friction depends on the oil's temperature, and its file says so.
+        kind: ``exact`` or ``warm``: the rig's friction depends on the oil's temperature, as stated in its file.
         rig: the rig that the monitor is given.
         forms: how the rig differs from every model; None if it does not.
-        stretches: what it runs.
+        stretches: its stretches in order.
     """
 
     number: int
@@ -105,7 +105,7 @@ def episode(seed: int, number: int, duration: float, form: float | None) -> Epis
     begin = 0.0
     while begin < duration:
         programmes = _programmes(rng, round(STRETCH / PROGRAMME))
-        # The first minute is learnt from: a rig is set up on a programme that moves it.
+        # The monitor learns from the first minute: a rig is set up on a programme that moves it.
         programmes = ("rich", *(_drawn(rng, FORCE) for _ in programmes[1:])) if not stretches else programmes
         now, later = (warmer * (1.0 - np.exp(-t / WARMING_TIME)) for t in (begin, begin + STRETCH))
         sizes = {"form": "linear", "coefficient": slope, "warming": float(later - now), "time_constant": STRETCH}
@@ -117,7 +117,7 @@ def episode(seed: int, number: int, duration: float, form: float | None) -> Epis
 
 
 def _knowing(slope: float) -> Rig:
-    """Return the rig whose file knows that its viscous friction falls with the oil's temperature."""
+    """Return the rig whose file states the decrease of its viscous friction with the oil temperature."""
     name = "temperature_dependent_friction"
     given = rig()
     parameters = KNOWN.load(name).Parameters(viscous_slope=-slope * given.friction.viscous_coefficient)
@@ -138,7 +138,7 @@ class Onset(NamedTuple):
     """A rig in which an effect begins while it runs.
 
     Attributes:
-        experiment: what it runs.
+        experiment: name of the experiment.
         seed: seed of the recording.
         duration: its duration [s].
         growth: sizes of the effect, each from a time on.
@@ -163,7 +163,7 @@ def part(of: Trajectory, begin: float, end: float) -> Trajectory:
 
 
 def in_chunks(of: Trajectory, seconds: float = 0.5) -> Iterator[tuple[Array, dict[str, Array]]]:
-    """Yield a recording in chunks, as messages bring it."""
+    """Yield a recording in chunks, as messages deliver it."""
     edges = np.searchsorted(of.time_s, np.arange(of.time_s[0], of.time_s[-1] + seconds, seconds))
     for first, last in zip(edges, [*edges[1:], len(of.time_s)], strict=True):
         if last > first:
@@ -171,5 +171,5 @@ def in_chunks(of: Trajectory, seconds: float = 0.5) -> Iterator[tuple[Array, dic
 
 
 def plain(value: Any) -> Any:
-    """Return a numpy value as one that JSON can hold."""
+    """Return a numpy value as a JSON-compatible one."""
     return value.item() if hasattr(value, "item") else str(value)

@@ -57,7 +57,7 @@ _USUAL = ("learnt", "watching", "differs")
 
 
 def show_healthy(rows: Sequence[Row], console: Console) -> None:
-    """Print how often a healthy rig raises alarms."""
+    """Print the false alarm rate of a healthy rig."""
     good = [row for row in rows if "error" not in row]
     kinds = {kind: [row for row in good if row["kind"] == kind] for kind in dict.fromkeys(row["kind"] for row in good)}
     table = Table(title="false alarms, with the exact 95 % interval of the rate", title_justify="left")
@@ -102,7 +102,7 @@ def _show_tail(rows: Sequence[Row], console: Console) -> None:
 
 
 def show_hidden(rows: Sequence[Row], console: Console) -> None:
-    """Print whether effects that begin while the rig runs are named rightly, and after what time."""
+    """Print the correctness and the delay of the names of effects that begin while the rig runs."""
     good = [row for row in rows if "error" not in row]
     judged = [(row, judge(row)) for row in good]
     counted = [(row, j) for row, j in judged if j.counts]

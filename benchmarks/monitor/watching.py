@@ -1,4 +1,4 @@
-"""A monitor as the benchmark runs it: with its diagnoses timed, and with what its blocks say kept."""
+"""The benchmark's monitor, which times its diagnoses and keeps the sums of its blocks."""
 
 import time
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from ehls_ros.trajectory import Trajectory
 
 
 class Examined(NamedTuple):
-    """A diagnosis that the monitor asked for.
+    """A diagnosis requested by the monitor.
 
     Attributes:
         length: of the recording [s].
@@ -36,10 +36,10 @@ class Examined(NamedTuple):
 
 
 class Timed:
-    """Diagnoses at once, and keeps how long each diagnosis took."""
+    """Diagnoses synchronously, and stores the duration of each diagnosis."""
 
     def __init__(self) -> None:
-        """Begin with nothing to do."""
+        """Start without a task."""
         self.done = list[Examined]()
         self._found: Finding | None = None
 
@@ -56,16 +56,16 @@ class Timed:
         return found
 
     def close(self) -> None:
-        """Nothing is under way."""
+        """Do nothing: no diagnosis is under way."""
 
 
 def test_of(monitor: Monitor) -> ChangeTest | None:
-    """Return the test inside a monitor, which no interface shows."""
+    """Return the test inside a monitor, which has no public interface."""
     return monitor._test  # noqa: SLF001
 
 
 def bounds(monitor: Monitor, hours: Sequence[float]) -> list[float]:
-    """Return what a sum must exceed for mean times between false alarms [h], in standard deviations."""
+    """Return the thresholds of a sum for mean times between false alarms [h], in standard deviations."""
     test = test_of(monitor)
     return [] if test is None else [ChangeTest(test.healthy, h).bound for h in hours]
 
@@ -76,7 +76,7 @@ def feed(monitor: Monitor, recording: Trajectory, largest: list[float] | None = 
     Args:
         monitor: the monitor.
         recording: the recording, on its axis.
-        largest: takes the largest sum each time that blocks are judged, in standard deviations.
+        largest: receives the largest sum each time that blocks are judged, in standard deviations.
     """
     events = list[Event]()
     for times, signals in in_chunks(recording):
@@ -89,7 +89,7 @@ def feed(monitor: Monitor, recording: Trajectory, largest: list[float] | None = 
 
 
 def powers(recording: Trajectory, rig: Rig) -> list[list[float]]:
-    """Return the logarithm of the mean square of each channel's whitened residual in each block; NaN where there is none."""
+    """Return the logarithm of the mean square of each channel's whitened residual in each block; NaN if there is none."""
     time_s, lead, block = recording.time_s, rules.MONITOR_LEAD, rules.MONITOR_BLOCK
     out = list[list[float]]()
     for begin in np.arange(time_s[0] + lead, time_s[-1] - block, block):
@@ -115,5 +115,5 @@ def _power(recording: Trajectory, rig: Rig, lead: float) -> list[float]:
 
 
 def told(event: Event) -> dict[str, Any]:
-    """Return an event ready for JSON."""
+    """Return an event in JSON-compatible form."""
     return {"time": event.time, "kind": event.kind, "text": event.text}

@@ -1,1 +1,1 @@
-"""What scripts and notebooks use, as ``import ehls_ros as ehls``: the work of the verbs, with objects in and out."""
+"""Python interface for scripts and notebooks, ``import ehls_ros as ehls``: the verbs as functions on objects."""

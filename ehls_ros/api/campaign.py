@@ -1,4 +1,4 @@
-"""Many simulated experiments as one table: the work of `ehls campaign`."""
+"""Campaign of many simulated experiments as one table, as done by `ehls campaign`."""
 
 import os
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class CampaignResult(CampaignResults):
         return verdict_sentence(self)[0]
 
     def to_pandas(self) -> "DataFrame":
-        """Return the table: one row per run, with the varied values, the metrics, and why a run failed."""
+        """Return the table: one row per run, with the varied values, the metrics, and the reason of a failure."""
         from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
 
         return DataFrame({name: values for name, values in self.table.items() if name != "digest"}).set_index("run")
@@ -56,7 +56,7 @@ class CampaignResult(CampaignResults):
         return figure(drawn.sweep(self, swept[0], parts) if swept else drawn.distribution(self, parts))
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Return a one-line summary."""
         return f"<{type(self).__name__}: {len(self)} runs, {len(self.failed)} failed>"
 
     def _repr_html_(self) -> str:
@@ -73,14 +73,14 @@ def campaign(
     """Run a sweep or a Monte Carlo study of experiments.
 
     Args:
-        plan: path of a campaign file, name of one that comes with the package, or its content, such as
+        plan: path of a campaign file, name of one supplied with the package, or its content, such as
             ``{"base": "sine_fd2", "vary": {"controller.k": [6.0, 12.0]}}``. ``base`` may be the ``spec`` of a simulation.
-        out: folder that keeps finished runs, so that the same call continues there; None: nothing is kept.
+        out: folder for finished runs, from which the same call resumes; None: nothing is kept.
         jobs: number of processes; None: one per processor.
         progress: show a progress bar, in a notebook or on a terminal.
 
     Returns:
-        The table. A run that fails is a row with the reason in ``error``.
+        The table. A failed run is a row with the reason in ``error``.
 
     Raises:
         BadInput: the plan is wrong, or pyarrow or joblib is not installed.
@@ -101,7 +101,7 @@ def campaign(
 
 
 def _written_out(plan: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a plan whose base is a file's path or content."""
+    """Return a plan with its base replaced by a file's path or content."""
     base = plan.get("base")
     if isinstance(base, Spec):
         return {**plan, "base": spec_to_mapping(base)}

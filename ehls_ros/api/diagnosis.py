@@ -1,4 +1,4 @@
-"""What a rig's model gets wrong, as an object: the work of `ehls diagnose`."""
+"""Diagnosis of a rig's model as an object, as done by `ehls diagnose`."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -29,11 +29,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DiagnosisResult(Diagnosis):
-    """What a rig's model gets wrong, why, what correcting it gains, and what follows.
+    """Errors of a rig's model, their causes, the gain from correcting them, and the consequences.
 
     Attributes:
-        follows: free run of both models, benefit to the controller, and in ``next_experiment`` what would separate open causes.
-        name: what was diagnosed.
+        follows: free run of both models, benefit to the controller, and in ``next_experiment`` an experiment that would
+            separate open causes.
+        name: name of the diagnosed recording.
     """
 
     follows: Consequences
@@ -57,7 +58,7 @@ class DiagnosisResult(Diagnosis):
         return DataFrame(rows, columns=columns)
 
     def plot(self) -> "Figure":
-        """Draw the residual over time where the model is most wrong, without and with the causes."""
+        """Draw the residual over time in the channel with the largest error, without and with the causes."""
         return figure(over_time(self, largest_first(self)[0]) if self.traces else stage_bars(self))
 
     def plot_stages(self) -> "Figure":
@@ -65,7 +66,7 @@ class DiagnosisResult(Diagnosis):
         return figure(stage_bars(self))
 
     def report(self, path: str | Path) -> Path:
-        """Write the HTML report that `ehls diagnose` writes, and return its path.
+        """Write the HTML report of `ehls diagnose` and return its path.
 
         Raises:
             BadInput: the file cannot be written.
@@ -73,7 +74,7 @@ class DiagnosisResult(Diagnosis):
         return written(path, lambda file: write_diagnosis_report(self, file, self.follows, self.name))
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Return a one-line summary."""
         causes = ", ".join(cause.name for cause in self.causes)
         return f"<{type(self).__name__} {self.name}: {self.verdict}{f': {causes}' if causes else ''}>"
 
@@ -93,20 +94,20 @@ def diagnose(
     threads: int | None = None,
     progress: bool = True,
 ) -> DiagnosisResult:
-    """Find what is wrong in the simulation of a rig, from a recording, or what has changed since it was well.
+    """Find errors of a rig's model, or changes since a healthy state, from a recording.
 
     Args:
         data: the recording, or its path.
-        rig: the rig as its file describes it, or that file.
-        columns: names and units of the data's own, for paths.
-        baseline: one or several recordings from when the rig was well; none: the recording is judged by itself.
+        rig: the rig, or its file.
+        columns: names and units used in the data, for paths.
+        baseline: one or several recordings of the healthy rig; none: the recording is judged by itself.
         seed: of the noise added to find the noise floor, and of resampling.
-        threads: hypotheses tried at once; None: one for each processor.
+        threads: number of hypotheses tried in parallel; None: one per processor.
         progress: show a progress bar, in a notebook or on a terminal.
 
     Returns:
-        The diagnosis: ``verdict``, ``causes`` with their parameters, ``extended``, the rig with the causes in it. Data that
-        tell too little give the verdict ``insufficient`` and say in ``missing`` what to record.
+        The diagnosis: ``verdict``, ``causes`` with their parameters, and ``extended``, the rig with the causes. Insufficient
+        data give the verdict ``insufficient``, with the signals and motion to record in ``missing``.
 
     Raises:
         BadInput: the data or the rig cannot be read, or the data are not of such a rig.

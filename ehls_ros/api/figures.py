@@ -1,4 +1,4 @@
-"""The figures of the reports as plotly's own objects, which notebooks show and users can change."""
+"""Figures of the reports as plotly objects, which notebooks display and users can modify."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -10,14 +10,14 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 UNUSED = ("zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "autoScale2d", "select2d", "lasso2d")
-"""Buttons left out: dragging zooms, and a double click goes back."""
+"""Buttons left out: dragging zooms, and a double click resets the view."""
 
 
 def figure(panel: Panel | LeftOut) -> "Figure":
-    """Return a report's figure as plotly's object.
+    """Return a report's figure as a plotly object.
 
     Raises:
-        BadInput: what it would show was not recorded, or plotly is not installed.
+        BadInput: the signals of the figure were not recorded, or plotly is not installed.
     """
     if isinstance(panel, LeftOut):
         raise BadInput(f"there is nothing to draw ({panel.reason})", panel.title, "a recording with these signals")

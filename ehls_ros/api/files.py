@@ -1,4 +1,4 @@
-"""Files that results are written to."""
+"""Output files of results."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,10 +7,10 @@ from ehls_ros.errors import BadInput
 
 
 def written(path: str | Path, write: Callable[[Path], object]) -> Path:
-    """Write a file into a folder, which is made if it is missing, and return its path.
+    """Write a file, creating its folder if necessary, and return its path.
 
     Raises:
-        BadInput: it cannot be written.
+        BadInput: the file cannot be written.
     """
     file = Path(path)
     try:

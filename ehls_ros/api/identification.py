@@ -1,4 +1,4 @@
-"""A rig identified from recordings, as an object: the work of `ehls identify`."""
+"""Identification of a rig from recordings as an object, as done by `ehls identify`."""
 
 from collections.abc import Iterable, Mapping
 from html import escape
@@ -47,7 +47,7 @@ class FrictionResult(Identification):
         return figure(stribeck(self))
 
     def report(self, path: str | Path, before: Rig | None = None) -> Path:
-        """Write the HTML report that `ehls identify` writes, and return its path.
+        """Write the HTML report of `ehls identify` and return its path.
 
         Args:
             path: the file.
@@ -59,7 +59,7 @@ class FrictionResult(Identification):
         return written(path, lambda file: write_identification_report(self, file, before=before))
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Return a one-line summary."""
         return _line(self)
 
     def _repr_html_(self) -> str:
@@ -76,7 +76,7 @@ class RigResult(RigIdentification):
         return _table(self.estimates)
 
     def report(self, path: str | Path, before: Rig) -> Path:
-        """Write the HTML report that `ehls identify --whole-rig` writes, and return its path.
+        """Write the HTML report of `ehls identify --whole-rig` and return its path.
 
         Args:
             path: the file.
@@ -88,7 +88,7 @@ class RigResult(RigIdentification):
         return written(path, lambda file: write_rig_report(self, file, before=before))
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Return a one-line summary."""
         return _line(self)
 
     def _repr_html_(self) -> str:
@@ -152,16 +152,16 @@ def identify(
 
     Args:
         data: one or several recordings, or their paths.
-        rig: the rig as known so far, or its file, where the search starts.
+        rig: the rig as known so far, or its file, from which the search starts.
         whole_rig: identify valve, flow, mass, spring and sensors as well, as far as they are recorded.
-        columns: names and units of the data's own, for paths.
+        columns: names and units used in the data, for paths.
         optimiser: of the friction's static fit.
         elements: number of friction elements; None: as many as the data show.
-        seed: of what is random in the search.
+        seed: seed of the search's random numbers.
         progress: show a progress bar, in a notebook or on a terminal.
 
     Returns:
-        The estimates with their standard errors, and the rig with them in it.
+        The estimates with their standard errors, and the rig updated with them.
 
     Raises:
         BadInput: data or rig cannot be read, or the data cannot be used; the message names the signal.

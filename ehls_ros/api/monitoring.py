@@ -1,4 +1,4 @@
-"""A rig's recordings watched for changes, as an object: the work of `ehls monitor`."""
+"""Monitoring of a rig's recordings for changes as an object, as done by `ehls monitor`."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class MonitorResult:
-    """What changed on a rig while recordings were made, and how each coefficient went.
+    """Changes of a rig over its recordings, and the history of each coefficient.
 
     Attributes:
-        health: what is known at the end: ``health.changes``, ``health.readings``, ``health.rates``.
-        events: what happened, in its order.
-        name: what was watched.
-        watched: all that file and page show.
+        health: final state: ``health.changes``, ``health.readings``, ``health.rates``.
+        events: events in order of time.
+        name: name of the monitored recordings.
+        watched: complete data of file and page.
     """
 
     health: Health
@@ -46,7 +46,7 @@ class MonitorResult:
         return answer(self.watched)[0]
 
     def to_pandas(self) -> "DataFrame":
-        """Return the coefficients over time, a row each: value and standard error are NaN where they are not told."""
+        """Return the coefficients over time, a row each; value and standard error are NaN if not identifiable."""
         from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
 
         columns = ["time_s", "coefficient", "value", "std", "unit", "why_not"]
@@ -59,7 +59,7 @@ class MonitorResult:
         return DataFrame(rows, columns=columns)
 
     def report(self, path: str | Path) -> Path:
-        """Write the HTML report that `ehls monitor` writes, and return its path.
+        """Write the HTML report of `ehls monitor` and return its path.
 
         Raises:
             BadInput: the file cannot be written.
@@ -67,7 +67,7 @@ class MonitorResult:
         return written(path, lambda file: write_monitor_report(self.watched, file, self.name))
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Return a one-line summary."""
         return f"<{type(self).__name__} {self.name}: {self.sentence}>"
 
     def _repr_html_(self) -> str:
@@ -87,22 +87,22 @@ def monitor(
     limits: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> MonitorResult:
-    """Watch recordings for changes as if the rig ran, with a stated rate of false alarms.
+    """Monitor recordings for changes as if online, with a specified false-alarm rate.
 
     Args:
-        data: one or several recordings, or their paths, in the order of their making.
-        rig: the healthy rig as its file describes it, or that file.
-        columns: names and units of the data's own, for paths.
-        baseline: one or several recordings from when the rig was well; none: the first samples are learnt from.
-        mean_time_between_false_alarms: at least [h].
-        learning_time: time that is learnt from without a baseline [s].
+        data: one or several recordings, or their paths, in chronological order.
+        rig: the healthy rig, or its file.
+        columns: names and units used in the data, for paths.
+        baseline: one or several recordings of the healthy rig; none: the monitor learns from the first samples.
+        mean_time_between_false_alarms: lower limit [h].
+        learning_time: learning time without a baseline [s].
         reading_time: time over which coefficients are averaged [s].
         limits: limits of coefficients by name, each in its unit, such as ``{"leakage_coefficient": 1.2e-11}``.
         progress: show a progress bar, in a notebook or on a terminal.
 
     Returns:
-        The rig's health, what happened, and the coefficients over time. All samples count as driven: of a bag in which the
-        safety gate closed, `ehls monitor` leaves out what was not.
+        The rig's health, the events, and the coefficients over time. All samples count as driven, whereas `ehls monitor` omits
+        the parts of a bag in which the safety gate was closed.
 
     Raises:
         BadInput: a value is wrong, the data or the rig cannot be read, or the data are not of such a rig.

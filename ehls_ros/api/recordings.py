@@ -1,4 +1,4 @@
-"""A recording as an object: a trajectory that becomes a table, a figure, a report or a file."""
+"""Recording as an object: a trajectory with conversions to a table, a figure, a report or a file."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 Columns = ColumnMap | Mapping[str, Any] | str | Path
-"""A map of columns: read already, as a mapping like its YAML file, or the path of that file."""
+"""A map of columns: an object, a mapping like its YAML file, or the path of that file."""
 
 Data = str | Path | Trajectory
 """A recording, or its path."""
@@ -40,17 +40,17 @@ EXPECTED_DATA = "a path, or a recording; of arrays, Recording(time_s, {'force_n'
 class Recording(Trajectory):
     """Signals over a common time base, from a file, a simulation, or arrays: ``Recording(time_s, {"force_n": force})``.
 
-    ``recording["force_n"]`` is one signal, ``"force_n" in recording`` tells whether it was recorded, and ``len(recording)``
-    is the number of samples.
+    ``recording["force_n"]`` is one signal, ``"force_n" in recording`` is whether it was recorded, and ``len(recording)`` is the
+    number of samples.
 
     Attributes:
-        name: what errors and reports call it.
+        name: name in errors and reports.
     """
 
     name: str = "recording"
 
     def __post_init__(self) -> None:
-        """Take lists and columns of tables for arrays, and check the times.
+        """Convert lists and columns of tables to arrays, and check the times.
 
         Raises:
             ValueError: time does not increase, or a signal has an unknown name or another length.
@@ -87,7 +87,7 @@ class Recording(Trajectory):
         return DataFrame(columns, index=Index(self.time_s, name="time_s"))
 
     def describe(self) -> "DataFrame":
-        """Return a table with one row per signal: what it is, unit, smallest and largest value, fraction of missing samples."""
+        """Return a table with one row per signal: description, unit, smallest and largest value, missing fraction."""
         from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
 
         rows = {}
@@ -98,7 +98,7 @@ class Recording(Trajectory):
         return DataFrame.from_dict(rows, orient="index", columns=["what", "unit", "min", "max", "missing"])
 
     def plot(self, *signals: str) -> "Figure":
-        """Draw signals over time, those of one unit in one row.
+        """Draw signals over time, with one row per unit.
 
         Args:
             signals: their names; none: the measured ones.
@@ -109,7 +109,7 @@ class Recording(Trajectory):
         return figure(signals_over_time(self, signals))
 
     def report(self, path: str | Path) -> Path:
-        """Write the HTML report that `ehls report` writes, and return its path.
+        """Write the HTML report of `ehls report` and return its path.
 
         Raises:
             BadInput: the file cannot be written.
@@ -117,7 +117,7 @@ class Recording(Trajectory):
         return written(path, lambda file: write_experiment_report(self, evaluate_recording(self), file, name=self.name))
 
     def save(self, path: str | Path) -> Path:
-        """Write a CSV file, or a bag where the path does not end in ``.csv``, and return its path.
+        """Write a CSV file, or a bag if the path does not end in ``.csv``, and return its path.
 
         Raises:
             BadInput: the file cannot be written, or the bag exists.
@@ -126,7 +126,7 @@ class Recording(Trajectory):
         return written(path, lambda file: writer(file, self))
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Return a one-line summary."""
         return f"<{type(self).__name__} {self.name}: {self._extent()}>"
 
     def _extent(self) -> str:
@@ -143,7 +143,7 @@ Kind = TypeVar("Kind", bound=Recording)
 
 
 def with_methods(kind: type[Kind], trajectory: Trajectory, name: str, **more: Any) -> Kind:
-    """Return a trajectory as a recording of a kind, with ``more`` of its fields."""
+    """Convert a trajectory to a kind of recording, with ``more`` of its fields."""
     own = {field.name: getattr(trajectory, field.name) for field in fields(Trajectory)}
     return kind(**own, name=name, **more)
 
@@ -154,27 +154,27 @@ def load(path: str | Path, columns: Columns | None = None) -> Recording:
     Args:
         path: folder of a run or a rosbag2; a file ``.mcap`` or ``.db3``; a table ``.csv``, ``.tsv``, ``.txt``, ``.dat``,
             ``.asc``, ``.xlsx``, ``.xls``, ``.mat``, ``.tdms`` or ``.parquet``; or a folder with the tables of one recording.
-        columns: the data's own names and units, as a mapping such as ``{"position_m": {"name": "x", "unit": "mm"}}`` or the
+        columns: names and units used in the data, as a mapping such as ``{"position_m": {"name": "x", "unit": "mm"}}`` or the
             path of a YAML file with it. None: the names of the data contract.
 
     Returns:
-        The recording, in SI units; ``preparation.remarks`` says how it was read.
+        The recording, in SI units; ``preparation.remarks`` documents how it was read.
 
     Raises:
-        BadInput: the data cannot be read; the message says where and what was expected.
+        BadInput: the data cannot be read; the message states the location and the expected input.
     """
     check_kind(path, (str, Path), "path", "a path")
     return read(path, columns, SIGNALS)
 
 
 def read(path: str | Path, columns: Columns | None, wanted: Collection[str]) -> Recording:
-    """Read data of which some signals are wanted."""
+    """Read selected signals of a data set."""
     place = Path(path)
     return with_methods(Recording, formats.load(recording_in(place), column_map(columns), wanted), place.name or str(place))
 
 
 def column_map(columns: Columns | None) -> ColumnMap | None:
-    """Return a map of columns however it was given."""
+    """Return a map of columns from any of its representations."""
     if columns is None or isinstance(columns, ColumnMap):
         return columns
     check_kind(columns, (Mapping, str, Path), "columns", "a path, or a mapping like {'position_m': {'name': 'x'}}")
@@ -182,7 +182,7 @@ def column_map(columns: Columns | None) -> ColumnMap | None:
 
 
 def as_recording(data: Data, columns: Columns | None, wanted: Collection[str] = SIGNALS) -> Recording:
-    """Return what a caller gave as data; ``columns`` are those of files.
+    """Return the data passed by a caller as a recording; ``columns`` are used for files only.
 
     Raises:
         BadInput: it cannot be read.
@@ -194,7 +194,7 @@ def as_recording(data: Data, columns: Columns | None, wanted: Collection[str] = 
 
 
 def by_name(data: Data | Iterable[Data], columns: Columns | None, wanted: Collection[str] = SIGNALS) -> dict[str, Recording]:
-    """Return one or several recordings by their names, numbered where two have the same."""
+    """Return one or several recordings by name, numbered in case of duplicates."""
     check_kind(data, (str, Path, Trajectory, Iterable), "data", EXPECTED_DATA)
     given = [data] if isinstance(data, str | Path | Trajectory) else list(data)
     found = [as_recording(one, columns, wanted) for one in given]

@@ -1,4 +1,4 @@
-"""Rigs, and experiments on them in simulation."""
+"""Rigs and simulated experiments."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ from ehls_ros.progress import progress_bar
 from ehls_ros.recording.yaml_text import read_yaml
 
 RigSource = Rig | Mapping[str, Any] | str | Path
-"""A rig: read already, as a mapping like its YAML file, that file, or the name of one that comes with the package."""
+"""A rig: an object, a mapping like its YAML file, the path of that file, or the name of one supplied with the package."""
 
 SpecSource = Spec | Mapping[str, Any] | str | Path
-"""An experiment, likewise."""
+"""An experiment, in the same forms as :data:`RigSource`."""
 
 EXPECTED_RIG = "a rig, the path of its file, the name of one that comes with the package, or a mapping"
 EXPECTED_SPEC = "an experiment, the path of its file, the name of one that comes with the package, or a mapping"
@@ -39,7 +39,7 @@ class Simulation(Recording):
     """The recording of a simulated experiment.
 
     Attributes:
-        metrics: its figures of merit. ``metrics.warnings`` says why a run is of little use, with the reason if it ended early.
+        metrics: its figures of merit. ``metrics.warnings`` lists limitations of the run, and the reason if it ended early.
         spec: the experiment.
     """
 
@@ -51,8 +51,8 @@ def rig(source: RigSource) -> Rig:
     """Return a rig.
 
     Args:
-        source: path of a rig file; name of one that comes with the package, such as ``"rig_paper_measured"``; its content as a
-            mapping; or a rig, which is returned as it is.
+        source: path of a rig file; name of one supplied with the package, such as ``"rig_paper_measured"``; its content as a
+            mapping; or a rig, which is returned unchanged.
 
     Raises:
         BadInput: the file or one of its keys is wrong.
@@ -64,7 +64,7 @@ def rig(source: RigSource) -> Rig:
 
 
 def save_rig(rig: Rig, path: str | Path) -> Path:
-    """Write a rig file, and return its path.
+    """Write a rig file and return its path.
 
     Raises:
         BadInput: the file cannot be written.
@@ -89,28 +89,28 @@ def simulate(
 ) -> Simulation:
     """Run an experiment on the simulated rig: plant, friction observer and controller in one process, without ROS.
 
-    All arguments but the last are keys of an experiment file, and take the place of those in ``spec``.
+    All arguments but the last are keys of an experiment file, and override those in ``spec``.
 
     Args:
-        spec: the experiment to start from: path of its file, name of one that comes with the package, such as
-            ``"sine_fd2"``, its content, or an experiment. None: rig and reference are given, and the controller is FASMC.
-        rig: the rig as it is, in place of the experiment's rig, effects and controller's rig.
-        controller_rig: the rig as the controller believes it to be.
-        effects: effects beyond those of the rig itself, each with ``name`` and parameters.
-        reference: what the controller follows, such as ``{"name": "sine", "amplitude": 1e4, "frequency": 0.5}``.
-        disturbance: what disturbs the rig; by default nothing.
+        spec: the experiment to start from: path of its file, name of one supplied with the package, such as
+            ``"sine_fd2"``, its content, or an experiment. None: rig and reference are required, and the controller is FASMC.
+        rig: the true rig, in place of the experiment's rig, effects and controller's rig.
+        controller_rig: the rig assumed by the controller.
+        effects: effects in addition to those of the rig, each with ``name`` and parameters.
+        reference: force reference, such as ``{"name": "sine", "amplitude": 1e4, "frequency": 0.5}``.
+        disturbance: disturbance of the rig; by default none.
         controller: the control law with its parameters, such as ``{"name": "fasmc", "k": 6.0}``.
         compensation: the friction observer.
         duration: plant time [s].
         seed: seed of the sensors' noise.
-        title: what reports call it.
+        title: title in reports.
         progress: show a progress bar, in a notebook or on a terminal.
 
     Returns:
-        The recording with its metrics. A run whose numbers became impossible ends there, and its warnings say so.
+        The recording with its metrics. A run that becomes numerically invalid ends early, with a warning.
 
     Raises:
-        BadInput: a value is wrong, or the numbers together describe no rig.
+        BadInput: a value is wrong, or the values together describe no valid rig.
     """
     changes: dict[str, Any] = {
         "effects": effects, "reference": reference, "disturbance": disturbance, "controller": controller,
@@ -125,7 +125,7 @@ def simulate(
 
 
 def _changed(source: SpecSource | None, own: RigSource | None, believed: RigSource | None, changes: Mapping[str, Any]) -> Spec:
-    """Return an experiment with other values for some of its keys."""
+    """Return an experiment with some keys replaced."""
     content, where, folder = _content(source)
     if own is not None:
         content |= {"rig": rig_to_mapping(rig(own)), "controller_rig": None, "effects": None}
@@ -143,7 +143,7 @@ def _changed(source: SpecSource | None, own: RigSource | None, believed: RigSour
 
 
 def _content(source: SpecSource | None) -> tuple[dict[str, Any], str, Path]:
-    """Return an experiment's keys, what errors call it, and the folder that the files it names are relative to."""
+    """Return an experiment's keys, its name in errors, and the folder to which its file names are relative."""
     if source is None:
         return {"controller": "fasmc"}, "simulate", Path()
     if isinstance(source, Spec):

@@ -1,4 +1,4 @@
-"""Dynamic force verification of a recording, as an object: the work of `ehls verify`."""
+"""Dynamic force verification of a recording as an object, as done by `ehls verify`."""
 
 from dataclasses import dataclass, fields
 from html import escape
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class VerificationResult(Verification):
-    """How well the force of a recording follows its reference, block by block. It certifies nothing.
+    """Accuracy with which a recording's force follows its reference, block by block. It certifies nothing.
 
     Attributes:
-        name: what was verified.
+        name: name of the verified recording.
     """
 
     name: str
@@ -65,7 +65,7 @@ class VerificationResult(Verification):
         return figure(trend(cyclic[chosen]))
 
     def report(self, path: str | Path) -> Path:
-        """Write the HTML report that `ehls verify` writes, and return its path.
+        """Write the HTML report of `ehls verify` and return its path.
 
         Raises:
             BadInput: the file cannot be written.
@@ -73,7 +73,7 @@ class VerificationResult(Verification):
         return written(path, lambda file: write_verification_report(self, file, self.name))
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Return a one-line summary."""
         return f"<{type(self).__name__} {self.name}: {len(self.blocks)} blocks>"
 
     def _repr_html_(self) -> str:
@@ -95,20 +95,18 @@ def verify(
 
     Args:
         data: the recording, or its path; with ``force_n`` and ``force_reference_n``.
-        rig: the rig as its file describes it, or that file, for resolution, noise and lag of its sensors. None: the one in the
-            recording, if any.
-        columns: names and units of the data's own, for paths.
+        rig: the rig or its file, for resolution, noise and lag of its sensors. None: the one in the recording, if any.
+        columns: names and units used in the data, for paths.
         inertia_mass: mass between load cell and specimen [kg]; None: its inertia is not corrected.
         cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None counts as zero.
         settling: cycles to leave out at the start of each stretch of a block; None: until the error is that of the later half.
 
     Returns:
         The verification: ``blocks`` with peak, valley, mean, range, amplitude and phase, their errors and uncertainties,
-        harmonic distortion and repeatability. A block that does not repeat has its error over time alone, and says why.
+        harmonic distortion and repeatability. A block that does not repeat has only its error over time, and the reason.
 
     Raises:
-        BadInput: the data or the rig cannot be read, force or reference is missing, or inertia is to be corrected without
-            a position.
+        BadInput: the data or the rig cannot be read, force or reference is missing, or the inertia correction lacks a position.
     """
     recording = as_recording(data, columns)
     given = Given(None if rig is None else rig_of(rig), inertia_mass, cell_uncertainty, settling)

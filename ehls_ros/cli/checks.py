@@ -1,4 +1,4 @@
-"""The checks of `ehls doctor`, one function each: the finding, and what to do about it."""
+"""Checks of `ehls doctor`, one function each, that return a finding and advice."""
 
 import importlib
 import importlib.metadata
@@ -39,10 +39,10 @@ LEAST_SPACE = 4.0
 """Disk space for about an hour of recording at 1 kHz [GB]."""
 
 LATEST = 500.0
-"""Wake-up latency that leaves too little of a 1 ms period [us]."""
+"""Maximum wake-up latency for a 1 ms period [us]."""
 
 LOCKED_MEMORY = 2**29
-"""Memory a realtime node may lock, with margin: 200 MiB, and 70 MiB more while it compiles its kernels [B]."""
+"""Memory that a realtime node may lock, with margin [B]: 200 MiB, and 70 MiB more while it compiles its kernels."""
 
 CPU = Path("/sys/devices/system/cpu")
 
@@ -56,8 +56,8 @@ class Finding(NamedTuple):
     Attributes:
         check: its name.
         level: ok; note: worth knowing; problem: something will not work.
-        found: one line.
-        advice: what to do; empty if nothing.
+        found: finding, one line.
+        advice: recommended action; empty if none.
     """
 
     check: str
@@ -75,7 +75,7 @@ def python() -> Finding:
 
 
 def packages() -> Finding:
-    """Check that the required packages can be imported, and plotly and shtab, which ROS machines may lack."""
+    """Check that the required packages can be imported, and the optional plotly and shtab."""
     if missing := _not_importable("numba", "numpy", "rich", "rosbags", "scipy", "yaml"):
         advice = "make setup, or pip install . again; in a ROS workspace, rosdep install"
         return Finding("packages", "problem", f"cannot be imported: {missing}", advice)

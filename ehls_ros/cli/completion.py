@@ -1,4 +1,4 @@
-"""Shell completion as a static script, so that pressing tab starts no Python."""
+"""Shell completion as a static script, so that completion does not start Python."""
 
 import argparse
 from collections.abc import Iterator
@@ -16,11 +16,11 @@ FILES_AND_NAMES = {
     "bash": "{name}() {{ _shtab_compgen_files $1; compgen -W '{names}' -- $1; }}",
     "zsh": "{name}() {{ _alternative 'files:file:_files' 'names:name:({names})' }}",
 }
-"""Functions of the shells for arguments that are a path, or the name of a file that comes with the package."""
+"""Shell functions to complete an argument that is a path or the name of a file of the package."""
 
 
 class PrintCompletion(argparse.Action):
-    """Prints the script and exits."""
+    """Print the script and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, *values: object) -> None:
         """Print the script for the given shell."""

@@ -1,4 +1,4 @@
-"""Arguments that name a file, or one that comes with the package."""
+"""Command line arguments that name a file by its path, or a file of the package by its name."""
 
 import argparse
 from pathlib import Path
@@ -7,16 +7,16 @@ from ehls_ros.experiments.files import configured
 
 
 class Configured(argparse.Action):
-    """Finds the file: the path if there is one, otherwise the package's file of that name."""
+    """Resolve a file: the path if it exists, otherwise the package's file of that name."""
 
     def __init__(self, option_strings: list[str], dest: str, folder: str = "", **options: object) -> None:
-        """Remember where the package's files of this kind are.
+        """Set the folder of the package's files of this kind.
 
         Args:
             option_strings: the option's names.
             dest: the attribute that takes the path.
-            folder: the kind, as of :func:`ehls_ros.experiments.files.configured`.
-            options: what argparse passes on.
+            folder: see :func:`ehls_ros.experiments.files.configured`.
+            options: further options of argparse.
         """
         super().__init__(option_strings, dest, **options)  # type: ignore[arg-type]
         self.folder = folder
@@ -24,5 +24,5 @@ class Configured(argparse.Action):
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: object, option_string: str | None = None
     ) -> None:
-        """Set the path."""
+        """Store the resolved path."""
         setattr(namespace, self.dest, configured(Path(str(values)), self.folder))

@@ -6,7 +6,7 @@ from ehls_ros.errors import BadInput
 
 
 def writable(folder: Path, file: str) -> Path:
-    """Create a folder if needed, and check before the work that a file can be written in it.
+    """Create a folder if needed, and check in advance that a file can be written in it.
 
     Raises:
         BadInput: the file cannot be written.

@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: words after `ehls`; the process's own by default.
+        arguments: words after `ehls`; by default those of the process.
 
     Returns:
         The exit code.
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def entry() -> NoReturn:
-    """Run the command line as a process of its own."""
+    """Run the command line as a process, and exit with its code."""
     code = main()
     if "rclpy" in sys.modules:
         end(code)

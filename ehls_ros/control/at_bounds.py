@@ -1,4 +1,4 @@
-"""Which estimates of a law stand at a bound: what is beyond the bound is then not compensated, and shows as an error."""
+"""Detect estimates of a law at a bound, where the excess is not compensated and appears as an error."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple, overload
@@ -10,19 +10,19 @@ from ehls_ros.arrays import Array
 from ehls_ros.control.controllers.base import Bounded, ControllerLaw
 
 NEAR = 1e-9
-"""Distance to a bound, over its size, that is rounding."""
+"""Distance to a bound, relative to its size, that is attributed to rounding."""
 
 
 class Bound(NamedTuple):
-    """A bound of an estimate.
+    """Bound of an estimate.
 
     Attributes:
-        estimate: its symbol.
-        place: index of it in the status.
+        estimate: symbol of the estimate.
+        place: index of the estimate in the status.
         value: the bound, in the status's unit, which is SI for every bounded estimate.
-        side: 1 for an upper bound, -1 for a lower one, 0 for one to either side of zero.
-        unit: of the estimate; ``1`` for a number.
-        remedy: what to do.
+        side: 1 for an upper bound, -1 for a lower one, 0 for a bound on the absolute value.
+        unit: unit of the estimate; ``1`` for a number.
+        remedy: advice in case the bound is reached.
     """
 
     estimate: str
@@ -39,7 +39,7 @@ class Bound(NamedTuple):
     def reached(self, values: Array) -> NDArray[np.bool_]: ...
 
     def reached(self, values: Any) -> Any:
-        """Return whether values of an estimate are at this bound or beyond it; NaN is not."""
+        """Return whether values of an estimate are at or beyond this bound; False for NaN."""
         outwards = abs(values) if self.side == 0 else self.side * values
         bound = self.value if self.side == 0 else self.side * self.value
         return outwards - bound >= -NEAR * abs(self.value)
@@ -52,11 +52,11 @@ class Bound(NamedTuple):
 
 
 def bounds_of(law: ControllerLaw, tuning: Any) -> tuple[Bound, ...]:
-    """Return the bounds within which a law keeps its estimates; none of an estimate that a range of zero width switches off.
+    """Return the bounds on a law's estimates; none for an estimate that a range of zero width disables.
 
     Args:
         law: the file of the controller.
-        tuning: its parameters.
+        tuning: parameters of the controller.
     """
     bounded: tuple[Bounded, ...] = getattr(law, "BOUNDED", ())
     return tuple(bound for each in bounded for bound in _of(each, tuning))
@@ -77,11 +77,11 @@ def _of(bounded: Bounded, tuning: Any) -> Iterator[Bound]:
 
 
 def sentence(bound: Bound, when: str = "") -> str:
-    """Return what a user is told of an estimate at its bound.
+    """Return the report of an estimate at its bound.
 
     Args:
         bound: the bound.
-        when: how long it has stood there, such as ``for 37 % of the last half``; empty: now.
+        when: duration at the bound, such as ``for 37 % of the last half``; empty for the present.
     """
     stands = f"stood at its bound of {bound} {when}" if when else f"stands at its bound of {bound}"
     return f"{bound.estimate} {stands}: {bound.remedy}"

@@ -1,6 +1,6 @@
-"""The bounds (44)-(46) that the paper proves of error and time, re-derived.
+"""Theoretical bounds (44)-(46) of error and time, re-derived from the paper.
 
-All quantities in the paper's units: MPa, mm, t, s, N; ``g`` in 1/MPa, ``k`` and ``b/h`` in MPa/s.
+All quantities are in the paper's units: MPa, mm, t, s, N; ``g`` in 1/MPa, ``k`` and ``b/h`` in MPa/s.
 """
 
 import math
@@ -12,7 +12,7 @@ from ehls_ros.arrays import in_python, kernel
 
 @kernel
 def pressure_error_bound_kernel(k: float, g: float, h: float, b: float) -> float:
-    """Return the bound (44), infinite where the surface is too flat to balance |s| = b/h."""
+    """Return the bound (44), infinite if the surface is too flat to balance |s| = b/h."""
     inside = 1.0 - 4.0 * b / (k * h + 2.0 * b)  # (44)
     return -math.log(inside) / g if inside > 0.0 else math.inf
 
@@ -27,7 +27,7 @@ def pressure_error_bound(k: float, g: float, h: float, b: float) -> float:
         b: half width of the robust term [t MPa/s^2].
 
     Returns:
-        Bound of |e3| [MPa]; infinite when k h <= 2 b, where no error can balance |s| = b/h.
+        Bound of |e3| [MPa]; infinite if k h <= 2 b, when no error can balance |s| = b/h.
     """
     bound: float = in_python(pressure_error_bound_kernel)(k, g, h, b)
     return bound
@@ -39,11 +39,11 @@ def force_error_bound(k: float, g: float, h: float, b: float, piston_area: float
 
 
 def reaching_rate(h: float, b: float, xi: float, e1: float, delta_f: float, moving_mass: float) -> float:
-    """Return the rate (h + h xi e1 delta_f / b)/m0 at which the robust term (35) pulls s in [1/s].
+    """Return the rate (h + h xi e1 delta_f / b)/m0 at which the robust term (35) drives s towards zero [1/s].
 
     Args:
         h: gain of the robust term [t/s].
-        b: half width of the robust term [t MPa/s^2].
+        b: half-width of the robust term [t MPa/s^2].
         xi: weight of the error's rate [1].
         e1: 4 Ac beta_e / Vt [MPa/mm].
         delta_f: bound of the disturbance [N].
@@ -53,22 +53,22 @@ def reaching_rate(h: float, b: float, xi: float, e1: float, delta_f: float, movi
 
 
 def reaching_time_bound(s0: float, h: float, b: float, xi: float, e1: float, delta_f: float, moving_mass: float) -> float:
-    """Return a bound of the time t0 after which |s| <= b/h, the meaning of (46).
+    """Return a bound of the time t0 after which |s| <= b/h, as meant by (46).
 
-    (46) estimates it with the rate h alone. From m0 s' = -(h + h xi e1 delta_f/b) s + xi e1 fd and
-    |fd| <= delta_f follows |s(t)| <= s_inf + (|s0| - s_inf) exp(-K t), solved for b/h here.
+    (46) estimates it from the rate h alone. From m0 s' = -(h + h xi e1 delta_f/b) s + xi e1 fd and |fd| <= delta_f follows
+    |s(t)| <= s_inf + (|s0| - s_inf) exp(-K t), which is solved here for b/h.
 
     Args:
         s0: sliding variable at the start [MPa/s].
         h: as in :func:`reaching_rate`.
-        b: as there.
-        xi: as there.
-        e1: as there.
-        delta_f: as there.
-        moving_mass: as there.
+        b: as in :func:`reaching_rate`.
+        xi: as in :func:`reaching_rate`.
+        e1: as in :func:`reaching_rate`.
+        delta_f: as in :func:`reaching_rate`.
+        moving_mass: as in :func:`reaching_rate`.
 
     Returns:
-        t0 [s]; 0 when the start lies inside, infinite without a robust term.
+        t0 [s]; 0 if the start lies inside, infinite without a robust term.
     """
     if h == 0.0:
         return math.inf
@@ -80,29 +80,29 @@ def reaching_time_bound(s0: float, h: float, b: float, xi: float, e1: float, del
 
 
 def remaining_s(h: float, b: float, xi: float, e1: float, delta_f: float, moving_mass: float) -> float:
-    """Return the smallest |s| that can be guaranteed against a disturbance of delta_f, a little under b/h [MPa/s].
+    """Return the smallest guaranteed |s| under a disturbance of delta_f, slightly below b/h [MPa/s].
 
-    The arguments are those of :func:`reaching_rate`; h above 0.
+    The arguments are those of :func:`reaching_rate`; h must be above 0.
     """
     return xi * e1 * delta_f / (moving_mass * reaching_rate(h, b, xi, e1, delta_f, moving_mass))
 
 
 def sliding_time(e3_start: float, e3_end: float, k: float, g: float, xi: float, s: float = 0.0) -> float:
-    """Return the time the error takes once the surface is reached, the second part of (45).
+    """Return the decay time of the error once the surface is reached, the second part of (45).
 
-    There xi e3' = -k/2 tanh(g e3/2) + s. (45) takes s = 0, as if the surface were reached exactly; with the
-    largest remaining s, the time is a bound for any disturbance.
+    On the surface xi e3' = -k/2 tanh(g e3/2) + s. (45) takes s = 0, as if the surface were reached exactly; with the largest
+    remaining s, the time is a bound for any disturbance.
 
     Args:
-        e3_start: error where the surface is reached [MPa].
-        e3_end: error to be reached, above 0 [MPa].
+        e3_start: error when the surface is reached [MPa].
+        e3_end: final error, above 0 [MPa].
         k: slope of the surface [MPa/s].
         g: steepness of the surface [1/MPa].
         xi: weight of the error's rate [1].
         s: sliding variable that opposes the decay of the error, 0 or more [MPa/s].
 
     Returns:
-        Time [s]; 0 when the error is already that small, infinite where s keeps it larger.
+        Time [s]; 0 if the error is already that small, infinite if s keeps it larger.
     """
     if abs(e3_start) <= abs(e3_end):
         return 0.0

@@ -1,4 +1,4 @@
-"""The companions of one controller, called as one: each changes what the one before it left."""
+"""Chain the companions of one controller: each processes the output of the previous one."""
 
 from collections.abc import Mapping
 
@@ -15,11 +15,11 @@ class Company:
     """
 
     def __init__(self, members: Mapping[str, Companion]) -> None:
-        """Take companions by name."""
+        """Store the companions by name."""
         self.members = members
 
     def __bool__(self) -> bool:
-        """Tell whether there is any."""
+        """Return whether there is any companion."""
         return bool(self.members)
 
     @property
@@ -28,15 +28,15 @@ class Company:
         return any(getattr(member, "corrects", False) for member in self.members.values())
 
     def prepare(self) -> None:
-        """Compile, or load, all that the cycles need; nothing else changes."""
+        """Compile or load all code that the cycles need; change no state."""
         for member in self.members.values():
             member.prepare()
 
     def room(self, first: int, place: Array) -> int:
-        """Return how many of some cycles to come may run before :meth:`done` is called.
+        """Return the number of upcoming cycles that may run before :meth:`done` is called.
 
         Args:
-            first: number of the first.
+            first: number of the first cycle.
             place: place in the programme, shape (n, PLACE).
         """
         return min((member.room(first, place) for member in self.members.values()), default=len(place))
@@ -47,10 +47,10 @@ class Company:
             member.ahead(upcoming)
 
     def done(self, past: Past, model: Model) -> Model:
-        """Take in what happened, and return the model that the law uses from now on.
+        """Process the record of past cycles, and return the model for the law from now on.
 
         Args:
-            past: the cycles; their status is changed in place: the force error is that to the reference wanted.
+            past: the cycles. Their status is changed in place: its force error becomes that to the wanted reference.
             model: the model in use.
         """
         past.status[:, FORCE_ERROR] += past.rows[:, 0] - past.wanted[:, 0]
@@ -59,14 +59,14 @@ class Company:
         return model
 
     def interrupt(self) -> None:
-        """Tell all that what is half learnt does not count."""
+        """Discard incomplete learning in all companions."""
         for member in self.members.values():
             member.interrupt()
 
     def at_bounds(self) -> tuple[str, ...]:
-        """Return a sentence for each estimate of a companion that stands at its bound."""
+        """Return a sentence for each companion's estimate at its bound."""
         return tuple(sentence for member in self.members.values() for sentence in member.at_bounds())
 
     def report(self) -> dict[str, float | str]:
-        """Return figures and sentences, each under its companion's name."""
+        """Return figures and sentences, with the companion's name as prefix."""
         return {f"{name}.{key}": value for name, member in self.members.items() for key, value in member.report().items()}

@@ -1,4 +1,4 @@
-"""Compiled entries of the control side, callable from Python once a cycle."""
+"""Compiled entries of the control side, called from Python once per cycle."""
 
 from collections.abc import Callable
 from types import ModuleType
@@ -15,7 +15,7 @@ from ehls_ros.physics.friction.base import FrictionModel
 
 
 def controller_kernel(name: str) -> ModuleType:
-    """Return a module whose ``step`` is the compiled law of one controller, and ``follow`` its own if it has one."""
+    """Return a module with the compiled law of one controller as ``step``, and its ``follow`` if it has one."""
     law = CONTROLLERS.load(name)
     entries = {"step": "m, r, f, p, model, memory, status"}
     if hasattr(law, "follow"):
@@ -24,18 +24,18 @@ def controller_kernel(name: str) -> ModuleType:
 
 
 def observer_kernel(name: str, model: str) -> ModuleType:
-    """Return a module whose ``update`` is the compiled update of one friction observer, for one friction model."""
+    """Return a module with the compiled ``update`` of one friction observer, for one friction model."""
     members = {"observer": OBSERVERS.load(name), "friction": FRICTION_MODELS.load(model)}
     return compiled(build_observer, {"update": "velocity, period, friction, p, state"}, members)
 
 
 def law_itself(law: ControllerLaw) -> ControllerLaw:
-    """Return a controller's file: its functions need no building."""
+    """Return a controller's file unchanged, as its functions need no building."""
     return law
 
 
 def servo_kernel() -> ModuleType:
-    """Return a module whose ``foresee`` is the compiled motion to come of a position servo and the loader."""
+    """Return a module with ``foresee``, the compiled preview of the motion of a position servo and the loader."""
     return compiled(servo_model.build, {"foresee": "rows, commands, both"})
 
 
@@ -43,7 +43,7 @@ class Observer(NamedTuple):
     """A friction observer built for one friction model.
 
     Attributes:
-        update: that of :mod:`ehls_ros.control.observers.base`.
+        update: update of :mod:`ehls_ros.control.observers.base`.
     """
 
     update: Callable[..., None]

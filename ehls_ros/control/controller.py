@@ -1,4 +1,4 @@
-"""A controller ready to run: its law compiled, its memory, and a change of tuning, rig or controller without a bump."""
+"""Run a controller: its compiled law, its memory, and bumpless changes of tuning, rig or controller."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -17,19 +17,19 @@ from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, Model
 from ehls_ros.errors import BadInput
 
 BUMP_TIME = 0.02
-"""Time constant of the change of command from the old tuning, or the old controller, to the new [s]."""
+"""Time constant of the transition of the command from the old tuning or controller to the new one [s]."""
 
 CAUTION = adaptation.caution_of(adaptation.Parameters())
-"""How far and how fast the model may change to that of an accepted rig: as adaptation may move it."""
+"""Bounds and rate of the model's transition to an accepted rig, equal to those of adaptation."""
 
 
 class Outlook(NamedTuple):
-    """What companions know of a cycle.
+    """Information on a cycle for companions.
 
     Attributes:
-        cycle: its number.
-        place: where the programme is, shape (PLACE,); None: nothing repeats.
-        actuator: command of the actuator under test and its two derivatives, shape (3,); None: not known.
+        cycle: number of the cycle.
+        place: place in the programme, shape (PLACE,); None if nothing repeats.
+        actuator: command of the actuator under test and its two derivatives, shape (3,); None if unknown.
     """
 
     cycle: int = 0
@@ -38,27 +38,27 @@ class Outlook(NamedTuple):
 
 
 NOTHING_KNOWN = Outlook()
-"""Where there are no companions."""
+"""Outlook without companions."""
 
 
 class Controller:
-    """One controller of any kind, stepped once a cycle.
+    """Controller of any kind, stepped once per cycle.
 
     Attributes:
         parameters: the tuning in force.
-        model: the rig as it knows it at present.
+        model: its present model of the rig.
         company: its companions.
-        status: the law's status after its last step, by the indices of ``controllers.base``.
+        status: status of the law after the last step, by the indices of ``controllers.base``.
     """
 
     def __init__(self, name: str, parameters: Any, model: Model, company: Company | None = None) -> None:
-        """Prepare and compile (or load) the law and what its companions need.
+        """Prepare the law and its companions, compiling or loading their code.
 
         Args:
             name: file name of the controller.
-            parameters: its tuning.
-            model: the rig as it knows it.
-            company: what works beside it.
+            parameters: tuning of the controller.
+            model: the controller's model of the rig.
+            company: companions of the controller; None for none.
         """
         self._law = CONTROLLERS.load(name)
         compiled = controller_kernel(name)
@@ -85,12 +85,12 @@ class Controller:
         self.reset()
 
     def _bind(self) -> None:
-        """Find the law's entry for the types of tuning and model."""
+        """Bind the law's compiled entry for the present types of tuning and model."""
         seen = np.zeros(7), np.zeros(ROW), np.zeros(2)
         self._direct = direct(self._step, *seen, self.parameters, self.model, self._memory, self.status)
 
     def reset(self) -> None:
-        """Forget everything but the tuning."""
+        """Reset the memory and status of the law, and interrupt the companions; tuning and model are kept."""
         self._memory: Array = self._law.memory(self.parameters)
         self._bump = 0.0
         self._own = math.nan
@@ -99,10 +99,9 @@ class Controller:
         self.company.interrupt()
 
     def retune(self, parameters: Any) -> None:
-        """Put another tuning in force from the next step on.
+        """Apply another tuning from the next step on.
 
-        The law uses the new tuning at once; the jump of the command that the change alone would cause is subtracted
-        and fades with :data:`BUMP_TIME`.
+        The law uses the new tuning at once; the resulting jump of the command is subtracted and fades with :data:`BUMP_TIME`.
         """
         if self._previous is None:
             self._previous = self.parameters
@@ -110,18 +109,18 @@ class Controller:
         self._bind()
 
     def accept(self, model: Model, sizes: Mapping[str, float] = NO_SIZES) -> float:
-        """Change the model to that of an accepted rig from the next step on, within the bounds and at the rate of adaptation.
+        """Move the model to that of an accepted rig from the next step on, within the bounds and at the rate of adaptation.
 
         Args:
-            model: of the accepted rig; companions keep the one that they were made with.
-            sizes: what changes are relative to, by name, of coefficients that may be about zero, such as a leakage.
+            model: model of the accepted rig; companions keep the one that they were made with.
+            sizes: references of relative changes, by name, for coefficients that may be near zero, such as a leakage.
 
         Returns:
             The duration of the change [s].
 
         Raises:
-            BadInput: it is another rig, or differs from the one that the controller was started with by more than adaptation
-                may change; or a companion corrects the model already. Nothing changes then.
+            BadInput: the rig is of another kind, or differs from the one that the controller was started with by more than
+                adaptation may change; or a companion corrects the model already. The model then remains unchanged.
         """
         if self.company.corrects:
             expected = "a controller without it: both would move the same coefficients"
@@ -142,10 +141,10 @@ class Controller:
 
         Args:
             measured: readings in the order of ``SENSED``, shape (7,).
-            reference: what the law follows and its first and second derivative, shape (3,).
+            reference: value that the law follows, with first and second derivative, shape (3,).
             friction: force of the elements and viscous force, shape (2,) or longer.
             elapsed: cycles since the last step; more than 1 after unanswered cycles.
-            outlook: for companions.
+            outlook: information for companions.
         """
         command = self._answer(measured, reference, friction, elapsed, outlook)
         if self.company:
@@ -165,7 +164,7 @@ class Controller:
         return self._nowhere if outlook.place is None else outlook.place
 
     def _answer(self, measured: Array, reference: Array, friction: Array, elapsed: int, outlook: Outlook) -> float:
-        """Return the command [m] for what the companions make of the reference."""
+        """Return the command [m] for the reference as changed by the companions."""
         self._row[:FORESEEN] = reference
         if self.company:
             self._row[FORESEEN:] = np.nan
@@ -175,7 +174,7 @@ class Controller:
         return self._step_alone(plain(measured), plain(friction), elapsed)
 
     def _step_alone(self, measured: Array, friction: Array, elapsed: int) -> float:
-        """Return the law's command [m] for the row of what it follows, without a bump after a change of tuning."""
+        """Return the law's command [m] for the prepared row, without a bump after a change of tuning."""
         if self._transition is not None:
             self.model = self._transition.after(elapsed * self.model.period)
             if self._transition.complete:
@@ -209,16 +208,16 @@ class Controller:
     ) -> float:
         """Return the spool command [m] for one cycle, after a cycle that another controller answered.
 
-        In every cycle in which it is called, the law runs beside the one that drives and knows what the valve was told. The
-        command returned is the one with which it would take over: it goes on from the other's, and the difference between the
-        two laws in the cycle before fades with :data:`BUMP_TIME`. To take over is to send it, and to call :meth:`step` from
-        the next cycle on. Companions learn nothing from such a cycle.
+        The law runs in parallel with the driving one and receives the actual valve commands. It returns the command with which
+        it would take over. This command continues the other's; the difference between the two laws in the previous cycle fades
+        with :data:`BUMP_TIME`. For a hand-over, send this command, and call :meth:`step` from the next cycle on. Companions
+        learn nothing from such a cycle.
 
         Args:
             measured: as for :meth:`step`.
             reference: as for :meth:`step`.
             friction: as for :meth:`step`.
-            commanded: what the valve was told since the last step [m]; before the first step there is nothing to go on from.
+            commanded: valve command since the last step [m]; ignored before the first step.
             elapsed: as for :meth:`step`.
             outlook: as for :meth:`step`.
         """

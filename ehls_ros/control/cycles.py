@@ -1,4 +1,4 @@
-"""Which cycle a controller answers next: matches the snapshot, reference and friction estimate of each cycle.
+"""Match the snapshot, reference and friction estimate of each cycle, and select the next cycle to answer.
 
 They come from three senders. A snapshot opens its cycle. The reference arrives long before it. The friction estimate answers
 the same snapshot, and may even arrive before it.
@@ -8,20 +8,20 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 KEPT = 4000
-"""Number of references kept before those of answered cycles are dropped."""
+"""Number of stored references above which those of answered cycles are dropped."""
 
 
 class Ready(NamedTuple):
     """A cycle that can be answered.
 
     Attributes:
-        cycle: its number.
-        stamp_ns: the snapshot's time [ns].
+        cycle: number of the cycle.
+        stamp_ns: time stamp of the snapshot [ns].
         measured: readings in the order of :data:`ehls_ros.physics.rig.SENSED`.
-        reference: what the controller follows and its first and second derivative.
+        reference: value that the controller follows, with first and second derivative.
         friction: force of the elements and viscous force [N]; None if no estimate has arrived.
         elapsed: cycles since the one answered before; 1 for the first.
-        anew: whether the plant has restarted, so that nothing learnt in earlier cycles applies.
+        anew: whether the plant has restarted, so that learnt state from earlier cycles is invalid.
     """
 
     cycle: int
@@ -34,12 +34,12 @@ class Ready(NamedTuple):
 
 
 class Cycles:
-    """What has arrived and is not answered yet.
+    """Messages that have arrived for cycles not yet answered.
 
     Attributes:
         answered: the cycle answered last; -1 before the first.
-        friction_comes: whether a cycle waits for its friction estimate. Once an estimate is later than the patience, no cycle
-            waits until another estimate arrives.
+        friction_comes: whether a cycle waits for its friction estimate. Once an estimate is later than the patience, cycles
+            do not wait until another estimate arrives.
     """
 
     def __init__(self, *, friction: bool, patience: float) -> None:
@@ -61,11 +61,11 @@ class Cycles:
         self._newest_friction = -1
 
     def add_snapshot(self, cycle: int, stamp_ns: int, measured: Sequence[float], now: float) -> None:
-        """Take a snapshot that arrived at a time [s] of a monotonic clock; a mere repetition goes on waiting."""
+        """Add a snapshot received at a time [s] of a monotonic clock; a repetition does not restart the wait."""
         if self._pending.get(cycle) == (stamp_ns, measured):
             return
         if cycle <= self._newest:
-            # The plant has restarted: what it sent before is never answered.
+            # The plant has restarted: its earlier snapshots are never answered.
             self._pending.clear()
         if not self._pending:
             self._since = now
@@ -73,11 +73,11 @@ class Cycles:
         self._newest = cycle
 
     def add_reference(self, cycle: int, row: Sequence[float]) -> None:
-        """Take the reference of a cycle: its value and first and second derivative."""
+        """Add the reference of a cycle: its value and first and second derivative."""
         self._references[cycle] = row
 
     def add_friction(self, cycle: int, forces: Sequence[float]) -> None:
-        """Take the friction estimate of a cycle: force of the elements and viscous force [N]."""
+        """Add the friction estimate of a cycle: force of the elements and viscous force [N]."""
         if not self._uses_friction:
             return
         if cycle < self._newest_friction:
@@ -94,7 +94,7 @@ class Cycles:
 
     @property
     def lacks(self) -> Literal["snapshot", "friction", "reference", "estimate"]:
-        """The message that the next cycle waits for: the last to arrive, or, once its snapshot is there, what it has not got.
+        """The message awaited by the next cycle: the usual last one, or, once its snapshot is there, the missing one.
 
         The friction estimate usually arrives after the snapshot, so a loop that waits for it wakes up once per cycle.
         """
@@ -103,11 +103,11 @@ class Cycles:
         return "friction" if self.friction_comes and self._newest_friction <= self.answered else "snapshot"
 
     def waited(self, now: float) -> float:
-        """Return how long snapshots have waited since the last answer [s]; 0 if none waits."""
+        """Return the time since the last answer for which snapshots have waited [s]; 0 if none waits."""
         return now - self._since if self._pending else 0.0
 
     def take(self, now: float) -> Ready | None:
-        """Return the newest cycle that can be answered at a time [s], and count it as answered; None if there is none.
+        """Return the newest cycle that can be answered at a time [s], and mark it answered; None if there is none.
 
         Older cycles are never answered, as the answer would be too late.
         """

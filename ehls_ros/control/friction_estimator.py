@@ -1,4 +1,4 @@
-"""A friction estimator ready to run: its observer compiled, and its state."""
+"""Run a friction estimator: its compiled observer and its state."""
 
 from typing import Any
 
@@ -12,19 +12,19 @@ from ehls_ros.physics.rig import Rig
 
 
 class FrictionEstimator:
-    """One friction observer of any kind, updated once a cycle."""
+    """Friction observer of any kind, updated once per cycle."""
 
     def __init__(self, name: str, rig: Rig, period: float, parameters: Any = None) -> None:
-        """Prepare and compile (or load) the observer.
+        """Prepare the observer, compiling or loading its code.
 
         Args:
             name: file name of the observer.
             rig: the rig as identified, for its friction.
             period: time between updates [s].
-            parameters: its parameters; None: the defaults for the rig.
+            parameters: parameters of the observer; None for the defaults of the rig.
 
         Raises:
-            BadInput: the observer does not serve the rig's friction model.
+            BadInput: the observer does not support the rig's friction model.
         """
         check_serves(OBSERVERS, name, rig, "friction estimator")
         self._observer = OBSERVERS.load(name)
@@ -43,14 +43,14 @@ class FrictionEstimator:
         self.state = self._observer.state(self._rig.friction_law, self._rig.friction)
 
     def update(self, velocity: float, elapsed: int = 1) -> Array:
-        """Take one more measured velocity.
+        """Update the estimate by one more measured velocity.
 
         Args:
-            velocity: as measured [m/s].
+            velocity: measured velocity [m/s].
             elapsed: cycles since the last one.
 
         Returns:
-            The estimate as :mod:`ehls_ros.control.observers.base` lays it out; the same array every time.
+            The estimate in the layout of :mod:`ehls_ros.control.observers.base`; the same array every time.
         """
         self._direct(velocity, elapsed * self.period, self._rig.friction, self.parameters, self.state)
         return self.state.estimate
@@ -64,7 +64,7 @@ class FrictionEstimator:
 
     @property
     def slipping(self) -> Array:
-        """1 for each element that slips, 0 for one that sticks."""
+        """1 for each slipping element, 0 for each sticking one."""
         estimate = self.state.estimate
         flags: Array = estimate[ELEMENTS + (estimate.size - ELEMENTS) // 2 :]
         return flags

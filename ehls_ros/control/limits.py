@@ -1,39 +1,38 @@
-"""The causal limit: how small the force error of any controller can be on a rig, with its sensors and its delay.
+"""Causal limit: the smallest force error of any controller on a rig, given its sensors and delay.
 
-A command sent in a cycle acts after the delay and shows at the next sample. What the disturbance changes the force by until
-then cannot be undone; what of it the past does not tell remains, whatever the law. That part is computed here for the best
-linear predictor. Its equations are (1) to (3), linear:
+A command sent in a cycle acts after the delay and shows at the next sample. The change of force that the disturbance causes
+until then cannot be undone, and its part that the past does not predict remains with any law. That part is computed here for
+the best linear predictor. Its equations are (1) to (3), linear:
 
     x' = v,   m v' = F - (B0 + sigma_f + cc) v - (ks + kc + k) x - d,   F' = -4 beta/Vt (Ac^2 v + (Ctc + Kc) F)
 
-with the force F = Ac pL, the disturbance d = fd - kc xd - cc vd as the loader feels it, and Kc by how much less flows through
-the open valve per pressure, its mean over the last half. The command, and with it the spool, is known and drops out of the
-error of the prediction. Position, velocity, load pressure and force are read with white noise of their sensors' deviation, and
-resolution/sqrt(12) in quadrature. k is the friction's contact: 0 while it slides, the stiffness of presliding while it sticks,
-after each reversal. Noise acts all the time, a servo jerks at its reversals; the limit is the lower one of the two states. A
-rigid contact counts as sliding.
+with the force F = Ac pL, the disturbance d = fd - kc xd - cc vd as it acts on the loader, and Kc the flow-pressure coefficient
+of the open valve, its mean over the last half. The command, and with it the spool, is known and cancels in the prediction
+error. Position, velocity, load pressure and force are read with white noise of their sensors' deviation, and
+resolution/sqrt(12) in quadrature. k is the friction's contact stiffness: 0 while it slides, the presliding stiffness while it
+sticks, after each reversal. Noise acts all the time, and a servo jerks at its reversals; the limit is the lower one of the two
+states. A rigid contact counts as sliding.
 
-The predictor takes the first or second derivative of d for a random walk, of an intensity q. A Kalman filter follows for each
-q; its error is the sum of two parts. The noise of the sensors gives one part, of a covariance S by Lyapunov's equation; the
-experiment's own disturbance the other, which is computed cycle by cycle by driving the filter with it. A large q follows the
-disturbance and lets the noise through. q is not a guess: it, and the derivative, are those for which the expected largest sum
-of the last half is smallest, so that no other q gives less on this disturbance. Over N correlated cycles, with deviations s_i
-and unforeseen changes b_i, the largest is expected at
+The predictor models the first or second derivative of d as a random walk of an intensity q. Each q yields a Kalman filter,
+whose error is the sum of two parts. The sensor noise gives one part, with a covariance S by Lyapunov's equation. The
+experiment's disturbance gives the other, which is computed cycle by cycle by driving the filter with it. A large q follows the
+disturbance and passes the noise. q is not a guess: q and the derivative are chosen such that the expected largest sum of the
+last half is smallest, so that no other q yields less for this disturbance. Over N correlated cycles, with deviations s_i and
+unforeseen changes b_i, the largest is expected at
 
     int_0^inf 1 - prod_i P(|b_i + s_i z| < a)^(1/c) da,   c = sum over all j of rho_j^2
 
-with z Gaussian and rho_j the correlation of the noise's part over j cycles.
+with z Gaussian and rho_j the correlation of the noise part over j cycles.
 
 Friction changes its slope at a reversal of the motion, from sliding to sticking. The deviation s_v of the predicted velocity
-leaves the time of it uncertain by s_v/|v'|, and friction rises at k |v'| t after it, so within t of the reversal it is
-uncertain by k s_v t. The force this makes within the horizon is added to the s_i of the cycles in which d turns.
+makes the time of reversal uncertain by s_v/|v'|. Friction rises at k |v'| t after it, so within t of the reversal it is
+uncertain by k s_v t. The resulting force within the horizon is added to the s_i of the cycles in which d turns.
 
-What it assumes: a linear rig whose model is known exactly, Gaussian noise, a valve without limits, and a linear predictor with
-one tuning for the run that knows nothing of the disturbance but its past: neither a period nor the command of the actuator
-under test. Lag and delay of the sensors, and effects other than the coupling and the delay of the command, are left out, which
-makes the limit lower. It is an expectation: the largest error of a single run scatters about it by 10 to 20 %. A controller
-that is told what comes, or has learnt it, can go below it, down to the noise's own share; below that only with a filter that
-is slower than this disturbance allows.
+Assumptions: a linear rig with an exactly known model, Gaussian noise, a valve without limits, and a linear predictor with one
+tuning for the run. The predictor uses only the past of the disturbance: neither a period nor the command of the actuator under
+test. Lag and delay of the sensors, and effects other than coupling and command delay, are neglected, which makes the limit
+lower. It is an expectation: the largest error of a single run scatters about it by 10 to 20 %. A controller with preview or
+learning can go below it, down to the noise share; below that only with a filter slower than this disturbance allows.
 
 Source: Anderson, Moore, Optimal Filtering, 1979, chapters 4 and 6; Leadbetter, Lindgren, Rootzén, Extremes and Related
 Properties of Random Sequences and Processes, 1983, chapter 4; the doubling of the Riccati equation: Chu, Fan, Lin, Wang,
@@ -53,43 +52,43 @@ from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import EffectiveRig, Rig
 
 X, V, F, D = range(4)
-"""Where the predictor's state holds x m/T^2, v m/T, F and d, all in N; derivatives of d times powers of T follow."""
+"""Indices in the predictor's state of x m/T^2, v m/T, F and d, all in N; derivatives of d times powers of T follow."""
 
 READINGS = (("position", X), ("velocity", V), ("load_pressure", F), ("force", F))
-"""The sensors that tell the force or the motion, with the state they read."""
+"""Sensors of force or motion, with the state they read."""
 
 ORDERS = (1, 2)
-"""Derivatives of d that are taken for a random walk."""
+"""Derivatives of d that are modelled as a random walk."""
 
 LEAST_DROP = 0.01
 """Lower bound of the pressure drop over the valve, as a fraction of the supply pressure."""
 
 EXACT = 1e-3
-"""Deviation of a perfect sensor's reading, in the scale of the state [N]; it stands for rounding."""
+"""Deviation of a perfect sensor's reading, in the scale of the state [N]; it represents rounding."""
 
 WEAKEST, STRONGEST, STEPS = -5.0, 3.0, 5
-"""Range and number of the intensities tried before the best is refined: powers of ten of the force readings' deviation."""
+"""Range and number of the trial intensities before refinement: powers of ten of the force readings' deviation."""
 
 LEVELS = 64
 """Levels into which the unforeseen changes are sorted."""
 
 TINY = 1e-12
-"""Smallest force that is told from none [N]."""
+"""Smallest force distinguished from zero [N]."""
 
 FORGOTTEN = 1e-12
-"""What has decayed to this fraction is forgotten."""
+"""Fraction below which decayed terms are neglected."""
 
 WARM_UP = 500
 """Cycles before the last half in which the filter settles."""
 
 SEARCHED = 20000
-"""Most cycles on which the best intensity is sought; the limit is that of all of the last half."""
+"""Most cycles in the search of the best intensity; the limit is then computed for the whole last half."""
 
 DOUBLINGS = 40
-"""Most doublings of the cycles a sum goes over."""
+"""Most doublings of the number of cycles in a sum."""
 
 PRECISE = 0.1
-"""Precision to which the best intensity is sought, in powers of ten."""
+"""Precision of the search for the best intensity, in powers of ten."""
 
 
 class CausalLimit(NamedTuple):
@@ -97,15 +96,15 @@ class CausalLimit(NamedTuple):
 
     Attributes:
         largest: expected largest force error of the last half [N].
-        rms: rms of the force error of the same predictor [N]; one made for the rms reaches up to a third less.
-        noise_share: expected largest error that the sensors' noise alone makes through the same predictor [N]; what is left
-            once the disturbance is foreseen or learnt.
-        unforeseen: largest change of the force that the past of the disturbance does not tell, without noise [N].
-        reversal: deviation of the force within the horizon by the friction at a reversal [N].
-        horizon: time from a reading to the first sample that the command made of it can change [s].
-        order: derivative of the disturbance that the best predictor takes for a random walk.
+        rms: rms of the force error of the same predictor [N]; one optimised for the rms reaches up to a third less.
+        noise_share: expected largest error due to the sensors' noise alone with the same predictor [N]; it remains when the
+            disturbance is foreseen or learnt.
+        unforeseen: largest noise-free change of the force that the past of the disturbance does not predict [N].
+        reversal: deviation of the force within the horizon due to friction at a reversal [N].
+        horizon: time from a reading to the first sample that the resulting command can change [s].
+        order: derivative of the disturbance that the best predictor models as a random walk.
         intensity: root of the spectral density of that derivative's rate [N/s^(order + 1/2)].
-        sticking: whether the limit is that of a friction that sticks.
+        sticking: whether the limit is that of sticking friction.
     """
 
     largest: float
@@ -120,17 +119,17 @@ class CausalLimit(NamedTuple):
 
 
 class _Case(NamedTuple):
-    """What all predictors of one rig and disturbance share.
+    """Common data of all predictors for one rig and disturbance.
 
     Attributes:
-        dynamics: the rates of x, v, F per cycle, with d as last column, shape (3, 4).
+        dynamics: rates of x, v, F per cycle, with d as last column, shape (3, 4).
         reads: state that each sensor reads, shape (sensors,).
-        deviations: of the readings [N], shape (sensors,).
+        deviations: standard deviations of the readings [N], shape (sensors,).
         ahead: cycles of the horizon.
         felt: d at each cycle and its change over it, shape (n, 2) [N].
         late: number of cycles of the last half.
         turning: whether d turns within the horizon of a cycle of the last half, shape (late,).
-        contact: stiffness of the friction's contact times T^2/m.
+        contact: contact stiffness of the friction times T^2/m.
     """
 
     dynamics: Array
@@ -144,7 +143,7 @@ class _Case(NamedTuple):
 
 
 class _Outcome(NamedTuple):
-    """What one predictor comes to [N]; as in :class:`CausalLimit`."""
+    """Results of one predictor [N], as in :class:`CausalLimit`."""
 
     largest: float
     rms: float
@@ -159,18 +158,18 @@ def causal_limit(
     """Return the causal limit of a rig under a disturbance.
 
     Args:
-        rig: the rig as it is, with the effects ``command_delay`` and ``coupling_stiffness`` where it has them.
+        rig: the actual rig, including the effects ``command_delay`` and ``coupling_stiffness``, if any.
         period: control period [s].
-        disturbance: force [N], its rate [N/s], displacement [m] and velocity [m/s] of the actuator under test in each cycle,
+        disturbance: force [N], force rate [N/s], displacement [m] and velocity [m/s] of the actuator under test per cycle,
             finite, shape (n, 4); the error is that of the last half.
-        flow_pressure: mean flow-pressure coefficient Kc of the valve, see :func:`flow_pressure` [m^3/(s Pa)]; 0: closed.
-        velocity_read: whether the controllers may use the reading of the velocity.
+        flow_pressure: mean flow-pressure coefficient Kc of the valve, see :func:`flow_pressure` [m^3/(s Pa)]; 0 if closed.
+        velocity_read: whether controllers may use the velocity reading.
 
     Returns:
-        The limit; infinite if no predictor follows the disturbance in finite numbers.
+        The limit; infinite if no predictor follows the disturbance with finite numbers.
 
     Raises:
-        ValueError: fewer cycles than 8 are given, or one is not finite.
+        ValueError: there are fewer than 8 cycles, or one is not finite.
     """
     if len(disturbance) < 8 or not np.all(np.isfinite(disturbance)):
         raise ValueError("expected at least 8 rows of finite numbers")
@@ -187,7 +186,7 @@ def causal_limit(
 
 
 def horizon_cycles(delay: float, period: float) -> int:
-    """Return the cycles from a reading to the first sample that the command made of it can change.
+    """Return the cycles from a reading to the first sample that the resulting command can change.
 
     Args:
         delay: delay of the command [s].
@@ -214,8 +213,8 @@ def expected_largest(changes: Array, deviations: Array, counts: Array) -> float:
 
     Args:
         changes: known part of a cycle's error, shape (levels,).
-        deviations: deviation of its random part in the same unit, not all 0, shape (levels,).
-        counts: number of such cycles, whole or not, shape (levels,).
+        deviations: standard deviation of its random part in the same unit, not all 0, shape (levels,).
+        counts: number of such cycles, not necessarily whole, shape (levels,).
     """
     limit = float(np.max(np.abs(changes) + 8.0 * deviations))
     amplitude = np.linspace(0.0, limit, 257)[:, np.newaxis]
@@ -251,7 +250,7 @@ def _case(rig: EffectiveRig, period: float, disturbance: Array, flow_pressure: f
 
 
 def _surroundings(rig: EffectiveRig) -> tuple[float, float, float]:
-    """Return the delay of the command [s], and stiffness [N/m] and damping [N s/m] of the coupling; of two delays the last."""
+    """Return the command delay [s], and stiffness [N/m] and damping [N s/m] of the coupling; of two delays the last."""
     delay, stiffness, damping = 0.0, 0.0, 0.0
     for use in rig.effects:
         if use.name == "command_delay":
@@ -262,7 +261,7 @@ def _surroundings(rig: EffectiveRig) -> tuple[float, float, float]:
 
 
 def _noise(rig: EffectiveRig, name: str) -> float:
-    """Return the deviation of a reading, its rounding included, in the reading's unit."""
+    """Return the standard deviation of a reading including its rounding, in the reading's unit."""
     sensor = rig.sensors.get(name, Sensor())
     return math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0)) / sensor.gain
 
@@ -281,7 +280,7 @@ def _dynamics(rig: EffectiveRig, period: float, stiffness: float, damping: float
 
 
 class _Best(NamedTuple):
-    """The best predictor of an order: the case, its order, its intensity [N per cycle^1/2], and what it comes to."""
+    """Best predictor of an order: the case, its order, its intensity [N per cycle^1/2], and its results."""
 
     case: _Case
     order: int
@@ -290,7 +289,7 @@ class _Best(NamedTuple):
 
 
 def _best(whole: _Case, order: int) -> _Best:
-    """Return the predictor of an order whose largest error is smallest."""
+    """Return the predictor of an order with the smallest largest error."""
     case = _newest(whole)
     unit = float(np.sum(case.deviations[case.reads == F] ** -2.0)) ** -0.5
     outcomes: dict[float, _Outcome] = {}
@@ -308,20 +307,20 @@ def _best(whole: _Case, order: int) -> _Best:
 
 
 def _newest(case: _Case) -> _Case:
-    """Return the case with no more than :data:`SEARCHED` of the newest cycles, for the search."""
+    """Return the case reduced to the newest cycles, at most :data:`SEARCHED`, for the search."""
     late = min(case.late, SEARCHED)
     return case._replace(felt=case.felt[-(late + case.ahead + WARM_UP) :], late=late, turning=case.turning[-late:])
 
 
 def _tried(case: _Case, order: int, intensity: float) -> _Outcome:
-    """Return what a predictor comes to; infinite where its numbers are beyond their precision and it diverges."""
+    """Return a predictor's results; infinite if it diverges for lack of numerical precision."""
     with np.errstate(all="ignore"):
         outcome = _outcome(case, order, intensity)
     return outcome if math.isfinite(outcome.largest) else _Outcome(math.inf, math.inf, math.inf, math.inf, math.inf)
 
 
 def _outcome(case: _Case, order: int, intensity: float) -> _Outcome:
-    """Return what the predictor of an order and an intensity comes to."""
+    """Return the results of the predictor of an order and an intensity."""
     predictor = _predictor(case, order, intensity)
     covariance = _sum(predictor.recursion, (predictor.gain * case.deviations**2) @ predictor.gain.T)
     ahead = np.linalg.matrix_power(predictor.transition, case.ahead)
@@ -329,7 +328,7 @@ def _outcome(case: _Case, order: int, intensity: float) -> _Outcome:
     variance = float(force @ covariance @ force)
     weight = covariance @ force
     correlated = 2.0 * float(weight @ _sum(predictor.recursion.T, np.outer(force, force)) @ weight) / variance**2 - 1.0
-    # What a unit of d's slope within the horizon makes of the force, times the slope that friction is uncertain by.
+    # The force due to a unit slope of d within the horizon, times the uncertainty of the friction's slope.
     reversal = abs(float(force[D + 1])) * case.contact * math.sqrt(float(speed @ covariance @ speed))
     deviations = np.sqrt(variance + np.where(case.turning, reversal**2, 0.0))
     changes = np.abs(_unforeseen(case, predictor))
@@ -344,13 +343,13 @@ def _outcome(case: _Case, order: int, intensity: float) -> _Outcome:
 
 
 class _Predictor(NamedTuple):
-    """A stationary Kalman filter; its state is x, v, F, d and the derivatives of d.
+    """Stationary Kalman filter; its state is x, v, F, d and the derivatives of d.
 
     Attributes:
-        transition: of the state over a cycle, shape (n, n).
-        gain: of the readings' surprise, shape (n, sensors).
-        left: what a correction leaves of an error, shape (n, n).
-        recursion: of the corrected error from cycle to cycle, shape (n, n).
+        transition: transition of the state over a cycle, shape (n, n).
+        gain: gain of the innovations, shape (n, sensors).
+        left: factor of the error remaining after a correction, shape (n, n).
+        recursion: recursion of the corrected error from cycle to cycle, shape (n, n).
     """
 
     transition: Array
@@ -382,7 +381,7 @@ def _predictor(case: _Case, order: int, intensity: float) -> _Predictor:
 
 
 def _riccati(transition: Array, information: Array, added: Array) -> Array:
-    """Return the stationary covariance of the prediction, by doubling the number of cycles in each step."""
+    """Return the stationary covariance of the prediction, doubling the number of cycles in each step."""
     a, g, h, one = transition.T, information, added, np.eye(len(transition))
     for _ in range(DOUBLINGS):
         solved = np.linalg.solve(one + g @ h, np.hstack((a, g)))
@@ -407,9 +406,9 @@ def _sum(step: Array, first: Array) -> Array:
 
 
 def _unforeseen(case: _Case, predictor: _Predictor) -> Array:
-    """Return what d does to the force over the horizon beyond its prediction, without noise, shape (late,) [N]."""
+    """Return the noise-free effect of d on the force over the horizon beyond its prediction, shape (late,) [N]."""
     transition, cycles = predictor.transition, len(case.felt)
-    # The filter starts in the midst of the run: it knows value and slope of d there, and follows what differs from these.
+    # The filter starts in mid-run with the known value and slope of d, and follows deviations from this trend.
     value, change = case.felt[0]
     trend = np.stack((value + change * np.arange(cycles), np.full(cycles, change)), axis=1)
     moved = np.zeros((cycles, len(transition)))
@@ -429,7 +428,7 @@ def _unforeseen(case: _Case, predictor: _Predictor) -> Array:
 
 
 def _levels(changes: Array, deviations: Array) -> tuple[Array, Array, Array]:
-    """Return the cycles sorted into levels of their change, each with its mean change, its deviation and its count."""
+    """Return the cycles sorted into levels of their change, each with mean change, deviation and count."""
     usual = float(np.min(deviations))
     top = float(np.max(changes))
     level = np.minimum((changes * (LEVELS / max(top, TINY))).astype(np.int64), LEVELS - 1)

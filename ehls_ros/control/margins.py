@@ -1,7 +1,7 @@
-"""How far a sampled loop is from instability: the pressure loop of structure invariance compensation, and any loop as measured.
+"""Stability margins of sampled loops: the pressure loop of structure invariance compensation, and any measured loop.
 
-With the motion's flow fed forward, the path from spool command to load pressure is the valve's lag and an integrator behind a
-sample and hold.
+With feedforward of the motion's flow, the path from spool command to load pressure is the valve's lag and an integrator behind
+a sample and hold.
 
 Source of the margins: Åström, Murray, Feedback Systems, 2nd edition, section 10.3.
 """
@@ -19,11 +19,11 @@ FREQUENCIES = 20_000
 
 
 class Margins(NamedTuple):
-    """Distance of a loop from instability.
+    """Stability margins of a loop.
 
     Attributes:
-        gain_db: gain margin [dB]; infinite where no gain makes the loop unstable.
-        phase_deg: phase margin [degree]; infinite where the gain is below 1 at all frequencies.
+        gain_db: gain margin [dB]; infinite if no gain makes the loop unstable.
+        phase_deg: phase margin [degree]; infinite if the gain is below 1 at all frequencies.
     """
 
     gain_db: float
@@ -31,13 +31,13 @@ class Margins(NamedTuple):
 
 
 def pressure_loop(omega: Array, proportional: float, integral: float, valve_bandwidth: float, period: float) -> Array:
-    """Return the frequency response of the opened loop, shape as ``omega`` [rad/s].
+    """Return the frequency response of the open loop, shape as ``omega`` [rad/s].
 
     Args:
         omega: frequencies below the Nyquist frequency.
         proportional: proportional gain [1/s].
         integral: integral gain [1/s^2].
-        valve_bandwidth: of the servo valve [rad/s].
+        valve_bandwidth: bandwidth of the servo valve [rad/s].
         period: sampling period [s].
     """
     z = np.exp(1j * omega * period)
@@ -63,13 +63,13 @@ def pressure_loop_margins(proportional: float, integral: float, valve_bandwidth:
 
 
 class LoopMargins(NamedTuple):
-    """Distance of a loop that is stable from instability; each is infinite where nothing of the kind makes it unstable.
+    """Stability margins of a stable loop; each is infinite if no change of its kind makes the loop unstable.
 
     Attributes:
         gain_db: factor by which the gain may rise [dB].
-        fall_db: factor by which it may fall [dB].
-        phase_deg: by which the phase may turn, either way [degree].
-        delay: by which the loop may become later [s].
+        fall_db: factor by which the gain may fall [dB].
+        phase_deg: angle by which the phase may change, in either direction [degree].
+        delay: additional delay that the loop tolerates [s].
     """
 
     gain_db: float
@@ -79,15 +79,15 @@ class LoopMargins(NamedTuple):
 
 
 def loop_margins(omega: Array, response: Array) -> LoopMargins:
-    """Return the margins of a loop that is known to be stable once closed.
+    """Return the margins of a loop that is known to be stable when closed.
 
     Args:
-        omega: frequencies, ascending and so close that the response turns little from one to the next, the Nyquist frequency
-            included if the margin may be there, shape (n,) [rad/s].
-        response: frequency response of the opened loop there, negative feedback, shape (n,).
+        omega: frequencies, ascending and so dense that the response changes little between neighbours, including the Nyquist
+            frequency if the margin may be there, shape (n,) [rad/s].
+        response: frequency response of the open loop at these, with negative feedback, shape (n,).
     """
     level, imaginary = np.log(np.abs(response)), response.imag
-    # Straight between the frequencies.
+    # Linear interpolation between the frequencies.
     on_axis, at_axis = _crossings(imaginary)
     real = response.real[on_axis] + at_axis * np.diff(response.real)[on_axis]
     real = np.append(real, response.real[imaginary == 0.0])
@@ -105,6 +105,6 @@ def loop_margins(omega: Array, response: Array) -> LoopMargins:
 
 
 def _crossings(values: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return after which values the sign changes, and after which fraction of the way to the next, straight in between."""
+    """Return the indices before sign changes, and the fraction of the step to each zero by linear interpolation."""
     before = np.flatnonzero((values[:-1] >= 0.0) != (values[1:] >= 0.0))
     return before, values[before] / (values[before] - values[before + 1])

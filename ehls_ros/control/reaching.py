@@ -1,9 +1,9 @@
-"""The paper's sliding surface for a command that is held for a cycle and arrives late.
+"""Reach the paper's sliding surface with a command that is held for a cycle and acts with a delay.
 
-(34) takes the rates at one moment and holds the command for a cycle. Here the command is chosen for the cycle as a whole:
-between its own arrival and that of the next command it takes the predicted s to 1/(1 + reaching_rate T) of itself. s is
-nearly linear in the command, so two trials are enough. This is s' = -K s stepped backwards, and it tends to (34) as T goes
-to 0. The paper's K of 8.8e4 1/s would remove all of s in one cycle, noise included.
+(34) uses the rates at one moment and holds the command for a cycle. Here the command is chosen for the whole cycle: between its
+arrival and that of the next command it reduces the predicted s by the factor 1/(1 + reaching_rate T). s is nearly linear in the
+command, so two trials suffice. This is s' = -K s stepped backwards, and it tends to (34) as T goes to 0. The paper's K of
+8.8e4 1/s would remove all of s in one cycle, noise included.
 
 The reference is extrapolated by its derivatives.
 """
@@ -38,10 +38,10 @@ from ehls_ros.physics.plant import PL, XV, V, X
 from ehls_ros.schema import quantity
 
 TRIALS = 2
-"""Commands whose outcome is predicted before one is sent."""
+"""Number of trial commands with predicted outcome."""
 
 STEEPEST = 3.0
-"""Largest factor, either way, between the slope of s over the command and that of the valve's flow alone."""
+"""Largest ratio, either way, of the slope of s over the command to that by the valve's flow alone."""
 
 
 Slope = Annotated[
@@ -55,7 +55,7 @@ ReachingRate = Annotated[float, quantity("1/s", "rate at which s is removed", mi
 
 
 class Surface(NamedTuple):
-    """The sliding surface and how fast it is reached; k, g and xi are the paper's.
+    """Sliding surface and reaching rate; k, g and xi are the paper's.
 
     Attributes:
         k: speed of a large error is k/2 [MPa/s].
@@ -72,7 +72,7 @@ class Surface(NamedTuple):
 
 @kernel
 def pressure_error(y: Array, wanted: float, area: float) -> float:
-    """Return (26) [MPa] of a mean, with the force as the load cell reads it."""
+    """Return (26) [MPa] for a mean, with the force as read by the load cell."""
     return (y[PL] - (wanted - y[CELL_OFFSET]) / area) * 1e-6
 
 
@@ -97,7 +97,7 @@ def foreseen_variable(
 
 @kernel
 def command_for(r: Array, supply: float, surface: Surface, model: Model, p: Assumptions, state: State) -> float:
-    """Return the spool command [m] of the law before it is limited."""
+    """Return the law's spool command [m] before limitation."""
     plant, period = model.plant, model.period
     foresee(supply, model, p, state)
     s = foreseen_variable(p.command_delay, r, supply, surface, model, p, state)
@@ -126,16 +126,16 @@ def command_for(r: Array, supply: float, surface: Surface, model: Model, p: Assu
 
 @kernel
 def answer(m: Array, r: Array, surface: Surface, model: Model, p: Assumptions, memory: Array, status: Array) -> float:
-    """Return the spool command [m] for what the filter makes of the readings, and remember it as sent.
+    """Return the spool command [m] from the filter's update by the readings, and store it as sent.
 
     Args:
         m: readings in the order of ``SENSED``.
-        r: what the law follows, as :mod:`ehls_ros.control.controllers.base` has it.
+        r: row that the law follows, as defined in :mod:`ehls_ros.control.controllers.base`.
         surface: the sliding surface.
-        model: the rig as known.
+        model: model of the rig.
         p: the filter's assumptions.
-        memory: the filter, with what else the law remembers behind it; all of it starts anew from numbers out of range.
-        status: written.
+        memory: the filter's memory, followed by further memory of the law; all of it is reset if numbers are out of range.
+        status: output.
     """
     status[:] = 0.0
     state, supply = state_of(memory), supply_of(m, model)
@@ -154,7 +154,7 @@ def answer(m: Array, r: Array, surface: Surface, model: Model, p: Assumptions, m
     status[base.DELTA] = y[EXTERNAL] + p.coupling_stiffness * y[X] + p.coupling_damping * y[V]
     status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
     status[base.SATURATED] = 1.0 if wanted != command else 0.0
-    # From numbers out of range the filter cannot recover: it starts again from the next measurement.
+    # The filter cannot recover from numbers out of range: reset it for the next measurement.
     if not math.isfinite(memory.sum()):
         memory[:] = 0.0
     return command
@@ -162,22 +162,22 @@ def answer(m: Array, r: Array, surface: Surface, model: Model, p: Assumptions, m
 
 @kernel
 def follow(command: float, own: float, memory: Array) -> float:
-    """Put the command [m] that went to the valve in the place of the law's own, which does not depend on it."""
+    """Replace the law's last command by the one sent to the valve [m]; the law's command does not depend on it."""
     state_of(memory).commands[0] = command
     return own
 
 
 def tracking(omega: Array, surface: Surface, period: float, delay: float) -> NDArray[np.complex128]:
-    """Return the small-signal response of the force to the reference, of a rig as it is known.
+    """Return the small-signal response of the force to the reference, for the modelled rig.
 
-    With F the force, r the reference, h = delay + period and lambda = k g / (4 xi), the cycle's command makes
-    (F' + lambda F)(t + h) - (r' + lambda r) as extrapolated over h equal to 1/(1 + reaching_rate T) of the same over the delay.
+    With F the force, r the reference, h = delay + period and lambda = k g / (4 xi), the command of a cycle makes
+    (F' + lambda F)(t + h) - (r' + lambda r), extrapolated over h, equal to 1/(1 + reaching_rate T) of its value over the delay.
 
     Args:
         omega: frequencies [rad/s].
         surface: the sliding surface.
-        period: of the cycles [s].
-        delay: of a command on its way to the valve [s].
+        period: control period [s].
+        delay: delay of a command to the valve [s].
     """
     turning = (1j * omega).astype(np.complex128)
     slope = surface.k * surface.g / (4.0 * surface.xi)

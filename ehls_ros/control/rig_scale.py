@@ -1,13 +1,15 @@
-"""How large a rig is beside the paper's: what defaults in newtons, pascals, metres and kilograms are multiplied by.
+"""Scale of a rig relative to the paper's: factors of defaults in newtons, pascals, metres and kilograms.
 
-Tuning numbers, bounds and assumed noise are declared with the value that they have on the paper's rig, and with the quantity
-of a rig in proportion to which they are chosen by default (``scale`` of :func:`ehls_ros.schema.quantity`). On the paper's rig
-every ratio is exactly 1. A number that a user gives is never multiplied.
+Tuning numbers, bounds and assumed noise are declared with their value for the paper's rig, and with the quantity of a rig to
+which their default is proportional (``scale`` of :func:`ehls_ros.schema.quantity`). On the paper's rig every ratio is exactly
+1. A number that a user gives is never scaled.
 
-With these rules, a rig whose area, mass, oil volume, flow, friction and stiffness are all n times the paper's has the paper's
-loop: with pressures p, times unchanged and forces n times as large, (27) and (34) to (38) hold for n times each force if k and
-b/h go with the pressure, g with its inverse, h and b with the mass, Delta_f and the bound of D with the force, and the rates
-phi3 with force / (pressure x compression), phi1 and phi2 with 1 / (force x pressure x compression).
+By these rules, a rig whose area, mass, oil volume, flow, friction and stiffness are all n times the paper's has the paper's
+loop. With equal pressures and times and n-fold forces, (27) and (34) to (38) hold for n times each force, if
+
+* k and b/h scale with the pressure, and g with its inverse;
+* h and b scale with the mass, Delta_f and the bound of D with the force;
+* phi3 scales with force / (pressure x compression), phi1 and phi2 with 1 / (force x pressure x compression).
 """
 
 import math
@@ -39,7 +41,7 @@ PAPER_PLANT = Plant(
     valve_gain=1.0,
     gravity=9.81,
 )
-"""Coefficients of the rig for which defaults are declared, Table 2; ``config/rig_paper.yaml`` has the same."""
+"""Coefficients of the rig for which defaults are declared, Table 2; ``config/rig_paper.yaml`` has the same values."""
 
 PAPER_SPOOL, PAPER_STROKE = 1.0e-2, 0.6
 """Largest spool command and stroke of that rig [m]."""
@@ -50,10 +52,10 @@ PAPER_SENSORS = {
     "spool_position": Sensor(noise_std=1.0e-6, resolution=1.0e-6),
     "force": Sensor(noise_std=2.0, resolution=4.0),
 }
-"""Sensors of that rig as ``config/rig_paper_measured.yaml`` describes them."""
+"""Sensors of that rig as described in ``config/rig_paper_measured.yaml``."""
 
 PAPER_STICKING = 865.4 * 0.089 / 1.969e5
-"""Motion of that rig's piston until its last friction element slips [m]."""
+"""Travel of that rig's piston until its last friction element slips [m]."""
 
 
 @kernel
@@ -84,7 +86,7 @@ PAPER_SPEED = in_python(largest_speed)(PAPER_PLANT, PAPER_SPOOL)
 
 
 class Ratios(NamedTuple):
-    """A rig's quantities over those of the paper's rig [1]; the names are those that a declaration's ``scale`` is made of.
+    """A rig's quantities relative to those of the paper's rig [1]; declarations refer to these names in ``scale``.
 
     Attributes:
         force: supply pressure times piston area.
@@ -92,14 +94,14 @@ class Ratios(NamedTuple):
         compression: change of the load pressure per motion with the valve shut.
         mass: moving mass.
         spool: largest spool command.
-        stroke: span of the piston's position.
-        speed: of the unloaded piston at the largest spool command.
-        sticking: motion until all friction elements slip; 1 for a friction model without elements.
-        position_noise: noise of a reading, over that of a sensor of the paper's rig; of a sensor that the rig file does not
-            describe, ``stroke``.
-        pressure_noise: likewise, else ``pressure``.
-        spool_noise: likewise, else ``spool``.
-        force_noise: likewise, else ``force``.
+        stroke: range of the piston's position.
+        speed: speed of the unloaded piston at the largest spool command.
+        sticking: travel until all friction elements slip; 1 for a friction model without elements.
+        position_noise: noise of a reading, relative to that of the paper's sensor; ``stroke`` for a sensor that the rig file
+            does not describe.
+        pressure_noise: noise of a reading as above, or ``pressure``.
+        spool_noise: noise of a reading as above, or ``spool``.
+        force_noise: noise of a reading as above, or ``force``.
     """
 
     force: float
@@ -117,7 +119,7 @@ class Ratios(NamedTuple):
 
 
 def ratios(rig: Rig) -> Ratios:
-    """Return how large a rig is beside the paper's; a quantity that its file does not have counts as the paper's."""
+    """Return the scale of a rig relative to the paper's; a quantity missing in its file counts as the paper's."""
     plant, limits = rig.plant, rig.limits
     friction = rig.friction
     force, pressure = in_python(largest_force)(plant) / PAPER_FORCE, plant.supply_pressure / PAPER_PRESSURE
@@ -139,16 +141,16 @@ def ratios(rig: Rig) -> Ratios:
 
 
 def defaults_for(parameters: type, rig: Rig, stated: Mapping[str, Any] = MappingProxyType({})) -> Mapping[str, Any]:
-    """Return the defaults that follow from a rig, by name; those that do not are left out.
+    """Return the defaults that follow from a rig, by name; others are omitted.
 
     Args:
         parameters: a ``NamedTuple`` class with the declarations.
-        rig: the rig as known to the user of the parameters.
+        rig: the rig as described to the user of the parameters.
         stated: defaults for the paper's rig in place of the declared ones.
     """
     return scaled_defaults(parameters, ratios(rig)._asdict(), stated)
 
 
 def tuned_for(parameters: type[Parameters], rig: Rig, stated: Mapping[str, Any] = MappingProxyType({})) -> Parameters:
-    """Return a parameter set with the defaults for a rig; arguments as of :func:`defaults_for`."""
+    """Return a parameter set with the defaults for a rig; arguments as those of :func:`defaults_for`."""
     return parameters(**defaults_for(parameters, rig, stated))

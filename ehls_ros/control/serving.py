@@ -1,4 +1,4 @@
-"""Which observers and controllers serve which friction model."""
+"""Compatibility of observers and controllers with friction models."""
 
 from typing import Any
 
@@ -8,21 +8,21 @@ from ehls_ros.physics.rig import Rig
 
 
 def serves(member: Any, rig: Rig) -> bool:
-    """Tell whether an observer or controller serves the friction model of a rig."""
+    """Return whether an observer or controller supports the friction model of a rig."""
     return getattr(member, "FRICTION_MODEL", rig.friction_model) == rig.friction_model
 
 
 def check_serves(family: Family[Any], name: str, rig: Rig, where: str) -> None:
-    """Look whether an observer or controller serves the friction model of a rig.
+    """Check that an observer or controller supports the friction model of a rig.
 
     Args:
         family: observers or controllers.
-        name: which.
-        rig: the rig as the controller believes it to be.
-        where: file and section, for errors.
+        name: name of the observer or controller.
+        rig: the rig as described to the controller.
+        where: file and section, for error messages.
 
     Raises:
-        BadInput: it serves another model.
+        BadInput: it supports only another model.
     """
     if not serves(family.load(name, where), rig):
         what = f"{family.noun} {name!r} does not serve friction model {rig.friction_model!r}"

@@ -1,13 +1,13 @@
-"""The motion to come of a position servo, and with it of the loader that it moves.
+"""Predict the motion of a position servo, and with it of the loader that it moves.
 
-Two pistons joined by the beam's spring and damper. The servo follows its command by its position loop, which is sampled once a
-cycle; the loader is taken to hold the force it is wanted to. Both move by the equations of
-:mod:`ehls_ros.control.state_estimator`, friction included, in Runge-Kutta steps that they take together: each feels the other
-at every stage. Friction changes its modes at the ends of steps. The model shares no integrator with the simulator.
+Two pistons are coupled by the spring and damper of the beam. The servo follows its command by its position loop, which is
+sampled once per cycle; the loader is assumed to hold its wanted force. Both follow the equations of
+:mod:`ehls_ros.control.state_estimator`, including friction, in joint Runge-Kutta steps with coupling at every stage. Friction
+changes its modes at the ends of steps. The model shares no integrator with the simulator.
 
-The model runs ahead to when a command sent now has acted for a cycle. What it hands to the law is the parabola that has the
-force's mean over the present cycle, over the one that begins then, and over the one half way: between two samples the loader
-is moved by the force's impulse, not by its value at the sample.
+The prediction reaches to one cycle after a command sent now begins to act. The law receives the parabola with the force's mean
+over the present cycle, over the one that begins then, and over the one halfway: between two samples the loader is moved by the
+force's impulse, not by its value at the sample.
 """
 
 import math
@@ -36,16 +36,16 @@ from ehls_ros.physics.servo import servo_command
 LENGTH = STATES + MOST_ELEMENTS
 
 LEAST_AHEAD = 2
-"""Fewest cycles ahead, for a parabola."""
+"""Fewest cycles of prediction, as required for a parabola."""
 
 
 class Piston(NamedTuple):
-    """One piston.
+    """State of one piston.
 
     Attributes:
-        model: its rig.
-        surroundings: what holds it besides the external force.
-        y: its state, as :class:`ehls_ros.control.state_estimator.State` has a mean.
+        model: model of its rig.
+        surroundings: coupling of the piston besides the external force.
+        y: its state, in the layout of a mean in :class:`ehls_ros.control.state_estimator.State`.
         mode: modes of its friction elements.
         work: a state within a step, then the rates of the step's four stages, shape (5, LENGTH).
     """
@@ -62,10 +62,10 @@ class Pair(NamedTuple):
 
     Attributes:
         servo: the actuator under test.
-        loader: the loading piston; the bulk modulus of its model is 0, so that its pressure changes as wanted only.
-        position_gain: of the servo's loop [1/s].
+        loader: the loading piston; its bulk modulus is set to 0, so that its pressure follows only the wanted force.
+        position_gain: gain of the servo's position loop [1/s].
         started: 1 once both have a position, shape (1,).
-        ahead: mean external force of the loader over the present cycle and those to come [N], shape (cycles ahead + 1,).
+        ahead: mean external force of the loader over the present and the predicted cycles [N], shape (cycles ahead + 1,).
     """
 
     servo: Piston
@@ -76,7 +76,7 @@ class Pair(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """The compiled model: ``foresee(rows, commands, pair)`` writes the force foreseen into some rows on end."""
+    """Compiled model; ``foresee(rows, commands, pair)`` writes the foreseen force into consecutive rows."""
 
     foresee: Callable[..., None]
 
@@ -91,9 +91,9 @@ def pair(servo: Model, loader: Model, position_gain: float) -> Pair:
     """Return servo and loader before their first cycle.
 
     Args:
-        servo: the servo's rig.
-        loader: the loader's rig, which knows the coupling.
-        position_gain: of the servo's loop [1/s].
+        servo: model of the servo's rig.
+        loader: model of the loader's rig, including the coupling.
+        position_gain: gain of the servo's position loop [1/s].
     """
     as_wanted = loader._replace(plant=loader.plant._replace(bulk_modulus=0.0))
     loading = piston(as_wanted, loader.coupling_stiffness, loader.coupling_damping)
@@ -102,7 +102,7 @@ def pair(servo: Model, loader: Model, position_gain: float) -> Pair:
 
 
 def build() -> Motion:
-    """Build the model."""
+    """Build the compiled model."""
 
     @lean
     def evaluate(stage: int, spool: float, x: Array, y: Array, both: Pair) -> float:
@@ -117,7 +117,7 @@ def build() -> Motion:
 
     @lean
     def go(piston: Piston, stage: int, step: float) -> None:
-        """Write the state after a step at the rates of a stage to the first row of the work."""
+        """Write the state after a step at the rates of a stage to the first row of the work array."""
         work = piston.work
         for i in range(STATES + elements(piston.model.friction)):
             work[0, i] = piston.y[i] + step * work[stage, i]

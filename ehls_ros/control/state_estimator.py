@@ -1,4 +1,4 @@
-"""The states a rig does not measure: an extended Kalman filter, and its prediction over the command's delay.
+"""Estimate the unmeasured states of a rig by an extended Kalman filter, and predict them over the command's delay.
 
     x'  = v
     m v' = Ac pL - (B0 + sigma_f + cc) v - (ks + kc) x - m g - sum F_i - d        (3)
@@ -6,16 +6,16 @@
     xv' = omega_v (Kv (1 + b) u(t - delay) - xv)                                  (4)
     b' = -b/tau + white noise,  c' = -c/tau + white noise,  d''', q', o' = white noise
 
-Position, load pressure, spool and force are measured, force = Ac pL + o. The surroundings are a spring kc and a damper cc with
-a moving far end: kc and cc are known, the motion of the far end is part of d. b is the error of the valve's gain, c that of
-the discharge coefficient, q the flow that the model lacks, o the offset of the load cell. The friction elements F_i follow the
-estimated velocity by (6) and (8); while they stick, a corrected position corrects them. The velocity is observed mainly through
-the load pressure: a cycle's change of pressure resolves 0.2 um of motion, the position sensor 5 um. A valve that is nearly
-shut tells nothing of c: its flow then shows what else is wrong.
+Position, load pressure, spool and force are measured, with force = Ac pL + o. The surroundings are a spring kc and a damper cc
+with a moving far end: kc and cc are known, and the motion of the far end is part of d. b is the error of the valve gain, c that
+of the discharge coefficient, q the unmodelled flow, and o the offset of the load cell. The friction elements F_i follow the
+estimated velocity by (6) and (8); while they stick, a correction of the position corrects them. The velocity is observed mainly
+through the load pressure: a cycle's change of pressure resolves 0.2 um of motion, the position sensor 5 um. A nearly closed
+valve contains no information on c: its flow then shows other errors.
 
-Mean and covariance are stepped together: the mean by Runge-Kutta steps of order 4 of the equations above, the covariance by the
-exponential of their Jacobian. A reading that is not finite is skipped. All of the filter lies in one array, which a controller
-can keep.
+Mean and covariance are advanced together: the mean by Runge-Kutta steps of order 4 of the equations above, the covariance by
+the exponential of their Jacobian. A reading that is not finite is skipped. The whole filter is stored in one array, which a
+controller can keep.
 
 Source: Anderson, Moore, Optimal Filtering, 1979, chapters 6 to 8; the delay as in Åström, Wittenmark, Computer-Controlled
 Systems, 1997, section 3.2.
@@ -38,29 +38,28 @@ from ehls_ros.physics.valve import load_flow, spool_rate
 from ehls_ros.schema import quantity
 
 FRICTION_MODEL = "gms"
-"""The friction model within the filter. Its elements are linear while they stick or slip, which the covariance rests on."""
+"""Friction model in the filter. Its elements are linear while they stick or slip, as the covariance requires."""
 
 EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, DISCHARGE, FLOW_ERROR, CELL_OFFSET, STATES = range(4, 12)
-"""Where the mean holds d with its two rates, b, c, q and o, after the plant's own x, v, pL and xv; and their number."""
+"""Indices in the mean of d with its two rates, b, c, q and o, after the plant's x, v, pL and xv; and their number."""
 
 MOST_ELEMENTS = 16
-"""Friction elements that are followed; the force of further ones counts as external force."""
+"""Most friction elements that are modelled; the force of further ones counts as external force."""
 
 SENT = 64
-"""Commands sent that are remembered."""
+"""Number of sent commands that are stored."""
 
 STEP = 5e-4
-"""Longest Runge-Kutta step of the mean [s]; the rig's fastest mode turns 0.23 rad in it."""
+"""Longest Runge-Kutta step of the mean [s]; the phase of the rig's fastest mode advances by 0.23 rad in it."""
 
 PIECE = 1e-3
 """Longest step of the covariance [s]."""
 
 ROUNDING = 1e-9
-"""Times closer to each other are the same [s]."""
+"""Difference below which two times are equal [s]."""
 
 GAIN_MEMORY = 10.0
-"""Time constant with which an error of the valve's gain or of the discharge coefficient is forgotten while nothing shows it,
-tau [s]."""
+"""Time constant of the decay of errors of the valve gain and the discharge coefficient while they are not observed, tau [s]."""
 
 LEAST_DROP = 0.01
 """Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
@@ -117,20 +116,20 @@ class Assumptions(NamedTuple):
     Attributes:
         coupling_stiffness: kc [N/m].
         coupling_damping: cc [N s/m].
-        command_delay: time a command takes to the valve [s].
-        position_noise: standard deviation of a position reading, rounding included [m].
-        pressure_noise: of a load pressure reading [Pa].
-        spool_noise: of a spool reading [m].
-        force_noise: of a load cell reading [N].
+        command_delay: delay of a command to the valve [s].
+        position_noise: standard deviation of a position reading, including rounding [m].
+        pressure_noise: standard deviation of a load pressure reading [Pa].
+        spool_noise: standard deviation of a spool reading [m].
+        force_noise: standard deviation of a load cell reading [N].
         motion_noise: root of the spectral density of the force missing in (3) [N s^1/2].
-        oil_noise: of the pressure rate missing in (25) [Pa/s^1/2].
-        valve_noise: of the spool rate missing in (4) [m/s^1/2].
-        external_noise: of the external force's third derivative [N/s^5/2].
-        gain_noise: of the rate of the valve gain's error b [1/s^1/2].
-        discharge_noise: of the rate of the discharge coefficient's relative error c [1/s^1/2].
-        least_opening: of the valve, from which its flow tells of c [m].
-        flow_noise: of the rate of the flow's error [Pa/s^3/2].
-        offset_noise: of the rate of the load cell's offset [N/s^1/2].
+        oil_noise: likewise of the pressure rate missing in (25) [Pa/s^1/2].
+        valve_noise: likewise of the spool rate missing in (4) [m/s^1/2].
+        external_noise: likewise of the external force's third derivative [N/s^5/2].
+        gain_noise: likewise of the rate of the valve gain's error b [1/s^1/2].
+        discharge_noise: likewise of the rate of the discharge coefficient's relative error c [1/s^1/2].
+        least_opening: valve opening from which on its flow is used to estimate c [m].
+        flow_noise: root of the spectral density of the rate of the flow's error [Pa/s^3/2].
+        offset_noise: likewise of the rate of the load cell's offset [N/s^1/2].
     """
 
     coupling_stiffness: float
@@ -152,16 +151,16 @@ class Assumptions(NamedTuple):
 
 
 class State(NamedTuple):
-    """The filter's parts, all views into one array of :data:`MEMORY_SIZE`.
+    """Parts of the filter, all views of one array of :data:`MEMORY_SIZE`.
 
     Attributes:
-        started: 1 once there was a measurement to start from.
-        mean: the estimate, then the friction elements' forces [N].
+        started: 1 after the first measurement.
+        mean: the estimate, followed by the friction elements' forces [N].
         mode: modes of the elements, as in :mod:`ehls_ros.physics.friction.base`.
-        foreseen: the mean predicted to when the next command acts; then scratch of the controller.
-        foreseen_mode: and its modes.
-        covariance: of the estimate, shape (STATES, STATES).
-        commands: spool commands sent, newest first [m].
+        foreseen: the mean predicted to the time when the next command acts; then scratch of the controller.
+        foreseen_mode: modes of the predicted mean.
+        covariance: covariance of the estimate, shape (STATES, STATES).
+        commands: sent spool commands, newest first [m].
         ages: times since they were sent [s].
         work: scratch, shape (5, length of the mean).
         matrices: scratch, shape (3, STATES, STATES).
@@ -211,7 +210,7 @@ def state_of(memory: Array) -> State:
 
 @kernel
 def elements(friction: Friction) -> int:
-    """Return how many friction elements are followed."""
+    """Return the number of friction elements that are modelled."""
     return min(len(friction.element_stiffness), MOST_ELEMENTS)
 
 
@@ -220,13 +219,13 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
     """Write the derivative of a mean.
 
     Args:
-        y: the mean, as :class:`State` has it.
+        y: the mean, in the layout of :class:`State`.
         mode: modes of the friction elements.
         command: spool command that has arrived at the valve [m].
         supply: supply pressure [Pa].
-        model: the rig as known.
+        model: model of the rig.
         p: the filter's assumptions.
-        rate: where the derivative goes, as long as ``y``.
+        rate: output, as long as ``y``.
     """
     plant, friction = model.plant, model.friction
     level = sliding_level(y[V], friction)
@@ -253,7 +252,7 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
 
 @kernel
 def switch(y: Array, mode: Array, friction: Friction) -> None:
-    """Let elements break away, at their break-away force, or stick at a reversal."""
+    """Release elements at their break-away force, and make slipping ones stick at a reversal."""
     level, direction = sliding_level(y[V], friction), sign(y[V])
     for i in range(elements(friction)):
         if mode[i] == 0.0:
@@ -268,7 +267,7 @@ def switch(y: Array, mode: Array, friction: Friction) -> None:
 def move(
     y: Array, mode: Array, command: float, supply: float, duration: float, model: Model, p: Assumptions, work: Array
 ) -> None:
-    """Advance a mean under one command; arguments as of :func:`rates`, ``duration`` [s], ``work`` of :class:`State`."""
+    """Advance a mean under one command; arguments as those of :func:`rates`, ``duration`` [s], ``work`` of :class:`State`."""
     steps = max(1, math.ceil((duration - ROUNDING) / STEP))
     step = duration / steps
     length = STATES + elements(model.friction)
@@ -303,7 +302,7 @@ def arrived(t: float, delay: float, state: State) -> tuple[float, float]:
 
 @kernel
 def linearise(state: State, command: float, supply: float, model: Model, p: Assumptions, jacobian: Array) -> None:
-    """Write the Jacobian of the equations at the mean, the sticking elements' stiffness included."""
+    """Write the Jacobian of the equations at the mean, including the stiffness of sticking elements."""
     plant, friction, y = model.plant, model.friction, state.mean
     stiffness = plant.spring_stiffness + p.coupling_stiffness
     for i in range(elements(friction)):
@@ -392,7 +391,7 @@ def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
 
 @apart
 def correct(reading: float, signal: int, scale: float, offset: float, noise: float, state: State) -> None:
-    """Take in one reading: ``scale`` times the mean at ``signal`` plus ``offset`` times o, with noise ``noise``.
+    """Correct by one reading: ``scale`` times the mean at ``signal`` plus ``offset`` times o, with noise ``noise``.
 
     A reading that is not finite changes nothing.
     """
@@ -412,19 +411,19 @@ def correct(reading: float, signal: int, scale: float, offset: float, noise: flo
 
 
 FIRST_VELOCITY = 0.01
-"""Standard deviation of the velocity at the first measurement on the paper's rig [m/s], in proportion to the rig's speed."""
+"""Standard deviation of the velocity at the first measurement on the paper's rig [m/s], scaled with the rig's speed."""
 
 FIRST_FORCE, FIRST_FORCE_RATE, FIRST_FORCE_CURVATURE = 1e3, 1e5, 1e6
-"""Standard deviations of the external force about balance [N], and of its rates [N/s, N/s^2], likewise to its force."""
+"""Standard deviations of the external force about balance [N], and of its rates [N/s, N/s^2], scaled with the rig's force."""
 
 FIRST_GAIN, FIRST_DISCHARGE, FIRST_FLOW, FIRST_OFFSET = 0.1, 0.1, 1e7, 100.0
-"""Standard deviations of the errors of valve gain and discharge coefficient [1], flow [Pa/s], likewise to its supply pressure,
-and load cell [N], to its force."""
+"""Standard deviations of the errors of valve gain and discharge coefficient [1], of flow [Pa/s], scaled with the rig's supply
+pressure, and of the load cell [N], scaled with its force."""
 
 
 @apart
 def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
-    """Start at rest from the first measurement, with the external force that balances it."""
+    """Start at rest from the first measurement, with the external force in balance."""
     plant, y, covariance = model.plant, state.mean, state.covariance
     force, pressure = largest_force(plant) / PAPER_FORCE, plant.supply_pressure / PAPER_PRESSURE
     speed = largest_speed(plant, model.spool_limit) / PAPER_SPEED
@@ -450,21 +449,21 @@ def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
 
 @kernel
 def supply_of(measured: Array, model: Model) -> float:
-    """Return the supply pressure as measured, or the nominal one where it is not [Pa]."""
+    """Return the measured supply pressure, or the nominal one if there is no reading [Pa]."""
     supply = measured[sensors.SUPPLY_PRESSURE]
     return supply if math.isfinite(supply) else model.plant.supply_pressure
 
 
 @kernel
 def expect(foreseen: Array, period: float, state: State) -> None:
-    """Let the external force change as somebody foresaw it.
+    """Update the external force by its foreseen change.
 
-    The mean has been predicted with the second derivative held. What the force foreseen does beyond that, over the last cycle,
-    is added, so that the filter estimates only what nobody foresaw. Where foresight begins, its rates take the place of the
-    estimated ones.
+    The mean has been predicted with a constant second derivative. The change of the foreseen force beyond that, over the last
+    cycle, is added, so that the filter estimates only the remainder. When foresight begins, its rates replace the estimated
+    ones.
 
     Args:
-        foreseen: the force [N] and its two derivatives; NaN if nobody foresees it.
+        foreseen: the force [N] and its two derivatives; NaN if not foreseen.
         period: time since the last cycle [s].
         state: changed in place.
     """
@@ -486,17 +485,17 @@ def expect(foreseen: Array, period: float, state: State) -> None:
 
 @apart
 def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, state: State) -> bool:
-    """Take in one more measurement, a period after the last.
+    """Process one more measurement, a period after the last.
 
     Args:
         measured: readings in the order of ``SENSED``, shape (7,); the velocity is not used.
-        foreseen: external force foreseen for now [N] and its two derivatives; NaN where nothing is foreseen.
-        model: the rig as known, and the time since the last measurement.
+        foreseen: external force foreseen for now [N] and its two derivatives; NaN if nothing is foreseen.
+        model: model of the rig, with the time since the last measurement as period.
         p: the filter's assumptions.
         state: changed in place.
 
     Returns:
-        Whether there is an estimate: only after position, load pressure and spool have been read together once.
+        Whether there is an estimate, which requires that position, load pressure and spool have been read together once.
     """
     if state.started[0] == 0.0:
         sum_read = measured[sensors.POSITION] + measured[sensors.LOAD_PRESSURE] + measured[sensors.SPOOL]
@@ -521,7 +520,7 @@ def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, stat
 
 @apart
 def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
-    """Predict the mean, under the commands on their way, to when one sent now acts; into ``state.foreseen``."""
+    """Predict the mean, under the commands in transit, to the time when one sent now acts; into ``state.foreseen``."""
     copy(state.mean, state.foreseen)
     copy(state.mode, state.foreseen_mode)
     t = 0.0
@@ -534,7 +533,7 @@ def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
 
 @kernel
 def send(command: float, state: State) -> None:
-    """Remember a command [m] sent now."""
+    """Store a command [m] sent now."""
     for i in range(SENT - 1, 0, -1):
         state.commands[i], state.ages[i] = state.commands[i - 1], state.ages[i - 1]
     state.commands[0], state.ages[0] = command, 0.0

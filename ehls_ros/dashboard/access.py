@@ -1,14 +1,14 @@
-"""Who may see the page, and who may change things.
+"""Access control of the page: read and write permissions.
 
 The page can stop a rig, so other web pages in the same browser and other people on the network must not reach it:
 
-* The Host header must be one of this machine's own addresses; a foreign name that resolves to this machine is refused.
+* The Host header must be one of this machine's addresses; a foreign name that resolves to this machine is refused.
 * An Origin header must be the page's own.
 * Changing anything needs the token printed at start-up. Reading needs it too, except over the loopback interface.
-* A websocket from another machine needs the id of a page that was served, which only the page's receiver knows.
+* A websocket from another machine needs the id of a served page, which only the page's receiver has.
 
-The token stays in the page's address. A cookie would go to every server on this machine, whatever its port, and one
-page that may write would make every page of the browser one.
+The token stays in the page's address. A cookie would be sent to every server on this machine, whatever its port, and would give
+every page of the browser the write permission of one.
 """
 
 import ipaddress
@@ -35,13 +35,13 @@ WRITES = "writes"
 """Key in a request's state: whether the requested page may change things."""
 
 PAGES = 16
-"""Most pages open at once that only read, and most that may write."""
+"""Maximum number of pages open at once, for read-only pages and for pages that may write separately."""
 
 REMEMBERED = 256
 """Closed pages whose id is still accepted."""
 
 AWAY = 30.0
-"""Time without an answer from the browser after which a page is dropped; a browser that returns gets a new one [s]."""
+"""Time without an answer from the browser after which a page is dropped [s]; a browser that returns gets a new page."""
 
 FILES, SOCKETS, ICON = "/_nicegui/", "/_nicegui_ws/socket.io/", "/favicon.ico"
 """Paths NiceGUI serves beside the page."""
@@ -103,7 +103,7 @@ class Access:
         self._pages[page] = writes
 
     def end(self, page: str) -> None:
-        """Register that a page has closed; its browser may return to be told so."""
+        """Register that a page has closed; its browser may reconnect to learn of it."""
         del self._pages[page]
         self._ended.append(page)
 
@@ -130,7 +130,7 @@ class Access:
 
 
 class AccessMiddleware:
-    """Checks every request and websocket against :class:`Access`, and passes on only what a page needs."""
+    """Check every request and websocket against :class:`Access`, and pass on only requests that a page needs."""
 
     def __init__(self, app: ASGIApp, access: Access, connections: Connections) -> None:
         """Wrap the application."""
@@ -139,7 +139,7 @@ class AccessMiddleware:
         self._connections = connections
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, or refuse."""
+        """Answer or refuse a request."""
         if scope["type"] == "http":
             with self._connections.answered(scope["client"]):
                 await self._answer(scope, receive, send)
@@ -164,7 +164,7 @@ class AccessMiddleware:
                 message["headers"] = headers.raw
             await send(message)
 
-        # Nothing downstream sees the token, so nothing can log it.
+        # The token is not passed downstream, so it cannot be logged there.
         told = {**scope, "query_string": b"", "state": {**scope.get("state", {}), WRITES: writes}}
         await self._app(told, receive, send_with_policy)
 

@@ -17,10 +17,10 @@ NONE_WITH_CONTROLS = "Start one under Experiment or from another terminal. The p
 
 
 class BeginningCard:
-    """Shown until a graph has been seen, and again while another one is being started."""
+    """Card shown until a graph has been seen, and again while another one is being started."""
 
     def __init__(self, graph: Graph, *, writes: bool) -> None:
-        """Build it in the current slot.
+        """Build the card in the current slot.
 
         Args:
             graph: the graph to be started.

@@ -1,10 +1,10 @@
-"""How many connections the server holds, and for how long.
+"""Limits on the number and duration of the server's connections.
 
-Anybody who reaches the port can open connections and send nothing, or read nothing. So a connection has a few seconds to
-make its request, and an address with too many loses its oldest, so that others still get in. The socket of an open page is
-not counted.
+Any host that reaches the port can open connections and send nothing, or read nothing. A connection therefore has a few seconds
+to make its request, and the oldest connection of an address with too many is cut so that others can connect. The socket of an
+open page is not counted.
 
-Time is counted in passes of the server's loop, a second or more apart, so that a stalled server does not time its clients out.
+Time is counted in passes of the server's loop, a second or more apart, so that clients do not time out while the server stalls.
 """
 
 import asyncio
@@ -19,19 +19,19 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 PER_PEER = 16
-"""Most connections of one address outside a page; a browser opens six."""
+"""Maximum number of connections of one address outside a page; a browser opens six."""
 
 IN_ALL = 64
-"""Most connections of all addresses outside a page."""
+"""Maximum number of connections of all addresses outside a page."""
 
 PER_PAGE = 2
-"""Most sockets of one page: the one in use, and one lost without the server noticing."""
+"""Maximum number of sockets of one page: the one in use, and one lost without notice to the server."""
 
 PASS = 1.0
 """Time between two passes [s]."""
 
 LONGEST_HEAD = 16 * 1024
-"""Size of the largest request line and headers [B]."""
+"""Maximum size of the request line and headers [B]."""
 
 _BLANK_LINE = re.compile(rb"\n\r?\n")
 
@@ -51,7 +51,7 @@ class State(Enum):
 
 
 PASSES = {State.ASKING: 5, State.ANSWERED: 60, State.CLOSING: 5}
-"""Passes a connection may stay in a state: making its request, reading the answer, closing."""
+"""Maximum number of passes in a state: making the request, reading the answer, closing."""
 
 Address = tuple[str, int]
 
@@ -60,7 +60,7 @@ class Connections:
     """The connections of one server."""
 
     def __init__(self) -> None:
-        """Start with none."""
+        """Start without connections."""
         self._open: dict[Address, _Connection] = {}
 
     def protocol(self) -> type[asyncio.Protocol]:
@@ -73,7 +73,7 @@ class Connections:
                 super().connection_made(transport)
 
             def handle_events(self) -> None:
-                # h11 has a limit for incomplete heads only: one that comes complete in a single read would pass.
+                # h11 limits incomplete heads only: a head received complete in a single read would pass.
                 if self.conn.their_state is h11.IDLE and _head_size(self.conn.trailing_data[0]) > LONGEST_HEAD:
                     self.transport.write(_TOO_LARGE)
                     self.transport.close()
@@ -96,7 +96,7 @@ class Connections:
 
     @contextmanager
     def answered(self, peer: Any) -> Iterator[None]:
-        """Allow a connection the time of an answer.
+        """Grant a connection the time of an answer.
 
         Args:
             peer: host and port as the transport and the ASGI scope give them.
@@ -168,7 +168,7 @@ class _Connection:
 
 
 def _head_size(received: bytes) -> int:
-    """Return the size of the request line and headers at the beginning of received data, as far as they have come [B]."""
+    """Return the size of the request line and headers at the beginning of received data, as far as received [B]."""
     end = _BLANK_LINE.search(received)
     return len(received) if end is None else end.end()
 

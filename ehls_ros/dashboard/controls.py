@@ -1,4 +1,4 @@
-"""Shared by all controls: send a request to the graph from a thread and show the answer."""
+"""Helpers of the controls: send a request to the graph from a thread and show the answer."""
 
 import asyncio
 from collections.abc import Callable
@@ -26,7 +26,7 @@ def button(text: str, request: Callable[[], Answer], look: str) -> ui.button:
 
     Args:
         text: its label.
-        request: sent when it is pressed.
+        request: sent when the button is pressed.
         look: Quasar properties of the button.
     """
 

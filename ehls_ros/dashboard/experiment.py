@@ -77,7 +77,7 @@ class EffectsForm:
 
 
 class ExperimentTab:
-    """Start, stop, record."""
+    """Tab to start and stop a graph and to record it."""
 
     def __init__(self, graph: Graph, spec: Path | None, timing: Timing) -> None:
         """Build the tab in the current slot.

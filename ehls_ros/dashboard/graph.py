@@ -1,4 +1,4 @@
-"""What the page needs of the graph; ``ehls_ros.nodes.dashboard_graph`` implements it over ROS."""
+"""Interface of the page to the graph; ``ehls_ros.nodes.dashboard_graph`` implements it over ROS."""
 
 from collections.abc import Mapping
 from enum import Enum
@@ -45,10 +45,10 @@ class Tunable(NamedTuple):
 
 
 class Timing(Enum):
-    """How the time of a graph started here passes; the value is what the page says.
+    """Time mode of a graph started here; the value is the text on the page.
 
-    In the first two, every cycle waits for its answers. The first is the default: a simulated rig has no time of its own to
-    keep, and however slow or busy the machine is, the loop behaves as on a fast one.
+    In the first two, every cycle waits for its answers. The first is the default: a simulated rig need not keep real time, so
+    the loop behaves the same however slow or busy the machine is.
     """
 
     LOCKSTEP = "in step, at most as fast as real time"
@@ -69,11 +69,11 @@ class Beginning(NamedTuple):
 
 
 class RigChange(NamedTuple):
-    """A change of the rig that the monitor has found.
+    """A change of the rig detected by the monitor.
 
     Attributes:
-        sentence: what it is, by how much, since when and how sure.
-        active: whether it still shows.
+        sentence: kind of change, size, onset and confidence.
+        active: whether it persists.
         acknowledged: whether an operator has seen it.
     """
 
@@ -83,16 +83,16 @@ class RigChange(NamedTuple):
 
 
 class RigCoefficient(NamedTuple):
-    """A coefficient of the rig as the monitor has it.
+    """A coefficient of the rig as estimated by the monitor.
 
     Attributes:
         name: its name, such as ``leakage_coefficient``.
         value: its newest value.
         deviation: standard error.
         unit: of both, SI.
-        why_not: why the programme does not tell it; empty where it does.
-        times: of the values since this dashboard listens [s].
-        values: those values, NaN where it was not told.
+        why_not: reason why the programme does not determine it; empty if it does.
+        times: times of the values since this dashboard subscribed [s].
+        values: values at these times, NaN where not determined.
     """
 
     name: str
@@ -105,14 +105,14 @@ class RigCoefficient(NamedTuple):
 
 
 class RigHealth(NamedTuple):
-    """What a monitor says of the rig.
+    """Rig health reported by a monitor.
 
     Attributes:
-        state: what it is doing, in a word.
+        state: state of the monitor, in one word.
         summary: the rig's health in a sentence.
-        changes: what it found, newest first.
+        changes: detected changes, newest first.
         coefficients: the rig's coefficients.
-        outside: fraction of the last minute that lies outside what its baseline covers.
+        outside: fraction of the last minute outside the range of the baseline.
     """
 
     state: str
@@ -123,18 +123,18 @@ class RigHealth(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """State of the graph at one moment; all the page says of it comes from one of these.
+    """State of the graph at one moment; all texts of the page at one time come from one snapshot.
 
     Attributes:
         rate: rate of cycles over about the last second [1/s]; 0 without a graph.
         period: the rig's time between two cycles [s]; 0 if unknown.
         health: the nodes' diagnostics.
         beginning: progress of the nodes being started here; None if none are.
-        complaint: which node started here died, and the last line of its log; empty if none did.
-        activity: what was started here: recording, files.
+        complaint: name of a node started here that died, and the last line of its log; empty if none died.
+        activity: recording and files started here.
         started_here: whether nodes started here are running.
         recording: whether a recording started here is running.
-        rig: what a monitor says of the rig; None where there is no monitor.
+        rig: rig health reported by a monitor; None without a monitor.
     """
 
     rate: float = 0.0
@@ -149,7 +149,7 @@ class Snapshot(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Outcome of a request: whether it was carried out, and the message of the node that did or refused it."""
+    """Outcome of a request: whether it was carried out, and the message of the node."""
 
     done: bool
     message: str
@@ -185,7 +185,7 @@ class Graph(Protocol):
         """Acknowledge the engaged emergency stop."""
 
     def acknowledge_changes(self) -> Answer:
-        """Take note, for the monitor, that an operator has seen the changes of the rig that it found."""
+        """Acknowledge the changes of the rig that the monitor has found."""
 
     def reset_trips(self) -> Answer:
         """Reset the gate's latched trips."""
@@ -197,7 +197,7 @@ class Graph(Protocol):
         """Reset the gate's latched trips and let commands through again."""
 
     def start(self, spec: Spec, name: str, timing: Timing) -> Answer:
-        """Start the nodes of a spec, with no last cycle; returns once they run."""
+        """Start the nodes of a spec, without a last cycle; return once they run."""
 
     def stop(self) -> Answer:
         """Stop the nodes started here."""

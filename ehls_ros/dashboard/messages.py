@@ -1,8 +1,8 @@
-"""Which messages a browser may send over its page's socket.
+"""Filter of the messages that a browser may send over its page's socket.
 
 The libraries behind the socket trust their input: an event for another page's button, a text for the terminal, an announced
-attachment that never comes. So each message is checked before they see it. A read-only page may only acknowledge what it
-received.
+attachment that never comes. So each message is checked before they see it. A read-only page may only acknowledge received
+messages.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import Any
 import orjson
 
 LARGEST = 64 * 1024
-"""Size of the largest message [B]; the text of a field is sent in one piece."""
+"""Maximum message size [B]; the text of a field is sent in one piece."""
 
 _SIGNALS = {"1", "3", "40", "40{}", "41"}
 """Engine.IO and Socket.IO packets: close, pong, connect, connect, disconnect."""
@@ -21,7 +21,7 @@ _EVENT = "42"
 
 
 class Verdict(Enum):
-    """What to do with a message."""
+    """Treatment of a message."""
 
     PASSED = auto()
     DROPPED = auto()
@@ -30,7 +30,7 @@ class Verdict(Enum):
 
 
 def judge(text: str | None, page: str, *, writes: bool) -> Verdict:
-    """Return what to do with a message.
+    """Return the treatment of a message.
 
     Args:
         text: the message; None: it is binary.

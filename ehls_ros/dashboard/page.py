@@ -29,7 +29,7 @@ WORDS = 0.5
 """Time between two updates of the texts [s]."""
 
 PAUSE = '<input type="checkbox" onchange="ehlsLive.pause(this.checked)"> pause'
-"""Handled in the browser alone, as is what is plotted, since a read-only page cannot send events."""
+"""Handled in the browser alone, as is the choice of signals, since a read-only page cannot send events."""
 
 MENU = '<details class="menu"><summary>{words}</summary><div id="{id}" class="choices"></div></details>'
 """A menu that the browser fills."""
@@ -45,7 +45,7 @@ class Page:
         """Build the page; timers keep it up to date once a browser has loaded it.
 
         Args:
-            graph: the graph it shows.
+            graph: the graph shown.
             spec: experiment file preselected for Start.
             timing: preselected for Start.
             writes: whether it may change things. If not, no controls exist, neither in the browser nor here.
@@ -205,7 +205,7 @@ def _set_level(badge: ui.label, level: int) -> None:
 
 
 def _plot(panel: Panel) -> dict[str, Any]:
-    """Make an empty plot, and return what the browser needs to fill it."""
+    """Make an empty plot, and return the settings with which the browser fills it."""
     with ui.element("section").classes("plot"):
         head = ui.html("", sanitize=False, tag="header")
         chart = ui.echart(options(panel))

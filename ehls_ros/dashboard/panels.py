@@ -1,4 +1,4 @@
-"""What the page can plot: the signals, the units they may be shown in, and the plots it starts with."""
+"""Plots of the page: available signals, their units, and the initial plots."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -16,10 +16,10 @@ FORCE_REFERENCE = "force_reference_n"
 """Force minus the controller's reported error, which saves subscribing to the reference."""
 
 PEAK, VALLEY = "peak_n", "valley_n"
-"""Largest and smallest force of the load cycle that a test programme finished last."""
+"""Largest and smallest force of the last complete load cycle of a test programme."""
 
 SPANS = (5.0, 10.0, 30.0, 60.0)
-"""Times that can be shown [s]; the second is the first choice."""
+"""Selectable time spans [s]; the second is the default."""
 
 UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
@@ -29,10 +29,10 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "m/s": {"mm/s": 1e3, "m/s": 1.0},
     }
 )
-"""Units that can be chosen by the signals' own unit, and the factor to each."""
+"""Selectable units by SI unit, with the factor to each."""
 
 MIRRORED = "force_bound_n"
-"""A bound, which is drawn on both sides of zero."""
+"""Bound drawn on both sides of zero."""
 
 _SHORT = {
     "force_n": "force",
@@ -55,19 +55,19 @@ _SHORT = {
     "s_pa_s": "s",
     "oil_temperature_k": "oil",
 }
-"""Signals that can be plotted, and their names in a legend, where there is little room."""
+"""Signals that can be plotted, and their short names in a legend."""
 
 _BENEATH = {FORCE_REFERENCE, MIRRORED, "supply_pressure_pa", "valve_command_m", "friction_viscous_n", "position_reference_m"}
-"""References and the like: grey and wider, so that they show beneath the line that covers them."""
+"""References and comparison signals: grey and wider, so that they show beneath the line that covers them."""
 
 
 class Signal(NamedTuple):
     """A signal that can be plotted.
 
     Attributes:
-        short: its name in a legend.
-        label: its name in full.
-        unit: its own unit.
+        short: name in a legend.
+        label: full name.
+        unit: SI unit.
         beneath: whether it is drawn grey, beneath the others.
         mirrored: whether its negative is drawn too.
     """

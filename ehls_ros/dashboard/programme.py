@@ -1,4 +1,4 @@
-"""What the page says of a running test programme."""
+"""Status line of a running test programme."""
 
 from ehls_ros.dashboard.graph import Health
 

@@ -1,4 +1,4 @@
-"""The rig's health as a monitor tells it: head line, changes, and each coefficient with a small trend."""
+"""Rig health reported by a monitor: headline, changes, and each coefficient with a small trend."""
 
 import math
 from collections.abc import Iterable
@@ -20,14 +20,14 @@ GOOD, WARNING = 0, 1
 
 
 class RigTab:
-    """The tab on the rig; not there without a monitor."""
+    """Tab on rig health, hidden without a monitor."""
 
     def __init__(self, graph: Graph, tab: ui.tab, *, writes: bool) -> None:
-        """Build it in the current slot.
+        """Build the tab in the current slot.
 
         Args:
-            graph: the graph whose monitor is listened to.
-            tab: what opens it.
+            graph: graph with the monitor.
+            tab: selector of the tab.
             writes: whether changes can be acknowledged.
         """
         self._tab = tab
@@ -42,10 +42,10 @@ class RigTab:
         self.show(None)
 
     def show(self, rig: RigHealth | None) -> None:
-        """Update it.
+        """Update the tab.
 
         Args:
-            rig: what the monitor says; None: there is none.
+            rig: report of the monitor; None: no monitor.
         """
         self._tab.set_visibility(rig is not None)
         self._none.set_visibility(rig is None)
@@ -54,7 +54,7 @@ class RigTab:
             return
         new = any(not change.acknowledged for change in rig.changes)
         self._summary.set_text(rig.summary)
-        # Seen on every tab until somebody acknowledges.
+        # Visible on every tab until acknowledged.
         for place, wrong in ((self._summary, any(change.active for change in rig.changes)), (self._tab, new)):
             place.classes(add=f"level-{WARNING if wrong else GOOD}", remove=f"level-{GOOD if wrong else WARNING}")
         beyond = f"; {percent(rig.outside)} of the last minute lies outside what the baseline covers" if rig.outside else ""
@@ -76,7 +76,7 @@ def changes_list(changes: Iterable[RigChange]) -> str:
 
 
 def trends_table(coefficients: Iterable[RigCoefficient]) -> str:
-    """Return a table of coefficients, each with its value and trend; grey with the reason where it is not told, as HTML."""
+    """Return a table of coefficients with value and trend, as HTML; grey with the reason where not determined."""
     return f"<table>{''.join(map(_row, coefficients))}</table>"
 
 
@@ -92,13 +92,13 @@ def _row(coefficient: RigCoefficient) -> str:
 
 
 def trend(coefficient: RigCoefficient) -> str:
-    """Return a line through a coefficient's values, broken where it was not told, as SVG; empty with fewer than two."""
+    """Return a line through a coefficient's values as SVG, broken where not determined; empty with fewer than two values."""
     points = [(t, v) for t, v in zip(coefficient.times, coefficient.values, strict=True) if math.isfinite(v)]
     if len(points) < 2:
         return ""
     begin, end = coefficient.times[0], coefficient.times[-1]
     low, high = (f(v for _, v in points) for f in (min, max))
-    # A trend within its own error is flat.
+    # A trend within its error is flat.
     error = coefficient.deviation if math.isfinite(coefficient.deviation) else 0.0
     span = max(high - low, 4.0 * error, 1e-300)
     middle = 0.5 * (low + high)

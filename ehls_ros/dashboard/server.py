@@ -22,7 +22,7 @@ from ehls_ros.dashboard.page import Page
 from ehls_ros.errors import BadInput
 
 FAREWELL = 1
-"""Time open pages are given to close when the server stops [s]."""
+"""Time for open pages to close when the server stops [s]."""
 
 
 def listening(host: str, port: int) -> socket.socket:
@@ -47,8 +47,8 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing
     """Serve the page until SIGINT or SIGTERM.
 
     Args:
-        graph: the graph it shows.
-        opened: listening socket, which is closed at the end.
+        graph: the graph shown.
+        opened: listening socket; closed at the end.
         spec: experiment file preselected for Start.
         timing: preselected for Start.
         up: called with the page's address, including the token, once it can be opened.
@@ -84,7 +84,7 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing
         ws_max_size=LARGEST,
         # A compressed message could expand without limit, and compression would cost more than it saves here.
         ws_per_message_deflate=False,
-        # The peer is the connection's address, not what a header claims.
+        # The peer is the connection's address, not the one claimed in a header.
         proxy_headers=False,
         log_level="error",
         access_log=False,
@@ -100,7 +100,7 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing
 
 
 def _quieten() -> None:
-    """Keep clients from writing to this terminal, and from having a page built for every unknown address."""
+    """Suppress log output caused by clients, and the building of a page for every unknown address."""
     library.add_exception_handler(404, lambda *_: PlainTextResponse("there is no such file\n", 404))
     for name in ("engineio.server", "socketio.server"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -1,7 +1,7 @@
-"""What the page says of the graph: one sentence, one level and one remedy, all from the same snapshot.
+"""Status of the graph on the page: one sentence, one level and one remedy, all from the same snapshot.
 
-Diagnostics come once a second and on change, cycles a thousand times. Shown side by side they would contradict each other for
-a moment; so what is graver is said, and nothing else.
+Diagnostics arrive once a second and on change, cycles a thousand times a second. Side by side they could contradict each other
+for a moment, so only the most severe finding is shown.
 """
 
 import re
@@ -28,17 +28,17 @@ TOO_SLOW = "too slow"
 GONE = "No more snapshots: the graph was stopped, or the plant node has died."
 
 LARGE = 1e4
-"""Values from which a larger unit is chosen."""
+"""Value from which a larger unit is chosen."""
 
 SAME = 0.1
-"""Distance from real time that is not mentioned."""
+"""Deviation from real time that is not reported."""
 
 GOOD, WARNING, BAD = range(3)
 """Levels, as in :class:`Health`."""
 
 
 class Remedy(Enum):
-    """The button that leads on; its value is its label."""
+    """Button that resolves the trouble; the value is its label."""
 
     ACKNOWLEDGE = "Acknowledge stop"
     RESET = "Reset and enable"
@@ -46,12 +46,12 @@ class Remedy(Enum):
 
 
 class Status(NamedTuple):
-    """What the page says.
+    """Status shown on the page.
 
     Attributes:
         text: state of the graph, in a few words.
         level: 0 good, 1 warning, 2 bad.
-        trouble: what is wrong, why and what to press; empty if nothing is.
+        trouble: fault, cause and remedy; empty without a fault.
         remedy: the button to press; None: there is none.
     """
 
@@ -62,7 +62,7 @@ class Status(NamedTuple):
 
 
 def status_of(snapshot: Snapshot, *, was_there: bool) -> Status:
-    """Return what to say.
+    """Return the status to show.
 
     Args:
         snapshot: of the graph.
@@ -72,7 +72,7 @@ def status_of(snapshot: Snapshot, *, was_there: bool) -> Status:
 
 
 def _absent(snapshot: Snapshot, *, was_there: bool) -> Status:
-    """Return what to say while no cycles arrive."""
+    """Return the status while no cycles arrive."""
     if snapshot.beginning:
         return Status(f"starting, {snapshot.beginning.seconds:.0f} s", WARNING, snapshot.complaint)
     if was_there:
@@ -81,7 +81,7 @@ def _absent(snapshot: Snapshot, *, was_there: bool) -> Status:
 
 
 def _running(snapshot: Snapshot) -> Status:
-    """Return what to say while cycles arrive."""
+    """Return the status while cycles arrive."""
     gate = next((node for node in snapshot.health if OF_GATE in node.figures), None)
     speed = f"{snapshot.rate:.0f} cycles/s{_pace(snapshot)}"
     if gate is not None and gate.figures.get(TRIPPED_BY):
@@ -101,13 +101,13 @@ def _running(snapshot: Snapshot) -> Status:
 
 
 def _pace(snapshot: Snapshot) -> str:
-    """Return how fast the rig's time passes, if not as the wall clock's."""
+    """Return the pace of the rig's time relative to the wall clock, as text; empty in real time."""
     pace = snapshot.rate * snapshot.period
     return f", {pace:.2g} times real time" if snapshot.period and abs(pace - 1.0) > SAME else ""
 
 
 def _trip(gate: Health, snapshot: Snapshot) -> tuple[str, Remedy]:
-    """Return what happened, why and what to press."""
+    """Return the description of a trip and its remedy."""
     happened = explained(gate.figures[TRIPPED_BY])
     if gate.figures.get(STOP):
         remedy, then = Remedy.ACKNOWLEDGE, f", then {Remedy.RESET.value}"
@@ -121,7 +121,7 @@ _CAUSE = re.compile(
     r"(?P<name>[\w ]+?)(?: of (?P<subject>[\w/]+))?(?:: (?P<value>\S+)(?: (?P<unit>\S+))?, limit (?P<limit>\S+)(?: \S+)?)?"
     r" at (?P<time>\S+) s, \w+"
 )
-"""A cause as :class:`ehls_ros.hardware.safety_gate.Cause` words it, with time and reaction."""
+"""Text form of :class:`ehls_ros.hardware.safety_gate.Cause`, with time and reaction."""
 
 _SEVERAL = {"force_mismatch": "sensor_mismatch", "position_mismatch": "sensor_mismatch", "supply_mismatch": "sensor_mismatch"}
 """Detectors that share one declaration."""
@@ -135,14 +135,14 @@ _OWN = MappingProxyType(
         "device_null": "the device itself keeps the valve closed",
     }
 )
-"""Causes that have no parameter, and so no declaration."""
+"""Causes without a parameter, and so without a declaration."""
 
 
 def explained(cause: str) -> str:
-    """Return a trip's cause as a sentence, with value and limit in one unit; a cause worded otherwise is returned as it is.
+    """Return a trip's cause as a sentence, with value and limit in one unit; a cause of another form is quoted.
 
     Args:
-        cause: as the gate's diagnostics word it.
+        cause: text from the gate's diagnostics.
     """
     match = _CAUSE.fullmatch(cause)
     if match is None:
@@ -158,13 +158,13 @@ def explained(cause: str) -> str:
 
 
 def _readable(own: str, value: float) -> tuple[str, float]:
-    """Return the unit in which a value is shown, and the factor to it: the first in which it needs no power of ten."""
+    """Return the display unit of a value and the factor to it: the first unit that needs no power of ten."""
     units = UNITS.get(own, {own: 1.0})
     return next(((unit, factor) for unit, factor in units.items() if factor * value < LARGE), next(iter(units.items())))
 
 
 def _declared() -> dict[str, str]:
-    """Return what each detector looks for, from the declaration of its reaction."""
+    """Return a description of each detector, from the declaration of its reaction."""
     suffix = re.compile(rf"(;[^;]*)?: ({'|'.join(REACTIONS)}).*")
     found = {
         declared.name.removeprefix("on_"): suffix.sub("", declared.description)

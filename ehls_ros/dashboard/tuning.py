@@ -50,7 +50,7 @@ class TuningTab:
                 ui.label(f"{chosen} does not answer." if chosen else "There is no node to tune.").classes("said")
 
     async def follow(self) -> None:
-        """Update the list of nodes, keeping what is being typed for a node that is still there."""
+        """Update the list of nodes; keep the input for a node that is still present."""
         nodes = list(self._graph.tunable_nodes())
         unknown = self._node.value != self._node_to_show(nodes) or not self._answered
         if unknown and not self._asking:
@@ -87,7 +87,7 @@ class _Tuner:
             self._refused.set_visibility(False)
 
     def _field(self) -> Any:
-        """Make the input field; values out of range are sent too, so that the node can say why it refuses them."""
+        """Make the input field; values out of range are sent too, so that the node returns its reason for the refusal."""
         value = self._tunable.value
         if isinstance(value, bool):
             entry: Any = ui.switch(value=value, on_change=self._typed)

@@ -11,10 +11,10 @@ INTERVAL = 0.02
 """Length of an interval [s]: 20 cycles at 1 kHz; a plot 300 pixels wide resolves no more of ten seconds."""
 
 INTERVALS = 3100
-"""Intervals kept: 62 s; the page shows up to the last 60 s."""
+"""Number of intervals kept: 62 s; the page shows up to the last 60 s."""
 
 OPEN = 6
-"""Newest intervals held back, as some topics may still add samples: topics are read one after another."""
+"""Number of newest intervals held back: topics are read one after another, so some may still add samples."""
 
 
 class Part(NamedTuple):
@@ -23,7 +23,7 @@ class Part(NamedTuple):
     Attributes:
         first: number of the first interval.
         following: number to pass to the next call.
-        era: changes when the graph's time starts again.
+        era: changes when the graph's time restarts.
         low: minima, shape (intervals, signals); NaN without samples.
         high: maxima, likewise.
     """
@@ -76,14 +76,14 @@ class Window:
             self._high[place] = np.fmax(self._high[place], high[kept])
 
     def restart(self) -> None:
-        """Clear the window: the graph's time starts again."""
+        """Clear the window after a restart of the graph's time."""
         with self._lock:
             self._low[:] = self._high[:] = np.nan
             self._newest = -1
             self._era += 1
 
     def part(self, following: int, era: int) -> Part:
-        """Return the finished intervals that are new since the last call, or all of them after a new era has begun.
+        """Return the intervals completed since the last call; all of them if a new era has begun.
 
         Args:
             following: of the last part; 0 at first.

@@ -1,15 +1,15 @@
-"""Foreign texts cut to what a page can show: any participant of the graph may send texts of any length."""
+"""Foreign texts cut to a displayable length: any participant of the graph may send texts of any length."""
 
 from collections.abc import Iterable, Mapping
 
 NAME = 100
-"""Most characters of a name."""
+"""Maximum length of a name [characters]."""
 
 SENTENCE = 500
-"""Most characters of a message or value."""
+"""Maximum length of a message or value [characters]."""
 
 FIGURES = 100
-"""Most values of a node."""
+"""Maximum number of values of a node."""
 
 
 def line(text: str, longest: int = SENTENCE) -> str:
@@ -17,7 +17,7 @@ def line(text: str, longest: int = SENTENCE) -> str:
 
     Args:
         text: the text.
-        longest: most characters kept.
+        longest: maximum number of characters kept.
     """
     kept = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text[:longest])
     return kept if len(text) <= longest else f"{kept}…"

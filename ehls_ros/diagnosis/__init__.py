@@ -1,1 +1,1 @@
-"""What the model of a rig gets wrong, why, and what correcting it gains."""
+"""Diagnosis of a rig's model: its errors, their causes, and the gain from correcting them."""

@@ -1,4 +1,4 @@
-"""When a further cause is accepted: it must gain enough, be sure enough and matter enough."""
+"""Acceptance of a further cause, which must have sufficient gain, significance and relevance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,18 +15,18 @@ from ehls_ros.diagnosis.stages import Channel
 
 
 def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
-    """Tell whether a further cause is accepted: it explains the recording, and no baseline allows it as well."""
+    """Return whether a further cause is accepted: it explains the recording, and the baselines do not allow it as well."""
     return explains(evidence, more, less, inflation) and is_new(evidence, more, less, inflation)
 
 
 def explains(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
-    """Tell whether a hypothesis with one more cause is surer than chance allows, and different enough to matter.
+    """Return whether one more cause improves a hypothesis significantly and by a relevant amount.
 
     Args:
         evidence: the recording compared with the given model.
         more: the hypothesis with the cause.
         less: the hypothesis without it.
-        inflation: by which each channel's losses are divided.
+        inflation: divisor of each channel's losses.
     """
     gain = more.score(inflation) - less.score(inflation)
     if evidence.form is not None:
@@ -43,32 +43,32 @@ def explains(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
         return False
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
-    # A cause that removes little of what remains beside it corrects the form of another, not the model.
+    # A cause that removes little of the remainder corrects the form of another cause, not the model.
     excess = sum(more.excess(evidence, c) / inflation[c] for c in more.held_out.gain)
     much = share_closed(evidence, more, less) >= rules.NEEDED_SHARE
-    # A rig's own remainder is never known so well that a small fraction of it could be told from a change.
+    # A rig's remainder is never known accurately enough to distinguish a small fraction of it from a change.
     much = much or (gain >= rules.REMOVED_EXCESS * excess and not evidence.baselines)
-    # A cause that gains more by averaging noise than by explaining is an average.
+    # A cause must not gain more by averaging noise than by explaining.
     averaged = more.held_out.averaged - less.held_out.averaged
     return much and gain >= averaged and _surest(more, less) >= rules.SURE
 
 
 def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:
-    """Tell whether a further cause stands out of errors of the model's form."""
+    """Return whether a further cause exceeds errors of the model's form."""
     share = share_closed(evidence, more, less)
-    # What closes all but a little of what the others leave is no error of form, however small it is.
+    # A cause that closes nearly all of the others' remainder is no error of form, however small.
     needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else form
     if share < rules.WORTHWHILE or relevance(evidence, differences(evidence, more, less)) < needed:
         return False
-    # Standard errors hold the form of what remains. Whether there is anything at all is judged by the scatter.
+    # Standard errors include the form of the remainder; significance is therefore judged by the scatter alone.
     return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.SURE
 
 
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> list[Array]:
     """Return the difference between two hypotheses' residuals in each channel, in units of the noise floor.
 
-    Of a difference that the measurement may add, only what exceeds that matters. A rig's natural spread can make a change less
-    sure, but not smaller.
+    Only the part beyond possible measurement errors counts. A rig's natural spread can make a change less certain, but not
+    smaller.
     """
     one, other = more.fit.residuals.values, less.fit.residuals.values
     if evidence.baselines:
@@ -77,7 +77,7 @@ def differences(evidence: Evidence, more: Assessment, less: Assessment) -> list[
 
 
 def relevance(evidence: Evidence, apart: Sequence[Array]) -> float:
-    """Return how far two hypotheses differ, as a fraction of the largest term of the balance they differ most in.
+    """Return the difference of two hypotheses, as a fraction of the largest term of the balance in which they differ most.
 
     Args:
         evidence: the recording compared with the given model.
@@ -87,17 +87,17 @@ def relevance(evidence: Evidence, apart: Sequence[Array]) -> float:
     for c, difference in zip(evidence.channels, apart, strict=True):
         change = np.abs(difference) * evidence.floor[c]
         size = max(evidence.sizes[c], 1e-300)
-        # What acts seldom has a small rms; where it acts it matters.
+        # A rare error has a small rms, but is relevant where it acts.
         rare = float(np.quantile(change, rules.RARE_QUANTILE)) / rules.RARE_FACTOR
         largest = max(largest, float(np.sqrt(np.mean(change**2))) / size, rare / size)
     return largest
 
 
 def earned(evidence: Evidence, more: Assessment, less: Assessment) -> float:
-    """Return what a hypothesis gains beyond another, as a fraction of what its change of the residuals could gain.
+    """Return the gain of one hypothesis over another, as a fraction of the possible gain of its change of the residuals.
 
-    A change that is fitted to the residuals gains half its square. One that moves noise from window to window, as a delay does
-    that skews within their bounds make up for, gains or loses by chance, and little of that.
+    A change fitted to the residuals gains half its square. A change that only shifts noise between windows gains or loses
+    little of that, by chance; an example is a delay compensated by skews within their bounds.
     """
     gained, changed = 0.0, 0.0
     for c in evidence.channels:
@@ -108,10 +108,10 @@ def earned(evidence: Evidence, more: Assessment, less: Assessment) -> float:
 
 
 def recurs(more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
-    """Tell whether a hypothesis gains in more than one block of the recording, or at least loses no more than chance does.
+    """Return whether a hypothesis gains in more than one block, or at least loses no more elsewhere than by chance.
 
-    An error of the model repeats. What explains an incident at the cost of the rest of the recording is none. Beside another
-    cause, what explains an incident alone is none either: that a friction started in a wrong state, say.
+    An error of the model recurs. A cause that explains one incident at the cost of the rest of the recording is not an error of
+    the model. Beside another cause, nor is one that explains an incident only, such as a wrong initial state of the friction.
     """
     blocks = more.per_block(inflation) - less.per_block(inflation)
     elsewhere = float(np.sum(blocks) - np.max(blocks))
@@ -119,7 +119,7 @@ def recurs(more: Assessment, less: Assessment, inflation: Mapping[Channel, float
 
 
 def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:
-    """Tell whether the difference between two hypotheses is comparable with the noise in any channel.
+    """Return whether the difference between two hypotheses is comparable with the noise in any channel.
 
     Args:
         apart: difference of their whitened residuals, one array a channel.
@@ -129,7 +129,7 @@ def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:
 
 
 def is_new(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
-    """Tell whether the baselines, if there are any, speak against a cause: what they allow as well may always have been so."""
+    """Return whether a cause is not allowed by the baselines, if any; one they allow may have been present all along."""
     if not evidence.baselines:
         return True
     added = more.fit.only(next(i for i, name in enumerate(more.names) if name not in less.names))
@@ -142,7 +142,7 @@ def is_new(evidence: Evidence, more: Assessment, less: Assessment, inflation: Ma
 
 
 def corrects_form(given: Array, before: Array, after: Array, noise: float) -> bool:
-    """Tell whether a cause finds only what the others' inexact form leaves, and does not close that either.
+    """Return whether a cause only fits the remainder of the others' inexact form, without closing that either.
 
     Args:
         given: whitened residual of the given model in the channel.
@@ -155,20 +155,20 @@ def corrects_form(given: Array, before: Array, after: Array, noise: float) -> bo
 
 
 def mostly_in(more: Assessment, less: Assessment) -> Channel:
-    """Return the channel in which a hypothesis explains most beyond another."""
+    """Return the channel in which a hypothesis improves most on another."""
     return most_explained(less.held_out.residuals, more.held_out.residuals)
 
 
 def most_explained(before: Residuals, after: Residuals) -> Channel:
-    """Return the channel in which most of some residuals is gone in others."""
+    """Return the channel with the largest decrease from one set of residuals to another."""
     return max(after.values, key=lambda c: float(np.sum(before.values[c] ** 2 - after.values[c] ** 2)))
 
 
 def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> float:
-    """Return the fraction of what one hypothesis leaves that is gone with another, where that explains most.
+    """Return the fraction of one hypothesis' remainder that another closes, in the channel where it explains most.
 
-    Of a change in what varies without fault, all counts: measured by what exceeds the spread, it would be small beside the
-    scatter of a long recording however large it is. What another cause leaves is mostly spread; there only the excess counts.
+    Against baselines, the first cause counts in full: its excess over the natural spread would be small beside the scatter of
+    a long recording, however large the change. The remainder of another cause is mostly spread; there only the excess counts.
     """
     main = mostly_in(more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
@@ -178,5 +178,5 @@ def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> floa
 
 
 def _surest(more: Assessment, less: Assessment) -> float:
-    """Return how many standard errors the best determined parameter of the further cause is from its neutral value."""
+    """Return the distance of the further cause's best-determined parameter from its neutral value, in standard errors."""
     return max((more.sigmas(i) for i, name in enumerate(more.names) if name not in less.names), default=0.0)

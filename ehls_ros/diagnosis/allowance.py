@@ -1,8 +1,8 @@
-"""What is allowed for without any fault: an expectation, and directions in which a residual may vary around it.
+"""Allowances for fault-free variation: an expected residual, and directions in which it may vary.
 
-An allowance is a normal prior on what is nobody's fault: a skew between two channels, the natural spread of a healthy rig. It
-is marginalised once: along its directions, residuals are reduced so that they scatter as all others do. Every hypothesis is
-compared by these residuals, and gains nothing from what is allowed for.
+An allowance is a normal prior on deviations that are no fault, such as a skew between two channels or the natural spread of a
+healthy rig. It is marginalised once: along its directions, residuals are shrunk to the scatter of all others. All hypotheses
+are compared by these residuals, and gain nothing from allowed variation.
 """
 
 import math
@@ -16,14 +16,14 @@ from ehls_ros.diagnosis import rules
 
 
 class Allowance(NamedTuple):
-    """What a channel's residual is expected to be without any fault, and how far it may vary around that.
+    """Expectation and natural variation of a channel's fault-free residual.
 
     Attributes:
         mean: expected residual of each usable window, in the channel's unit, shape (n,).
-        directions: factor of the covariance of what may vary for all windows together, in the channel's unit, shape (n, m).
-        variance: of what varies beside that from window to window, in the square of the channel's unit, shape (n,).
-        alike: number of neighbouring windows over which the latter is alike.
-        most: standard deviations beyond which a variation counts :data:`rules.EDGE` times as much, or in full.
+        directions: covariance factor of the variation common to all windows, in the channel's unit, shape (n, m).
+        variance: of the remaining variation of each window, in the square of the channel's unit, shape (n,).
+        alike: number of neighbouring windows over which the latter is correlated.
+        most: standard deviations beyond which a variation is weighted :data:`rules.EDGE` times, at most with full weight.
     """
 
     mean: Array
@@ -33,11 +33,11 @@ class Allowance(NamedTuple):
     most: float = math.inf
 
     def whitening(self, floor: Array, correlation: float = 1.0) -> "Allowed":
-        """Return the allowance as residuals divided by a floor need it.
+        """Return the allowance prepared for residuals divided by a noise floor.
 
         Args:
-            floor: noise floor of each window, the allowance's own variance included, shape (n,).
-            correlation: number of windows over which residuals are alike.
+            floor: noise floor of each window, the allowance's variance included, shape (n,).
+            correlation: number of windows over which residuals are correlated.
         """
         directions = self.directions / floor[:, None]
         squares, along = np.linalg.eigh(directions.T @ directions)
@@ -47,14 +47,14 @@ class Allowance(NamedTuple):
 
 
 class Allowed(NamedTuple):
-    """An allowance as whitened residuals need it.
+    """An allowance prepared for whitened residuals.
 
     Attributes:
         mean: expected residual, in the channel's unit, shape (n,).
-        basis: orthonormal directions that may vary, of residuals divided by their floor, shape (n, m).
+        basis: orthonormal directions of allowed variation, for residuals divided by their floor, shape (n, m).
         deviations: standard deviation of a residual along each in units of the others', noise included, shape (m,).
-        bounds: largest residual along each that is allowed for; what exceeds it counts :data:`rules.EDGE` times as much, or in
-            full, shape (m,).
+        bounds: largest allowed residual along each; the excess is weighted :data:`rules.EDGE` times, at most with full weight,
+            shape (m,).
     """
 
     mean: Array
@@ -63,7 +63,7 @@ class Allowed(NamedTuple):
     bounds: Array
 
     def whitened(self, e: Array) -> Array:
-        """Return residuals divided by their floor with less weight on what is allowed for."""
+        """Return residuals, divided by their floor, with allowed variation down-weighted."""
         along = self.basis.T @ e
         within = np.clip(along, -self.bounds, self.bounds)
         counted = within / self.deviations + (along - within) / self._beyond()
@@ -71,7 +71,7 @@ class Allowed(NamedTuple):
         return reduced
 
     def whole(self, e: Array) -> Array:
-        """Return residuals with what the whitening took off again."""
+        """Return whitened residuals with the allowed variation restored."""
         counted = self.basis.T @ e
         bounds = self.bounds / self.deviations
         within = np.clip(counted, -bounds, bounds)
@@ -79,12 +79,12 @@ class Allowed(NamedTuple):
         return full
 
     def _beyond(self) -> Array:
-        """Return by how much a variation is reduced beyond the bounds."""
+        """Return the divisor of variations beyond the bounds."""
         return np.maximum(1.0, self.deviations / rules.EDGE)
 
 
 def together(allowances: Sequence[Allowance]) -> Allowance:
-    """Return what several independent allowances make together; it is bounded only if all are."""
+    """Return the combination of several independent allowances; it is bounded only if all are."""
     return Allowance(
         np.sum([a.mean for a in allowances], axis=0),
         np.hstack([a.directions for a in allowances]),

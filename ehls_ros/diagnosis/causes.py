@@ -1,4 +1,4 @@
-"""The causes of the best hypothesis as the result describes them: probability, parameters, equivalents, rivals."""
+"""Causes of the best hypothesis as listed in the result: probability, parameters, equivalents, rivals."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -28,18 +28,18 @@ STAGE_OF_GROUP: Mapping[str, Stage] = {
     "sensors": "sensors",
     "environment": "force_balance",
 }
-"""The stage of the model an effect belongs to, by the group its file names."""
+"""Model stage of an effect, by the group given in its file."""
 
 
 def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, last: Collection[str] = ()) -> tuple[Cause, ...]:
-    """Describe the causes of the best hypothesis, those that explain most first.
+    """Describe the causes of the best hypothesis, largest gain first.
 
     Args:
         evidence: the recording compared with the given model.
         found: the result of the search.
         seed: of the resampling.
-        right: factor on the probability of each cause: how often such names are right.
-        last: names of causes that come after the others.
+        right: factor on the probability of each cause: how often causes named in this way are right.
+        last: names of causes to list after all others.
     """
     best, scale = found.best, found.inflation
     groups = [EFFECTS.load(candidate.name).GROUP for candidate in best.hypothesis]
@@ -81,10 +81,10 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
 def _alike(
     evidence: Evidence, best: Assessment, others: Sequence[Assessment], gain: float, scale: Mapping[Channel, float]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the effects that the recording does not tell from a cause, with the missing signals that would.
+    """Return the effects indistinguishable from a cause in the recording, with the missing signals that would separate them.
 
-    Where a missing signal would tell them, whatever explains the error well enough to be reported is not told from the cause:
-    that the cause explains a little more may be due to its form, which no rig has exactly.
+    If a missing signal would separate them, every rival that explains enough of the error to be reported counts as equivalent.
+    The small advantage of the cause may be due to its form, which no rig has exactly.
     """
     out = dict[str, tuple[str, ...]]()
     for j in others:
@@ -99,14 +99,14 @@ def _alike(
 
 
 def _share(evidence: Evidence, best: Assessment, without: Assessment, channel: Channel) -> float:
-    """Return the fraction of a channel's removable error that returns without a cause."""
+    """Return the fraction of a channel's removable error that returns when a cause is dropped."""
     before, noise = evidence.base.values[channel], evidence.noise[channel]
     with_it, without_it = (min(closed(before, j.held_out.residuals.values[channel], noise), 1.0) for j in (best, without))
     return with_it - without_it
 
 
 def _other_effects(best: Assessment, place: Place, scale: Mapping[Channel, float]) -> list[Assessment]:
-    """Return the best hypothesis with each effect other than those named in the place of a cause, best first."""
+    """Return the best hypothesis with a cause replaced by each effect not already named, best first."""
     seen, out = set(best.names), []
     for rival in sorted(place.rivals, key=lambda j: -j.score(scale)):
         name = rival.hypothesis[-1].name
@@ -127,7 +127,7 @@ def _estimates(assessed: Assessment, index: int) -> dict[str, Estimate]:
 
 
 def estimate(value: float, neutral: float, deviation: float, unit: str) -> Estimate:
-    """Return a parameter with its standard error: of the fit, and of the form, which no effect has exactly as in its file."""
+    """Return a parameter with its standard error, which combines the errors of the fit and of the effect's inexact form."""
     form = rules.FORM * min(abs(value - neutral), abs(value))
     return Estimate(value, math.hypot(deviation, form), unit)
 

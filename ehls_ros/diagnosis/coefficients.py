@@ -1,4 +1,4 @@
-"""The coefficients of a rig's model, and what a small error of each does to the residuals."""
+"""Coefficients of a rig's model, and the sensitivity of the residuals to a small error of each."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -14,16 +14,16 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import declarations
 
 WITH_OIL = ("leakage_coefficient", "viscous_damping")
-"""Coefficients of the plant that follow the oil and its temperature, as all of the friction do."""
+"""Coefficients of the plant that depend on the oil and its temperature, as do all of the friction."""
 
 
 class Term(NamedTuple):
-    """What a relative error of one coefficient adds to a channel's residual.
+    """Sensitivity of a channel's residual to a relative error of one coefficient.
 
     Attributes:
         name: name of the coefficient.
         column: change of the residual per relative change, in the channel's unit, shape (n,).
-        spread: relative change from recording to recording that is allowed for in any case, standard deviation.
+        spread: standard deviation of the relative change from recording to recording that is always allowed for.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Term(NamedTuple):
 
 
 def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
-    """Yield the rig with one coefficient after the other enlarged by a fraction of itself, each with its name."""
+    """Yield each coefficient's name, and the rig with that coefficient enlarged by a fraction of itself."""
     for name, value in rig.plant._asdict().items():
         if value != 0.0:
             yield name, rig._replace(plant=rig.plant._replace(**{name: value * (1.0 + part)}))
@@ -42,12 +42,12 @@ def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
             continue
         friction = rig.friction._replace(**{name: larger})
         if name == "coulomb_force" and "static_force" in rig.friction._fields:
-            # Static friction keeps its ratio, and is never the smaller one.
+            # Static friction keeps its ratio, so that it is never the smaller one.
             friction = friction._replace(static_force=rig.friction.static_force * (1.0 + part))
         try:
             rig.friction_law.check(friction, name)
         except BadInput:
-            # Not free by itself, as weights that sum to 1.
+            # A coefficient that cannot vary alone, such as one of the weights that sum to 1.
             continue
         yield name, rig._replace(friction=friction)
 
@@ -65,7 +65,7 @@ def unit_of(rig: Rig, name: str) -> str:
 
 
 def terms(evidence: Evidence) -> dict[Channel, tuple[Term, ...]]:
-    """Return what errors of the coefficients add to each channel's residual."""
+    """Return the sensitivities of each channel's residual to errors of the coefficients."""
     comparison = evidence.comparison()
     found: dict[Channel, list[Term]] = {c: [] for c in evidence.channels}
     for name, rig in varied(evidence.rig, rules.COEFFICIENT_STEP):

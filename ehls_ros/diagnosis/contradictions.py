@@ -1,8 +1,8 @@
-"""Where a rig file and a recording contradict each other, said before anything is fitted.
+"""Check for contradictions between a rig file and a recording, made before anything is fitted.
 
-Quantities that both tell are compared by size: a ratio that no rig has means a wrong unit, sign or column. Which one is found
-by trying: each value and each signal is taken in each other unit of its quantity, turned round, or exchanged with another, and
-what resolves the contradictions best is named. No key is special.
+Quantities known from both are compared in size: a ratio that no rig has means a wrong unit, sign or column. The error is found
+by trial: each value and signal is read in every other unit of its quantity, with the sign reversed, or exchanged with another.
+The reading that best resolves the contradictions is reported. No key is treated specially.
 """
 
 import math
@@ -22,13 +22,13 @@ from ehls_ros.trajectory import MEASURED, Trajectory
 
 
 class Ratio(NamedTuple):
-    """What was measured over what the rig file says.
+    """Ratio of a measured quantity to the value implied by the rig file.
 
     Attributes:
-        what: both.
-        value: the ratio, negative where the signs differ.
-        low, high: what it is between on any rig.
-        usual: what it usually is; NaN where nothing is usual.
+        what: description of both quantities.
+        value: the ratio, negative if the signs differ.
+        low, high: bounds for any rig.
+        usual: usual value; NaN if there is none.
     """
 
     what: str
@@ -38,27 +38,27 @@ class Ratio(NamedTuple):
     usual: float = math.nan
 
     def __str__(self) -> str:
-        """Return it as a sentence's beginning."""
+        """Return the ratio as the beginning of a sentence."""
         within = f"at most {self.high:.2g}" if self.low == -math.inf else f"{self.low:.2g} to {self.high:.2g}"
         return f"{self.what} is {self.value:.2g}, where rigs have {within}"
 
     @property
     def impossible(self) -> bool:
-        """Whether no rig has it."""
+        """Whether no rig has this ratio."""
         return self.value < self.low or self.value > self.high
 
     @property
     def doubtful(self) -> bool:
-        """Whether few rigs have it."""
+        """Whether few rigs have this ratio."""
         return self.value < rules.SIZE_DOUBT * self.low or self.value > self.high / rules.SIZE_DOUBT
 
 
 class Seen(NamedTuple):
-    """A recording as far as sizes go.
+    """A recording reduced to block means and magnitudes.
 
     Attributes:
         signals: means over blocks, shape (n,) each.
-        reach: what each signal reaches.
+        reach: magnitude that each signal reaches.
         period: of the blocks [s].
     """
 
@@ -67,7 +67,7 @@ class Seen(NamedTuple):
     period: float
 
     def times(self, signal: str, factor: float) -> "Seen":
-        """Return the recording with another factor of a signal."""
+        """Return the recording with a signal multiplied by a factor."""
         signals = {**self.signals, signal: self.signals[signal] * factor}
         return self._replace(signals=signals, reach={**self.reach, signal: self.reach[signal] * abs(factor)})
 
@@ -81,13 +81,13 @@ class Seen(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """Another way to read a rig file and a recording.
+    """An alternative interpretation of a rig file and a recording.
 
     Attributes:
         rig: the rig.
         seen: the recording.
-        doubted: the value or signal that is read otherwise.
-        meant: how.
+        doubted: the value or signal interpreted differently.
+        meant: the alternative interpretation.
     """
 
     rig: Rig
@@ -97,19 +97,20 @@ class Reading(NamedTuple):
 
 
 def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = False) -> tuple[str, ...]:
-    """Check that a rig file and a recording can be of one rig.
+    """Check that a rig file and a recording can belong to one rig.
 
     Args:
         trajectory: the recording, any subset of the data contract's signals.
-        rig: the rig; what is unknown of it is not compared.
-        name: what the recording is called.
-        fitted: the rig is no file's but a fit's, whose values need not make sense alone: what is not told may be anything.
+        rig: the rig; its unknown values are not compared.
+        name: name of the recording.
+        fitted: whether the rig comes from a fit instead of a file; its undetermined values may be anything, so they are not
+            checked on their own.
 
     Returns:
-        What is doubtful, one sentence each.
+        Doubtful ratios, one sentence each.
 
     Raises:
-        BadInput: they contradict each other; it names the value or signal that another unit, sign or column puts right.
+        BadInput: they contradict each other; the error names the value or signal whose unit, sign or column is probably wrong.
     """
     seen = _seen(trajectory)
     wrong = [ratio for ratio in (_of_both if fitted else _ratios)(rig, seen) if ratio.impossible]
@@ -117,7 +118,7 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
         return tuple(
             f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in _of_both(rig, seen) if ratio.doubtful
         )
-    # What the recording says of it tells more than a range.
+    # A ratio that involves the recording is more informative than a range.
     told = "; ".join(map(str, wrong[:-3:-1]))
     readings = _resolving(rig, seen)
     if not readings:
@@ -127,7 +128,7 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
 
 
 def _resolving(rig: Rig, seen: Seen) -> list[Reading]:
-    """Return the fewest other readings found that together resolve all contradictions; none if they are too many."""
+    """Return few alternative readings, chosen greedily, that resolve all contradictions; empty if too many are needed."""
     chosen = list[Reading]()
     while any(ratio.impossible for ratio in _ratios(rig, seen)):
         best = _best_reading(rig, seen) if len(chosen) < rules.SIZE_READINGS else None
@@ -139,21 +140,21 @@ def _resolving(rig: Rig, seen: Seen) -> list[Reading]:
 
 
 def _best_reading(rig: Rig, seen: Seen) -> Reading | None:
-    """Return the reading that leaves fewest contradictions, of these the most usual; None if none resolves any."""
+    """Return the reading with the fewest contradictions, of these the most usual; None if none resolves any."""
     before = list(_ratios(rig, seen))
     wrong, compared = sum(ratio.impossible for ratio in before), len(before)
     rated = list[tuple[int, int, float, int, Reading]]()
     for reading in _readings(rig, seen):
         ratios = list(_ratios(reading.rig, reading.seen))
         left = sum(ratio.impossible for ratio in ratios)
-        # A reading in which quantities are not related any more explains nothing.
+        # A reading in which quantities are no longer correlated explains nothing.
         if left < wrong:
             rated.append((left, max(0, compared - len(ratios)), _unusual(ratios), len(rated), reading))
     return min(rated)[-1] if rated else None
 
 
 def _unusual(ratios: list[Ratio]) -> float:
-    """Return how far ratios are from what is usual, in squares of powers of ten, on average."""
+    """Return the mean squared deviation of ratios from their usual values, in decades."""
     away = [math.log10(max(abs(r.value), 1e-30) / r.usual) ** 2 for r in ratios if math.isfinite(r.usual)]
     return float(np.mean(away)) if away else 0.0
 
@@ -189,17 +190,17 @@ def _told(value: Any, unit: str) -> str:
     return f"[{', '.join(f'{v:g}' for v in value)}] {unit}" if isinstance(value, tuple) else f"{value:g} {unit}"
 
 
-# --- what is compared --------------------------------------------------------------------------
+# --- ratios ------------------------------------------------------------------------------------
 
 
 def _ratios(rig: Rig, seen: Seen) -> Iterator[Ratio]:
-    """Yield every ratio, first what the rig file says alone."""
+    """Yield every ratio, those of the rig file alone first."""
     yield from (ratio for ratio in _of_rig(rig) if math.isfinite(ratio.value))
     yield from _of_both(rig, seen)
 
 
 def _of_both(rig: Rig, seen: Seen) -> Iterator[Ratio]:
-    """Yield what rig file and recording say together."""
+    """Yield the ratios of recording to rig file."""
     long = all(len(values) >= rules.SIZE_FEWEST for values in seen.signals.values())
     with np.errstate(all="ignore"):
         for ratio in (
@@ -212,7 +213,7 @@ def _of_both(rig: Rig, seen: Seen) -> Iterator[Ratio]:
 
 
 def _of_rig(rig: Rig) -> Iterator[Ratio]:
-    """Yield what the rig file says alone."""
+    """Yield the ratios of the rig file alone."""
     for (section, key), (low, high) in RANGES.items():
         value = getattr(getattr(rig, section), key, math.nan)
         yield Ratio(f"{section}.{key}", value, low, high)
@@ -241,7 +242,7 @@ def _of_sizes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
 
 
 def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
-    """Yield how two measurements of one quantity go together, one of them by the rig file."""
+    """Yield the slopes between two measurements of one quantity, one of them converted by the rig file."""
     s, plant = seen.signals, rig.plant
     command, spool = s.get("valve_command_m"), s.get("spool_m")
     pressure, force, position, velocity = (s.get(k) for k in ("load_pressure_pa", "force_n", "position_m", "velocity_m_s"))
@@ -266,13 +267,13 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
 
 
 def _lagged(values: Array, kept: float) -> Array:
-    """Return values behind a first-order lag that keeps a fraction of its state; scipy's filters take half a second to load."""
+    """Return values behind a first-order lag with a given pole; scipy's filters take half a second to import."""
     states = accumulate(values.tolist(), lambda state, value: kept * state + (1.0 - kept) * value, initial=0.0)
     return np.array(list(states)[1:])
 
 
 def _slope(what: str, measured: Array, modelled: Array, within: float = rules.SIZE_FACTOR) -> Iterator[Ratio]:
-    """Yield the slope of a measurement over a model where they go together."""
+    """Yield the slope of a measurement over a model if they are correlated."""
     good = np.isfinite(measured) & np.isfinite(modelled)
     if not np.any(good):
         return
@@ -283,7 +284,7 @@ def _slope(what: str, measured: Array, modelled: Array, within: float = rules.SI
 
 
 def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
-    """Yield each term of the force balance over the forces that were recorded."""
+    """Yield each term of the force balance relative to the recorded forces."""
     plant, reach, position = rig.plant, seen.reach, seen.signals.get("position_m")
     driving = max(reach.get("force_n", 0.0), plant.piston_area * reach.get("load_pressure_pa", 0.0))
     if position is None or not driving > 0.0:
@@ -306,7 +307,7 @@ def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
 
 def _seen(trajectory: Trajectory) -> Seen:
     if len(trajectory) < 2 or not np.all(np.diff(trajectory.time_s) > 0.0):
-        return Seen({}, {}, rules.SIZE_BLOCK)  # who reads it says so
+        return Seen({}, {}, rules.SIZE_BLOCK)  # reported when the recording is prepared
     time = trajectory.time_s - trajectory.time_s[0]
     signals = {s: np.asarray(trajectory[s], dtype=np.float64) for s in MEASURED if s in trajectory and s != "oil_temperature_k"}
     signals = {s: values for s, values in signals.items() if np.any(np.isfinite(values)) and np.nanmax(np.abs(values)) > 0.0}
@@ -322,7 +323,7 @@ def _seen(trajectory: Trajectory) -> Seen:
 
 
 def _means(values: Array, index: Any) -> Array:
-    """Return the means of blocks; one without a finite sample has its neighbours'."""
+    """Return the block means; a block without a finite sample is interpolated from its neighbours."""
     good = np.isfinite(values)
     count = np.bincount(index[good], minlength=int(index[-1]) + 1)
     total = np.bincount(index[good], weights=values[good], minlength=int(index[-1]) + 1)

@@ -1,4 +1,4 @@
-"""How far baselines cover the operating points of a new recording."""
+"""Coverage of a new recording's operating points by the baselines."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,15 +11,15 @@ from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, 
 from ehls_ros.diagnosis.result import Coverage
 
 COVERED = (POSITION, VELOCITY, PRESSURE, SPOOL, COMMAND, LOAD)
-"""Signals that tell an operating point; the oil's temperature moves from day to day anyway."""
+"""Signals that define an operating point; oil temperature is omitted, since it varies from day to day anyway."""
 
 
 Range = tuple[float, float]
-"""Smallest and largest value, but for a few samples."""
+"""Smallest and largest value, apart from a few samples."""
 
 
 def ranges(healthy: Sequence[Evidence]) -> dict[str, Range]:
-    """Return between which values each signal was where the rig was well."""
+    """Return the range of each signal over recordings of the healthy rig."""
     out = dict[str, Range]()
     for evidence in healthy:
         for name, (low, high) in _ranges(evidence).items():
@@ -29,10 +29,10 @@ def ranges(healthy: Sequence[Evidence]) -> dict[str, Range]:
 
 
 def covered(known: Mapping[str, Range], new: Evidence) -> tuple[Coverage, ...]:
-    """Tell how much of a new recording lies where no baseline has been, signal by signal.
+    """Return the fraction of a new recording outside the baselines' range, signal by signal.
 
     Args:
-        known: what the baselines cover, as :func:`ranges` gives it.
+        known: ranges covered by the baselines, from :func:`ranges`.
         new: the recording compared with the model.
     """
     along, here = signals_along(new.comparison(), new.rig), _ranges(new)
@@ -56,7 +56,7 @@ def _ranges(evidence: Evidence) -> dict[str, Range]:
 
 
 def remarks(coverage: Sequence[Coverage]) -> list[str]:
-    """Say where a recording leaves what the baselines cover, one sentence for each signal."""
+    """Return a remark for each signal that leaves the range covered by the baselines."""
     return [
         f"{100.0 * item.beyond:.0f} % of the recording lie outside what the baseline covers: {item.signal} from"
         f" {item.new[0]:.3g} to {item.new[1]:.3g}, in the baseline from {item.baseline[0]:.3g} to {item.baseline[1]:.3g};"

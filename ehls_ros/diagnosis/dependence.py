@@ -1,4 +1,4 @@
-"""The signals on which a remaining residual depends."""
+"""Dependence of a remaining residual on the recorded signals."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ from ehls_ros.samples import Mask
 
 
 def depends_on(e: Array, signals: Mapping[str, Array], even: Mask) -> tuple[str, ...]:
-    """Return the names of the signals that predict a residual on blocks they were not fitted to, strongest first.
+    """Return the names of the signals that predict a residual on held-out blocks, strongest first.
 
     Args:
         e: the whitened residual, shape (n,).
@@ -28,7 +28,7 @@ def depends_on(e: Array, signals: Mapping[str, Array], even: Mask) -> tuple[str,
 
 
 def signals_along(comparison: Comparison, rig: Rig) -> dict[str, Array]:
-    """Return the signals a residual may depend on and their rates, by the names of the data contract, shape (samples,)."""
+    """Return the signals on which a residual may depend, and rates, by the names of the data contract, shape (samples,)."""
     record = comparison.record
     signals = {
         name: record.signals[name] for name in (COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, LOAD, TEMPERATURE) if name in record
@@ -44,7 +44,7 @@ def signals_along(comparison: Comparison, rig: Rig) -> dict[str, Array]:
 
 
 def explained_fraction(signal: Array, e: Array, even: Mask) -> float:
-    """Return the fraction of a residual's variance that a piecewise linear curve over a signal explains on held-out data."""
+    """Return the fraction of a residual's held-out variance explained by a piecewise linear function of a signal."""
     basis = _basis(signal)
     rest, total = 0.0, 0.0
     for train in (even, ~even):

@@ -1,4 +1,4 @@
-"""The walk from a recording and a rig's model to what the model gets wrong, why, and what correcting it gains."""
+"""Diagnosis of a rig's model from a recording: errors, their causes, and the gain from correcting them."""
 
 import os
 import time
@@ -41,22 +41,22 @@ def diagnose(
     progress: Progress = lambda doing, part: None,
     judge: Callable[[Evidence], Evidence] = beyond_measurement,
 ) -> Diagnosis:
-    """Find what a rig's model gets wrong.
+    """Diagnose the errors of a rig's model.
 
     Args:
         trajectory: the recording, with any subset of the data contract's signals.
         rig: the given model.
         name: name of the recording in errors.
         seed: of the noise added to find the noise floor, and of resampling.
-        threads: hypotheses tried at once; by default one for each processor.
-        progress: called with what is being done and the fraction of the diagnosis that is done.
-        judge: makes the allowances a recording is judged with; by default those for what the measurement may add.
+        threads: number of hypotheses tried in parallel; by default one per processor.
+        progress: called with the current activity and the completed fraction of the diagnosis.
+        judge: applies the allowances a recording is judged with; by default those for errors of the measurement.
 
     Returns:
         The diagnosis.
 
     Raises:
-        BadInput: the recording cannot be read as one of such a rig.
+        BadInput: the recording cannot be one of such a rig.
     """
     began = time.perf_counter()
     progress("reading the recording", 0.0)
@@ -87,7 +87,7 @@ def diagnose(
     names = verdict in NAMING
     signals = signals_along(evidence.comparison(), model)
     said = allowed_for(known, best.held_out.residuals.values)
-    # What a partial answer counts as noise is none.
+    # The remainder that a partial answer counts as noise is not noise.
     noise = {c: seen.noise_nrmse(c) for c in seen.channels}
     stages = _stage_results(known, best, findings, noise, signals)
     return Diagnosis(
@@ -118,7 +118,7 @@ def diagnose(
 
 def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
     slid = sliding(evidence)
-    # What hides in the natural spread is no lack of the data.
+    # A change hidden in the natural spread is no deficiency of the data.
     telling = rules.TELLING_BESIDE_SPREAD if evidence.baselines else rules.TELLING
     return {
         stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid, telling))
@@ -154,7 +154,7 @@ def _missing(stages: Mapping[Stage, StageResult]) -> tuple[str, ...]:
 
 
 def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
-    """Say where a stage exceeds the noise only once."""
+    """Return a remark for each stage that exceeds the noise only once."""
     return [
         f"between {item.incident[0]:.1f} and {item.incident[1]:.1f} s more than noise is left in the {stage.replace('_', ' ')},"
         " and at no other time: nothing is concluded from that, look at what happened there"
@@ -165,7 +165,7 @@ def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
 
 
 def remarks_on_baselines(allowed: Assessment | None) -> list[str]:
-    """Say which cause is no change because the baselines allow it as well."""
+    """Return a remark for each cause that is no change because the baselines allow it as well."""
     return [
         f"{name} would explain the recording, but the baselines allow it as well: it may always have been so;"
         " only a baseline in which it would show can tell"
@@ -174,7 +174,7 @@ def remarks_on_baselines(allowed: Assessment | None) -> list[str]:
 
 
 def _would_tell(named: Sequence[Cause]) -> list[str]:
-    """Say which missing signals would tell a cause from what it is equivalent to."""
+    """Return a remark for each cause that missing signals would separate from its equivalents."""
     return [
         f"without {' and '.join(cause.deciding)}, {cause.name} is not told from {', '.join(cause.equivalent_to)}"
         for cause in named

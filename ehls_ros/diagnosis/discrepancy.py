@@ -1,11 +1,16 @@
-"""What a model leaves on healthy recordings, learnt as a function of the stage's own signals.
+"""Model discrepancy on healthy recordings, learnt as a function of the stage's signals.
 
-A residual is taken as a sum: errors of the model's coefficients, whose derivatives are given, a smooth function of each signal,
-another of each that is multiplied by the stage's input, one of all signals together, and what no function of them tells. The
-functions are Gaussian processes, so that the expectation returns to zero and its variance to all of theirs where the recordings
-have never been (Kennedy, O'Hagan, Bayesian calibration of computer models, 2001). On the recordings they are orthogonal to the
-coefficients' derivatives (Plumlee, Bayesian calibration of inexact computer models, 2017): no function does what a coefficient
-can do, and none varies in its place. Everything here works on plain arrays.
+A residual is modelled as a sum of
+
+* errors of the model's coefficients, whose derivatives are given;
+* a smooth function of each signal, and another of each that is multiplied by the stage's input;
+* one function of all signals together; and
+* a rest that no function of the signals explains.
+
+The functions are Gaussian processes: away from the recordings, their expectation returns to zero and their variance to its
+prior (Kennedy, O'Hagan, Bayesian calibration of computer models, 2001). On the recordings they are orthogonal to the
+coefficients' derivatives (Plumlee, Bayesian calibration of inexact computer models, 2017), so that no function can replace a
+coefficient or vary in its place. Everything here works on plain arrays.
 """
 
 from collections.abc import Sequence
@@ -26,10 +31,10 @@ class Windows(NamedTuple):
 
     Attributes:
         residual: of the model, shape (n,).
-        noise: standard deviation that the sensors give it, shape (n,).
-        terms: change of the residual by each coefficient, per relative change, shape (n, terms).
-        signals: what the residual may depend on, shape (n, signals).
-        factor: the stage's input, which errors may be proportional to, as friction's are to its direction, shape (n,).
+        noise: standard deviation due to the sensors, shape (n,).
+        terms: derivatives of the residual by the relative changes of the coefficients, shape (n, terms).
+        signals: signals on which the residual may depend, shape (n, signals).
+        factor: the stage's input, to which errors may be proportional, as friction's are to its direction, shape (n,).
         block: number of the block, shape (n,).
     """
 
@@ -41,7 +46,7 @@ class Windows(NamedTuple):
     block: NDArray[np.intp]
 
     def every(self, stride: int) -> "Windows":
-        """Return one window in so many."""
+        """Return every ``stride``-th window."""
         s = slice(None, None, stride)
         return Windows(
             self.residual[s], self.noise[s], self.terms[s], self.signals[s], self.factor[s], self.block[s]
@@ -49,17 +54,17 @@ class Windows(NamedTuple):
 
 
 def joined(recordings: Sequence[Windows]) -> Windows:
-    """Return the windows of several recordings in one row."""
+    """Return the concatenated windows of several recordings."""
     return Windows(*(np.concatenate(parts) for parts in zip(*recordings, strict=True)))
 
 
 class Expected(NamedTuple):
-    """What a healthy rig would leave in windows of another recording.
+    """Expected remainder of a healthy rig in windows of another recording.
 
     Attributes:
         mean: expected residual, shape (n,).
-        directions: factor of its covariance: directions directionsᵀ, shape (n, m).
-        variance: what else each window may be off by, infinite where nothing can be expected, shape (n,).
+        directions: factor of its covariance, directions directionsᵀ, shape (n, m).
+        variance: additional variance of each window, infinite where nothing can be expected, shape (n,).
     """
 
     mean: Array
@@ -68,21 +73,21 @@ class Expected(NamedTuple):
 
 
 class Learnt(NamedTuple):
-    """What was learnt of one channel from healthy recordings.
+    """Discrepancy model of one channel, learnt from healthy recordings.
 
     Attributes:
         windows: of all recordings.
-        recording: recording, or section of the only one, that each window is from, shape (n,).
+        recording: recording, or section of a single one, of each window, shape (n,).
         middle: of each signal, shape (signals,).
         scale: of each signal, shape (signals,).
         sizes: standard deviation of the functions: of each signal, of each times the input, and of all, shape (functions,).
-        left: standard deviation of what no function tells, on stretches that were held out.
-        together: number of windows that err together.
-        fitted: which coefficients are; of the others an error is possible, but not looked for, shape (terms,).
-        spread: standard deviation of each coefficient from recording to recording, relative, shape (terms,).
+        left: standard deviation of the unexplained rest, on held-out stretches.
+        together: number of windows with correlated errors.
+        fitted: mask of the fitted coefficients; an error of the others is possible but not estimated, shape (terms,).
+        spread: relative standard deviation of each coefficient from recording to recording, shape (terms,).
         changing: the same of each function, relative to its size, shape (functions,).
-        power: mean square of the residual, and of what is left of it on stretches that were held out.
-        errors: error of each coefficient that the recordings tell, relative, shape (terms,).
+        power: mean square of the residual, and of its rest on held-out stretches.
+        errors: estimated relative error of each coefficient, shape (terms,).
         deviations: standard error of each, shape (terms,).
     """
 
@@ -102,17 +107,17 @@ class Learnt(NamedTuple):
 
     @property
     def told(self) -> Mask:
-        """Which coefficients' errors the recordings tell, shape (terms,)."""
+        """Mask of the coefficients whose errors the recordings identify, shape (terms,)."""
         return self.deviations < rules.TOLD * rules.LEFT_ERROR
 
     def expected(self, terms: Array, signals: Array, factor: Array, growth: Array) -> Expected:
-        """Return what a healthy rig would leave in other windows.
+        """Return the expected remainder of a healthy rig in other windows.
 
         Args:
-            terms: change of the residual by each coefficient there, shape (n, terms).
-            signals: what the residual may depend on there, shape (n, signals).
+            terms: derivatives of the residual by the coefficients there, shape (n, terms).
+            signals: signals there on which the residual may depend, shape (n, signals).
             factor: the stage's input there, shape (n,).
-            growth: by which what is uncertain is larger there than on the recordings, shape (n,).
+            growth: factor on the uncertainty there relative to the recordings, shape (n,).
         """
         known = len(self.windows.residual)
         warped = self.warped(np.vstack([self.windows.signals, signals]))
@@ -134,34 +139,34 @@ class Learnt(NamedTuple):
         )
 
     def leaving(self, after: Array) -> "Learnt":
-        """Return the same with what is left on stretches that were held out, shape (n,)."""
+        """Return the model with its unexplained rest estimated from the residuals on held-out stretches, shape (n,)."""
         capped = np.minimum(after**2, rules.MOST_SQUARE * (GAUSS * float(np.median(np.abs(after)))) ** 2)
         noise = float(np.mean(self.windows.noise**2))
         left = float(np.sqrt(max(float(np.mean(capped)) - noise, 0.0)))
         return self._replace(left=left, together=_together(after, self.windows.block))
 
     def variance(self, data: Windows, own: Array) -> Array:
-        """Return the variance of windows, larger for those that err together, shape (n,).
+        """Return the variance of windows, inflated for correlated errors, shape (n,).
 
         Args:
             data: the windows.
-            own: variance of the functions that their columns do not hold, shape (n,).
+            own: variance of the functions not covered by their columns, shape (n,).
         """
         return rules.TOGETHER * data.noise**2 + self.together * (self.left**2 + own)
 
     def warped(self, signals: Array) -> Array:
-        """Return signals with their scale taken out and their tails drawn in, shape (n, signals)."""
+        """Return standardised signals with compressed tails, shape (n, signals)."""
         return np.arcsinh((signals - self.middle) / self.scale)
 
 
 def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) -> Learnt:
-    """Learn what a model leaves on healthy recordings.
+    """Learn the discrepancy of a model on healthy recordings.
 
     Args:
         recordings: one channel of each.
-        default_spread: standard deviation of each coefficient from recording to recording that is allowed for in any case,
-            relative, shape (terms,).
-        fitted: which coefficients are to be fitted, shape (terms,).
+        default_spread: relative standard deviation of each coefficient from recording to recording that is always allowed for,
+            shape (terms,).
+        fitted: mask of the coefficients to fit, shape (terms,).
     """
     data = joined(recordings)
     if len(recordings) > 1:
@@ -189,7 +194,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
         variance = now.variance(data, own)
         mean, inverse = _posterior(columns, y, variance, fitted)
         after = _held_out(columns[:, _chosen(fitted, columns)], y, variance, fold)
-        # The size a function had at first counts as one more of its weights, so that none vanishes for want of data.
+        # A function's initial size counts as one more of its weights, so that none vanishes for lack of data.
         energy = np.bincount(features.group, (mean**2 + np.diag(inverse))[data.terms.shape[1] :], count)
         grown = (energy + (size / now.sizes) ** 2) / (members + 1.0)
         now = now._replace(
@@ -204,8 +209,8 @@ class _Features(NamedTuple):
 
     Attributes:
         columns: of functions of unit variance, shape (n, m).
-        group: the function each column is a part of, shape (m,).
-        own: variance of each function that its columns do not hold, shape (n, functions).
+        group: the function to which each column belongs, shape (m,).
+        own: variance of each function not covered by its columns, shape (n, functions).
     """
 
     columns: Array
@@ -213,18 +218,18 @@ class _Features(NamedTuple):
     own: Array
 
     def sized(self, sizes: Array) -> tuple[Array, Array]:
-        """Return columns, and the variance they do not hold, of functions of these standard deviations."""
+        """Return the columns, and the variance they do not cover, scaled to the functions' standard deviations."""
         return self.columns * sizes[self.group], self.own @ sizes**2
 
 
 def _features(warped: Array, factor: Array, terms: Array, known: int) -> _Features:
-    """Return features of a function of each signal, of one of each times a factor, and of one of all together.
+    """Return the features of a function of each signal, one of each times the factor, and one of all together.
 
     Args:
         warped: the signals, shape (n, signals).
         factor: the stage's input, shape (n,).
         terms: derivatives by the coefficients, shape (n, terms).
-        known: number of windows, the first ones, on which the features are orthogonal to these.
+        known: number of leading windows on which the features are orthogonal to these.
     """
     single = warped.shape[1]
     made = [_kernel_columns(warped[:, g : g + 1], rules.SINGLE_CENTRES) for g in range(single)]
@@ -238,9 +243,9 @@ def _features(warped: Array, factor: Array, terms: Array, known: int) -> _Featur
 
 
 def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
-    """Return columns whose products approximate a squared-exponential kernel, and the variance they lack.
+    """Return columns whose products approximate a squared-exponential kernel, and the missing variance.
 
-    A pivoted Cholesky factor: each centre is the point that the ones before describe worst.
+    A pivoted Cholesky factor: each centre is the point least well described by the previous ones.
     """
     n = len(inputs)
     columns = np.zeros((n, most))
@@ -259,17 +264,17 @@ def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
 
 
 def _folds(windows: int) -> NDArray[np.intp]:
-    """Return the part in which each window is held out, shape (windows,)."""
+    """Return the fold in which each window is held out, shape (windows,)."""
     return np.arange(windows) // rules.STRETCH % rules.FOLDS
 
 
 def _chosen(fitted: Mask, columns: Array) -> Mask:
-    """Return which columns are fitted: those of the coefficients that are, which come first, and all of the functions'."""
+    """Return the mask of fitted columns: those of the fitted coefficients, which come first, and all of the functions."""
     return np.concatenate([fitted, np.ones(columns.shape[1] - len(fitted), dtype=np.bool_)])
 
 
 def _posterior(columns: Array, y: Array, variance: Array, fitted: Mask) -> tuple[Array, Array]:
-    """Return mean and covariance of standard normal weights, under Huber's loss; the mean of those not fitted is zero."""
+    """Return mean and covariance of standard normal weights under the Huber loss; the mean of unfitted ones is zero."""
     chosen = _chosen(fitted, columns)
     mean, normal = np.zeros(columns.shape[1]), np.eye(columns.shape[1])
     for _ in range(rules.ROBUST_STEPS):
@@ -282,7 +287,7 @@ def _posterior(columns: Array, y: Array, variance: Array, fitted: Mask) -> tuple
 
 
 def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp]) -> Array:
-    """Return what is left in each fold with the weights fitted to the others."""
+    """Return the residuals of each fold with the weights fitted to the others."""
     left = y.copy()
     whole = columns.T @ (columns / variance[:, None]) + np.eye(columns.shape[1])
     moment = columns.T @ (y / variance)
@@ -295,7 +300,7 @@ def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp])
 
 
 def _together(e: Array, block: NDArray[np.intp]) -> float:
-    """Return how many neighbouring windows err together, from the correlation of what is left."""
+    """Return the number of neighbouring windows with correlated errors, from the autocorrelation of residuals."""
     limit = rules.HUBER * GAUSS * float(np.median(np.abs(e)))
     e = np.clip(e, -limit, limit)
     total, power = 1.0, float(np.mean(e * e))
@@ -311,13 +316,13 @@ def _together(e: Array, block: NDArray[np.intp]) -> float:
 
 
 def _with_spread(found: Learnt, features: _Features, default_spread: Array, only: bool) -> Learnt:
-    """Return what was learnt with the spread of coefficients and functions from recording to recording.
+    """Return the model with the spread of coefficients and functions from recording to recording.
 
     Args:
-        found: what was learnt of all recordings together.
+        found: the model learnt from all recordings together.
         features: of its windows.
         default_spread: as for :func:`learn`.
-        only: whether the recordings are sections of an only one.
+        only: whether the recordings are sections of a single one.
     """
     data, terms = found.windows, found.windows.terms.shape[1]
     functions, own = features.sized(found.sizes)
@@ -327,12 +332,12 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     default = np.concatenate([default_spread / rules.LEFT_ERROR, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
     between = _between(rest, columns, own, group, default)
-    # No function varies by more than its size, and within one recording no coefficient by more than it is off, or may be.
+    # No function varies by more than its size, and within one recording no coefficient by more than its (possible) error.
     between[terms:] = np.minimum(between[terms:], 1.0)
     if only:
         between[:terms] = np.minimum(between[:terms], np.maximum(np.abs(mean[:terms]), 1.0))
     beyond = np.maximum(between**2 - default**2, 0.0)
-    # What drifts within an only recording goes on drifting until the next, as in a random walk.
+    # A drift within a single recording is extrapolated to the next one as a random walk.
     spread = np.sqrt(default**2 + beyond * (rules.SECTIONS if only else 1))
     return found._replace(
         spread=spread[:terms] * rules.LEFT_ERROR,
@@ -343,17 +348,17 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
 
 
 def _between(rest: Learnt, columns: Array, own: Array, group: NDArray[np.intp], default: Array) -> Array:
-    """Return by how much the weights of each group differ from recording to recording, standard deviation, shape (groups,).
+    """Return the standard deviation of each group's weights from recording to recording, shape (groups,).
 
-    The likeliest (MacKay, Bayesian interpolation, 1992, 4.2): squares are divided by the number of weights that the recordings
-    tell. What differs between recordings is no longer left to noise, step by step.
+    Maximum-likelihood estimate (MacKay, Bayesian interpolation, 1992, 4.2): squares are divided by the number of
+    well-determined weights. Step by step, differences between recordings are removed from the noise.
 
     Args:
-        rest: what was learnt, with what the mean weights leave for residuals.
+        rest: the learnt model, with residuals relative to the mean weights.
         columns: of all weights, shape (n, m).
-        own: variance that the columns do not hold, shape (n,).
+        own: variance not covered by the columns, shape (n,).
         group: of each weight, shape (m,).
-        default: what is taken where the recordings tell nothing, and counts as one more weight, shape (groups,).
+        default: default where the recordings hold no information; counts as one more weight, shape (groups,).
     """
     data, members = rest.windows, np.unique(rest.recording)
     between, fold = np.where(default > 0.0, 1.0, 0.0), _folds(len(data.residual))
@@ -368,7 +373,7 @@ def _between(rest: Learnt, columns: Array, own: Array, group: NDArray[np.intp], 
             after[inside] = _held_out(part, data.residual[inside], variance[inside], fold[inside])
             energy += np.bincount(group, shift**2, len(default))
             told += np.bincount(group, 1.0 - np.diag(inverse), len(default))
-        # The mean was fitted to them all, so that the shifts are those of one less.
+        # Fitting the mean to all recordings takes the degrees of freedom of one.
         told *= max(len(members) - 1, 1) / len(members)
         between = np.sqrt((between**2 * energy + default**2) / (told + 1.0))
         rest = rest.leaving(after)

@@ -1,8 +1,8 @@
-"""The evidence: whitened residuals of the given model, window by window, with their noise floor and their blocks.
+"""Evidence: whitened residuals of the given model, window by window, with their noise floor and blocks.
 
-Each window's residual is divided by its noise floor: the scatter due to the sensors' noise, and a tolerance for the accuracy
-no model of a rig reaches. Windows are grouped into blocks of a few seconds; a model is assessed on each block with the
-coefficients fitted to the others.
+Each window's residual is divided by its noise floor, which combines the scatter due to the sensors' noise with a tolerance for
+the accuracy no model of a rig exceeds. Windows are grouped into blocks of a few seconds; a model is assessed on each block
+with the coefficients fitted to the others.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,14 +30,14 @@ class Residuals(NamedTuple):
 
     Attributes:
         values: the residuals.
-        depends: what each depends on, as :meth:`Comparison.relevant` gives it; empty for residuals of no model.
+        depends: dependencies of each, from :meth:`Comparison.relevant`; empty for residuals not computed from a model.
     """
 
     values: Mapping[Channel, Array]
     depends: Mapping[Channel, object] = {}
 
     def joined(self, channels: Sequence[Channel]) -> Array:
-        """Return the residuals of some channels in one array, channel after channel."""
+        """Return the residuals of some channels concatenated in one array."""
         return np.concatenate([self.values[c] for c in channels]) if channels else np.empty(0)
 
 
@@ -48,27 +48,27 @@ class Evidence:
     Attributes:
         record: the recording.
         rig: the given model.
-        setup: what of the model can be compared.
+        setup: the parts of the model that can be compared.
         channels: the channels with usable windows.
-        masks: the usable ones of all windows, by channel.
+        masks: mask of the usable windows, by channel.
         floor: noise floor of each usable window, in the channel's unit.
         sizes: rms of the largest term in each channel's balance, in the channel's unit.
         times: middle of each usable window [s].
-        block: number of the block each usable window lies in.
+        block: block number of each usable window.
         blocks: number of blocks.
         base: residuals of the given model.
-        noise: what as much noise again as the sensors have adds to these.
-        added: the same of each realisation that the noise floor comes from, nothing allowed for.
-        noisy_record: the recording with that noise.
+        noise: change of these residuals by added noise of the sensors' level.
+        added: the same for each realisation used for the noise floor, without allowances.
+        noisy_record: the recording with that added noise.
         travel: range of the piston's motion [m].
-        correlation: by channel, the number of windows over which residuals are alike; their losses count as those of so many
-            fewer. Windows of noise alone count one by one.
+        correlation: number of windows over which residuals are correlated, by channel; their losses are divided by it. Windows
+            of noise alone count separately.
         form: change of a balance, as a fraction of its largest term, up to which a cause may be an error of the model's form;
-            None where the model is taken to have none.
-        allowances: what is allowed for without any fault, by channel.
-        allowed: the same as whitened residuals need it.
-        judge: makes the same allowances for evidence from a part of the recording.
-        baselines: recordings of the rig from when it was well, compared with the same model and judged alike.
+            None if the model is taken to have none.
+        allowances: fault-free variation allowed for, by channel.
+        allowed: the same, prepared for whitened residuals.
+        judge: applies the same allowances to evidence from a part of the recording.
+        baselines: recordings of the healthy rig, compared with the same model and judged with the same allowances.
     """
 
     record: Record
@@ -94,17 +94,16 @@ class Evidence:
     baselines: "tuple[Evidence, ...]" = field(default=(), repr=False)
 
     def comparison(self) -> Comparison:
-        """Return a new comparison, one for each thread."""
+        """Return a new comparison, of which each thread needs one."""
         return Comparison(self.record, self.setup)
 
     def residuals(self, comparison: Comparison, rig: Rig, known: Residuals | None = None) -> Residuals:
         """Return the residuals of a model.
 
         Args:
-            comparison: the thread's own.
+            comparison: comparison of the calling thread.
             rig: the model.
-            known: residuals of another model, reused in the channels where both depend on the same; by default those of the
-                given model.
+            known: residuals of another model, reused in channels with equal dependencies; by default those of the given model.
         """
         reused = self.base if known is None else known
         now = comparison.relevant(rig)
@@ -113,7 +112,7 @@ class Evidence:
         return Residuals({c: fresh[c] if c in changed else reused.values[c] for c in self.channels}, now)
 
     def whole(self, channel: Channel, e: Array) -> Array:
-        """Return a channel's whitened residuals with what is allowed for in full, in units of the noise floor."""
+        """Return a channel's whitened residuals with the allowed variation restored, in units of the noise floor."""
         return self.allowed[channel].whole(e) if channel in self.allowed else e
 
     def averaged_noise(
@@ -122,17 +121,17 @@ class Evidence:
         """Return the loss a model saves in each channel by averaging noise rather than by being right [nats].
 
         Args:
-            comparison: the thread's own, of the record with noise added.
+            comparison: comparison of the calling thread, for the record with added noise.
             rig: the model.
             residuals: its residuals without the added noise.
-            channels: where it differs from the given model.
+            channels: channels in which it differs from the given model.
         """
         noisy = whitened(comparison.residuals(rig, tuple(channels)), self.masks, self.floor, self.allowed)
         saved = {}
         for c in channels:
             before = float(np.sum(loss(self.noise[c])))
             after = float(np.sum(loss(noisy[c] - residuals.values[c])))
-            # A remainder larger than the added noise says that the noise is larger than estimated.
+            # A remainder larger than the added noise indicates underestimated noise.
             scale = float(np.sum(loss(residuals.values[c]))) / max(after, 1e-300)
             saved[c] = (before - after) * float(np.clip(scale, 1.0, rules.MOST_NOISE_SCALE))
         return saved
@@ -151,14 +150,14 @@ class Evidence:
 
 
 def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int = rules.REALISATIONS) -> Evidence:
-    """Compare the given model with a recording and find the noise floor.
+    """Compare the given model with a recording and estimate the noise floor.
 
     Args:
         record: the recording.
         rig: the given model.
-        setup: what of the model can be compared.
-        seed: of the noise that is added.
-        realisations: how often it is added to find the noise floor.
+        setup: the parts of the model that can be compared.
+        seed: of the added noise.
+        realisations: number of realisations of the added noise for the noise floor.
     """
     comparison = Comparison(record, setup)
     masks = {channel: usable(comparison, channel) for channel in setup.channels}
@@ -174,7 +173,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
     for c in channels:
         window = setup.window_of(c)
         starts = window.starts(len(record.time))[masks[c]]
-        # By sample, not by time: the stretches of a long recording follow each other without a gap.
+        # By sample, not by time, so that the stretches of a long recording count as contiguous.
         block[c] = np.minimum(starts * blocks // len(record.time), blocks - 1)
         times[c] = record.time[np.minimum(starts + window.weights.size // 2, len(record.time) - 1)]
     base = whitened(raw, masks, floor)
@@ -201,17 +200,17 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
 
 
 def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge: Callable[[Evidence], Evidence]) -> Evidence:
-    """Return evidence that is measured against what is expected and may vary without any fault.
+    """Return evidence with allowances for the expected residual and its fault-free variation.
 
     Args:
-        evidence: the recording compared with the given model, nothing allowed for yet.
+        evidence: the recording compared with the given model, without allowances.
         allowances: by channel; channels without one are left out.
-        judge: makes the same allowances for evidence from a part of the recording.
+        judge: applies the same allowances to evidence from a part of the recording.
     """
     channels = tuple(c for c in evidence.channels if c in allowances)
     floor = {c: np.sqrt(evidence.floor[c] ** 2 + allowances[c].variance) for c in channels}
     unexpected = {c: evidence.base.values[c] - allowances[c].mean / evidence.floor[c] for c in channels}
-    # A mean over windows that are alike scatters more than one over windows of noise.
+    # A mean over correlated windows scatters more than one over windows of noise.
     more = {c: (allowances[c].alike - 1.0) * allowances[c].variance / floor[c] ** 2 for c in channels}
     correlation = {c: 1.0 + float(np.median(more[c])) for c in channels}
     base = Residuals(unexpected, evidence.base.depends)
@@ -219,11 +218,11 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge:
 
 
 def part_of(evidence: Evidence, kept: Mapping[Channel, Mask]) -> Evidence:
-    """Return evidence of some of its windows, nothing allowed for yet; a channel of which little is left is left out.
+    """Return the evidence of selected windows, without allowances; channels with few windows left are dropped.
 
     Args:
         evidence: the recording compared with the given model.
-        kept: which of the usable windows are kept, by channel.
+        kept: mask of the usable windows to keep, by channel.
     """
     channels = tuple(c for c in evidence.channels if c in kept and np.mean(kept[c]) >= rules.LEAST_SEEN)
     masks = dict(evidence.masks)
@@ -248,12 +247,12 @@ def part_of(evidence: Evidence, kept: Mapping[Channel, Mask]) -> Evidence:
 
 
 def measured_in(evidence: Evidence, floor: Mapping[Channel, Array], correlation: Mapping[Channel, float]) -> Evidence:
-    """Return evidence in units of another noise floor, with the same allowances.
+    """Return evidence rescaled to another noise floor, with the same allowances.
 
     Args:
         evidence: the recording compared with the given model.
         floor: of each usable window, in the channel's unit.
-        correlation: number of windows over which residuals are alike, by channel.
+        correlation: number of windows over which residuals are correlated, by channel.
     """
     allowed = {c: a.whitening(floor[c], correlation[c]) for c, a in evidence.allowances.items() if c in evidence.channels}
 
@@ -271,7 +270,7 @@ def whitened(
     floor: Mapping[Channel, Array],
     allowed: Mapping[Channel, Allowed] | None = None,
 ) -> dict[Channel, Array]:
-    """Return the residuals of the usable windows in units of their noise floor; a diverged model's are finite and large."""
+    """Return the residuals of the usable windows in units of their noise floor; finite but large for a diverged model."""
     far = rules.FARTHEST
     out = {}
     for channel, values in raw.items():
@@ -283,12 +282,12 @@ def whitened(
 
 
 def whitened_slopes(evidence: Evidence, raw: Mapping[Channel, Any], parameters: int) -> dict[Channel, Array]:
-    """Return the derivatives of what :func:`whitened` returns where nothing is allowed for, by channel, shape (n, parameters).
+    """Return the derivatives of :func:`whitened` without allowances, by channel, shape (n, parameters).
 
     Args:
         evidence: the recording compared with a model.
-        raw: residuals of all windows, as :meth:`Comparison.residuals` returns them, of duals.
-        parameters: how many there are.
+        raw: dual residuals of all windows, from :meth:`Comparison.residuals`.
+        parameters: number of parameters.
     """
     out = {}
     for channel, values in raw.items():
@@ -302,18 +301,18 @@ def whitened_slopes(evidence: Evidence, raw: Mapping[Channel, Any], parameters: 
 
 
 def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Channel]) -> dict[Channel, slice]:
-    """Return the rows of each channel when the windows of some channels are joined.
+    """Return the rows of each channel in the concatenated windows of some channels.
 
     Args:
         block: of :class:`Evidence`.
-        channels: the channels, in their order.
+        channels: the channels, in order.
     """
     ends = np.cumsum([0, *[len(block[c]) for c in channels]])
     return {c: slice(int(begin), int(end)) for c, begin, end in zip(channels, ends[:-1], ends[1:], strict=True)}
 
 
 def noise_power(evidence: Evidence, channel: Channel) -> float:
-    """Return the mean square of a channel's whitened residual without a fault: due to noise, or to all that is allowed for."""
+    """Return the fault-free mean square of a channel's whitened residual: of noise or, with baselines, of all allowances."""
     if evidence.baselines:
         return 1.0
     e = evidence.noise[channel]

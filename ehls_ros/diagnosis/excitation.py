@@ -1,4 +1,4 @@
-"""Whether the data excite each stage enough to show an error in it."""
+"""Excitation of each stage: whether the data suffice to show an error in it."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from ehls_ros.diagnosis.stages import Stage
 
 
 class Key(NamedTuple):
-    """The parameter that tells whether a stage is excited."""
+    """Key parameter by which the excitation of a stage is judged."""
 
     effect: str
     parameter: str
@@ -26,13 +26,13 @@ KEYS: Mapping[Stage, Key] = {
     "flow": Key("valve_gain_shift", "flow_gain"),
     "force_balance": Key("coulomb_shift", "offset"),
 }
-"""The stages that need excitation; the sensors' stage needs none."""
+"""Stages that need excitation, and their key parameters; the sensors' stage needs none."""
 
 
 def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitivity, ...]:
-    """Return the smallest detectable size of every effect with one parameter that acts smoothly at its neutral value.
+    """Return the smallest detectable size of every effect with one parameter and a smooth response at its neutral value.
 
-    An effect that would have to leave its parameter's range to be seen is left out.
+    An effect detectable only outside its parameter's range is left out.
 
     Args:
         evidence: the recording compared with the given model.
@@ -47,7 +47,7 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitiv
         information = sum(float(column @ column) / evidence.correlation.get(c, 1.0) for c, column in columns.items())
         # By the channel with the most windows.
         main = max(fit.channels, key=lambda c: len(evidence.block[c]))
-        # As small as a standard deviation of the noise: beyond what is allowed for, less is taken off.
+        # At the size of one standard deviation of the noise, within the bounds of the allowances.
         length = max(float(np.linalg.norm(columns[main])), 1e-300)
         effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
         smallest = smallest_detectable(information, effect)
@@ -58,7 +58,7 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitiv
 
 
 def smallest_detectable(information: float, effect: float) -> float | None:
-    """Return the smallest size of a parameter that is sure, gains enough and matters; None where the data tell nothing.
+    """Return the smallest parameter that is significant, gains enough and is relevant; None without information.
 
     Args:
         information: sum of squared derivatives of the whitened residuals.
@@ -71,10 +71,10 @@ def smallest_detectable(information: float, effect: float) -> float | None:
 
 
 def mass_shows(evidence: Evidence) -> bool:
-    """Tell whether the moving mass shows at all: whether one twice as heavy would change a balance visibly.
+    """Return whether the moving mass is observable: whether doubling it changes a balance noticeably.
 
-    A piston that hardly accelerates would move the same with any mass, and a mass apart from it could only be one that is far
-    larger, or a load that is simulated with a mass nobody knows: another name for a friction.
+    A piston that hardly accelerates moves the same with any mass. A separate mass would then have to be far larger, or be a
+    load of unknown mass, indistinguishable from friction.
     """
     plant = evidence.rig.plant
     heavier = evidence.rig._replace(plant=plant._replace(moving_mass=2.0 * plant.moving_mass))
@@ -83,7 +83,7 @@ def mass_shows(evidence: Evidence) -> bool:
 
 
 class Sliding(NamedTuple):
-    """What tells whether the piston slides.
+    """Quantities that decide whether the piston slides.
 
     Attributes:
         travel: range of the piston's motion [m].
@@ -104,13 +104,13 @@ def sliding(evidence: Evidence) -> Sliding:
 
 
 def excited(stage: Stage, found: Sequence[Sensitivity], slid: Sliding, telling: float = rules.TELLING) -> bool:
-    """Tell whether the data could show an error of a stage's key parameter; for friction, whether the piston slides.
+    """Return whether the data could show an error of a stage's key parameter; for friction, the piston must also slide.
 
     Args:
         stage: the stage.
         found: the smallest detectable sizes.
-        slid: how the piston moved.
-        telling: largest change that may go unseen, as a fraction of the parameter's nominal value.
+        slid: travel and friction of the piston.
+        telling: largest change that may remain undetected, as a fraction of the parameter's nominal value.
     """
     if stage not in KEYS:
         return True

@@ -1,4 +1,4 @@
-"""Fitting a hypothesis to a recording."""
+"""Fit of a hypothesis to a recording."""
 
 import math
 from typing import NamedTuple
@@ -19,14 +19,14 @@ class Fit(NamedTuple):
     """A hypothesis fitted to a recording.
 
     Attributes:
-        hypothesis: what was fitted.
+        hypothesis: the fitted hypothesis.
         values: its free parameters, shape (p,).
         channels: the channels it changes.
         residuals: whitened, with the hypothesis.
         jacobian: their derivatives in these channels, joined, shape (n, p).
         loss: total over these channels [nats].
         steps: steps of the difference quotients, shape (p,).
-        settled: whether the loss decreased no further.
+        settled: whether the fit has converged.
     """
 
     hypothesis: Hypothesis
@@ -40,23 +40,23 @@ class Fit(NamedTuple):
 
     @property
     def costly(self) -> bool:
-        """Whether derivatives take long: each needs a simulation of a separate load, or they are many."""
+        """Whether derivatives are expensive: each needs a simulation of a separate load, or there are many."""
         return len(self.values) > rules.MANY_PARAMETERS or any(c.separates_load for c in self.hypothesis)
 
     def without(self, index: int) -> "Fit":
-        """Return the hypothesis without one of its causes, to be fitted: residuals and derivatives are still those with it."""
+        """Return the hypothesis without one cause, to be fitted; residuals and derivatives are still those with the cause."""
         kept = np.ones(len(self.values), dtype=np.bool_)
         kept[parts(self.hypothesis)[index]] = False
         others = tuple(c for i, c in enumerate(self.hypothesis) if i != index)
         return self._replace(hypothesis=others, values=self.values[kept], steps=self.steps[kept])
 
     def only(self, index: int) -> "Fit":
-        """Return one of the causes alone, to be fitted: residuals and derivatives are still those with all."""
+        """Return one cause alone, to be fitted; residuals and derivatives are still those of all causes."""
         part = parts(self.hypothesis)[index]
         return self._replace(hypothesis=(self.hypothesis[index],), values=self.values[part], steps=self.steps[part])
 
     def beside(self, cause: "Fit") -> "Fit":
-        """Return the hypothesis with one more cause, to be fitted: residuals and derivatives are still those without it."""
+        """Return the hypothesis with one more cause, to be fitted; residuals and derivatives are still those without it."""
         return self._replace(
             hypothesis=(*self.hypothesis, *cause.hypothesis),
             values=np.concatenate([self.values, cause.values]),
@@ -64,23 +64,23 @@ class Fit(NamedTuple):
         )
 
     def negligible(self, total: float, windows: int) -> float:
-        """Return the decrease below which the fit has settled [nats].
+        """Return the decrease below which the fit counts as converged [nats].
 
         Args:
             total: the loss [nats].
-            windows: how many residuals it sums; noise alone costs at most about 1 nat each.
+            windows: number of residuals it sums; noise alone costs at most about 1 nat each.
         """
         excess = max(0.0, total - windows) if self.costly else 0.0
         return rules.SETTLED + rules.SETTLED_FRACTION * total + rules.SETTLED_EXCESS * excess
 
 
 class Start(NamedTuple):
-    """Where a fit starts.
+    """Starting point of a fit.
 
     Attributes:
         fit: a hypothesis with its derivatives.
         trials: parameter values to try first; the fit starts from the best of them.
-        promise: decrease of the loss predicted for the first of them [nats].
+        promise: decrease of the loss predicted for the first trial [nats].
     """
 
     fit: Fit
@@ -89,14 +89,14 @@ class Start(NamedTuple):
 
 
 class Worker:
-    """What one thread needs to evaluate hypotheses."""
+    """Evaluation and fitting of hypotheses, one instance per thread."""
 
     def __init__(self, evidence: Evidence, subset: Evidence | None = None) -> None:
-        """Create the thread's own comparisons.
+        """Create the comparisons of the thread.
 
         Args:
             evidence: the recording compared with the given model.
-            subset: a few blocks of it, if it is long enough for these to save time.
+            subset: a few blocks of it, if it is long enough for a selection to save time.
         """
         self.evidence = evidence
         self.subset: Worker | None = None if subset is None else Worker(subset)
@@ -104,7 +104,7 @@ class Worker:
         self.noisy = Comparison(evidence.noisy_record, evidence.setup)
 
     def residuals(self, rig: Rig, known: Residuals | None = None) -> Residuals:
-        """Return the whitened residuals of a model, reusing those of another that must be equal."""
+        """Return the whitened residuals of a model, reusing those of another in channels where both must be equal."""
         return self.evidence.residuals(self.comparison, rig, known)
 
     def linearise(self, hypothesis: Hypothesis, values: Array, steps: Array | None = None) -> Fit:
@@ -113,12 +113,12 @@ class Worker:
         return self._linearised(hypothesis, values, residuals, steps)
 
     def linearise_again(self, fit: Fit, values: Array) -> Fit:
-        """Evaluate a hypothesis and its derivatives at other values, reusing what has not changed."""
+        """Evaluate a hypothesis and its derivatives at other values, reusing unchanged results."""
         residuals = self.residuals(extended(self.evidence.rig, fit.hypothesis, values), fit.residuals)
         return self._linearised(fit.hypothesis, values, residuals, fit.steps, fit)
 
     def closer(self, fit: Fit, values: Array) -> Array:
-        """Return starting values closer to the optimum, where the last cause separates the load and each run is expensive.
+        """Return starting values closer to the optimum if the last cause separates the load, which makes each run expensive.
 
         They come from a fit to a few blocks; the other causes have already been fitted to the complete recording.
         """
@@ -131,7 +131,7 @@ class Worker:
         return found if np.sum(loss(there)) < np.sum(loss(here)) else values
 
     def first_step(self, start: Start) -> Fit:
-        """Return the first trial of a start that keeps its promise, or else the best one; the derivatives stay as they are."""
+        """Return the first trial close to its predicted gain, otherwise the best one; derivatives are not updated."""
         now = best = start.fit
         for values in start.trials:
             residuals = self.residuals(extended(self.evidence.rig, now.hypothesis, values), now.residuals)
@@ -146,14 +146,14 @@ class Worker:
         """Minimise the loss by Gauss-Newton steps with Levenberg's damping, within the parameters' ranges.
 
         Args:
-            start: where the fit starts.
-            iterations: most steps.
-            fresh: where the derivatives were evaluated, if not at the start.
+            start: starting point of the fit.
+            iterations: maximum number of steps.
+            fresh: point at which the derivatives were evaluated, if not the start.
         """
         evidence = self.evidence
         lower, upper = bounds(start.hypothesis)
         now, damping = start, rules.LOW_DAMPING
-        # Expensive derivatives are evaluated again only when the last ones lead no further.
+        # Expensive derivatives are evaluated again only when the last ones give no further progress.
         fresh = fresh or start
         for iteration in range(iterations):
             e = now.residuals.joined(now.channels)
@@ -216,7 +216,7 @@ class Worker:
     def _column(
         self, hypothesis: Hypothesis, values: Array, residuals: Residuals, index: int, step: float, enough: float
     ) -> tuple[Residuals, float]:
-        """Return the derivatives by one parameter and the step they were taken with, which changes the residuals enough."""
+        """Return the derivatives by one parameter, and the step used, which changes the residuals sufficiently."""
         evidence = self.evidence
         lower, upper = (bound[index] for bound in bounds(hypothesis))
         span = upper - lower
@@ -243,7 +243,7 @@ class Worker:
         return Residuals(column), step
 
     def _kept_column(self, known: Fit, residuals: Residuals, index: int) -> Residuals | None:
-        """Return the known derivatives by a parameter if the channels it changes still depend on the same."""
+        """Return the known derivatives by a parameter if the dependencies of the channels it changes are unchanged."""
         here = sections(self.evidence.block, known.channels)
         if known.jacobian.shape != (sum(len(self.evidence.block[c]) for c in known.channels), len(known.values)):
             return None
@@ -254,7 +254,7 @@ class Worker:
         return Residuals({c: column.get(c, np.zeros(len(self.evidence.block[c]))) for c in self.evidence.channels})
 
     def _useful(self, now: Fit, e: Array, step: Array) -> Array:
-        """Return a step without the parameters that promise nothing; groups that share no channel settle independently."""
+        """Return a step without parameters of negligible predicted gain; groups without a common channel settle separately."""
         here = sections(self.evidence.block, now.channels)
         moves = np.array([[np.any(now.jacobian[rows, i]) for rows in here.values()] for i in range(len(step))], dtype=np.bool_)
         out, rest = step.copy(), set(range(len(step)))
@@ -272,11 +272,11 @@ class Worker:
         return out
 
     def _refreshed(self, now: Fit, fresh: Fit) -> Fit:
-        """Return a fit with its derivatives evaluated again, except those that still hold."""
+        """Return a fit with its derivatives evaluated again, except those still valid."""
         return self._linearised(now.hypothesis, now.values, now.residuals, fresh.steps, fresh)
 
     def _updated(self, now: Fit, values: Array, residuals: Residuals, total: float) -> Fit:
-        """Return a fit one step further, its derivatives updated to agree with what the step changed.
+        """Return a fit one step further, its derivatives updated to match the observed change.
 
         Broyden's update, channel by channel (Madsen, Nielsen, Tingleff, Methods for Non-Linear Least Squares Problems, 2004,
         3.5), so that a channel's derivatives by parameters it does not depend on stay zero.

@@ -1,8 +1,8 @@
-"""The model let go: from the recording's start, with nothing but its command and disturbance.
+"""Free run: open-loop simulation from the recording's start, driven only by its command and disturbance.
 
-What the stages of :mod:`ehls_ros.diagnosis.stages` compare moment by moment adds up here. Valve and cylinder integrate, so
-that the position of even a good model drifts off, by what it does not know of the valve's null; that is no verdict on the
-model, and none is made of it.
+Errors that the stages of :mod:`ehls_ros.diagnosis.stages` compare moment by moment accumulate here. Valve and cylinder
+integrate, so an error of the valve's null makes the position of even a good model drift. The free run is therefore no verdict
+on the model.
 """
 
 import math
@@ -38,15 +38,15 @@ from ehls_ros.trajectory import Trajectory
 
 
 class Followed(NamedTuple):
-    """One signal as it was measured and as the models have it.
+    """One signal, measured and simulated.
 
     Attributes:
         name: by the data contract.
         measured: shape (n,).
-        before: of the model as it was given, NaN from where it was given up, shape (n,).
-        after: of the extended model; None where there is none.
-        nrmse_before, nrmse_after: rms difference as a fraction of the measured signal's standard deviation; None where there is
-            no model, or it was given up.
+        before: of the given model, NaN from where the run was aborted, shape (n,).
+        after: of the extended model; None if there is none.
+        nrmse_before, nrmse_after: rms difference as a fraction of the measured signal's standard deviation; None if there is
+            no model or its run was aborted.
     """
 
     name: str
@@ -58,12 +58,12 @@ class Followed(NamedTuple):
 
 
 class FreeRun(NamedTuple):
-    """Both models let go along a recording.
+    """Free runs of both models along a recording.
 
     Attributes:
         time: since the recording's start, shape (n,) [s].
-        signals: those that were measured and move.
-        remarks: what a reader has to know.
+        signals: the measured signals that move.
+        remarks: remarks for the reader.
     """
 
     time: Array
@@ -74,20 +74,20 @@ class FreeRun(NamedTuple):
 def free_run(
     trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = rules.FREE_RUN
 ) -> FreeRun:
-    """Simulate a recording's beginning with the model as it was given and with the extended one.
+    """Simulate the beginning of a recording with the given and the extended model.
 
     Args:
         trajectory: the recording; needs command, position or velocity, and load pressure or force.
-        rig: the model as it was given.
-        extended: the extended one; the same where there is none.
-        name: what the recording is called in errors.
-        seconds: most that is simulated [s].
+        rig: the given model.
+        extended: the extended model; the given one if there is none.
+        name: name of the recording in errors.
+        seconds: longest time to simulate [s].
 
     Returns:
         The run.
 
     Raises:
-        BadInput: a signal that is needed is missing.
+        BadInput: a required signal is missing.
     """
     time = trajectory.time_s
     part = time <= time[0] + seconds
@@ -130,7 +130,7 @@ def _followed(record: Record, signal: str, before: Array, after: Array | None) -
 
 
 def _run(record: Record, rig: Rig) -> Array:
-    """Return what the model's sensors read, NaN from where it leaves the stroke by far, shape (n, signals)."""
+    """Return the simulated sensor signals, NaN once the piston is far beyond the stroke, shape (n, signals)."""
     simulator = Simulator(rig.quiet(), record.period)
     _start(simulator, record)
     command, load = record.values(COMMAND), record.values(LOAD)
@@ -152,7 +152,7 @@ def _run(record: Record, rig: Rig) -> Array:
 
 
 def _first(record: Record, sensor: str, sensors: Mapping[str, Sensor]) -> float:
-    """Return what a sensor saw at the start, its gain and bias taken out; 0 where there is none."""
+    """Return the initial value of a sensor's quantity, corrected for gain and bias; 0 without such a sensor."""
     signal = RECORDED_AS[sensor]
     if signal not in record:
         return 0.0
@@ -163,7 +163,7 @@ def _first(record: Record, sensor: str, sensors: Mapping[str, Sensor]) -> float:
 
 
 def _start(simulator: Simulator, record: Record) -> None:
-    """Set the state to what was measured at the start, and friction to what holds the balance there."""
+    """Set the state to the initial measurements, and friction to the value that balances the forces there."""
     plant, friction, sensors, y = simulator.rig.plant, simulator.rig.friction, simulator.rig.sensors, simulator.y
     y[X] = _first(record, "position", sensors)
     pressure = _first(record, "load_pressure", sensors)

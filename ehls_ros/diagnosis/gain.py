@@ -1,4 +1,4 @@
-"""What the extended model gains on held-out data."""
+"""Gain of the extended model on held-out data."""
 
 from collections.abc import Mapping
 
@@ -14,7 +14,7 @@ from ehls_ros.diagnosis.stages import Channel
 
 
 def gain(evidence: Evidence, best: Assessment, noise: Mapping[Channel, float], seed: int) -> Gain | None:
-    """Measure what the causes gain on held-out data; None where they change nothing.
+    """Return the gain of the causes on held-out data; None if they change nothing.
 
     Args:
         evidence: the recording compared with the given model.
@@ -31,7 +31,7 @@ def gain(evidence: Evidence, best: Assessment, noise: Mapping[Channel, float], s
         return float(np.sum(base[c] ** 2 - held_out[c] ** 2))
 
     main = max(channels, key=removed)
-    # A channel with nothing to remove says nothing about the fraction removed.
+    # A channel without removable error holds no information on the fraction removed.
     telling = tuple(c for c in channels if power(base[c]) > rules.REMOVABLE * power(evidence.noise[c])) or (main,)
     before, after, chance = (
         np.sum([np.bincount(evidence.block[c], e[c] ** 2, evidence.blocks) for c in telling], axis=0)
@@ -56,7 +56,7 @@ def _channel_gain(evidence: Evidence, after: Array, channel: Channel) -> Channel
 
 
 def closed_fraction(before: Array, after: Array, noise: Array, seed: int) -> tuple[float, tuple[float, float]]:
-    """Return the fraction of the removable power that is gone, and its 95 % interval from a bootstrap of the blocks.
+    """Return the fraction of the removable power that was removed, and its 95 % interval from a bootstrap of the blocks.
 
     Args:
         before: sum of squares of the given model's whitened residuals, by block.

@@ -1,4 +1,4 @@
-"""Cross-validation: how a fitted hypothesis does on blocks it was not fitted to."""
+"""Cross-validation of a fitted hypothesis on held-out blocks."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -17,14 +17,14 @@ from ehls_ros.diagnosis.stages import Channel
 
 
 class HeldOut(NamedTuple):
-    """How a fit does on blocks it was not fitted to.
+    """Performance of a fit on held-out blocks.
 
     Attributes:
         gain: decrease of the loss against the given model, by channel and block, shape (blocks,) [nats]; not yet divided by
             the channel's inflation.
-        residuals: whitened; in the channels it changes, each block's are those of the fit to the other blocks.
+        residuals: whitened; in the channels it changes, those of each block come from the fit to the other blocks.
         covariance: of the parameters, shape (p, p).
-        averaged: loss already subtracted from the gain because it comes from averaging noise, over all channels [nats].
+        averaged: gain from averaging noise, over all channels [nats]; already subtracted from the gain.
     """
 
     gain: Mapping[Channel, Array]
@@ -34,14 +34,14 @@ class HeldOut(NamedTuple):
 
 
 class Assessment(NamedTuple):
-    """A fitted hypothesis and how it does on held-out data."""
+    """A fitted hypothesis and its performance on held-out data."""
 
     fit: Fit
     held_out: HeldOut
 
     @property
     def hypothesis(self) -> Hypothesis:
-        """What was fitted."""
+        """The fitted hypothesis."""
         return self.fit.hypothesis
 
     @property
@@ -50,18 +50,18 @@ class Assessment(NamedTuple):
         return tuple(c.name for c in self.fit.hypothesis)
 
     def sigmas(self, index: int) -> float:
-        """Return how many standard errors the best determined parameter of a cause is from its neutral value."""
+        """Return the distance of a cause's best-determined parameter from its neutral value, in standard errors."""
         part = parts(self.hypothesis)[index]
         variance = np.diag(self.held_out.covariance)[part]
-        # A parameter that changes nothing has no variance either.
+        # A parameter without effect has zero variance too.
         deviation = np.sqrt(np.where(variance > 0.0, variance, np.inf))
         return float(np.max(np.abs(self.fit.values[part] - self.hypothesis[index].neutral) / deviation))
 
     def per_block(self, inflation: Mapping[Channel, float]) -> Array:
-        """Return the held-out gain of each block, shape (blocks,) [nats]; of a hypothesis that changes nothing a zero, (1,).
+        """Return the held-out gain of each block, shape (blocks,) [nats]; a zero of shape (1,) if nothing is changed.
 
         Args:
-            inflation: by which each channel's losses are divided, the same for all hypotheses that are compared.
+            inflation: divisor of each channel's losses, the same for all compared hypotheses.
         """
         return sum((gain / inflation[c] for c, gain in self.held_out.gain.items()), np.zeros(1))
 
@@ -69,13 +69,13 @@ class Assessment(NamedTuple):
         """Return the held-out gain less the penalty for parameters [nats].
 
         Args:
-            inflation: by which each channel's losses are divided, the same for all hypotheses that are compared.
+            inflation: divisor of each channel's losses, the same for all compared hypotheses.
         """
         gain = sum(float(g.sum()) / inflation[c] for c, g in self.held_out.gain.items())
         return gain - rules.PENALTY * len(self.fit.values)
 
     def excess(self, evidence: Evidence, channel: Channel) -> float:
-        """Return the loss of a channel beyond what noise explains [nats]."""
+        """Return the excess of a channel's loss over that of noise [nats]."""
         e = self.fit.residuals.values[channel]
         return max(0.0, float(np.sum(loss(e)) - rules.NOISE_LOSS * np.sum(loss(evidence.noise[channel]))))
 
@@ -86,7 +86,7 @@ def assess(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Assess
     Args:
         evidence: the recording compared with the given model.
         fit: the fitted hypothesis.
-        worker: to evaluate what the hypothesis gains by averaging noise, which is subtracted; without it nothing is.
+        worker: evaluates the gain from averaging noise, which is subtracted; if None, nothing is subtracted.
     """
     channels = fit.channels
     e = fit.residuals.joined(channels)
@@ -112,13 +112,13 @@ def assess(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Assess
 def leave_out(jacobian: Array, e: Array, block: NDArray[np.intp], blocks: int, scatter: Array) -> tuple[Array, Array]:
     """Return each block's residuals with the parameters fitted to the other blocks, and the parameters' covariance.
 
-    The influence of a block is removed to first order, which takes no further run of the model. The covariance is the larger
-    of what noise and what the disagreement between the blocks implies.
+    The influence of a block is removed to first order, without a further run of the model. The covariance is the larger of
+    those implied by noise and by the disagreement between the blocks.
 
     Args:
         jacobian: derivatives of the whitened residuals at the optimum, shape (n, p).
         e: the residuals, shape (n,).
-        block: block of each, shape (n,).
+        block: block of each residual, shape (n,).
         blocks: number of blocks.
         scatter: variance of each residual in units of the noise's, shape (n,).
 
@@ -127,7 +127,7 @@ def leave_out(jacobian: Array, e: Array, block: NDArray[np.intp], blocks: int, s
     """
     p = jacobian.shape[1]
     w = weights(e)
-    # In units of what each parameter alone changes, so that newtons per metre and metres can be solved for together.
+    # Parameters are scaled by their effect on the residuals, so that newtons per metre and metres can be solved together.
     unit = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-300)) if p else np.ones(0)
     j = jacobian / unit if p else jacobian
     gradients, normals = np.zeros((blocks, p)), np.zeros((blocks, p, p))

@@ -1,4 +1,4 @@
-"""What may be wrong with a model: every effect, in every form in which it can be fitted."""
+"""Candidate causes of a model's error: every effect, in every form in which it can be fitted."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -22,9 +22,9 @@ class Candidate(NamedTuple):
 
     Attributes:
         name: the effect's name.
-        number: number of the form, in the order of the effect's file.
+        number: number of the form in the effect's file.
         free: names of the parameters to fit.
-        fixed: names and values of the other parameters that are not neutral.
+        fixed: names and values of the other non-neutral parameters.
         starts: starting values of the free parameters, shape (starts, free).
         lower, upper: range of the free parameters, shape (free,).
         units: units of the free parameters.
@@ -43,12 +43,12 @@ class Candidate(NamedTuple):
 
     @property
     def separates_load(self) -> bool:
-        """Whether this separates the load from the piston; a rig can have only one such effect."""
+        """Whether the effect separates the load from the piston; a rig can have only one such effect."""
         return self.use(self.starts[-1]).piston_share > 0.0
 
     @property
     def parts_mass(self) -> bool:
-        """Whether this lets a mass move apart from the piston: the load, or one that is fitted."""
+        """Whether the effect lets a mass move relative to the piston: the load, or a fitted mass."""
         return self.separates_load or "kg" in self.units
 
     def use(self, values: Array) -> EffectUse:
@@ -59,7 +59,7 @@ class Candidate(NamedTuple):
 
 
 Hypothesis = tuple[Candidate, ...]
-"""Candidates that act together; none is the given model."""
+"""Candidates that act together; an empty tuple is the given model."""
 
 
 def parts(hypothesis: Hypothesis) -> list[slice]:
@@ -87,7 +87,7 @@ def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
 
 
 def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[Candidate], dict[str, str]]:
-    """Return every effect in every form that these data can test.
+    """Return every effect in every form testable with a recording.
 
     Args:
         record: the recording.
@@ -95,7 +95,7 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
         lines: frequencies of the strongest lines in the residuals' spectra [Hz].
 
     Returns:
-        The candidates, and the effects that cannot be tried with the reason.
+        The candidates, and the reason for each effect that cannot be tried.
     """
     found, out = list[Candidate](), dict[str, str]()
     for name in EFFECTS.names():
@@ -116,7 +116,7 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
 
 
 def at_lines(found: Sequence[Candidate], record: Record, rig: Rig, lines: Sequence[float]) -> list[Candidate]:
-    """Return the candidates whose fits start at spectral lines, with starts at other lines.
+    """Return the candidates with starts at spectral lines, restarted at other lines.
 
     Args:
         found: result of :func:`candidates`.
@@ -157,14 +157,14 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
     for column, parameter in enumerate(free):
         quantiles = [start for start in form.free[parameter] if isinstance(start, Quantile)]
         if quantiles:
-            # A threshold sought at one end of a signal's range must not settle in its middle.
+            # A threshold at one end of a signal's range must not settle in its middle.
             values = record.values(quantiles[0].signal)
             if min(q.fraction for q in quantiles) > 0.5:
                 lower[column] = max(lower[column], float(np.quantile(values, rules.OUTER)))
             elif max(q.fraction for q in quantiles) < 0.5:
                 upper[column] = min(upper[column], float(np.quantile(values, 1.0 - rules.OUTER)))
         elif form.free[parameter] and all(isinstance(start, Peak) for start in form.free[parameter]):
-            # A faster one shows nowhere but in the state that the friction starts from.
+            # A faster line shows only in the initial state of the friction.
             window = max(rules.WINDOW, rules.LEAST_WINDOW * record.period)
             upper[column] = min(upper[column], rules.FASTEST_LINE / window)
     if all(form.free.values()):

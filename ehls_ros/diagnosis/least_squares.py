@@ -7,7 +7,7 @@ from ehls_ros.diagnosis.loss import loss, weights
 
 
 def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower: Array, upper: Array) -> Array:
-    """Return a damped Gauss-Newton step that does not leave the bounds.
+    """Return a damped Gauss-Newton step that keeps parameters at a bound from leaving it.
 
     Args:
         jacobian: derivatives of the whitened residuals, shape (n, p).
@@ -32,7 +32,7 @@ def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower
         scaled = normal / np.outer(scale, scale) + damping * np.eye(len(scale))
         step[:] = 0.0
         step[free] = -np.linalg.lstsq(scaled, gradient / scale, rcond=1e-12)[0] / scale
-        # A parameter at a bound that would leave its range stays there, and the others are solved for again.
+        # A parameter at a bound that would leave its range is fixed there, and the others are solved for again.
         out = free & (((values + step < lower) & (values <= lower)) | ((values + step > upper) & (values >= upper)))
         if not np.any(out):
             break
@@ -44,7 +44,7 @@ def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower
 
 
 def products(j: Array, w: Array, e: Array) -> tuple[Array, Array]:
-    """Return jᵀ w j and jᵀ w e; for such thin matrices einsum beats a threaded matrix library."""
+    """Return jᵀ w j and jᵀ w e; for such thin matrices einsum is faster than a threaded matrix library."""
     return np.einsum("ni,n,nj->ij", j, w, j), np.einsum("ni,n,n->i", j, w, e)
 
 

@@ -1,4 +1,4 @@
-"""Huber's loss of whitened residuals: quadratic for noise, linear for what noise does not explain."""
+"""Huber loss of whitened residuals: quadratic in the range of noise, linear beyond."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def loss(e: Array) -> Array:
 
 
 def weights(e: Array) -> Array:
-    """Return the weights with which a quadratic loss has the same gradient as Huber's."""
+    """Return the weights for which a quadratic loss has the gradient of the Huber loss."""
     return np.minimum(1.0, rules.HUBER / np.maximum(np.abs(e), 1e-12))
 
 
@@ -23,10 +23,10 @@ def power(e: Array) -> float:
 
 
 def closed(before: Array, after: Array, noise: Array) -> float:
-    """Return the fraction of the error beyond noise that is gone, of whitened residuals."""
+    """Return the fraction of the error power beyond noise that was removed, from whitened residuals."""
     return (power(before) - power(after)) / max(power(before) - power(noise), 1e-300)
 
 
 def inflation(e: Array) -> float:
-    """Return by how much the variance of whitened residuals exceeds that of noise: at least 1."""
+    """Return the ratio of the variance of whitened residuals to that of noise, at least 1."""
     return max(1.0, float(np.mean(np.minimum(e * e, rules.MOST_SQUARE))))

@@ -1,10 +1,11 @@
-"""What a recording cannot be blamed for: its channels' skew, the drift of its clocks and the offsets of its converters.
+"""Allowances for measurement errors: skew between channels, clock drift and converter offsets.
 
-No two channels of a recorder are sampled at one moment. Filters delay one more than another, a multiplexer reads them in turn,
-clocks drift apart, and a converter's zero is as good as its data sheet. Half a sample between the recorded disturbance and what
-acts leaves a residual far above the noise, and some effect of the right frequency would explain it. So each signal may be late
-by up to one of its samples, more so at the end than at the beginning or less, and its zero may be off. One signal's skew in two
-channels is two allowances, so that an error in one stage does not spread to others through it.
+No two channels of a recorder are sampled at the same instant. Filters delay one more than another, a multiplexer reads them in
+turn, clocks drift apart, and a converter's zero is only as good as its data sheet. A skew of half a sample between the recorded
+and the acting disturbance leaves a residual far above the noise, which some effect of that frequency would explain.
+
+Each signal may therefore be late by up to one of its samples, with a drift over the recording, and its zero may be off. The
+skew of one signal in two channels is two separate allowances, so that an error in one stage does not spread to others.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,22 +22,22 @@ from ehls_ros.diagnosis.stages import CHANNELS, Channel, Comparison, Stage, form
 
 
 def beyond_measurement(evidence: Evidence) -> Evidence:
-    """Return evidence that counts only what skews, drifts and offsets within their bounds do not explain."""
+    """Return evidence with allowances for skews, drifts and offsets within their bounds."""
     return allowing(evidence, measurement(evidence), beyond_measurement)
 
 
 def measurement(evidence: Evidence) -> dict[Channel, Allowance]:
-    """Return what the measurement may add to each channel's residual.
+    """Return the allowance for measurement errors in each channel's residual.
 
     Args:
-        evidence: the recording compared with the given model, nothing allowed for yet.
+        evidence: the recording compared with the given model, without allowances.
     """
     record = evidence.record
     late, off = {c: list[Array]() for c in evidence.channels}, {c: list[Array]() for c in evidence.channels}
     for signal, values in record.signals.items():
         seen = tuple(c for c in evidence.channels if signal in formed_of(record, c))
-        # Skews count from the signal whose own noise shows most: a direction that holds a sensor's noise would hold what a
-        # delay of that sensor does to it, and any delay would seem to help.
+        # Skews are relative to the signal whose noise shows most: a direction containing a sensor's noise would also contain
+        # the effect of a delay on that noise, and any delay would seem to help.
         moving = tuple(c for c in seen if signal != formed_of(record, c)[0])
         if moving:
             sooner, later = (_residuals(evidence, signal, moved, moving) for moved in _moved(evidence.comparison(), signal))
@@ -51,7 +52,7 @@ def measurement(evidence: Evidence) -> dict[Channel, Allowance]:
 
 
 def allowed_for(evidence: Evidence, left: Mapping[Channel, Array]) -> str:
-    """Say what was allowed for, and where it takes off more than noise.
+    """Return a remark on the allowances, and the stages in which they explain more than noise.
 
     Args:
         evidence: the recording compared with the given model.
@@ -77,12 +78,12 @@ def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> All
     """Return the allowance for skews, drifts and offsets of one channel.
 
     Args:
-        late: change of the residual if a signal is one of its samples late, for all signals but the reference.
-        off: change of the residual with each signal's offset.
+        late: change of the residual by a delay of one original sample, for all signals but the reference.
+        off: change of the residual by each signal's offset.
         times: of the windows [s].
     """
     none = np.zeros(len(times))
-    # What all signals share is not seen: the reference late is all others early.
+    # A skew common to all signals is unobservable: a late reference is equivalent to all others early.
     skews = rules.SKEW * np.column_stack([-np.sum([none, *late], axis=0), *late])
     drift = (times - times[0]) / max(float(np.ptp(times)), 1e-300) - 0.5
     directions = np.column_stack([skews, skews * drift[:, None], *off])
@@ -90,16 +91,16 @@ def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> All
 
 
 def _residuals(evidence: Evidence, signal: str, values: Array, channels: tuple[Channel, ...]) -> dict[Channel, Array]:
-    """Return the given model's residuals in the usable windows with another signal, in the channels' units."""
+    """Return the given model's residuals in the usable windows with a signal replaced, in the channels' units."""
     other = evidence.record._replace(signals={**evidence.record.signals, signal: values})
     found = Comparison(other, evidence.setup).residuals(evidence.rig, channels)
     return {c: found[c][evidence.masks[c]] for c in channels}
 
 
 def _moved(comparison: Comparison, signal: str) -> Iterator[Array]:
-    """Yield a signal one of its samples sooner and later.
+    """Yield a signal advanced and delayed by one of its samples.
 
-    One that does not hold its value is moved by a local fit's derivatives: a whole sample's shift would mix the noise of
+    A signal without zero-order hold is shifted by the derivative of a local fit: a whole sample's shift would mix the noise of
     neighbouring samples, and averaged noise would look like the right skew.
     """
     record: Record = comparison.record

@@ -1,4 +1,4 @@
-"""What a missing signal would tell apart: each of two hypotheses says what that signal would have shown."""
+"""Missing signals that would distinguish two hypotheses, from each hypothesis' prediction of the signal."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,15 +24,15 @@ EXPECTED: Mapping[str, Callable[[Comparison, EffectiveRig], Array]] = {
     FORCE: lambda along, rig: rig.plant.piston_area * along.pressure(rig),
     VELOCITY: lambda along, rig: along.motion(rig).velocity,
 }
-"""What a model says of a signal that was not recorded, along those that were, shape (n,)."""
+"""Model prediction of an unrecorded signal from the recorded ones, shape (n,)."""
 
 
 STILL: Mapping[str, float] = {TEMPERATURE: OIL_TEMPERATURE + 1.0}
-"""Signals without which an effect is not tried, and a value at which it acts."""
+"""Signals without which an effect is not tried, and a value at which the effect acts."""
 
 
 def deciding(evidence: Evidence, one: Fit, other: Fit) -> tuple[str, ...]:
-    """Return the missing signals with which a balance could be formed that differs between two hypotheses.
+    """Return the missing signals that would allow a balance to be formed that differs between two hypotheses.
 
     Args:
         evidence: the recording compared with the given model.
@@ -47,7 +47,7 @@ def deciding(evidence: Evidence, one: Fit, other: Fit) -> tuple[str, ...]:
 
 
 def untried(evidence: Evidence, best: Fit, without: Fit) -> dict[str, tuple[str, ...]]:
-    """Return the effects not tried for want of a sensor that do what a cause does while that sensor's signal keeps still.
+    """Return the effects untried for lack of a sensor that reproduce a cause at a constant value of that sensor's signal.
 
     Args:
         evidence: the recording compared with the given model.
@@ -82,7 +82,7 @@ def _tells(along: Comparison, signal: str, one: Rig, other: Rig) -> bool:
     completed = record._replace(
         signals={**record.signals, signal: EXPECTED[signal](along, one.effective())},
         good={**record.good, signal: np.ones(len(record.time), dtype=np.bool_)},
-        # Nothing is to be read from it but what the new balances compare.
+        # It must not be used for anything but the new balances.
         noise={**record.noise, signal: math.inf},
     )
     whole = Comparison(completed, setup(completed, one))

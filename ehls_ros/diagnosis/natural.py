@@ -1,4 +1,4 @@
-"""What a healthy rig leaves and how far it varies without fault, learnt on baselines; evidence judged against that."""
+"""Remainder and fault-free variation of a healthy rig, learnt from baselines, and evidence judged against them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,24 +28,24 @@ SIGNALS: Mapping[Channel, tuple[str, ...]] = {
     "cell": (PRESSURE, PRESSURE_RATE, VELOCITY, POSITION),
     "velocity": (VELOCITY, PRESSURE, POSITION),
 }
-"""Signals the rig's own remainder may depend on, by channel; those that were not recorded are left out.
+"""Signals on which the rig's remainder may depend, by channel; unrecorded ones are left out.
 
-One term of each balance is missing. All of them together would tell the residual itself, whatever is wrong. Of two sensors of
-one quantity, each may also see another signal.
+One term of each balance is omitted, since all of them together would determine the residual itself, whatever the fault. Two
+sensors of one quantity may also respond to different other signals.
 """
 
 FACTORS: Mapping[Channel, str] = {
     "spool": COMMAND, "volume": SPOOL, "supply": SPOOL, "force": DIRECTION, "cell": PRESSURE, "velocity": VELOCITY,
 }  # fmt: skip
-"""The input of each channel's balance, which errors of its gain are proportional to, as of friction to the direction."""
+"""Input of each channel's balance, to which errors of its gain are proportional, as those of friction are to the direction."""
 
 OFFSET = "offset"
-"""Name of a channel's constant error, which is a sensor's and no coefficient's."""
+"""Name of a channel's constant error, which is due to a sensor and not to a coefficient."""
 
 SCALE = "piston_area"
-"""The coefficient in whose units the balances are weighed; it is not fitted, as all of them at zero close the balances, too.
+"""Coefficient that sets the scale of the balances; it is not fitted, since setting all coefficients to zero closes them too.
 
-No fault changes it. But at a pressure where no baseline has been, its error shows.
+No fault changes it, but its error shows at a pressure outside the baselines.
 """
 
 Signals = Mapping[str, Array]
@@ -53,12 +53,12 @@ Signals = Mapping[str, Array]
 
 
 class Described(NamedTuple):
-    """Evidence with what its remainder may be made of.
+    """Evidence with the possible components of its remainder.
 
     Attributes:
         evidence: a recording compared with the model.
-        errors: what errors of the coefficients add, by channel.
-        signals: signals the remainder may depend on, by channel.
+        errors: sensitivities to errors of the coefficients, by channel.
+        signals: signals on which the remainder may depend, by channel.
     """
 
     evidence: Evidence
@@ -67,20 +67,20 @@ class Described(NamedTuple):
 
 
 def describe(evidence: Evidence) -> Described:
-    """Return evidence with what its remainder may be made of."""
+    """Return evidence with the possible components of its remainder."""
     return Described(evidence, terms(evidence), signals_of(evidence))
 
 
 class Terms(NamedTuple):
-    """What the remainder of one channel is described by, on baselines and on a new recording alike.
+    """Components of one channel's remainder, common to the baselines and a new recording.
 
     Attributes:
-        size: largest term of the channel's balance, in whose units all of it is.
-        spreads: spread of each coefficient whose error counts, relative, by name; the first is :data:`OFFSET`.
-        signals: names of the signals the remainder depends on.
+        size: largest term of the channel's balance, used as its unit.
+        spreads: relative spread of each coefficient that may be in error, by name; the first is :data:`OFFSET`.
+        signals: names of the signals on which the remainder depends.
         factor: name of the channel's input.
-        unit: size of that, in whose units it is taken.
-        temperature: mean of the oil's [K]; None if a baseline does not tell it.
+        unit: rms of that input, used as its unit.
+        temperature: mean oil temperature [K]; None if a baseline lacks it.
     """
 
     size: float
@@ -93,12 +93,12 @@ class Terms(NamedTuple):
     def windows(self, recording: Described, channel: Channel) -> Windows:
         """Return a channel's windows of one recording.
 
-        A change of the oil's temperature changes the coefficients in proportion to it, the more the more they spread anyway.
+        The coefficients change in proportion to the oil's temperature and to their spread.
         """
         evidence, signals = recording.evidence, recording.signals[channel]
         count = len(evidence.floor[channel])
         by_name = {OFFSET: np.ones(count)} | {term.name: term.column / self.size for term in recording.errors[channel]}
-        # The piston's area is in its drawing.
+        # The piston's area is known from its drawing.
         by_name[SCALE] = by_name.get(SCALE, np.zeros(count)) * rules.AREA_ERROR / rules.LEFT_ERROR
         columns = np.column_stack([by_name.get(name, np.zeros(count)) for name in self.spreads])
         if self.temperature is not None:
@@ -109,38 +109,38 @@ class Terms(NamedTuple):
             residual=evidence.base.values[channel] * evidence.floor[channel] / self.size,
             noise=evidence.floor[channel] / self.size,
             terms=columns,
-            # A signal that is missing is taken to be zero.
+            # A missing signal is taken to be zero.
             signals=np.column_stack([np.empty((count, 0)), *(signals.get(name, np.zeros(count)) for name in self.signals)]),
             factor=signals.get(self.factor, np.zeros(count)) / self.unit,
             block=evidence.block[channel],
         )
 
     def learnt_on(self, recordings: Sequence[Windows]) -> Learnt:
-        """Learn the remainder."""
+        """Learn the remainder from the windows of several recordings."""
         spread = np.array(list(self.spreads.values()))
         fitted = np.array([name != SCALE for name in self.spreads])
         if self.temperature is not None:
-            # From recording to recording the oil's temperature varies, not what follows from it.
+            # From recording to recording the oil's temperature varies, not its effect.
             spread, fitted = np.concatenate([spread, np.zeros_like(spread)]), np.tile(fitted, 2)
         return learn(recordings, spread, fitted)
 
 
 class OfChannel(NamedTuple):
-    """What a healthy rig leaves in one channel.
+    """Remainder of a healthy rig in one channel.
 
     Attributes:
-        terms: what it is described by.
-        learnt: what was learnt.
+        terms: its components.
+        learnt: the learnt discrepancy.
     """
 
     terms: Terms
     learnt: Learnt
 
     def expected(self, new: Windows) -> Expected:
-        """Return what a healthy rig would leave in windows of another recording.
+        """Return the expected remainder of a healthy rig in windows of another recording.
 
-        Nothing tells how errors of form go on where no baseline has been: they are taken to grow with the distance, and far
-        away nothing is expected.
+        Errors of form cannot be extrapolated: outside the baselines their uncertainty grows with the distance, and far away
+        nothing is expected.
         """
         low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
@@ -151,10 +151,10 @@ class OfChannel(NamedTuple):
 
 
 class Natural(NamedTuple):
-    """What a healthy rig leaves.
+    """Remainder of a healthy rig in all channels.
 
     Attributes:
-        channels: what it leaves in each channel.
+        channels: the remainder by channel.
         healthy: the baselines, judged by it.
     """
 
@@ -162,19 +162,19 @@ class Natural(NamedTuple):
     healthy: tuple[Evidence, ...] = ()
 
     def expected(self, recording: Described) -> dict[Channel, Expected]:
-        """Return what a healthy rig would leave in each channel that a baseline has too, in units of its size."""
+        """Return the expected remainder of a healthy rig in each channel that a baseline has too, in units of its size."""
         channels = [c for c in recording.evidence.channels if c in self.channels]
         return {c: self.channels[c].expected(self.channels[c].terms.windows(recording, c)) for c in channels}
 
     def judged(self, evidence: Evidence) -> Evidence:
-        """Return the evidence with the rig's own remainder expected and its natural spread allowed for.
+        """Return the evidence with the rig's expected remainder subtracted and its natural spread allowed for.
 
         Channels that no baseline has are left out.
         """
         return self.judged_by(evidence, self.expected(describe(evidence)))
 
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
-        """Return the same with the expectation given."""
+        """Return the evidence judged by a given expectation."""
         near = {c: np.isfinite(healthy.variance) for c, healthy in expected.items()}
         allowances, evidence = {}, part_of(evidence, near)
         measured = measurement(evidence)
@@ -191,7 +191,7 @@ class Natural(NamedTuple):
 
 
 def learn_natural(baselines: Sequence[Described]) -> Natural:
-    """Learn what a healthy rig leaves, from its recordings compared with one and the same model."""
+    """Learn the remainder of a healthy rig from recordings compared with the same model."""
     out = dict[Channel, OfChannel]()
     for c in dict.fromkeys(c for b in baselines for c in b.evidence.channels):
         having = [b for b in baselines if c in b.evidence.channels]
@@ -201,7 +201,7 @@ def learn_natural(baselines: Sequence[Described]) -> Natural:
         made_of = Terms(
             size=max(1e-300, *(b.evidence.sizes[c] for b in having)),
             spreads=spreads | dict.fromkeys({SCALE} & set(spreads), 0.0),
-            # A signal that one of them lacks cannot be learnt from.
+            # A signal missing in one of them cannot be used.
             signals=tuple(name for name in SIGNALS[c] if name in told),
             factor=FACTORS[c],
             unit=float(np.sqrt(np.mean(values.get(FACTORS[c], np.zeros(1)) ** 2))) or 1.0,
@@ -213,7 +213,7 @@ def learn_natural(baselines: Sequence[Described]) -> Natural:
 
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
-    """Return the signals each channel's remainder may depend on, and the oil's temperature, over its usable windows."""
+    """Return the signals on which each channel's remainder may depend, and the oil's temperature, over its usable windows."""
     comparison = evidence.comparison()
     along = signals_along(comparison, evidence.rig)
     if VELOCITY in along:
@@ -221,7 +221,7 @@ def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
         along[DIRECTION] = np.tanh(along[VELOCITY] / slow)
     if "spool" in evidence.channels:
         along[SPOOL_RATE] = np.gradient(comparison.simulated_spool(evidence.rig.effective()), evidence.record.period)
-    # A load that a sensor gives answers to the friction: where the pressure is held it would tell the residual.
+    # A measured load responds to the friction: at controlled pressure it would determine the residual.
     told = [name for name in along if name not in evidence.record.measured]
     return {
         c: {name: evidence.means(c, along[name]) for name in (*SIGNALS[c], TEMPERATURE) if name in told}

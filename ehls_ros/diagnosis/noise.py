@@ -1,4 +1,4 @@
-"""What the sensors' noise does to each residual, found by adding more of it to the recording."""
+"""Effect of the sensors' noise on each residual, estimated by adding more noise to the recording."""
 
 import math
 from collections.abc import Mapping
@@ -15,14 +15,14 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import noise_of
 
 EXACT = (COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY)
-"""Signals that are commanded, not measured, unless the record says otherwise: they carry no sensor noise."""
+"""Signals that are commanded, not measured, unless listed in the record's ``measured``: they carry no sensor noise."""
 
 
 def deviations(record: Record) -> dict[str, Array]:
     """Return the standard deviation of each sample's noise, by signal, shape (n,).
 
-    Where the moments of sampling jitter, noise grows with the signal's rate. That is read off the signals that move fast beside
-    their noise; the others' third differences hold more than noise, and no more is taken for jitter than these have.
+    With sampling jitter, noise grows with the signal's rate. The jitter is estimated from signals that move fast relative to
+    their noise. Third differences of other signals contain more than noise, so their jitter is limited to that estimate.
     """
     exact = {name for name in EXACT if name not in record.measured}
     sampling = {
@@ -41,12 +41,12 @@ def deviations(record: Record) -> dict[str, Array]:
 
 
 class Sampling(NamedTuple):
-    """What a signal says of how it was sampled.
+    """Sampling quality estimated from a signal.
 
     Attributes:
-        jitter: standard deviation of the moments of sampling, in sampling periods; 0 where none shows.
+        jitter: standard deviation of the sampling instants, in sampling periods; 0 if none is detected.
         steady: standard deviation of the noise that does not grow with the signal's rate.
-        clear: whether the signal moves fast enough beside its noise to tell.
+        clear: whether the signal moves fast enough relative to its noise for an estimate.
     """
 
     jitter: float
@@ -55,7 +55,7 @@ class Sampling(NamedTuple):
 
 
 def _sampling(values: Array) -> Sampling:
-    """Tell noise that grows with a signal's rate from the rest."""
+    """Separate noise that grows with a signal's rate from the rest."""
     rate = np.gradient(values)
     speed = 0.5 * np.abs(rate[1:-2] + rate[2:-1])
     fast, slow = speed >= np.quantile(speed, rules.FAST_SAMPLES), speed <= np.quantile(speed, rules.SLOW_SAMPLES)
@@ -72,12 +72,12 @@ def _sampling(values: Array) -> Sampling:
 
 
 def with_noise(record: Record, deviation: Mapping[str, Array], rng: np.random.Generator) -> Record:
-    """Return the record with as much noise added as its sensors have.
+    """Return the record with added noise of the sensors' level.
 
     Args:
         record: the recording.
-        deviation: of each sample's noise, by signal, as :func:`deviations` gives it.
-        rng: the source of the noise.
+        deviation: of each sample's noise, by signal, from :func:`deviations`.
+        rng: random generator of the noise.
     """
     noisy = {
         name: values + deviation[name] * rng.standard_normal(len(values)) if np.any(deviation[name]) else values
@@ -94,17 +94,17 @@ def scatter(
     seed: int,
     realisations: int = rules.REALISATIONS,
 ) -> tuple[dict[Channel, Array], list[dict[Channel, Array]]]:
-    """Return the standard deviation of each window's residual that is no error of the model, by channel.
+    """Return the standard deviation of each window's residual for a correct model, by channel.
 
-    With it, what each realisation of the noise adds to the residuals.
+    Returned with it is the change of the residuals by each realisation of the noise.
 
     Args:
         comparison: of the recording.
         rig: the given model.
         raw: its residuals, in each channel's unit.
         deviation: of each sample's noise, by signal.
-        seed: of the noise that is added.
-        realisations: how often it is added.
+        seed: of the added noise.
+        realisations: number of realisations.
     """
     rng = np.random.default_rng(seed)
     record, channels = comparison.record, tuple(raw)
@@ -127,7 +127,7 @@ def scatter(
         variance = squares[c] / realisations
         typical = float(np.median(variance))
         local = scipy.ndimage.uniform_filter1d(variance, rules.VARIANCE_WINDOWS, mode="nearest")
-        # Where a wider local fit of the motion gives another residual, the fit is uncertain by the difference.
+        # The change of the residual by a wider local fit of the motion measures the uncertainty of the fit.
         unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, rules.FIT_ERROR_WINDOWS, mode="nearest")
         unresolved += scipy.ndimage.uniform_filter1d((led[c] - raw[c]) ** 2, rules.LEAD_WINDOWS, mode="nearest")
         out[c] = np.sqrt(np.maximum(local, rules.LEAST_VARIANCE * typical) + unresolved)

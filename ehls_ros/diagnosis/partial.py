@@ -1,9 +1,9 @@
-"""Causes named while something remains: no rig is its model, and what no effect describes is counted as noise.
+"""Partial answer: causes named although an unexplained remainder is left, which is counted as noise.
 
-A search that takes for noise only what the sensors have finds ever more causes in what a model's form leaves, and holds each
-for certain. Here what the best hypothesis leaves is counted as noise too, which tells little however long the recording (a
-coarsened posterior: Miller, Dunson 2019), and a cause must stand out of the errors of form that any model has. Where none does,
-or where several values of the rig file are wrong, these are fitted first and the causes sought beside them.
+If only the sensors' noise counts as noise, a search finds ever more causes in the errors of a model's form, each seemingly
+certain. Here the remainder of the best hypothesis counts as noise too, with little information however long the recording (a
+coarsened posterior: Miller, Dunson 2019), and a cause must exceed the errors of form that any model has. If none does, or if
+several values of the rig file are wrong, these are fitted first and the causes sought beside them.
 """
 
 from contextlib import closing
@@ -31,9 +31,9 @@ class PartialAnswer(NamedTuple):
     """Causes that explain a fraction of the error.
 
     Attributes:
-        evidence: the recording compared with the given model, with what remains counted as noise.
-        found: the causes that matter beside it.
-        refitted: names of those that stand for a wrong value in the rig file, where several of its values are wrong.
+        evidence: the recording compared with the given model, with the remainder counted as noise.
+        found: the causes that are significant beside it.
+        refitted: names of those that correct a value of the rig file, if several of its values are wrong.
     """
 
     evidence: Evidence
@@ -42,17 +42,17 @@ class PartialAnswer(NamedTuple):
 
 
 def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: int) -> PartialAnswer | None:
-    """Return the causes that matter although something remains; None if none does.
+    """Return the causes that are significant despite an unexplained remainder; None if there is none.
 
     Args:
-        found: what the search found while only the sensors' noise counted as noise.
-        starts: where its fits started.
+        found: result of the search with only the sensors' noise counted as noise.
+        starts: starting points of its fits.
         progress: called with the progress.
         seed: of the resampling.
     """
     evidence = starts.pool.evidence
     if evidence.baselines:
-        # What the rig's own form leaves counted as noise from the beginning.
+        # The remainder of the model's form has counted as noise from the beginning.
         whole, told = in_full(evidence, found)
         return PartialAnswer(whole, told) if told.best.names and worthwhile(whole, told.best) else None
     few = _beside_form(found, starts, progress)
@@ -68,7 +68,7 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
         return few
     known, again = needed(starts, many, seed)
     best = again.best
-    # What is stretched as far as it goes stands for something else.
+    # A cause at a bound of its range imitates another one.
     if any(at_a_bound(c, best.fit.values[p]) for c, p in zip(best.hypothesis, parts(best.hypothesis), strict=True)):
         return few
     given = () if values is None else values.hypothesis
@@ -77,7 +77,7 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
 
 
 def _beside_form(found: Searched, starts: Starts, progress: Progress) -> PartialAnswer | None:
-    """Return the few causes that stand out of errors of form, if there are any."""
+    """Return the few causes that exceed errors of form, if there are any."""
     remains = remainder_as_noise(starts.pool.evidence, found.best.held_out.residuals.values)
     known = replace(remains, form=rules.FORM_ERROR)
     with closing(starts.pool.beside(known)) as pool:
@@ -86,7 +86,7 @@ def _beside_form(found: Searched, starts: Starts, progress: Progress) -> Partial
 
 
 def _explains_more(evidence: Evidence, residuals: Residuals, few: PartialAnswer) -> bool:
-    """Tell whether residuals are so much smaller than what a few causes leave that these miss something worthwhile."""
+    """Return whether residuals are so much smaller than those of a few causes that these miss a worthwhile part."""
     best = few.found.best
     main = max(best.held_out.gain, key=lambda c: float(np.sum(best.held_out.gain[c])))
     left = best.held_out.residuals.values[main] * few.evidence.floor[main] / evidence.floor[main]
@@ -94,7 +94,7 @@ def _explains_more(evidence: Evidence, residuals: Residuals, few: PartialAnswer)
 
 
 def worthwhile(evidence: Evidence, best: Assessment) -> bool:
-    """Tell whether a hypothesis is worth naming: where it explains most it closes most of the error, and leaves a small one."""
+    """Return whether a hypothesis closes most of the error in its main channel and leaves a small one there."""
     after, main = best.held_out.residuals.values, most_explained(evidence.base, best.held_out.residuals)
     little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
     return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE

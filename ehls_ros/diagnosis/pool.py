@@ -1,4 +1,4 @@
-"""Threads that evaluate hypotheses side by side."""
+"""Thread pool for the parallel evaluation of hypotheses."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,15 +16,15 @@ Item = TypeVar("Item")
 Done = TypeVar("Done")
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction of the diagnosis that is done."""
+"""Called with the current activity and the completed fraction of the diagnosis."""
 
 
 class Pool:
-    """Threads, each with its own worker; the kernels run without Python's lock.
+    """Threads with one worker each; the kernels release Python's global lock.
 
     Attributes:
         evidence: the recording compared with the given model.
-        few: a few blocks of it if it is long enough for these to save time, or else all of it.
+        few: a few blocks of it if it is long enough for a selection to save time, otherwise all of it.
     """
 
     def __init__(self, evidence: Evidence, threads: int, few: Evidence | None = None) -> None:
@@ -32,8 +32,8 @@ class Pool:
 
         Args:
             evidence: the recording compared with the given model.
-            threads: how many.
-            few: of another pool, to take the same blocks.
+            threads: number of threads.
+            few: blocks of another pool, to be used here too.
         """
         self.evidence, self.few = evidence, few or few_blocks(evidence)
         self._threads = threads
@@ -44,11 +44,11 @@ class Pool:
         self._executor, self._leaders = ThreadPoolExecutor(threads), ThreadPoolExecutor(threads)
 
     def beside(self, evidence: Evidence) -> "Pool":
-        """Return as many threads for the same recording beside another noise floor."""
+        """Return a pool of the same size for the same recording with another noise floor."""
         return Pool(evidence, self._threads, self.few)
 
     def map(self, work: Callable[[Worker, Item], Done], items: Sequence[Item]) -> list[Done]:
-        """Do the work on every item and return the results in the items' order; the first exception is raised."""
+        """Apply a function to every item in parallel and return the results in order; the first exception is raised."""
 
         def one(item: Item) -> Done:
             worker = self._free.get()
@@ -60,7 +60,7 @@ class Pool:
         return list(self._executor.map(one, items))
 
     def lead(self, work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
-        """Do work that itself calls :meth:`map` on the items side by side; results in their order."""
+        """Apply a function that itself calls :meth:`map` to every item in parallel; results in the items' order."""
         return list(self._leaders.map(work, items))
 
     def close(self) -> None:
@@ -70,7 +70,7 @@ class Pool:
 
 
 def few_blocks(evidence: Evidence) -> Evidence:
-    """Return the evidence from a few blocks of a recording; all of it where a selection would save no time."""
+    """Return the evidence from a few blocks of a recording, or all of it if a selection would save no time."""
     ranges = informative_blocks(evidence)
     if ranges is None:
         return evidence
@@ -79,9 +79,9 @@ def few_blocks(evidence: Evidence) -> Evidence:
 
 
 def informative_blocks(evidence: Evidence) -> list[tuple[int, int]] | None:
-    """Return the sample ranges of the blocks in which the given model does worst, and of as many spread over the recording.
+    """Return the sample ranges of the blocks with the largest loss, and of as many spread over the recording.
 
-    None where the recording is too short for a selection to save time.
+    None if the recording is too short for a selection to save time.
     """
     samples, blocks, count = len(evidence.record.time), evidence.blocks, rules.SCREENED_BLOCKS
     if blocks <= 3 * count // 2:

@@ -1,4 +1,4 @@
-"""How probable hypotheses are among each other."""
+"""Relative probabilities of competing hypotheses."""
 
 from collections.abc import Sequence
 
@@ -9,13 +9,13 @@ from ehls_ros.diagnosis import rules
 
 
 def probabilities(gains: Sequence[Array], parameters: Sequence[int], seed: int) -> Array:
-    """Return the probability of each of several hypotheses, given what it gains on every held-out block.
+    """Return the probability of each of several hypotheses, given their gains on the held-out blocks.
 
     Stacking by a Bayesian bootstrap of the blocks (Yao, Vehtari, Simpson, Gelman 2018): the mean over resamplings of its share
     of the likelihood.
 
     Args:
-        gains: of each hypothesis, shape (blocks,) [nats]; empty for one that changes nothing.
+        gains: of each hypothesis, shape (blocks,) [nats]; empty for a hypothesis that changes nothing.
         parameters: number of free parameters of each.
         seed: of the resampling.
 

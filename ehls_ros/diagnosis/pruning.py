@@ -1,7 +1,7 @@
-"""What is needed of many causes: those that are probable enough where what remains is counted as noise.
+"""Pruning of improbable causes, with the remainder counted as noise.
 
-A search that takes for noise only what the sensors have adds causes that fit the form of what remains, and takes one with many
-parameters for one with few. Where what remains is counted as noise, each cause has to be more than such a form.
+If only the sensors' noise counts as noise, a search adds causes that fit the form of the remainder, and prefers causes with
+many parameters. With the remainder counted as noise, each cause has to exceed such errors of form.
 """
 
 from collections.abc import Mapping
@@ -21,26 +21,26 @@ from ehls_ros.diagnosis.search import Place, Searched, inflations
 from ehls_ros.diagnosis.starts import Starts
 
 Rivals = Mapping[str, tuple[Fit, ...]]
-"""By the name of a cause that was sought, the causes that may take its place."""
+"""Possible replacements, by the name of the sought cause."""
 
 
 class Changed(NamedTuple):
-    """A hypothesis with one cause less, or with another in its place."""
+    """A hypothesis with one cause dropped or replaced."""
 
     best: Assessment
     rivals: Rivals
 
 
 def needed(starts: Starts, found: Searched, seed: int) -> tuple[Evidence, Searched]:
-    """Leave out and exchange causes of a hypothesis until each is probable enough.
+    """Drop and exchange causes of a hypothesis until each is probable enough.
 
     Args:
-        starts: where the search's fits started.
-        found: the causes, of which the places of the last are known.
+        starts: starting points of the search's fits.
+        found: result of the search; places are known for the last causes.
         seed: of the resampling.
 
     Returns:
-        The comparison with what remains counted as noise, and the causes as assessed there, with a place for each.
+        The evidence with the remainder counted as noise, and the causes assessed on it, with a place for each.
     """
     pool, best, left = starts.pool, found.best.fit, found.best.held_out.residuals.values
     sought = best.hypothesis[len(best.hypothesis) - len(found.places) :]
@@ -60,7 +60,7 @@ def needed(starts: Starts, found: Searched, seed: int) -> tuple[Evidence, Search
 
 
 def _rivals(starts: Starts, place: Place, cause: Candidate) -> tuple[Fit, ...]:
-    """Return other causes for the place of one, first those with fewer parameters, which a search may not have come to."""
+    """Return replacements for a cause, those with fewer parameters first, which a search may not have reached."""
     simple = [start.fit for start in starts.extensions(place.without, len(cause.free) - 1)]
     others = {fit.hypothesis[-1].name: fit.only(-1) for fit in (*simple, *(rival.fit for rival in place.rivals))}
     others.pop(cause.name, None)
@@ -68,7 +68,7 @@ def _rivals(starts: Starts, place: Place, cause: Candidate) -> tuple[Fit, ...]:
 
 
 def _assessed(pool: Pool, best: Fit, rivals: Rivals, found: Searched) -> Searched:
-    """Fit a hypothesis, the same without each of its causes, and with the rivals in their places."""
+    """Fit a hypothesis, each variant without one cause, and each with a rival in that cause's place."""
     (now,) = pool.map(_fitted, [best])
     without = pool.map(_fitted, [now.fit.without(i) for i in range(len(now.names))])
     places = []
@@ -81,7 +81,7 @@ def _assessed(pool: Pool, best: Fit, rivals: Rivals, found: Searched) -> Searche
 
 
 def _changes(evidence: Evidence, now: Searched, rivals: Rivals, seed: int) -> list[Changed]:
-    """Return the hypotheses without a cause that is too improbable, and those with a better one in its place."""
+    """Return the hypotheses without an improbable or irrelevant cause, and those with a better one in a cause's place."""
     best, scale, out = now.best, now.inflation, list[Changed]()
     for index, (name, place) in enumerate(zip(best.names, now.places, strict=True)):
         rest = {n: causes for n, causes in rivals.items() if n != name}
@@ -97,12 +97,12 @@ def _changes(evidence: Evidence, now: Searched, rivals: Rivals, seed: int) -> li
 
 
 def _fitted(worker: Worker, start: Fit) -> Assessment:
-    """Fit a hypothesis from its values and assess it; its residuals and derivatives need not be the worker's."""
+    """Fit a hypothesis from its values and assess it; its residuals and derivatives are evaluated afresh."""
     fit = worker.linearise(start.hypothesis, start.values, start.steps)
     return assess(worker.evidence, worker.fit(fit) if fit.hypothesis else fit)
 
 
 def _matters(evidence: Evidence, best: Assessment, less: Assessment) -> bool:
-    """Tell whether a cause acts where the hypothesis explains most, or is larger than an error of form."""
+    """Return whether a cause acts in the hypothesis' main channel or exceeds an error of form."""
     main = most_explained(evidence.base, best.held_out.residuals)
     return mostly_in(best, less) == main or relevance(evidence, differences(evidence, best, less)) >= rules.FORM_ERROR

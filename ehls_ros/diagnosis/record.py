@@ -1,4 +1,4 @@
-"""A recording prepared for diagnosis: signals on one even time base, with the samples that can be trusted."""
+"""Preparation of a recording for diagnosis: signals on a uniform time base, with masks of the valid samples."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,28 +23,28 @@ TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY = "oil_temperature_k", "disturbance_
 USED = (
     COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, VELOCITY, FORCE, LOAD, TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY,
 )  # fmt: skip
-"""Signals that diagnosis uses."""
+"""Signals used by the diagnosis."""
 
 HELD = (COMMAND,)
-"""Signals that hold their value until the next sample."""
+"""Signals with zero-order hold between samples."""
 
 
 class Record(NamedTuple):
-    """Signals on an even time base.
+    """Signals on a uniform time base.
 
     Attributes:
-        name: what the recording is called in messages.
+        name: name of the recording in messages.
         period: sampling period [s].
         time: sample times, shape (n,) [s].
         signals: values by name, finite everywhere, shape (n,).
-        good: where a signal's values rest on measured samples, shape (n,).
+        good: mask of the values that come from measured samples, by signal, shape (n,).
         noise: standard deviation of each signal's white noise, including its resolution.
-        fresh: samples at which a continuous stretch begins.
-        duration: time the recording spans, including what was left out [s].
-        remarks: what was done to the data, one sentence each.
-        own: sampling periods of the signals that were slower than the time base [s].
-        measured: signals that a sensor gave although experiments command them.
-        not_judged: stages that these data cannot judge, with the reason.
+        fresh: mask of the samples at which a continuous stretch begins.
+        duration: time spanned by the recording, omitted parts included [s].
+        remarks: remarks on the preparation, one sentence each.
+        own: sampling periods of the signals slower than the time base [s].
+        measured: measured signals that are commanded in experiments.
+        not_judged: stages that cannot be judged from these data, with the reason.
     """
 
     name: str
@@ -61,19 +61,19 @@ class Record(NamedTuple):
     not_judged: Mapping[str, str] = {}
 
     def __contains__(self, signal: object) -> bool:
-        """Tell whether a signal was recorded."""
+        """Return whether a signal was recorded."""
         return signal in self.signals
 
     def sampled(self, *signals: str) -> float:
-        """Return the sampling period of the slowest of some signals, those not recorded left out [s]."""
+        """Return the sampling period of the slowest of some signals, ignoring those not recorded [s]."""
         return max([self.period, *[self.own[signal] for signal in signals if signal in self.own and signal in self.signals]])
 
     def values(self, signal: str) -> Array:
-        """Return a signal, zeros where it was not recorded, shape (n,)."""
+        """Return a signal, or zeros if it was not recorded, shape (n,)."""
         return self.signals[signal] if signal in self.signals else np.zeros(len(self.time))
 
     def parts(self, ranges: Sequence[tuple[int, int]]) -> "Record":
-        """Return the record of some ranges of samples, each as a separate stretch."""
+        """Return the record of some sample ranges, each as a separate stretch."""
         index = np.concatenate([np.arange(*r) for r in ranges])
         fresh = self.fresh[index]
         fresh[np.cumsum([0, *[end - begin for begin, end in ranges[:-1]]])] = True
@@ -86,15 +86,15 @@ class Record(NamedTuple):
 
 
 def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
-    """Resample a recording to an even time base and find the samples that can be trusted.
+    """Resample a recording to a uniform time base and mark the valid samples.
 
     Args:
         trajectory: the recording, any subset of :data:`USED`.
-        rig: the rig, which reveals wrong units.
-        name: what the recording is called in errors.
+        rig: the rig, used to detect wrong units.
+        name: name of the recording in errors.
 
     Returns:
-        The record, without signals that are missing or have no finite sample.
+        The record, without signals that have no finite sample.
 
     Raises:
         BadInput: time does not increase, too much of a signal is bad, or recording and rig contradict each other.
@@ -157,12 +157,12 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
 
 
 def spread_noise(own: Own, period: float) -> float:
-    """Return the white noise on a faster clock that has the power density of an interpolated signal's own noise.
+    """Return the white-noise level on a faster clock with the power density of an interpolated signal's noise.
 
-    Over windows of several of its own samples, both do the same to means, rates and curvatures.
+    Over windows of several original samples, both have the same effect on means, rates and curvatures.
 
     Args:
-        own: how the signal was sampled.
+        own: original sampling of the signal.
         period: of the clock [s].
     """
     return own.noise * math.sqrt(own.period / period)
@@ -181,7 +181,7 @@ def _stretches(time: Array, remarks: list[str]) -> NDArray[np.intp]:
 
 
 def _on_grid(time: Array, values: Array, right: Mask, grid: Array, period: float, held: bool) -> tuple[Array, Mask]:
-    """Return a signal's values on the grid, and where they rest on measured samples."""
+    """Return a signal's values on the grid, and a mask of those that come from measured samples."""
     known, at = values[right], time[right]
     if held:
         index = np.clip(np.searchsorted(at, grid + rules.COMMAND_LATENESS * period, side="right") - 1, 0, len(at) - 1)
@@ -196,7 +196,7 @@ def _on_grid(time: Array, values: Array, right: Mask, grid: Array, period: float
 
 
 def _not_spikes(values: Array) -> Mask:
-    """Tell which samples of a command are finite and not lone spikes; a step is followed by more samples at its level."""
+    """Return the samples of a command that are finite and no lone spikes; a step is followed by more samples at its level."""
     whole = filled(values)
     before, after = np.concatenate([whole[:1], whole[:-1]]), np.concatenate([whole[1:], whole[-1:]])
     off = _stands_off(whole)
@@ -216,7 +216,7 @@ def _stands_off(values: Array) -> Array:
 
 
 def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
-    """Tell which samples of a command the spool responds to: they were sent, however much they look like spikes.
+    """Return the samples of a command to which the spool responds: these were sent, even if they look like spikes.
 
     A switching controller sends such lone samples.
 
@@ -230,7 +230,7 @@ def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
     moves = np.diff(spool, prepend=spool[:1])
     turns = np.abs(np.diff(moves, prepend=moves[:1]))
     window = max(3, round(rules.ANSWERED_WITHIN / period))
-    # The strongest in the window that begins at each sample.
+    # The strongest response in the window that begins at each sample.
     strongest = scipy.ndimage.maximum_filter1d(turns, window, origin=-(window // 2), mode="nearest")
     follows = abs(rig.plant.valve_gain) * (1.0 - math.exp(-rig.plant.valve_bandwidth * period))
     answered: Mask = np.isfinite(command) & (strongest > rules.ANSWERED * follows * _stands_off(filled(command)))
@@ -238,11 +238,11 @@ def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
 
 
 def _noise(values: Array, period: float) -> float:
-    """Return the standard deviation of a signal's noise, or of its quantisation where that is larger."""
+    """Return the standard deviation of a signal's noise, or of its quantisation if that is larger."""
     moves = np.abs(np.diff(values[: min(len(values), rules.RESOLUTION_SAMPLES)]))
     moves = moves[moves > 1e-12 * max(float(np.max(np.abs(values))), 1e-300)]
     lattice = float(np.min(moves)) if moves.size else 0.0
-    # A resolution is a step of which all differences are multiples.
+    # All differences must be multiples of a resolution.
     if lattice > 0.0 and np.max(np.abs(moves / lattice - np.round(moves / lattice))) > rules.RESOLUTION_MISFIT:
         lattice = 0.0
     found = noise_between_moves if period > rules.SLOWEST_TURN else noise

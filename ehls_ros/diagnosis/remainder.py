@@ -1,4 +1,4 @@
-"""What remains of each channel's residual with the causes named: noise, an incident, or an error that no cause explains."""
+"""Remainder of each channel's residual with the named causes: noise, an incident, or an unexplained error."""
 
 import math
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from ehls_ros.diagnosis.stages import Channel
 
 
 class Blocks(NamedTuple):
-    """How a channel's windows are grouped.
+    """Grouping of a channel's windows into blocks.
 
     Attributes:
         number: block of each window, shape (n,).
@@ -33,13 +33,13 @@ class Blocks(NamedTuple):
     times: Array
 
     def worst(self, e: Array) -> int:
-        """Return the block in which whitened residuals are largest."""
+        """Return the block with the largest whitened residuals."""
         return int(np.argmax(np.bincount(self.number, e * e, self.total)))
 
     def elsewhere(self, e: Array) -> Array:
-        """Return whitened residuals without the block in which they are largest, unless that is most of them.
+        """Return whitened residuals without the block in which they are largest, unless it holds most of them.
 
-        An error of the model recurs. What occurs once may be an incident, or a reversal hidden in noise, after which the
+        An error of the model recurs. A single occurrence may be an incident, or a reversal hidden in noise, after which the
         friction model's elements differ from the rig's until the next reversal.
         """
         others: Array = e[self.number != self.worst(e)]
@@ -52,13 +52,13 @@ class Blocks(NamedTuple):
 
 
 class Relevance(NamedTuple):
-    """When a residual is more than noise, and large enough to matter.
+    """Thresholds above which a residual significantly exceeds the noise.
 
     Attributes:
         noise: mean square due to noise.
-        limit: rms whitened residual beyond the noise that matters.
-        clear: mean square that matters even if it is small beside the largest term, or comes from one block only.
-        scatter: multiple of the noise above which there may be more.
+        limit: relevant rms whitened residual beyond the noise.
+        clear: mean square that is relevant even if small beside the largest term, or from one block only.
+        scatter: multiple of the noise power that noise alone may reach.
     """
 
     noise: float
@@ -67,29 +67,29 @@ class Relevance(NamedTuple):
     scatter: float = rules.SCATTER
 
     def exceeded(self, e: Array) -> bool:
-        """Tell whether whitened residuals are more than noise by enough to matter."""
+        """Return whether whitened residuals exceed the noise by a relevant amount."""
         rms = power(e) - self.scatter * self.noise
-        # What acts seldom has a small rms; where it acts it matters.
+        # A rare error has a small rms, but is relevant where it acts.
         rare = float(np.quantile(e * e, rules.RARE_QUANTILE)) - rules.RARE_SCATTER * self.scatter * self.noise
         return math.sqrt(max(rms, 0.0)) > self.limit or math.sqrt(max(rare, 0.0)) > rules.RARE_FACTOR * self.limit
 
     def recurs(self, e: Array, blocks: Blocks) -> bool:
-        """Tell whether there is more than noise in several blocks, or so much in one that it is no incident."""
+        """Return whether the residual exceeds the noise in several blocks, or in one by too much for an incident."""
         return self.exceeded(blocks.elsewhere(e)) or power(e) > self.clear
 
 
 class Remainder(NamedTuple):
-    """What remains of a channel's residual.
+    """Remainder of a channel's residual.
 
     Attributes:
         channel: the channel.
         before, after: rms whitened residual of the given model, and with the causes on held-out data.
         noise: rms due to noise.
-        closed: fraction of the removable power that is gone; 1 where there was none.
-        exceeded: whether there was more than noise, by enough to matter.
-        remains: whether there still is.
-        incident: the only interval in which there is, if there is one [s].
-        explained: whether the causes that act in the channel leave no more than noise or close most of it, and none of them
+        closed: fraction of the removable power that was removed; 1 if there was none.
+        exceeded: whether the residual before exceeds the noise by a relevant amount.
+        remains: whether the residual after does.
+        incident: the only interval in which it does, if there is just one [s].
+        explained: whether the causes acting in the channel leave only noise or close most of the error, and none of them
             imitates an effect outside the list.
     """
 
@@ -105,31 +105,31 @@ class Remainder(NamedTuple):
 
     @property
     def unexplained(self) -> bool:
-        """Whether the model errs here in a way that the causes do not account for."""
+        """Whether the channel has an error that the causes do not explain."""
         return not self.explained or (self.remains and self.closed < rules.CLOSED)
 
     @property
     def doubtful(self) -> bool:
-        """Whether more remains than a right cause usually leaves because of its form."""
+        """Whether more remains than a correct cause usually leaves because of its inexact form."""
         return self.closed < 1.0 - rules.LEFT_BY_FORM and self.after > rules.STANDS_OUT * self.noise
 
     @property
     def excess(self) -> float:
-        """Rms that remains, in multiples of the noise."""
+        """Remaining rms in multiples of the noise."""
         return self.after / max(self.noise, 1e-12)
 
 
 def remainder(
     channel: Channel, before: Array, after: Array, blocks: Blocks, relevance: Relevance, *, changed: bool, imitated: bool
 ) -> Remainder:
-    """Describe what remains of one channel's residual.
+    """Describe the remainder of one channel's residual.
 
     Args:
         channel: the channel.
         before: whitened residual of the given model, shape (n,).
         after: the same with the causes, on held-out data, shape (n,).
-        blocks: how the windows are grouped.
-        relevance: when a residual is more than noise by enough to matter.
+        blocks: grouping of the windows.
+        relevance: thresholds of a significant residual.
         changed: whether a cause acts in the channel.
         imitated: whether the causes there only imitate an effect outside the list.
     """
@@ -155,7 +155,7 @@ def remainder(
 
 
 def remainder_in(evidence: Evidence, best: Assessment, channel: Channel, *, imitated: bool = False) -> Remainder:
-    """Describe what a hypothesis leaves in a channel."""
+    """Describe the remainder of a hypothesis in a channel."""
     return remainder(
         channel,
         evidence.base.values[channel],
@@ -168,10 +168,10 @@ def remainder_in(evidence: Evidence, best: Assessment, channel: Channel, *, imit
 
 
 def in_full(evidence: Evidence, found: Searched) -> tuple[Evidence, Searched]:
-    """Return what was compared and found with all allowances taken as the best hypothesis has them.
+    """Return evidence and search result with all allowances fixed at the best hypothesis' values.
 
-    To be named, a delay or an offset must exceed what is allowed for, and residuals hold only what exceeds it. Once it is
-    named, what is wrong without it counts in full.
+    To be named, a delay or an offset must exceed its allowance, and residuals contain only the excess. Once it is named, the
+    whole error without it counts.
     """
     taken = {c: evidence.whole(c, e) - e for c, e in found.best.held_out.residuals.values.items()}
 
@@ -186,14 +186,14 @@ def in_full(evidence: Evidence, found: Searched) -> tuple[Evidence, Searched]:
 
 
 def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evidence:
-    """Return the comparison with what a hypothesis leaves counted as noise, channel by channel.
+    """Return the evidence with a hypothesis' remainder counted as noise, channel by channel.
 
-    The sensors' noise is independent from window to window. An error of form repeats wherever the rig comes by again: however
-    long the recording, it tells no more than :data:`rules.FORM_FREEDOMS` independent windows would.
+    The sensors' noise is independent from window to window. An error of form repeats whenever the rig revisits an operating
+    point: however long the recording, it is worth no more than :data:`rules.FORM_FREEDOMS` independent windows.
 
     Args:
-        evidence: the comparison.
-        left: held-out residuals of the hypothesis, whitened with the comparison's own noise floor.
+        evidence: the recording compared with the given model.
+        left: held-out residuals of the hypothesis, whitened with the noise floor of the evidence.
     """
     floor, correlation = dict[Channel, Array](), dict[Channel, float]()
     for c in evidence.channels:
@@ -206,23 +206,23 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
 
 
 def remainders(evidence: Evidence, found: Searched) -> tuple[Remainder, ...]:
-    """Describe what the causes leave in each channel."""
+    """Describe the remainder of the causes in each channel."""
     imitated = imitated_channels(evidence, found)
     return tuple(remainder_in(evidence, found.best, c, imitated=c in imitated) for c in evidence.channels)
 
 
 def blocks_of(evidence: Evidence, channel: Channel) -> Blocks:
-    """Return how a channel's windows are grouped."""
+    """Return the grouping of a channel's windows."""
     return Blocks(evidence.block[channel], evidence.blocks, evidence.times[channel])
 
 
 def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -> Relevance:
-    """Return when a channel's residual is more than noise by enough to matter.
+    """Return the thresholds of a significant residual in a channel.
 
     Args:
         evidence: the recording compared with the given model.
         channel: the channel.
-        alone: whether no cause is named, whose form might leave what stands clear of the noise.
+        alone: whether no cause is named, so that no inexact form can explain a residual clear of the noise.
     """
     noise = noise_power(evidence, channel)
     typical = float(np.sqrt(np.mean(evidence.floor[channel] ** 2)))
@@ -230,17 +230,17 @@ def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -
     limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
     scatter = rules.SCATTER
     if evidence.baselines:
-        # The mean square of few windows, or of many that err together, scatters itself.
+        # The mean square of few windows, or of many correlated ones, has a scatter too.
         windows = len(evidence.floor[channel]) / evidence.correlation[channel]
         scatter *= 1.0 + rules.MOST_ALLOWED * math.sqrt(2.0 / windows)
     return Relevance(noise, limit, (scatter + rules.CLEAR**2) * noise if alone else math.inf, scatter)
 
 
 def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]:
-    """Return the channels in which something remains and a cause closes too little, or ends at a bound of its range.
+    """Return the channels with a remainder in which a cause closes too little or ends at a bound of its range.
 
-    A real cause closes nearly all that the others leave. An effect outside the list is imitated by several on it, each of
-    which removes a part of what the one before has left, or by one that is stretched beyond what it stands for.
+    A real cause closes nearly all of the remainder of the others. An effect outside the list is imitated by several on it, each
+    removing a part of the previous remainder, or by one stretched beyond its plausible range.
     """
     out = set[Channel]()
     best = found.best.held_out.residuals.values
@@ -257,6 +257,6 @@ def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]
 
 
 def at_a_bound(candidate: Candidate, values: Array) -> bool:
-    """Tell whether a parameter ended at a bound of its range; zero and its neutral value are no such bounds."""
+    """Return whether a parameter ended at a bound of its range; zero and its neutral value do not count as bounds."""
     ends = ((values <= candidate.lower) | (values >= candidate.upper)) & (values != 0.0) & (values != candidate.neutral)
     return bool(np.any(ends))

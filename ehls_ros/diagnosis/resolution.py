@@ -1,4 +1,4 @@
-"""What the sampling of a recording resolves: judged by how far things move within a sample, not by a fixed rate."""
+"""Time resolution of a recording, judged by the motion within a sample instead of a fixed sampling rate."""
 
 import math
 from collections.abc import Collection
@@ -14,7 +14,7 @@ from ehls_ros.samples import Mask
 
 
 def command_seen(record: Record, rig: Rig) -> bool:
-    """Tell whether no command was missed between two samples: they are close for the valve, or the command is slow itself.
+    """Return whether no command was missed between samples: the sampling is fast for the valve, or the command is slow.
 
     Args:
         record: the recording, with a command.
@@ -29,23 +29,23 @@ def command_seen(record: Record, rig: Rig) -> bool:
 
 
 def presliding_travel(rig: Rig) -> float:
-    """Return the travel from rest after which all of the contact slips [m]; 0 for a model whose friction jumps."""
+    """Return the travel from rest to full slip of the contact [m]; 0 for a model without presliding."""
     effective = rig.effective()
     return float(effective.friction_law.break_away(effective.friction))
 
 
 def friction_known(record: Record, position: Array, velocity: Array, travel: float, noise: float) -> Mask:
-    """Tell where friction follows from the recorded motion although samples are slow.
+    """Return the samples at which friction follows from the recorded motion despite slow sampling.
 
-    A turn is resolved if the piston covers little of the presliding travel within the sample in which it turns. After any other
-    turn, friction is that of sliding again once the piston has left the place by several times that travel.
+    A reversal is resolved if the piston covers little of the presliding travel within the sample of the reversal. After any
+    other reversal, friction is that of sliding again once the piston has moved away by several times that travel.
 
     Args:
         record: the recording.
         position: of the piston, smoothed, shape (n,) [m].
         velocity: of the piston, smoothed, shape (n,) [m/s].
         travel: presliding travel [m].
-        noise: standard deviation of the velocity's noise [m/s]; at rest it looks like turns, which the noise floor holds.
+        noise: standard deviation of the velocity's noise [m/s]; at rest it looks like reversals, covered by the noise floor.
 
     Returns:
         A mask of shape (n,).
@@ -66,13 +66,13 @@ def friction_known(record: Record, position: Array, velocity: Array, travel: flo
 
 
 def coarseness(record: Record, signals: Collection[str]) -> Array:
-    """Return by how much straight lines between samples are worse than at a rate that resolves everything.
+    """Return the factor by which the error of linear interpolation exceeds that at a fully resolving sampling rate.
 
-    They are off where a signal bends from one of its own samples to the next.
+    The error arises from the curvature of a signal between its original samples.
 
     Args:
         record: the recording.
-        signals: those of it that matter; a held command has no lines.
+        signals: the relevant signals; a held command is not interpolated.
 
     Returns:
         The factor at each sample, 1 or more, shape (n,).

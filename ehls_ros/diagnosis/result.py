@@ -1,4 +1,4 @@
-"""The result of a diagnosis."""
+"""Result of a diagnosis."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ NAMING: tuple[Verdict, ...] = ("effect", "partial")
 
 
 class StageResult(NamedTuple):
-    """How one stage of the model does.
+    """Result for one stage of the model.
 
     Attributes:
         judged: whether the data are sufficient to judge it.
-        why_not: what is missing if they are not.
+        why_not: reason if they are not.
         nrmse_before: rms residual of the given model, as a fraction of the stage's largest term; None if not judged.
         nrmse_after: the same with the causes named, on held-out data.
-        noise_floor: the same of noise alone: what the sensors' noise, what is lost between samples, and the accuracy no
-            model exceeds leave of a right model; the rms of :attr:`ChannelTrace.floor`.
-        exceeds: whether the given model's residual exceeds the noise, by enough to matter.
-        unexplained: whether a remainder does that no cause explains.
-        leaves_much: whether more remains than right causes usually leave.
-        incident: the only interval in which more than noise remains, if there is one [s].
+        noise_floor: the same of a correct model, due to sensor noise, loss between samples and the accuracy no model exceeds;
+            the rms of :attr:`ChannelTrace.floor`.
+        exceeds: whether the given model's residual exceeds the noise by a relevant amount.
+        unexplained: whether there is a remainder that no cause explains.
+        leaves_much: whether more remains than correct causes usually leave.
+        incident: the only interval in which more than noise remains, if there is just one [s].
         depends_on: the signals on which the remainder depends, strongest first.
     """
 
@@ -49,7 +49,7 @@ class Rival(NamedTuple):
 
     Attributes:
         name: name of the effect.
-        behind: how much less it gains on held-out data [nats].
+        behind: shortfall of its gain on held-out data [nats].
         closed_fraction: fraction of the removable error that it closes.
         parameters: its fitted parameters with standard errors.
     """
@@ -65,19 +65,19 @@ class Cause(NamedTuple):
 
     Attributes:
         name: name of the effect.
-        probability: probability that it is this effect, not another in its place nor one outside the list.
+        probability: probability that this effect is the cause, not another in its place nor one outside the list.
         equivalent_to: effects that the data cannot distinguish from it.
         stage: the stage of the model it belongs to.
-        group: the group that the effect's file names.
+        group: the group given in the effect's file.
         parameters: the fitted parameters with standard errors.
-        fixed: the other parameters that are not neutral.
+        fixed: the other non-neutral parameters.
         gain: decrease of the loss on held-out data due to it [nats].
-        sigmas: standard errors between its best determined parameter and the neutral value.
+        sigmas: standard errors between its best-determined parameter and the neutral value.
         rivals: other effects in its place, best first.
         channel: the channel where it explains most.
-        share: fraction of the removable error there that returns without it. Shares of causes that stand in for each other add
-            up to less than what all of them close, of causes that need each other to more.
-        deciding: signals that were not recorded and would tell it from some of these effects.
+        share: fraction of the removable error there that returns without it. Shares add up to less than all causes together
+            close if causes can replace each other, and to more if they depend on each other.
+        deciding: unrecorded signals that would distinguish it from some of the equivalent effects.
     """
 
     name: str
@@ -96,10 +96,10 @@ class Cause(NamedTuple):
 
 
 class ChannelGain(NamedTuple):
-    """What the extended model gains in one channel.
+    """Gain of the extended model in one channel.
 
     Attributes:
-        closed: fraction of the removable error power that is gone.
+        closed: fraction of the removable error power that was removed.
         noise: power of the noise, in the same unit.
     """
 
@@ -108,16 +108,16 @@ class ChannelGain(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """What the extended model gains on held-out data, over the channels it changes.
+    """Gain of the extended model on held-out data, over the channels it changes.
 
     Attributes:
         channel: the channel that gains most.
         heldout_nrmse_before: rms residual there of the given model, as a fraction of the largest term.
         heldout_nrmse_after: the same of the extended model.
         noise_floor: the same of noise alone.
-        closed_fraction: fraction of the removable error power that is gone, over all channels it changes.
+        closed_fraction: fraction of the removable error power that was removed, over all channels it changes.
         ci95: its 95 % interval, from resampling the blocks.
-        channels: the same by channel, of those with an error to remove.
+        channels: the same for each channel with an error to remove.
     """
 
     channel: Channel
@@ -137,12 +137,12 @@ class ChannelTrace(NamedTuple):
         unit: unit of the residuals.
         size: rms of the largest term in the channel's balance, in that unit.
         time: middle of the windows [s].
-        measured: the measured quantity that the residuals are the error of.
+        measured: the measured quantity to which the residuals refer.
         before: residual of the given model.
         after: residual with the causes, on held-out data.
-        floor: noise floor, the standard deviation of a right model's residual.
-        noise: what as much noise again as the sensors have adds to a residual, for spectra.
-        against: means of the signals it may depend on over the same windows, by the names of the data contract.
+        floor: noise floor, the standard deviation of a correct model's residual.
+        noise: change of the residual by added noise of the sensors' level, for spectra.
+        against: means over the same windows of the signals it may depend on, by the names of the data contract.
     """
 
     channel: Channel
@@ -157,7 +157,7 @@ class ChannelTrace(NamedTuple):
     against: Mapping[str, Array]
 
     def simulated(self, residual: Array) -> Array:
-        """Return what a model with this residual makes of the measured quantity, shape (n,)."""
+        """Return the simulated value of the measured quantity for a residual, shape (n,)."""
         return self.measured + residual if self.channel in REQUIRED else self.measured - residual
 
 
@@ -178,7 +178,7 @@ class Sensitivity(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """How far the baselines cover a signal of the new recording.
+    """Coverage of a signal of the new recording by the baselines.
 
     Attributes:
         signal: name of the signal.
@@ -194,15 +194,15 @@ class Coverage(NamedTuple):
 
 
 class Healthy(NamedTuple):
-    """What a healthy rig leaves in a channel, as fractions of the largest term of its balance.
+    """Remainder of a healthy rig in a channel, as fractions of the largest term of its balance.
 
     Attributes:
         stage: the stage the channel belongs to.
         fitted: rms residual of the model fitted to the baselines.
-        left: the same less the rig's own remainder, on blocks it was not learnt from.
+        left: the same less the rig's learnt remainder, on held-out blocks.
         noise_floor: the same of the sensors' noise alone.
-        allowed: rms by which the expected remainder of the new recording may be off; None where it lacks the channel.
-        together: number of windows that err together.
+        allowed: rms uncertainty of the expected remainder of the new recording; None if it lacks the channel.
+        together: number of windows with correlated errors.
     """
 
     stage: Stage
@@ -219,7 +219,7 @@ class Fitted(NamedTuple):
     Attributes:
         given: its value in the rig file.
         fitted: its value for the baselines, with its standard error.
-        spread: standard deviation from recording to recording that counts as no change, relative.
+        spread: relative standard deviation from recording to recording that counts as no change.
     """
 
     given: float
@@ -228,15 +228,15 @@ class Fitted(NamedTuple):
 
 
 class BaselineSummary(NamedTuple):
-    """What a recording was judged against.
+    """Summary of the baselines against which a recording was judged.
 
     Attributes:
         recordings: names of the baselines.
-        coefficients: those that the baselines tell.
-        channels: what a healthy rig leaves in each channel.
-        coverage: the operating points, by signal.
+        coefficients: coefficients identified by the baselines.
+        channels: remainder of a healthy rig in each channel.
+        coverage: coverage of the operating points, by signal.
         not_compared: channels of the new recording that no baseline has.
-        old: residuals of the fitted model in the first baseline, and what its remainder leaves of them.
+        old: residuals of the fitted model in the first baseline, without and with correction for the learnt remainder.
         new: the same in the new recording.
     """
 
@@ -251,17 +251,17 @@ class BaselineSummary(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a rig's model gets wrong, why, and what correcting it gains.
+    """Result of a diagnosis: errors of a rig's model, their causes, and the gain from correcting them.
 
     Attributes:
         verdict: in one word.
-        missing: what the data lack to judge a stage, one sentence for each that is not judged.
-        stages: how each stage of the model does.
-        causes: for ``effect`` and ``partial``, the causes, those that gain most first.
-        unknown_stage: the stage in which most remains that no effect explains, if there is one.
+        missing: data missing for a stage's judgement, one sentence for each stage not judged.
+        stages: result for each stage of the model.
+        causes: for ``effect`` and ``partial``, the causes, largest gain first.
+        unknown_stage: the stage with the largest unexplained remainder, if there is one.
         depends_on: the signals on which that remainder depends.
         partial: for ``unknown``, names of the effects that explain a part of it.
-        gain: where causes are named, what the extended model gains.
+        gain: gain of the extended model, if causes are named.
         rig: the given model.
         extended: the model with the causes; the given model if there are none.
         traces: residuals, by channel.
@@ -270,7 +270,7 @@ class Diagnosis:
         remarks: remarks about the data, one sentence each.
         seed: seed of the noise added to find the noise floor, and of resampling.
         wall_s: wall time [s].
-        baseline: what the recording was judged against; None where it was judged by itself.
+        baseline: the baselines against which the recording was judged; None if it was judged by itself.
     """
 
     verdict: Verdict
@@ -293,5 +293,5 @@ class Diagnosis:
 
     @property
     def names_causes(self) -> bool:
-        """Whether causes are named, with or without a remainder that they do not explain."""
+        """Whether causes are named, with or without an unexplained remainder."""
         return self.verdict in NAMING

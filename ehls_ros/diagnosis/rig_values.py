@@ -1,4 +1,4 @@
-"""Wrong values in the rig file: where several are off, they are fitted together before anything else is blamed."""
+"""Wrong values in the rig file: if several are off, they are fitted together before other causes are sought."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from ehls_ros.physics.effects import EFFECTS
 
 
 def fitted_values(worker: Worker, alone: Sequence[Fit]) -> Fit | None:
-    """Fit all values of the rig file that an effect of the list corrects; None unless several are wrong.
+    """Fit all rig-file values that some effect corrects; None unless several are wrong.
 
     Args:
         worker: of the recording compared with the given model.
@@ -30,7 +30,7 @@ def fitted_values(worker: Worker, alone: Sequence[Fit]) -> Fit | None:
 
 
 def wrong(evidence: Evidence, values: Fit) -> list[str]:
-    """Return the names of the values whose correction changes a balance by more than an error of form.
+    """Return the names of the corrections that change a balance by more than an error of form.
 
     Args:
         evidence: the recording compared with the given model.
@@ -49,6 +49,6 @@ def wrong(evidence: Evidence, values: Fit) -> list[str]:
 
 
 def corrects_value(name: str) -> bool:
-    """Tell whether an effect corrects a value of the rig file, rather than add what the model lacks."""
+    """Return whether an effect corrects a value of the rig file rather than adding a missing mechanism."""
     effect = EFFECTS.load(name)
     return not effect.WORDS.lacking and effect.GROUP != "sensors"

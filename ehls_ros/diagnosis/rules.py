@@ -1,7 +1,7 @@
-"""The rules of diagnosis: every tuning number, with its unit, its meaning and where it came from.
+"""Rules of the diagnosis: every tuning number with its unit, meaning and origin.
 
-A rule is a plain number in this module's namespace; the annotation carries the rest. :func:`table` lists them all, and the
-reference is printed from it.
+A rule is a plain number in this module's namespace; its annotation holds the rest. :func:`table` lists them all, and the
+reference is generated from it.
 """
 
 import sys
@@ -25,17 +25,17 @@ Step = Literal[
 STEPS: tuple[Step, ...] = get_args(Step)
 
 CHOSEN = "chosen"
-"""Origin of a number that was set by judgement; the benchmark as a whole confirms it, no run of its own does."""
+"""Origin of a number set by judgement; it is confirmed by the benchmark as a whole, not by a dedicated run."""
 
 
 class Rule(NamedTuple):
-    """What is declared of a tuning number beside its value.
+    """Declaration of a tuning number: step, unit, meaning and origin.
 
     Attributes:
         step: the step of the diagnosis that uses it.
         unit: in SI notation; ``1`` for a pure number, ``nat`` for a difference of log-likelihoods.
         meaning: one sentence.
-        origin: where the value comes from: a benchmark run with its figures, a derivation, or :data:`CHOSEN`.
+        origin: source of the value: a benchmark run with its figures, a derivation, or :data:`CHOSEN`.
     """
 
     step: Step

@@ -1,4 +1,4 @@
-"""The search for causes: all effects one by one, then what must act beside the best of them."""
+"""Search for causes: all effects one by one, then further causes beside the best of them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,7 +22,7 @@ from ehls_ros.diagnosis.starts import Starts
 
 
 class Place(NamedTuple):
-    """The place of one cause in a hypothesis.
+    """One cause's place in a hypothesis, with alternatives.
 
     Attributes:
         without: the best hypothesis with the other causes only.
@@ -34,15 +34,15 @@ class Place(NamedTuple):
 
 
 class Searched(NamedTuple):
-    """What a search found.
+    """Result of a search.
 
     Attributes:
-        best: the hypothesis that explains most; without causes where none is needed.
-        places: one for each of its causes that was sought, in their order; they come last in the hypothesis.
+        best: the hypothesis that explains most; without causes if none is needed.
+        places: one for each sought cause, in their order; these come last in the hypothesis.
         screened: every cause alone at its starting values, with its derivatives.
-        inflation: by which each channel's losses are divided.
-        always: the hypothesis with a cause that would explain the recording, but that the baselines allow as well; only where
-            no cause is found.
+        inflation: divisor of each channel's losses.
+        always: the hypothesis with a cause that would explain the recording but that the baselines allow as well; only if no
+            cause is found.
     """
 
     best: Assessment
@@ -56,9 +56,9 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     """Find the causes that explain a recording.
 
     Args:
-        starts: where the fits of the causes to try start.
+        starts: starting points of the fits.
         progress: called with the progress.
-        begin: a hypothesis that causes are added to; its own stay, and have no place. By default the given model.
+        begin: a hypothesis to which causes are added; its causes stay and have no place. By default the given model.
     """
     pool = starts.pool
     evidence = pool.evidence
@@ -68,7 +68,7 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     progress("causes together", 0.55)
     best, scale = _added(evidence, pool, starts, base, level, progress)
     if evidence.form is not None and not best.names:
-        # Nothing is larger than an error of form: then a single cause may be smaller.
+        # If nothing exceeds an error of form, a single cause may be smaller.
         evidence = replace(evidence, form=rules.RELEVANT)
         best, scale = _added(evidence, pool, starts, base, level, progress)
     always = explaining(evidence, base, level, scale) if evidence.baselines and not best.names else None
@@ -79,7 +79,7 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
 
 
 def _alone(evidence: Evidence, pool: Pool, screened: Sequence[Fit]) -> list[Assessment]:
-    """Fit the most promising of single causes."""
+    """Fit the most promising single causes."""
     gains = np.array([base_loss(evidence, f) - predicted_loss(f) for f in screened])
     order = [int(i) for i in np.argsort(-gains) if gains[i] > rules.PROMISING][: rules.TRIED_SINGLES]
     return _fitted(evidence, pool, [newton_start(screened[i]) for i in order], rules.FITTED_SINGLES)
@@ -88,12 +88,12 @@ def _alone(evidence: Evidence, pool: Pool, screened: Sequence[Fit]) -> list[Asse
 def _added(
     evidence: Evidence, pool: Pool, starts: Starts, best: Assessment, level: list[Assessment], progress: Progress
 ) -> tuple[Assessment, dict[Channel, float]]:
-    """Add causes to a hypothesis as long as each brings enough; return the best hypothesis and the inflation.
+    """Add causes to a hypothesis while each gains enough; return the best hypothesis and the inflation.
 
     Args:
         evidence: the recording compared with the given model.
         pool: the threads.
-        starts: where fits start.
+        starts: starting points of the fits.
         best: the hypothesis to begin with.
         level: the same with one more cause.
         progress: called with the progress.
@@ -115,7 +115,7 @@ def _added(
 def explaining(
     evidence: Evidence, base: Assessment, level: Sequence[Assessment], scale: Mapping[Channel, float]
 ) -> Assessment | None:
-    """Return the best hypothesis that explains the recording, whatever the baselines say of it."""
+    """Return the best hypothesis that explains the recording, regardless of the baselines."""
     return next((j for j in _ranked(level, scale) if explains(evidence, j, base, scale)), None)
 
 
@@ -124,7 +124,7 @@ def _nothing(evidence: Evidence) -> Fit:
 
 
 def _afresh(evidence: Evidence, hypothesis: Hypothesis, values: Array, steps: Array) -> Fit:
-    """Return a hypothesis to be evaluated, with steps for its derivatives."""
+    """Return an unevaluated hypothesis, with steps for its derivatives."""
     return Fit(hypothesis, values, (), evidence.base, np.empty((0, 0)), 0.0, steps)
 
 
@@ -139,14 +139,14 @@ def _gain(evidence: Evidence, fit: Fit) -> float:
 def _fitted(
     evidence: Evidence, pool: Pool, starts: Sequence[Start], keep: int = rules.FITTED, rival: Assessment | None = None
 ) -> list[Assessment]:
-    """Take the first step of every fit, finish the best, and assess them.
+    """Take the first step of every fit, complete the best ones and assess them.
 
     Args:
         evidence: the recording compared with the given model.
         pool: the threads.
-        starts: where the fits start.
-        keep: how many are fitted to the end.
-        rival: what a fit must come near to be continued beyond the usual steps; by default the best of them.
+        starts: starting points of the fits.
+        keep: number of fits to complete.
+        rival: hypothesis a fit must come near, besides the best fit, to be continued beyond the usual steps.
     """
 
     def go(worker: Worker, pair: tuple[Start, Fit]) -> Fit:
@@ -175,7 +175,7 @@ def _fitted(
 
 
 def inflations(evidence: Evidence, found: Sequence[Assessment]) -> dict[Channel, float]:
-    """Return the inflation of each channel under the hypothesis that explains the channel best."""
+    """Return the inflation of each channel under the hypothesis that explains it best."""
     best = {c: min((j.fit.residuals.values[c] for j in found), key=lambda e: float(np.sum(loss(e)))) for c in evidence.channels}
     return {c: inflation(e) * evidence.correlation.get(c, 1.0) for c, e in best.items()}
 
@@ -197,13 +197,13 @@ def _exchanged(
         evidence: the recording compared with the given model.
         pool: the threads.
         best: the hypothesis to start from.
-        starts: where fits start.
+        starts: starting points of the fits.
         alone: the place of a single cause; the causes beside it stay.
-        scale: the inflation to rank the first rivals by.
+        scale: the inflation for ranking the first rivals.
     """
     places: tuple[Place, ...] = ()
     kept = len(alone.without.hypothesis)
-    # What remains without a cause is the same whichever cause had taken its place.
+    # The hypothesis without a cause is the same whichever cause is in its place.
     known = {_key(alone.without.hypothesis): alone}
 
     def place_of(best: Assessment, index: int) -> Place:
@@ -221,7 +221,7 @@ def _exchanged(
         if exchanges == rules.MOST_EXCHANGES:
             break
         simple = simpler(best, places, scale)
-        # A simpler hypothesis that was exchanged for this one is not returned to.
+        # Do not return to a simpler hypothesis that was already exchanged for this one.
         if simple is not None and _key(simple.hypothesis) not in visited:
             best = simple
             continue
@@ -229,10 +229,10 @@ def _exchanged(
         for place in places:
             sure = (rival for rival in place.rivals if accepted(evidence, rival, place.without, scale))
             if accepted(evidence, best, place.without, scale):
-                # Only for what would stay: an unsure rival would be dropped again, and the sure cause with it.
+                # Only for a sure rival: an unsure one would be dropped again, and the sure cause with it.
                 better += [rival for rival in islice(sure, 1) if rival.score(scale) > best.score(scale) + rules.BETTER]
             else:
-                # Before its place is given up, an unsure cause gives way to a sure one.
+                # An unsure cause is dropped, or replaced by a sure one.
                 better += [place.without, *islice(sure, 1)]
         if not better:
             break
@@ -241,7 +241,7 @@ def _exchanged(
 
 
 def _rivals(evidence: Evidence, place: Place, scale: Mapping[Channel, float]) -> tuple[Assessment, ...]:
-    """Return the hypotheses with another cause in a place, best first; beside errors of form, those that stand out of them."""
+    """Return the hypotheses with another cause in a place, best first; beside errors of form, only those exceeding them."""
     return tuple(
         rival
         for rival in _ranked(place.rivals, scale)
@@ -259,7 +259,7 @@ def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, f
     Args:
         best: the best hypothesis.
         places: one for each of its causes.
-        scale: by which each channel's losses are divided.
+        scale: divisor of each channel's losses.
     """
     for candidate, place in zip(best.hypothesis[len(best.hypothesis) - len(places) :], places, strict=True):
         total = best.score(scale) - place.without.score(scale)
@@ -273,7 +273,7 @@ def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, f
 
 
 def _without(evidence: Evidence, pool: Pool, best: Assessment, index: int, nothing: Assessment) -> Assessment:
-    """Return a hypothesis fitted again without one of its causes."""
+    """Return a hypothesis refitted without one of its causes."""
     left = best.fit.without(index)
     if not left.hypothesis:
         return nothing

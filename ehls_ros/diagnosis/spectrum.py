@@ -1,4 +1,4 @@
-"""Spectral lines of a residual, from which periodic disturbances and vibrations are fitted."""
+"""Spectral lines of a residual, used as starts for periodic disturbances and vibrations."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ def spectral_lines(e: Array, times: Array, count: int = rules.LINES) -> tuple[fl
     Args:
         e: whitened residuals, shape (n,).
         times: their times, shape (n,) [s].
-        count: how many lines.
+        count: number of lines.
     """
     if len(e) < rules.LINE_SAMPLES:
         return ()

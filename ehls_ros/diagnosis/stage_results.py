@@ -1,4 +1,4 @@
-"""How each stage of the model does, as the result describes it."""
+"""Results of the individual stages of the model."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -13,7 +13,7 @@ NEEDED_SIGNALS: Mapping[Stage, str] = {
     "force_balance": "position_m (velocity_m_s for a rig without spring) and load_pressure_pa (or force_n)",
     "sensors": "two sensors of one quantity: load_pressure_pa and force_n, or position_m and velocity_m_s",
 }
-"""The signals each stage needs."""
+"""Signals required by each stage."""
 
 NEEDED_MOTION: Mapping[Stage, str] = {
     "valve": "the command has to move the spool by many times its sensor's noise",
@@ -21,7 +21,7 @@ NEEDED_MOTION: Mapping[Stage, str] = {
     "force_balance": "the piston has to slide, to and fro, by more than its presliding travel",
     "sensors": "the signals have to change by many times their noise",
 }
-"""What has to happen in a recording for it to show an error of each stage."""
+"""Excitation required for a recording to show an error of each stage."""
 
 
 class Nrmse(NamedTuple):
@@ -43,10 +43,10 @@ def stage_result(
 
     Args:
         stage: the stage.
-        finding: what is known of it.
+        finding: its remainders and excitation.
         nrmse: rms residuals of its channels.
-        depends_on: returns the signals on which a channel's remaining residual depends; asked only where something remains.
-        why_not: why the stage cannot be compared although its signals are there; the empty text where it is the signals.
+        depends_on: returns the signals on which a channel's remaining residual depends; called only if something remains.
+        why_not: why the stage cannot be compared although its signals are there; empty if signals are missing.
     """
     items = finding.remainders
     if not items:
@@ -70,5 +70,5 @@ def stage_result(
 
 
 def not_recorded(stage: Stage, why_not: str = "") -> StageResult:
-    """Describe a stage of which nothing was recorded, or nothing that can be compared for a reason of its own."""
+    """Return the result of a stage that was not recorded, or that cannot be compared for the given reason."""
     return stage_result(stage, Finding((), excited=False), {}, lambda channel: (), why_not)

@@ -1,15 +1,15 @@
-"""The model laid beside a recording, stage by stage.
+"""Stage-by-stage comparison of the model with a recording.
 
-Each stage takes its inputs from the recording and compares its output with it, so that an error of one stage does not
-smear over the others:
+Each stage takes its inputs from the recording and its output is compared with the recording, so that an error of one stage
+does not spread to the others:
 
 * ``valve``: the spool (4) simulated from the recorded command against the recorded spool;
 * ``flow``: the volume balance (1), (2) from recorded spool, pressure and position; and the supply pressure;
 * ``force_balance``: the balance (3) with the friction model run along the recorded motion;
-* ``sensors``: what two sensors of one quantity say: load cell against load pressure, velocity against position.
+* ``sensors``: two sensors of one quantity: load cell against load pressure, velocity against position.
 
-A missing spool is replaced by the simulated one, a missing load pressure by the load cell's. The friction and the hooks
-of effects need velocity, which a local fit of the position gives.
+A missing spool signal is replaced by the simulated spool, a missing load pressure by that of the load cell. The friction and
+the hooks of effects need velocity, which is taken from a local fit of the position.
 """
 
 import math
@@ -61,27 +61,27 @@ CHANNELS: Mapping[Channel, Stage] = {
     "cell": "sensors",
     "velocity": "sensors",
 }
-"""The residuals there are, and the stage each belongs to."""
+"""Residual channels, and the stage of each."""
 
 COMMAND_UNSEEN = "needs a slower command or faster samples: at {rate} Hz, commands between two samples were missed"
 TURNS_UNSEEN = (
     "needs slower motion or faster samples: at {rate} Hz, the piston turns through its presliding between two samples"
 )
 NOT_IN_FILE = "needs {keys} in the rig file"
-"""Why a stage is not judged whose signals are there."""
+"""Reason why a stage is not judged although its signals were recorded."""
 
 UNITS: Mapping[Channel, str] = {
     "spool": "m", "volume": "m³/s", "supply": "Pa", "force": "N", "cell": "N", "velocity": "m/s",
 }  # fmt: skip
 
 REQUIRED: frozenset[Channel] = frozenset({"force"})
-"""Channels whose residual is what the model requires less what is measured; of the others it is measured less modelled."""
+"""Channels whose residual is required minus measured; in the others it is measured minus modelled."""
 
 GUIDE = 2.0 * math.pi / rules.WINDOW
-"""Rate at which a piston separated from the load is drawn to its measured position [rad/s].
+"""Rate at which a piston separated from the load is guided to its measured position [rad/s].
 
-The balances resolve nothing faster. A piston set to its measured position outright would pass the position sensor's noise,
-times the stiffness of a contact, on to the load; the pressure tells that force far better.
+The balances resolve nothing faster. Setting the piston directly to its measured position would pass the position sensor's
+noise, times the stiffness of a contact, on to the load; the pressure gives that force far more accurately.
 """
 
 SENSED = {
@@ -93,7 +93,7 @@ SENSED = {
     "supply_pressure": SUPPLY,
     "oil_temperature": TEMPERATURE,
 }
-"""The recording's signals by the sensors' names in a rig file."""
+"""Recorded signals, by the sensors' names in the rig file."""
 
 
 _SENSOR_OF: Mapping[Channel, str] = {
@@ -105,16 +105,16 @@ _SENSOR_OF: Mapping[Channel, str] = {
 
 
 class Setup(NamedTuple):
-    """What of the model can be laid beside a recording.
+    """Parts of the model that can be compared with a recording.
 
     Attributes:
-        window: of the balances.
-        average: of spool and sensors.
+        window: window of the balances.
+        average: window over which spool and sensors are averaged.
         channels: the residuals that can be formed.
-        velocity_measured: whether velocities come from their own sensor, the quieter one.
-        fit: samples of the local fit.
+        velocity_measured: whether velocities come from the velocity sensor, if that is the quieter source.
+        fit: number of samples of the local fit.
         presliding: travel over which static friction builds up in the given model [m].
-        why_not: of stages that cannot be compared although their signals are there, the reason.
+        why_not: reason why a stage cannot be compared although its signals are there.
     """
 
     window: Window
@@ -131,36 +131,36 @@ class Setup(NamedTuple):
 
 
 class Comparison:
-    """One recording and the parts of the model that were run along it last."""
+    """One recording and the cached latest runs of the parts of the model along it."""
 
     def __init__(self, record: Record, setup: Setup) -> None:
-        """Keep what is compared with."""
+        """Store the recording and its setup."""
         self.record = record
         self.setup = setup
         self._kept: dict[str, dict[Any, Any]] = {}
 
     def residuals(self, rig: Rig, channels: tuple[Channel, ...] | None = None) -> dict[Channel, Any]:
-        """Lay a rig's model beside the recording.
+        """Compare a rig's model with the recording.
 
         Args:
-            rig: the rig, with effects; its numbers may be duals, those of sensors only in the channels of sensors.
-            channels: the residuals wanted; all that can be formed where nothing is said.
+            rig: the rig, with effects; its numbers may be duals, those of sensors only in the sensor channels.
+            channels: the residuals to form; by default all that can be formed.
 
         Returns:
-            Measured minus modelled of each channel in its unit, one a window; a dual where it depends on one.
+            Residual of each channel in its unit, one value a window; a dual if it depends on one.
         """
         effective = rig.effective()
         wanted = self.setup.channels if channels is None else channels
-        # A model that diverges leaves no finite residual, and its fit is refused.
+        # A diverging model has no finite residual, and its fit is rejected.
         with np.errstate(over="ignore", invalid="ignore"):
             return {channel: getattr(self, f"_{channel}")(effective) for channel in wanted}
 
     def measured(self, rig: Rig, channel: Channel) -> Array:
-        """Return the measured quantity that a channel's residual is the error of, in its unit, one a window.
+        """Return the measured quantity to which a channel's residual refers, in its unit, one value a window.
 
         Args:
-            rig: the rig, as whose sensors the signals are read.
-            channel: of the force balance it is the driving force, of the flow balance the flow that the cylinder takes up.
+            rig: the rig whose sensors the signals are corrected for.
+            channel: for the force balance, the driving force; for the flow balance, the flow taken up by the cylinder.
         """
         effective, window = rig.effective(), self.setup.window_of(channel)
         if channel == "volume":
@@ -170,7 +170,7 @@ class Comparison:
         return window.mean(self.corrected(effective, _SENSOR_OF[channel]))
 
     def relevant(self, rig: Rig) -> dict[Channel, Any]:
-        """Return what each channel's residual depends on: where it is equal, so are the residuals."""
+        """Return the dependencies of each channel's residual; equal dependencies imply equal residuals."""
         whole = rig.effective()
         plant, sensors = whole.plant, whole.sensors
         hooks = {part: _used(part, whole) and (_used(part, whole), plant) for part in PARTS}
@@ -203,7 +203,7 @@ class Comparison:
         return self._taken_up(rig) - self.setup.window.mean(terms[:, 0] - terms[:, 1])  # (2)
 
     def _taken_up(self, rig: EffectiveRig) -> Any:
-        """Return the flow that the motion of the piston and the compression of the oil take up, one a window [m^3/s]."""
+        """Return the flow taken up by the piston's motion and the oil's compression, one value a window [m^3/s]."""
         window, plant, motion = self.setup.window, rig.plant, self.motion(rig)
         terms = self.flow_terms(rig)
         stored = plant.total_volume / (4.0 * terms[:, 2])
@@ -232,11 +232,11 @@ class Comparison:
         balance = plant.moving_mass * window.rate(motion.velocity) - window.mean(
             given - plant.viscous_damping * motion.velocity
         )
-        # Where the motion began is not known, nor what the spring pulls there.
+        # The initial position is unknown, and so is the spring force there.
         return balance - linear(np.mean, balance)
 
     def _force_of_parted(self, rig: EffectiveRig, motion: Motion) -> Any:
-        """Return the sum of both balances where load and piston are parted, so that what is between them does not count."""
+        """Return the summed balances of a separate load and piston, in which the force between them cancels."""
         window, plant = self.setup.window, rig.plant
         position, _, friction, others = self.load(rig).T
         acceleration = (
@@ -247,7 +247,7 @@ class Comparison:
         return balance if POSITION in self.record else balance - linear(np.mean, balance)
 
     def _driving(self, rig: EffectiveRig, motion: Motion) -> Any:
-        """Return the force on the mass but for friction, damping and inertia [N]."""
+        """Return the force on the mass without friction, damping and inertia [N]."""
 
         def compute() -> Any:
             plant = rig.plant
@@ -268,7 +268,7 @@ class Comparison:
     # --- parts of the model --------------------------------------------------------------------
 
     def simulated_spool(self, rig: EffectiveRig) -> Any:
-        """Return the spool displacement that the model makes of the recorded command, shape (n,) [m]."""
+        """Return the spool displacement simulated from the recorded command, shape (n,) [m]."""
         key = self.relevant_parts(rig, "spool")
         return self._keep("spool", key, lambda: self._run("spool", rig, self._measured_motion(rig)))[:, 0]
 
@@ -278,24 +278,24 @@ class Comparison:
         return self._keep("flow", key, lambda: self._run("flow", rig, self.motion(rig)))
 
     def extra_force(self, rig: EffectiveRig) -> Any:
-        """Return the force of effects beyond (3), shape (n, 1) [N]."""
+        """Return the additional force of effects not in (3), shape (n, 1) [N]."""
         key = self.relevant_parts(rig, "force")
         return self._keep("force", key, lambda: self._run("force", rig, self._measured_motion(rig)))
 
     def friction(self, rig: EffectiveRig) -> Any:
         """Return the friction force along the recorded motion, shape (n, 1) [N]."""
-        # What the other forces are says where the elements start, and what a static model balances while it sticks.
+        # The other forces set the initial state of the elements, and the force a static model balances during stick.
         others = (_beam(rig), self.relevant_parts(rig, "force"))
         key = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model, others)
         return self._keep("friction", key, lambda: self._run_friction(rig, self._measured_motion(rig)))
 
     def load(self, rig: EffectiveRig) -> Any:
-        """Return position [m] and velocity [m/s] of a load separate from the piston, friction and all other forces [N]."""
+        """Return position [m] and velocity [m/s] of a separate load, and its friction and all other forces [N]."""
         key = (self.relevant_parts(rig, "load"), rig.friction, rig.friction_model, rig.plant)
         return self._keep("load", key, lambda: self._run_load(rig, self._measured_motion(rig)))
 
     def relevant_parts(self, rig: EffectiveRig, part: str) -> Any:
-        """Return what a part's run depends on."""
+        """Return the dependencies of a part's run."""
         used, sensors = _used(part, rig), tuple(sorted(rig.sensors.items()))
         return (used, rig.plant if used or part in ("flow", "spool") else None, sensors)
 
@@ -305,7 +305,7 @@ class Comparison:
         return ModelRun(motion, record.fresh, record.period, steps, history, rig.plant, rig.friction, effects)
 
     def _memory_steps(self, part: str, rig: EffectiveRig) -> int:
-        """Return the steps in a sample that the effects' own states ask for; 0 where there are none."""
+        """Return the integration steps per sample required by the effects' states; 0 without such states."""
         states = sum(getattr(EFFECTS.load(use.name), "STATES", 0) for use in _used(part, rig))
         return max(1, math.ceil(self.record.period / rules.MEMORY_STEP)) if states else 0
 
@@ -334,7 +334,7 @@ class Comparison:
         return run_part("load", rig, self._along("load", others, motion, steps), side)
 
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:
-        """Return the steps in a sample that the friction model's relaxation asks for."""
+        """Return the integration steps per sample required by the friction model's relaxation."""
         speed: float = self._keep(
             "speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), rules.FASTEST_SHARE))
         )
@@ -342,17 +342,17 @@ class Comparison:
         return min(rules.MOST_STEPS, max(1, math.ceil(fastest * self.record.period / rules.RELAXED)))
 
     def _balance(self, rig: EffectiveRig, motion: Motion) -> Any:
-        """Return the friction that the other forces ask for, from smoothed motion, at the start of each stretch [N]."""
+        """Return the friction that balances the other forces at the start of each stretch, from smoothed motion [N]."""
         acceleration = self._keep("acceleration", self._moves(rig), lambda: np.gradient(motion.velocity, self.record.period))
         plant, fresh = rig.plant, self.record.fresh
         damping = plant.viscous_damping + rig.friction.viscous_coefficient
         inertia = plant.moving_mass * acceleration[fresh] + damping * motion.velocity[fresh]
         return self._driving(rig, motion)[fresh] - inertia
 
-    # --- the recording's signals, as the rig's sensors say they have to be read -----------------
+    # --- the recording's signals, corrected for the rig's sensors -------------------------------
 
     def corrected(self, rig: EffectiveRig, sensor: str) -> Any:
-        """Return a signal with its sensor's gain, bias, lag and delay taken out, shape (n,)."""
+        """Return a signal corrected for its sensor's gain, bias, lag and delay, shape (n,)."""
         description = rig.sensors.get(sensor, Sensor())
         raw = self.record.values(SENSED[sensor])
         gain, bias, bandwidth, delay = description.gain, description.bias, description.bandwidth, description.delay
@@ -364,14 +364,14 @@ class Comparison:
             if bandwidth > 0.0:
                 values = values + self.local_fit(values, 1) / bandwidth
             if delay > 0.0:
-                # A spline of high order: straight lines would average noise away, and any delay would seem to help.
+                # A high-order spline: linear interpolation would average noise, and any delay would seem to help.
                 values = scipy.ndimage.shift(values, -delay / self.record.period, order=5, mode="nearest")
             return values
 
         return self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay), compute)
 
     def pressure(self, rig: EffectiveRig) -> Any:
-        """Return the load pressure, from the load cell where there is no other sensor, shape (n,) [Pa]."""
+        """Return the load pressure, from the load cell if there is no pressure sensor, shape (n,) [Pa]."""
         if PRESSURE in self.record:
             return self.corrected(rig, "load_pressure")
         return self.corrected(rig, "force") / rig.plant.piston_area
@@ -383,7 +383,7 @@ class Comparison:
         return np.convolve(np.pad(values, samples // 2, mode="edge"), row[::-1], mode="valid")
 
     def motion(self, rig: EffectiveRig) -> Motion:
-        """Return what the parts are run along; a missing spool is the simulated one."""
+        """Return the motion along which the parts are run; a missing spool signal is replaced by the simulated one."""
         motion = self._measured_motion(rig)
         return motion if SPOOL in self.record else motion._replace(spool=self.simulated_spool(rig))
 
@@ -392,7 +392,7 @@ class Comparison:
         return motion
 
     def _moves(self, rig: EffectiveRig) -> Any:
-        """Return what the recorded motion depends on."""
+        """Return the dependencies of the recorded motion."""
         return tuple((name, rig.sensors.get(name)) for name in SENSED), rig.plant.piston_area
 
     def _make_motion(self, rig: EffectiveRig) -> Motion:
@@ -426,10 +426,10 @@ class Comparison:
         )
 
     def _kept_to(self, position: Array, velocity: Array) -> Array:
-        """Return a measured velocity without what makes its integral leave the measured position.
+        """Return the measured velocity, corrected for the drift of its integral from the measured position.
 
-        Near rest, an offset of the velocity sensor would turn friction round. Over times so long that the position tells the
-        velocity as well as the sensor does, the position is believed.
+        Near rest, an offset of the velocity sensor would reverse friction. Over times so long that the slope of the position
+        is as accurate as the velocity sensor, the position takes precedence.
         """
         noise, period = self.record.noise, self.record.period
         # The slope of a line through n samples scatters by sqrt(12/n³) of theirs, the mean of n samples by 1/sqrt(n).
@@ -438,7 +438,7 @@ class Comparison:
         if window >= len(position):
             return velocity
         good, time = self.record.good, self.record.time
-        # Across a gap of one sensor the other tells the motion.
+        # The position bridges gaps of the velocity sensor, and vice versa.
         velocity = np.where(good[VELOCITY], velocity, self.local_fit(position, 1))
         left = position - integral(velocity, period)
         left = np.interp(time, time[good[POSITION]], left[good[POSITION]])
@@ -472,7 +472,7 @@ def formable(signals: Container[str], springless: bool) -> list[Channel]:
 
     Args:
         signals: the names in the data contract.
-        springless: whether no spring pulls, so that motion tells as much as position.
+        springless: whether the rig has no spring, so that velocity suffices in place of position.
     """
     moving = POSITION in signals or VELOCITY in signals
     pressure = PRESSURE in signals or FORCE in signals
@@ -481,7 +481,7 @@ def formable(signals: Container[str], springless: bool) -> list[Channel]:
         "spool": SPOOL in signals and COMMAND in signals,
         "volume": flow,
         "supply": flow and SUPPLY in signals,
-        # Without a position, what the spring pulls is not known.
+        # Without a position, the spring force is unknown.
         "force": pressure and (POSITION in signals or (moving and springless)),
         "cell": PRESSURE in signals and FORCE in signals,
         "velocity": POSITION in signals and VELOCITY in signals,
@@ -490,9 +490,9 @@ def formable(signals: Container[str], springless: bool) -> list[Channel]:
 
 
 def setup(record: Record, rig: Rig) -> Setup:
-    """Tell what of the model can be laid beside a recording."""
+    """Determine which parts of the model can be compared with a recording."""
     period = record.period
-    # Of signals that were slower than the time base, windows hold as many of their own samples.
+    # For signals slower than the time base, the windows hold the same number of original samples.
     moved = record.sampled(POSITION, VELOCITY) / period
     balanced = record.sampled(*formed_of(record, "force")) / period
     averaged = record.sampled(COMMAND, SPOOL, PRESSURE, FORCE, SUPPLY) / period
@@ -525,7 +525,7 @@ def setup(record: Record, rig: Rig) -> Setup:
 
 
 def _lacking(comparison: Comparison, rig: Rig) -> dict[Channel, list[str]]:
-    """Return the keys that the rig file lacks and each channel's residual depends on."""
+    """Return the keys missing from the rig file on which each channel's residual depends."""
     paths = [path for path in unknown_keys(rig) if path.startswith("plant.")]
     some = dict.fromkeys((path.removeprefix("plant.") for path in paths), 1.0)
     out: dict[Channel, list[str]] = {channel: [] for channel in CHANNELS}
@@ -540,7 +540,7 @@ def _lacking(comparison: Comparison, rig: Rig) -> dict[Channel, list[str]]:
 
 
 def _friction_known(comparison: Comparison) -> Mask:
-    """Tell at which samples friction follows from the recorded motion, read without the sensors' errors."""
+    """Return the samples at which friction follows from the recorded motion, taken without the sensors' errors."""
     record, used = comparison.record, comparison.setup
     if record.sampled(POSITION, VELOCITY) <= rules.SLOWEST_TURN:
         return np.ones(len(record.time), dtype=np.bool_)
@@ -563,13 +563,13 @@ NEEDED: Mapping[Channel, tuple[str, ...]] = {
     "cell": (PRESSURE, FORCE),
     "velocity": (POSITION, VELOCITY),
 }
-"""Signals that a channel is formed of; first those whose noise its residual shows most."""
+"""Signals from which a channel is formed, those whose noise affects its residual most first."""
 
 
 def formed_of(record: Record, channel: Channel) -> tuple[str, ...]:
-    """Return the recorded signals that a channel is formed of, in the order of :data:`NEEDED`.
+    """Return the recorded signals from which a channel is formed, in the order of :data:`NEEDED`.
 
-    The load cell stands in where the pressure is missing, and the command where the spool is.
+    The load cell replaces a missing pressure, and the command a missing spool.
     """
     spare = FORCE if PRESSURE in record and channel != "cell" else ""
     named = (COMMAND if signal == SPOOL and SPOOL not in record else signal for signal in NEEDED[channel])
@@ -577,13 +577,13 @@ def formed_of(record: Record, channel: Channel) -> tuple[str, ...]:
 
 
 def usable(comparison: Comparison, channel: Channel) -> Mask:
-    """Tell which windows of a channel rest on measured samples only, and not on the beginning of a stretch."""
+    """Return the windows of a channel with measured samples only, away from the beginning of a stretch."""
     record, used = comparison.record, comparison.setup
     good = np.ones(len(record.time), dtype=np.bool_)
     for signal in formed_of(record, channel):
         good &= record.good[signal]
     if channel == "spool":
-        # After a gap in the command, the simulated spool finds back with the valve's own lag.
+        # After a gap in the command, the simulated spool recovers with the valve's lag.
         wrong = (~record.good[COMMAND]).astype(np.float64)
         good &= np.convolve(wrong, np.ones(1 + round(rules.SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5
     if channel == "force":

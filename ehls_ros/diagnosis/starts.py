@@ -1,4 +1,4 @@
-"""Where fits start: every cause alone, and beside the causes already found."""
+"""Starting points of fits: every cause alone, and beside the causes already found."""
 
 import math
 from collections.abc import Sequence
@@ -20,12 +20,12 @@ from ehls_ros.diagnosis.stages import Channel
 
 
 class Tried(NamedTuple):
-    """All starts of every cause in a few blocks of a recording.
+    """All starts of every cause, evaluated in a few blocks of a recording.
 
     Attributes:
-        causes: the causes that were tried.
-        few: these blocks.
-        fits: of each cause that changes anything there, its starts with their derivatives, the best first.
+        causes: the causes tried.
+        few: the evidence from these blocks.
+        fits: starts of each cause that changes any residual there, with their derivatives, best first.
     """
 
     causes: Sequence[Candidate]
@@ -48,11 +48,11 @@ def try_starts(pool: Pool, causes: Sequence[Candidate], progress: Progress) -> T
 
 
 class Starts:
-    """Where the fits of every cause start, alone and beside others.
+    """Starting points for the fits of every cause, alone and beside others.
 
     Attributes:
         pool: the threads.
-        tried: the starts in a few blocks, which may have been whitened with another noise floor.
+        tried: the starts in a few blocks, possibly whitened with another noise floor.
         alone: each cause at its best starting values, with its derivatives.
     """
 
@@ -64,7 +64,7 @@ class Starts:
         self.alone = self._on_all_blocks([0] * len(tried.fits))
 
     def beside(self, member: Assessment) -> list[Fit]:
-        """Return every cause at its best starting values beside a hypothesis, whose own error may have hidden them."""
+        """Return every cause at its best starting values beside a hypothesis, whose error may have masked them."""
         if not member.names:
             return self.alone
         few = self.tried.few
@@ -86,13 +86,13 @@ class Starts:
 
         Args:
             member: the hypothesis.
-            most: free parameters of that cause, at most.
+            most: maximum number of free parameters of that cause.
         """
         evidence = self.pool.evidence
         promises = dict[tuple[str, int], Start]()
         excess = sum(member.excess(evidence, c) for c in member.held_out.gain)
         least = max(rules.PROMISING, rules.PROMISED_EXCESS * rules.REMOVED_EXCESS * excess)
-        # What the hypothesis itself could still gain is not due to the further cause.
+        # The gain still available to the hypothesis itself is not due to the further cause.
         least += member.fit.loss - predicted_loss(member.fit)
         for other in [*self.beside(member), *self._at_lines(member)]:
             (cause,) = other.hypothesis
@@ -106,7 +106,7 @@ class Starts:
         return sorted(promises.values(), key=lambda start: -start.promise)[: rules.EXTENSIONS]
 
     def _at_lines(self, member: Assessment) -> list[Fit]:
-        """Return causes of one frequency at the spectral lines a hypothesis leaves, which its causes may have hidden."""
+        """Return single-frequency causes at the spectral lines of a hypothesis' residual, which its causes may have masked."""
         evidence = self.pool.evidence
         main = main_channel(evidence.channels)
         if not member.names or member.excess(evidence, main) < rules.PROMISING:
@@ -123,18 +123,18 @@ class Starts:
         return [fit for key in starts if (fit := self._lines[key]) is not None]
 
     def _on_all_blocks(self, chosen: Sequence[int]) -> list[Fit]:
-        """Return the chosen start of each cause with its derivatives on the complete recording."""
+        """Return the chosen start of each cause, linearised on the complete recording."""
         keys = list(enumerate(chosen))
         missing = [key for key in keys if key not in self._complete]
         starts = [self.tried.fits[i][j] for i, j in missing]
-        # Where all blocks were tried, that is known.
+        # Already known if all blocks were tried.
         fits = starts if self.tried.few is self.pool.evidence else self.pool.map(_linearised, starts)
         self._complete.update(zip(missing, fits, strict=True))
         return [fit for key in keys if (fit := self._complete[key]) is not None]
 
 
 def _gain_beside(few: Evidence, remainder: Residuals, other: Fit) -> float:
-    """Predict what a cause gains beside a hypothesis that stays as it is, with both taken as linear [nats].
+    """Predict the gain of a cause beside a hypothesis held fixed, with both taken as linear [nats].
 
     Args:
         few: a few blocks of the recording.
@@ -148,7 +148,7 @@ def _gain_beside(few: Evidence, remainder: Residuals, other: Fit) -> float:
 
 
 def _linearised(worker: Worker, start: Fit) -> Fit | None:
-    """Evaluate a cause and its derivatives at its start; None where it changes nothing."""
+    """Evaluate a cause and its derivatives at its start; None if it changes nothing."""
     return _changing(worker.linearise(start.hypothesis, start.values, start.steps))
 
 
@@ -157,7 +157,7 @@ def _changing(fit: Fit) -> Fit | None:
 
 
 def _screen(worker: Worker, candidate: Candidate) -> list[Fit]:
-    """Return the starts of a candidate in a few blocks of the recording, best first, without those that change nothing."""
+    """Return the effective starts of a candidate in a few blocks of the recording, best first."""
     few = worker.subset or worker
     found = list[tuple[float, Fit]]()
     steps = None
@@ -172,7 +172,7 @@ def _screen(worker: Worker, candidate: Candidate) -> list[Fit]:
 
 
 def combined(evidence: Evidence, fit: Fit, other: Fit) -> Start:
-    """Return the start of a hypothesis with one more cause; its promise takes both as linear.
+    """Return the start of a hypothesis with one more cause; its predicted gain takes both as linear.
 
     Args:
         evidence: the recording compared with the given model.
@@ -198,12 +198,12 @@ def combined(evidence: Evidence, fit: Fit, other: Fit) -> Start:
     after = linear_loss(e, j, moved - values)
     before = float(np.sum(loss(fit.residuals.joined(channels))))
     steps = np.concatenate([fit.steps, other.steps])
-    # A linear problem starts where the step ends; otherwise one of the two may have to stay where it was.
+    # A linear problem starts at the end of the step; otherwise one of the two may have to keep its values.
     added = np.concatenate([fit.values, moved[p:]])
     start = Fit(hypothesis, added, channels, fit.residuals, j, before, steps)
     return Start(start, (moved, added, values), before - after)
 
 
 def main_channel(channels: Sequence[Channel]) -> Channel:
-    """Return the channel in which spectral lines are sought."""
+    """Return the channel searched for spectral lines."""
     return "force" if "force" in channels else channels[0]

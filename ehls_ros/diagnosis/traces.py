@@ -1,4 +1,4 @@
-"""What the plots of a diagnosis are drawn from: each channel's residuals over its windows."""
+"""Traces for the plots of a diagnosis: each channel's residuals over its windows."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ def trace(evidence: Evidence, channel: Channel, after: Array, signals: Mapping[s
         evidence: the recording compared with the given model.
         channel: the channel.
         after: residual with the causes, of the usable windows, in the channel's unit, shape (n,).
-        signals: those it may depend on, by name, a value a sample.
+        signals: signals it may depend on, by name, one value per sample.
     """
     floor = evidence.floor[channel]
     return ChannelTrace(

@@ -1,4 +1,4 @@
-"""The verdict: what may be concluded from what remains, what was excited and what was named."""
+"""Verdict from the remainders, the excitation and the named causes."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -11,10 +11,10 @@ from ehls_ros.diagnosis.stages import Stage
 
 
 class Finding(NamedTuple):
-    """What is known of one stage.
+    """Findings for one stage.
 
     Attributes:
-        remainders: what remains in each of its channels; empty where none was recorded.
+        remainders: remainder of each of its channels; empty if none was recorded.
         excited: whether the data could show an error.
     """
 
@@ -23,12 +23,12 @@ class Finding(NamedTuple):
 
     @property
     def judged(self) -> bool:
-        """Whether anything can be said of the stage."""
+        """Whether the stage can be judged."""
         return bool(self.remainders) and self.excited
 
 
 class Decision(NamedTuple):
-    """The verdict, and for ``unknown`` the stage in which most remains that no cause explains."""
+    """The verdict, and for ``unknown`` the stage with the largest unexplained remainder."""
 
     verdict: Verdict
     unknown_stage: Stage | None
@@ -38,14 +38,14 @@ def decide(findings: Mapping[Stage, Finding], causes: Sequence[Stage], *, agains
     """Decide the verdict.
 
     Args:
-        findings: what is known of each stage.
-        causes: the stage of each cause that the search accepted.
-        against_baselines: whether causes are changes since baselines: what stands out of these needs no other proof that the
-            data could show it.
+        findings: findings for each stage.
+        causes: the stage of each accepted cause.
+        against_baselines: whether causes are changes since baselines; a change detected against these needs no other evidence
+            of excitation.
 
     Returns:
-        ``insufficient`` if a cause lies in a stage that was not excited; ``unknown`` if something remains that no cause
-        explains; ``effect`` if there are causes; ``consistent`` if enough was excited to show an error, else ``insufficient``.
+        ``insufficient`` if a cause lies in a stage that was not excited; ``unknown`` if there is an unexplained remainder;
+        ``effect`` if there are causes; ``consistent`` if the excitation suffices to show an error, else ``insufficient``.
     """
     unknown = unknown_stage(findings)
     if not (against_baselines or all(findings[stage].excited for stage in causes)):
@@ -58,7 +58,7 @@ def decide(findings: Mapping[Stage, Finding], causes: Sequence[Stage], *, agains
 
 
 def unknown_stage(findings: Mapping[Stage, Finding]) -> Stage | None:
-    """Return the stage in which most remains that no cause explains, if there is one."""
+    """Return the stage with the largest unexplained remainder; None if there is none."""
     worst, found = 0.0, None
     for stage, finding in findings.items():
         for item in finding.remainders:
@@ -69,10 +69,10 @@ def unknown_stage(findings: Mapping[Stage, Finding]) -> Stage | None:
 
 
 def enough_excited(findings: Mapping[Stage, Finding]) -> bool:
-    """Tell whether enough of what was recorded was excited for a right model to be told from a wrong one.
+    """Return whether enough recorded stages were excited to distinguish a correct model from a wrong one.
 
-    Half of the recorded stages must be, and among them the force balance or the flow; the valve alone is enough where the
-    forces were not recorded.
+    Half of the recorded stages must be, and among them the force balance or the flow; the valve alone is enough if the forces
+    were not recorded.
     """
     recorded = [stage for stage in KEYS if findings[stage].remainders]
     judged = [stage for stage in recorded if findings[stage].judged]

@@ -1,7 +1,7 @@
-"""Balances over short windows: a differential equation's residual without differentiating a noisy signal.
+"""Weak-form balances over short windows: residuals of a differential equation without differentiating noisy signals.
 
-The residual at one instant needs derivatives. Weighted by a smooth window φ that vanishes with its slope at both ends, and
-integrated by parts, the derivatives fall on the window: ∫φ dx/dt = -∫φ' x, ∫φ d²x/dt² = ∫φ'' x.
+The residual at one instant needs derivatives. Weighting by a smooth window φ that vanishes with its slope at both ends, and
+integration by parts, moves the derivatives to the window: ∫φ dx/dt = -∫φ' x, ∫φ d²x/dt² = ∫φ'' x.
 """
 
 from functools import partial
@@ -22,7 +22,7 @@ class Window(NamedTuple):
         weights: φ, their sum is 1, shape (m,).
         slopes: dφ/dt [1/s], shape (m,).
         curvatures: d²φ/dt² [1/s^2], shape (m,).
-        hop: samples from the beginning of one window to that of the next.
+        hop: samples between the beginnings of successive windows.
     """
 
     weights: Array
@@ -31,11 +31,11 @@ class Window(NamedTuple):
     hop: int
 
     def starts(self, samples: int) -> NDArray[np.intp]:
-        """Return the first sample of each window that fits into so many samples."""
+        """Return the first sample of each window that fits into the given number of samples."""
         return np.arange(0, max(samples - self.weights.size + 1, 0), self.hop)
 
     def over(self, values: Any, weights: Array) -> Any:
-        """Return the weighted sum of a signal over each window; of a dual signal a dual."""
+        """Return the weighted sum of a signal over each window; a dual for a dual signal."""
         return linear(partial(self._sums, weights), values)
 
     def _sums(self, weights: Array, values: Array) -> Array:
@@ -58,7 +58,7 @@ class Window(NamedTuple):
 
 
 def smooth_window(samples: int, period: float, hop: int = 3) -> Window:
-    """Return a sin^4 window over so many sampling periods, with ``hop`` windows beginning within one length."""
+    """Return a sin^4 window over a number of sampling periods, with ``hop`` windows beginning within one length."""
     angle = np.pi * np.arange(samples + 1) / samples
     scale = np.pi / (samples * period)
     sine, cosine = np.sin(angle), np.cos(angle)
@@ -66,7 +66,7 @@ def smooth_window(samples: int, period: float, hop: int = 3) -> Window:
     total = float(np.sum(weights))
     slopes = 4.0 * sine**3 * cosine * scale
     curvatures = (12.0 * sine**2 * cosine**2 - 4.0 * sine**4) * scale**2
-    # Sums differ from integrals: scaled so that a line has its slope and a parabola its curvature, however few the samples.
+    # Sums differ from integrals: scaled to reproduce the slope of a line and the curvature of a parabola with few samples too.
     time = period * (np.arange(samples + 1) - 0.5 * samples)
     slopes *= -1.0 / float(np.sum(slopes * time))
     curvatures -= weights / total * float(np.sum(curvatures))

@@ -1,15 +1,15 @@
-"""Numbers that know their derivatives, for compiled functions: forward automatic differentiation of the same source.
+"""Dual numbers for compiled functions: forward automatic differentiation of the same source.
 
 A dual is a value and its derivatives by some parameters, the *tangents*. A function compiled for duals instead of floats
-computes what it did before, to the bit, and the derivatives beside it by the chain rule (Griewank, Walther, Evaluating
-Derivatives, 2008, chapter 3). Comparisons go by value; but what varies equals no number, so that short cuts for special values
-are not taken. Whole numbers that :func:`math.ceil` and its like make have no derivative. Where a function has a corner, the
-derivative is that of one side; where it is infinite, it counts as zero.
+computes bitwise the same value, and its derivatives by the chain rule (Griewank, Walther, Evaluating Derivatives, 2008,
+chapter 3). Comparisons use the value, but a varying number equals no number, so that shortcuts for special values are not
+taken. Whole numbers returned by :func:`math.ceil` and similar functions have no derivative. At a corner of a function the
+derivative is one-sided; an infinite derivative is replaced by zero.
 
-``DualArray`` and ``DualRecord`` stand for an array of floats and for a named tuple of parameters. In memory, a dual is
-a row of an array of floats, shape (n, width): the value, then the tangents. All tangents of a dual are added and multiplied
-at once, as vectors of the processor. The last tangent is that by the length of the present step; it is zero but while
-:func:`length_to_event` needs it.
+``DualArray`` and ``DualRecord`` represent an array of floats and a named tuple of parameters. In memory, a dual is a row of an
+array of floats, shape (n, width): the value, then the tangents. All tangents of a dual are added and multiplied at once, as
+vectors of the processor. The last tangent is that by the length of the present step; it is zero except within
+:func:`length_to_event`.
 """
 
 from ehls_ros.duals import rules as _rules  # noqa: F401 - registers the rules

@@ -1,4 +1,4 @@
-"""Duals in intermediate code: value and tangents apart, and the chain rule."""
+"""Duals in intermediate code: separate value and tangents, and the chain rule."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,19 +15,19 @@ FUSED = ("contract",)
 
 
 intrinsic: Any = _intrinsic
-"""Numba's decorator; what it decorates is called with other arguments than it is defined with."""
+"""Numba's decorator, untyped because decorated functions are called with other arguments than they are defined with."""
 
 
 class CodeDual:
     """A dual in intermediate code.
 
     Attributes:
-        value: its value.
-        tangents: vectors; None if all are zero.
+        value: the value.
+        tangents: vectors of tangents; None if all are zero.
     """
 
     def __init__(self, value: ir.Value, tangents: Sequence[ir.Value] | None) -> None:
-        """Take value and tangents."""
+        """Store value and tangents."""
         self.value = value
         self.tangents = tangents
 
@@ -50,7 +50,7 @@ def written(context: Any, builder: Any, kind: DualType, dual: CodeDual) -> Any:
 
 
 def packed(parts: Any) -> ir.Value:
-    """Return the value of a structure in parts."""
+    """Return the value of a structure from its parts."""
     return parts._getvalue()  # noqa: SLF001 - numba's own name
 
 
@@ -95,19 +95,19 @@ def number(value: float) -> ir.Constant:
 
 
 def or_zero(builder: Any, allowed: ir.Value, value: ir.Value) -> ir.Value:
-    """Return a value where it is allowed, else 0."""
+    """Return a value if the condition holds, otherwise 0."""
     return builder.select(allowed, value, number(0.0))
 
 
 class Plain:
-    """Calls of the functions of plain floats, so that values are the same to the bit."""
+    """Calls functions of plain floats, so that values are bitwise the same."""
 
     def __init__(self, context: Any, builder: Any) -> None:
-        """Call where a builder stands."""
+        """Store the builder, at whose position the calls are inserted."""
         self._context, self._builder = context, builder
 
     def __call__(self, function: Any, *values: ir.Value) -> ir.Value:
-        """Return what a function of floats returns."""
+        """Insert a call of a function of floats and return its result."""
         typing = self._context.typing_context
         kind = typing.resolve_value_type(function)
         sig = typing.resolve_function_type(kind, (types.float64,) * len(values), {})
@@ -115,7 +115,7 @@ class Plain:
 
 
 def any_tangent(builder: Any, tangents: Sequence[ir.Value]) -> ir.Value:
-    """Return whether a tangent is not zero; the first lane is none."""
+    """Return whether any tangent is nonzero; the first lane is not a tangent."""
     found = ir.Constant(ir.IntType(1), 0)
     for index, vector in enumerate(tangents):
         lanes, own = vector.type.count, vector

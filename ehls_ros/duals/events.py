@@ -1,4 +1,4 @@
-"""What an integrator asks of its numbers at events; of floats nothing, at no cost."""
+"""Operations on numbers at events of an integrator; for floats they do nothing, at no cost."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from ehls_ros.duals.kinds import DualArrayType, DualType
 
 @intrinsic
 def _ticking(typingctx: Any, length: Any) -> Any:
-    """Return a length as the variable that the last tangent belongs to."""
+    """Return a length as the variable of the last tangent."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = sig.return_type
@@ -30,14 +30,14 @@ def _by_length(builder: Any, dual: CodeDual) -> Any:
 
 
 def _without_length(builder: Any, tangents: list[Any]) -> list[Any]:
-    """Return tangents with the last one zero."""
+    """Return tangents with the last one set to zero."""
     last = tangents[-1]
     return [*tangents[:-1], builder.insert_element(last, number(0.0), ir.Constant(ir.IntType(32), last.type.count - 1))]
 
 
 @intrinsic
 def _implied(typingctx: Any, length: Any, event: Any) -> Any:
-    """Return a length at which an event function is zero, with the tangents that follow; zero where it only touches zero."""
+    """Return a length at which an event function is zero, with the implied tangents; zero ones if it only touches zero."""
     if not isinstance(event, DualType):
         # The system has no events.
         return length(length, event), lambda context, builder, sig, args: args[0]
@@ -55,7 +55,7 @@ def _implied(typingctx: Any, length: Any, event: Any) -> Any:
 
 @intrinsic
 def _after(typingctx: Any, value: Any, length: Any) -> Any:
-    """Return a value that depends on the step's length, with the length's own tangents counted."""
+    """Return a value that depends on the step's length, including the tangents of the length."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         dual, step = (read(context, builder, kind, arg) for kind, arg in zip(sig.args, args, strict=True))
@@ -66,15 +66,15 @@ def _after(typingctx: Any, value: Any, length: Any) -> Any:
 
 
 def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any) -> Any:
-    """Return the length of a step that ends on an event; of duals, with the derivatives of the event's time.
+    """Return the length of a step that ends on an event; for duals, with the derivatives of the event time.
 
-    These follow from the event function g, which is zero at the event whatever the parameters: dh/dp = -(dg/dp) / (dg/dh).
-    The state at the event, ``work[0]``, gets what it changes by the time of the event. What is left of the whole step
-    is shorter by as much, so that both parts together have the derivatives at a fixed time, with the jump that is known as
-    the saltation matrix (Leine, Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004, chapter 7).
+    They follow from the event function g, which is zero at the event for all parameters: dh/dp = -(dg/dp) / (dg/dh). The state
+    at the event, ``work[0]``, receives the change due to the event time. The remainder of the whole step is shortened
+    accordingly, so that both parts together have the derivatives at a fixed time. These include the jump known as the saltation
+    matrix (Leine, Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004, chapter 7).
 
     Args:
-        take_step: takes a step of the integrator, which ends in ``work[0]``.
+        take_step: takes a step of the integrator; the result is in ``work[0]``.
         evaluate: rates and event function of the system.
         t: time at the start of the step [s].
         y: state at the start of the step.
@@ -87,7 +87,7 @@ def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c:
 
 
 _LEAN: Any = {"_nrt": False, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""As :func:`~ehls_ros.arrays.lean`."""
+"""Options of :func:`~ehls_ros.arrays.lean`."""
 
 
 @overload(length_to_event, strict=False, jit_options=_LEAN)
@@ -108,7 +108,7 @@ def _length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c
 
 
 def alike(array: Any, number: Any) -> Any:
-    """Return a number as the elements of an array are: a dual for duals, else itself."""
+    """Return a number in the type of the elements of an array: a dual for duals, otherwise unchanged."""
     return number
 
 
@@ -123,7 +123,7 @@ def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 
 def varies(value: Any) -> bool:
-    """Return whether a number has a derivative that is not zero; of a float always False."""
+    """Return whether a number has a nonzero derivative; always False for a float."""
     return False
 
 

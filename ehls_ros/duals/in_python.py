@@ -1,4 +1,4 @@
-"""Duals for what is computed once and in Python: the parameters of a rig from those of its effects, signals from these."""
+"""Duals for one-time computations in Python: the parameters of a rig from those of its effects, and signals from these."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -9,22 +9,22 @@ import numpy as np
 from ehls_ros.arrays import Array
 
 Tangents = Mapping[int, Any]
-"""Derivatives by the number of the parameter."""
+"""Derivatives by the index of the parameter."""
 
 
 class Dual:
-    """A number, or an array of them, and its derivatives by some parameters; comparisons go by value.
+    """A number or an array with its derivatives by some parameters; comparisons use the value.
 
     Attributes:
-        value: its value.
+        value: the value.
         tangents: derivatives by the parameters that it depends on, each a number or an array that broadcasts to the value.
     """
 
     __array_ufunc__ = None
-    """Arrays leave arithmetic with duals to these."""
+    """Disables numpy's operators, so that arithmetic with arrays uses those of duals."""
 
     def __init__(self, value: Any, tangents: Tangents) -> None:
-        """Take value and tangents."""
+        """Store value and tangents."""
         self.value = value
         self.tangents = tangents
 
@@ -61,7 +61,7 @@ class Dual:
         return _chain(-self.value, (-1.0, self))
 
     def __getitem__(self, index: Any) -> "Dual":
-        """Return a part of an array, without the tangents that are zero there."""
+        """Return a part of an array, without the tangents that are zero in it."""
         part = _each(lambda array: array[index], self)
         return Dual(part.value, {i: tangent for i, tangent in part.tangents.items() if np.any(tangent)})
 
@@ -71,7 +71,7 @@ class Dual:
         return _each(np.transpose, self)
 
     def exp(self) -> "Dual":
-        """Return the exponential; numpy calls it so."""
+        """Return the exponential; called by ``numpy.exp``."""
         value = math.exp(self.value)
         return _chain(value, (value, self))
 
@@ -92,7 +92,7 @@ class Dual:
         return self.value >= value_of(other)
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether both are the same and neither varies."""
+        """Return whether the values are equal and neither varies."""
         same = self.value == (other.value if isinstance(other, Dual) else other)
         return same and not any(tangents_of(number) for number in (self, other))
 
@@ -119,7 +119,7 @@ def _each(function: Callable[[Any], Any], dual: Dual) -> Dual:
 
 
 def linear(function: Callable[[Any], Any], signal: Any) -> Any:
-    """Return a linear function of a signal; of a signal of duals, with its derivatives.
+    """Return a linear function of a signal; for a signal of duals, with its derivatives.
 
     Args:
         function: the function of an array.
@@ -134,7 +134,7 @@ def value_of(number: Any) -> Any:
 
 
 def tangents_of(number: Any) -> Tangents:
-    """Return the tangents of a number or an array; none of a float."""
+    """Return the tangents of a number or an array; empty for a float."""
     return number.tangents if isinstance(number, Dual) else {}
 
 
@@ -144,12 +144,12 @@ def exp(number: Any) -> Any:
 
 
 def values_of(parameters: Any) -> Any:
-    """Return a named tuple of numbers, and of tuples of them, with the values alone."""
+    """Return a named tuple of numbers and tuples of numbers without derivatives."""
     return type(parameters)(*(tuple(map(value_of, p)) if isinstance(p, tuple) else value_of(p) for p in parameters))
 
 
 def joined(numbers: Iterable[Any]) -> Any:
-    """Return numbers as an array, shape (n,); a dual if one of them is."""
+    """Return numbers as an array, shape (n,); as a dual if any of them is."""
     all_of_them = list(numbers)
     values = np.array([value_of(number) for number in all_of_them], dtype=np.float64)
     varied = parameters_of(all_of_them)
@@ -159,23 +159,23 @@ def joined(numbers: Iterable[Any]) -> Any:
 
 
 def numbers_of(parameters: Any) -> list[Any]:
-    """Return what a named tuple holds: its numbers first and then the entries of its lists."""
+    """Return the contents of a named tuple: its numbers first, then the entries of its lists."""
     lists = [entry for value in parameters if isinstance(value, tuple) for entry in value]
     return [*(value for value in parameters if not isinstance(value, tuple)), *lists]
 
 
 def parameters_of(numbers: Iterable[Any]) -> list[int]:
-    """Return the numbers of the parameters that some numbers or arrays depend on, in order."""
+    """Return the indices of the parameters on which some numbers or arrays depend, in ascending order."""
     return sorted({parameter for number in numbers for parameter in tangents_of(number)})
 
 
 def rows_of(numbers: Any, width: int, parameters: Sequence[int] | None = None) -> Array:
-    """Return numbers as duals in memory, shape (n, width).
+    """Return numbers as duals in memory layout, shape (n, width).
 
     Args:
         numbers: floats and duals of Python, or an array or a dual of it, shape (n,).
-        width: of a dual.
-        parameters: the parameters whose tangents follow the value, by number; by default all, each at its number.
+        width: width of a dual.
+        parameters: indices of the parameters whose tangents follow the value; by default all, each at its index.
     """
     signal = numbers if isinstance(numbers, Dual | np.ndarray) else joined(numbers)
     values, tangents = value_of(signal), tangents_of(signal)
@@ -188,11 +188,11 @@ def rows_of(numbers: Any, width: int, parameters: Sequence[int] | None = None) -
 
 
 def record_rows(parameters: Any, width: int, varied: Sequence[int] | None = None) -> Array:
-    """Return a named tuple as duals in memory, its numbers first and then its lists, shape (n, width).
+    """Return a named tuple as duals in memory layout, its numbers first and then its lists, shape (n, width).
 
     Args:
         parameters: the named tuple.
-        width: of a dual.
-        varied: as the parameters of :func:`rows_of`.
+        width: width of a dual.
+        varied: indices of the parameters, as in :func:`rows_of`.
     """
     return rows_of(numbers_of(parameters), width, varied)

@@ -1,4 +1,4 @@
-"""The types of duals, of their arrays and of their records."""
+"""Numba types of duals, of their arrays and of their records."""
 
 import math
 from typing import Any
@@ -10,14 +10,14 @@ from numba.core.typeconv.castgraph import Conversion
 from numba.extending import register_model
 
 LANES = 8
-"""Most floats in one vector; a processor with shorter vectors takes two."""
+"""Most floats in one vector; a processor with shorter vectors uses two."""
 
 UNIT = 4
-"""A width is a multiple of this."""
+"""Divisor of every width."""
 
 
 def width_of(parameters: int) -> int:
-    """Return the floats in a dual: the value, a tangent for each parameter and one for the length of a step, rounded up."""
+    """Return the floats in a dual: the value, a tangent per parameter and one for the length of a step, rounded up."""
     return UNIT * math.ceil((parameters + 2) / UNIT)
 
 
@@ -31,7 +31,7 @@ class VectorType(types.Type):
 
 
 class DualType(types.Type):
-    """A dual of a width."""
+    """Type of a dual of a given width."""
 
     def __init__(self, width: int) -> None:
         """Name the type by the width."""
@@ -40,20 +40,20 @@ class DualType(types.Type):
 
     @property
     def lanes(self) -> list[int]:
-        """Lengths of the vectors that hold it; the first lane is the value's place in memory."""
+        """Lengths of the vectors of tangents; the first lane is the value's place in memory."""
         return [min(LANES, self.width - first) for first in range(0, self.width, LANES)]
 
     def unify(self, typingctx: Any, other: types.Type) -> "DualType | None":
-        """Return the type of what is a dual in one branch and a plain number in another."""
+        """Return the common type of a dual in one branch and a plain number in another."""
         return self if isinstance(other, types.Number) else None
 
     def can_convert_from(self, typingctx: Any, other: types.Type) -> Conversion | None:
-        """Tell that a plain number is a dual without tangents."""
+        """Allow the conversion of a plain number to a dual without tangents."""
         return Conversion.safe if isinstance(other, types.Number) else None
 
 
 class DualArrayType(types.Type):
-    """An array of duals of one or two dimensions, or a part of it."""
+    """Type of an array of duals of one or two dimensions, or a part of it."""
 
     def __init__(self, width: int, ndim: int) -> None:
         """Name the type by width and dimensions."""
@@ -63,19 +63,19 @@ class DualArrayType(types.Type):
 
 
 class DualRecordType(types.Type):
-    """Parameters by name: numbers, and lists of equal length, which are arrays of duals.
+    """Type of named parameters: numbers, and lists of equal length, which are arrays of duals.
 
     In memory the numbers come first, then the lists.
     """
 
     def __init__(self, width: int, numbers: tuple[str, ...], lists: tuple[str, ...] = (), entries: int = 0) -> None:
-        """Name the type by all that tells it.
+        """Name the type by all its arguments.
 
         Args:
-            width: of a dual.
+            width: width of a dual.
             numbers: names of the numbers.
             lists: names of the lists.
-            entries: length of each list; 0: it is known at run time only.
+            entries: length of each list; 0 if known only at run time.
         """
         super().__init__(f"DualRecord({width}, {numbers}, {lists}, {entries})")
         self.dtype = DualType(width)

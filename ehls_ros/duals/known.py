@@ -1,4 +1,4 @@
-"""Functions whose derivative is known better than the chain rule finds it through their arithmetic."""
+"""Functions with a given derivative, in place of the chain rule through their arithmetic."""
 
 from typing import Any
 
@@ -26,12 +26,12 @@ def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 
 def sloped(value: Any, slope: float, number: Any) -> Any:
-    """Return a value with the derivatives that a number gives it.
+    """Return a value with the derivatives due to a number.
 
     Args:
-        value: what is computed from the number's value alone, or that with the derivatives of other numbers.
+        value: result computed from the number's value alone; it may have the derivatives by other numbers.
         slope: its partial derivative by the number.
-        number: the number; of a float, the value itself is returned, at no cost.
+        number: the number; for a float, the value is returned unchanged, at no cost.
     """
     return value
 

@@ -28,14 +28,14 @@ def _load(context: Any, builder: Any, kind: DualType, data: Any, index: Any) -> 
 
 
 LEAST = 1e-290
-"""Least tangent that is kept: what an initial state did fades to numbers that processors are slow with."""
+"""Least tangent that is kept: the influence of an initial state decays to subnormal numbers, which are slow to process."""
 
 
 def _without_dust(builder: Any, tangents: Any) -> Any:
-    """Return a vector of tangents, zero where they are next to nothing."""
+    """Return a vector of tangents with negligible ones set to zero."""
     kind = tangents.type
     above, below = (ir.Constant(kind, [sign * LEAST] * kind.count) for sign in (1.0, -1.0))
-    # Unordered, so that what is no number stays.
+    # Unordered comparison, so that NaN is kept.
     kept = builder.or_(builder.fcmp_unordered(">=", tangents, above), builder.fcmp_unordered("<=", tangents, below))
     return builder.select(kept, tangents, zeros(kind.count))
 
@@ -113,7 +113,7 @@ def _flat(builder: Any, array: Any, index: Any) -> Any:
 
 
 def _part(context: Any, builder: Any, kind: Any, array: Any, slice_type: Any, index: Any) -> Any:
-    """Return the part of an array that a slice without step and without negative numbers tells."""
+    """Return the part of an array selected by a slice without step and without negative indices."""
     bounds = context.make_helper(builder, slice_type, index)
     low, high = (
         builder.select(builder.icmp_signed("<", bound, array.rows), bound, array.rows) for bound in (bounds.start, bounds.stop)
@@ -215,7 +215,7 @@ def _(context: Any, builder: Any, kind: Any, value: Any, attr: str) -> Any:
 
 @intrinsic(prefer_literal=True)
 def dual_array(typingctx: Any, array: Any, width: Any) -> Any:
-    """Return the duals in an array of floats: of shape (n, width) n, of shape (n, m, width) n × m; ``width`` is constant."""
+    """Return an array of floats as duals: n for shape (n, width), n × m for (n, m, width); ``width`` is constant."""
     kind = DualArrayType(width.literal_value, array.ndim - 1)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -229,9 +229,9 @@ def dual_array(typingctx: Any, array: Any, width: Any) -> Any:
 
 @intrinsic(prefer_literal=True)
 def dual_record(typingctx: Any, array: Any, width: Any, like: Any) -> Any:
-    """Return the duals in an array of floats, shape (n, width), as :func:`~ehls_ros.duals.in_python.record_rows` writes it.
+    """Return the duals in an array of floats, shape (n, width), as written by :func:`~ehls_ros.duals.in_python.record_rows`.
 
-    They have the names of the named tuple ``like``, of which no value counts. Empty lists in it stand for any length.
+    Their names are those of the named tuple ``like``, whose values are ignored. Empty lists in it stand for any length.
     """
     lists = {name: len(kind) for name, kind in zip(like.fields, like.types, strict=True) if isinstance(kind, types.BaseTuple)}
     numbers = tuple(name for name in like.fields if name not in lists)

@@ -1,4 +1,4 @@
-"""What duals can be put into, with the derivative of each function."""
+"""Functions that accept duals, with the derivative of each."""
 
 import math
 import operator
@@ -33,13 +33,13 @@ _Rule = Callable[..., CodeDual | tuple[ir.Value, list[tuple[Any, CodeDual]]]]
 
 
 def _are_numbers_with_a_dual(args: Any, count: int) -> bool:
-    """Tell whether these are the types of so many numbers, of which at least one is a dual."""
+    """Return whether these are the types of ``count`` numbers, at least one of them a dual."""
     numbers = all(isinstance(a, DualType | types.Integer | types.Float) for a in args)
     return len(args) == count and numbers and any(isinstance(a, DualType) for a in args)
 
 
 def _differentiable(*functions: Any, value_of: Any = None) -> Callable[[_Rule], _Rule]:
-    """Register the derivative of functions of one or two numbers, of which at least one is a dual."""
+    """Register the derivative of functions of one or two numbers, at least one of them a dual."""
 
     def register(rule: _Rule) -> _Rule:
         count = rule.__code__.co_argcount - 2
@@ -105,7 +105,7 @@ def _(builder: Any, plain: Plain, a: CodeDual, b: CodeDual) -> Any:
     by_base = builder.select(builder.fcmp_ordered("==", a.value, number(0.0)), at_zero, by_base)
     terms = [(by_base, a)]
     if b.tangents is not None:
-        # A logarithm is dear, and the exponent seldom varies.
+        # A logarithm is expensive, and the exponent seldom varies.
         slot = cgutils.alloca_once_value(builder, number(0.0))
         with builder.if_then(builder.and_(any_tangent(builder, b.tangents), builder.fcmp_ordered(">", a.value, number(0.0)))):
             builder.store(builder.fmul(power, plain(math.log, a.value)), slot)
@@ -198,14 +198,14 @@ def _(builder: Any, plain: Plain, a: CodeDual, b: CodeDual) -> Any:
 
 
 def _chosen(builder: Any, second: ir.Value, a: CodeDual, b: CodeDual) -> CodeDual:
-    """Return the second of two duals if a condition holds, else the first."""
+    """Return the second of two duals if a condition holds, otherwise the first."""
     kinds = [v.type.count for v in a.tangents or b.tangents or ()]
     first, other = (dual.tangents or [zeros(lanes) for lanes in kinds] for dual in (a, b))
     tangents = [builder.select(second, y, x) for x, y in zip(first, other, strict=True)]
     return CodeDual(builder.select(second, b.value, a.value), tangents)
 
 
-# The comparisons are those of numba's min and max.
+# The comparisons match those of numba's min and max.
 
 
 @_differentiable(min)
@@ -219,7 +219,7 @@ def _(builder: Any, plain: Plain, a: CodeDual, b: CodeDual) -> Any:
 
 
 def _typed_by_value(function: Any, count: int) -> None:
-    """Register the type of a function of the values alone."""
+    """Register the type of a function that uses only the values."""
 
     @infer_global(function)
     class _Typing(AbstractTemplate):
@@ -237,7 +237,7 @@ _PAIRS = ((DualType, DualType), (DualType, types.Float), (types.Float, DualType)
 
 
 def _by_value(function: Any, count: int) -> None:
-    """Register a function of the values alone, such as a comparison."""
+    """Register a function that uses only the values, such as a comparison."""
     _typed_by_value(function, count)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -249,7 +249,7 @@ def _by_value(function: Any, count: int) -> None:
 
 
 def _equality(function: Any, *, equal: bool) -> None:
-    """Register a test of equality: what varies equals no number, so that short cuts for special values are not taken."""
+    """Register a test of equality: a varying number equals no number, so shortcuts for special values are not taken."""
     _typed_by_value(function, count=2)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The rig with the changes that an operator has accepted, on its way from the monitor to controllers."""
+"""Transfer of a rig with operator-accepted changes from the monitor to controllers."""
 
 import os
 from pathlib import Path
@@ -14,20 +14,20 @@ MARK = "# ehls_ros accepted rig\n"
 """First line of the file."""
 
 LONGEST = 1 << 16
-"""Longest text of a rig that controllers take; one has two kilobytes [characters]."""
+"""Longest rig text that controllers accept [characters]; two kilobytes are usual."""
 
 EXPECTED = "a rig as near to the controller's rig file as adaptation stays; for another one, start the controller with its file"
 
 
 def write_accepted(path: Path, text: str) -> None:
-    """Write the rig's file; one that is not of this kind is not replaced.
+    """Write the file of an accepted rig; a file of another kind is not replaced.
 
     Args:
         path: the file.
         text: content of a rig file.
 
     Raises:
-        NotWritten: with the path and the reason.
+        NotWritten: the file cannot be written; the message has the path and the reason.
     """
     there = os.path.exists(path)  # noqa: PTH110 - Path.exists raises where nobody may look
     if there and access.begins_with(path, len(MARK)) != MARK.encode():
@@ -41,16 +41,16 @@ def accepted_model(text: str, own: Rig, period: float, where: str) -> Model:
     Args:
         text: content of a rig file.
         own: the rig of the controller's rig file.
-        period: of the control cycles [s].
+        period: period of the control cycles [s].
         where: the topic, for errors.
 
     Raises:
-        BadInput: it is no rig, or further from the controller's rig file than adaptation may move a model.
+        BadInput: the text is not a rig, or it is further from the controller's rig file than adaptation may move a model.
     """
     if len(text) > LONGEST:
         raise BadInput(f"the rig has {len(text)} characters", where, f"at most {LONGEST}")
     rig = rig_from_mapping(parse_yaml(text, where, "rig"), where)
-    # The effects that were found count by how they shift the rig's coefficients.
+    # Only the shift of the rig's coefficients by the detected effects is compared.
     model = model_of(Rig(*rig.effective()), period)
     if rig.limits != own.limits:
         raise BadInput("it has other limits", where, EXPECTED)

@@ -1,6 +1,6 @@
-"""What the companion ``adaptation`` found in a run, from its recording: sentences, and the rig file to write.
+"""Results of the companion ``adaptation`` in a run, from its recording: sentences, and the rig file to write.
 
-The companion goes by readings and commands alone, so a recording tells the same as it saw, over DDS and on a rig too.
+The companion uses readings and commands only, so a recording reproduces its results, over DDS and on a rig too.
 """
 
 from itertools import pairwise
@@ -20,16 +20,16 @@ from ehls_ros.recording.topics import LOADER_STATE
 from ehls_ros.trajectory import Trajectory
 
 NAME = "adaptation"
-"""Of the companion."""
+"""Name of the companion."""
 
 
 class Adapted(NamedTuple):
-    """What a run told of its rig file.
+    """Adaptation results of a run for its rig file.
 
     Attributes:
-        sentences: for the user.
-        at_bounds: those of coefficients out of the adaptation's reach, with the remedy.
-        rig: the controller's rig with what was handed over; None where that is nothing.
+        sentences: results for the user.
+        at_bounds: sentences on coefficients beyond the adaptation's reach, with the remedy.
+        rig: the controller's rig with the adapted values; None if unchanged.
     """
 
     sentences: tuple[str, ...]
@@ -37,7 +37,7 @@ class Adapted(NamedTuple):
     rig: Rig | None
 
     def text(self) -> str:
-        """Return the rig file to write; empty where there is nothing to change."""
+        """Return the rig file to write; empty if there is nothing to change."""
         if self.rig is None:
             return ""
         heading = "".join(f"# {sentence}\n" for sentence in ("Found by adaptation while running:", *self.sentences))
@@ -45,7 +45,7 @@ class Adapted(NamedTuple):
 
 
 def adapted(spec: Spec, trajectory: Trajectory) -> Adapted | None:
-    """Return what a run told of the controller's rig file; None where nothing adapted.
+    """Return the adaptation results of a run for the controller's rig file; None without adaptation.
 
     Args:
         spec: the experiment.
@@ -68,7 +68,7 @@ def adapted(spec: Spec, trajectory: Trajectory) -> Adapted | None:
 
 
 def _stretches(trajectory: Trajectory, period: float) -> list[Past]:
-    """Cut a recording where the companion is called, and where cycles are missing."""
+    """Split a recording at the calls of the companion and at missing cycles."""
     cycles = np.round(trajectory.time_s / period).astype(int)
     measured = np.column_stack([_signal(trajectory, name) for name in LOADER_STATE.signals.values()])
     command = _signal(trajectory, "valve_command_m")

@@ -1,4 +1,4 @@
-"""What changed since a rig was well: a recording judged against earlier ones of the same rig."""
+"""Detection of changes of a rig: a recording judged against earlier recordings of the healthy rig."""
 
 import math
 import time
@@ -30,7 +30,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
 LEARNING = 0.35
-"""Fraction of the work that learning the baselines takes."""
+"""Fraction of the work for learning the baselines."""
 
 
 def diagnose_against(
@@ -44,23 +44,23 @@ def diagnose_against(
     progress: Progress = lambda doing, part: None,
     names: Sequence[str] | None = None,
 ) -> Diagnosis:
-    """Find what changed on a rig since its baselines were recorded.
+    """Find the changes of a rig since its baselines were recorded.
 
     Args:
         new: the recording to be judged.
-        baselines: recordings from when the rig was well.
-        rig: the rig as its file describes it.
+        baselines: recordings of the healthy rig.
+        rig: the rig as described in its file.
         name: name of the new recording in errors.
-        seed: of the noise added to find the noise floor, and of resampling.
-        threads: hypotheses tried at once; by default one for each processor.
-        progress: called with what is being done and the fraction of the work that is done.
+        seed: seed of the noise added to find the noise floor, and of resampling.
+        threads: number of hypotheses tried in parallel; by default one per processor.
+        progress: called with a description of the current step and the completed fraction of the work.
         names: names of the baselines in errors and in the result.
 
     Returns:
         The diagnosis; ``consistent`` means that nothing has changed.
 
     Raises:
-        BadInput: there is no baseline, one shows nothing of the rig, or a recording cannot be read as one of such a rig.
+        BadInput: there is no baseline, one allows no comparison with the model, or a recording does not match the rig.
     """
     began = time.perf_counter()
     if not baselines:
@@ -115,8 +115,9 @@ def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence
 def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     """Return the rig with the coefficients of plant and friction that fit the baselines best.
 
-    Constant errors are fitted beside them, so that they bias none, but left to what is learnt of each channel. The shape of the
-    friction near rest matters seldom, so that errors of form would bend it: it stays as given where a fit does without it.
+    Constant errors are fitted jointly to avoid bias, but then left to the learnt model of each channel. The shape of the
+    friction near rest rarely matters, and model errors would distort it: it is kept as given unless its fit improves the
+    likelihood sufficiently.
     """
     stack, records = Stack(baselines), [e.record for e in baselines]
     known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
@@ -133,7 +134,7 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
 
 
 def _coefficients(given: Rig, fitted: Rig, natural: Natural) -> dict[str, Fitted]:
-    """Return the coefficients that the baselines tell, each with what all channels say of it together."""
+    """Return the coefficients determined by the baselines, each from all channels combined."""
     precision, spread = dict[str, float](), dict[str, float]()
     for own in natural.channels.values():
         learnt = own.learnt
@@ -166,7 +167,7 @@ def _channels(natural: Natural, expected: Mapping[Channel, Expected]) -> dict[Ch
 
 
 def _traces(evidence: Evidence, expected: Mapping[Channel, Expected], natural: Natural) -> dict[Channel, ChannelTrace]:
-    """Return the residuals of the fitted model, and what the expected remainder leaves of them."""
+    """Return the residuals of the fitted model, before and after subtraction of their expectation."""
     signals = signals_along(evidence.comparison(), evidence.rig)
     out = {}
     for c, healthy in expected.items():

@@ -1,9 +1,9 @@
-"""Many experiments at once: those of the same structure side by side, as lanes of one compiled call.
+"""Batch runs of experiments: those of the same structure run side by side, as lanes of one compiled call.
 
-Runs have the same structure if they differ only in numbers, references, disturbances and seeds: see
-:class:`Structure`. What has no place in lanes runs by itself, as in :mod:`ehls_ros.experiments.loop`: experiments with
-companions, with a disturbance that feels the loader, with an effect that delays the command; and runs that nothing else
-resembles. Each run has the numbers it has by itself, to the last bit.
+Runs have the same structure if they differ only in numbers, references, disturbances and seeds: see :class:`Structure`. Other
+experiments run separately, as in :mod:`ehls_ros.experiments.loop`: those with companions, with a disturbance that reacts to the
+loader, with an effect that delays the command, or with a rare structure. The results are bit-identical to those of separate
+runs.
 
 The first batch of a structure compiles its loop, which takes longer than that of a single run and pays off from several hundred
 runs of 10 s on; later ones find it in the cache.
@@ -54,29 +54,29 @@ from ehls_ros.recording.topics import REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
 Result = Trajectory | Exception
-"""A run, or why there is none; :class:`~ehls_ros.experiments.run_failure.Implausible` holds the run as far as it went."""
+"""A run or its error; :class:`~ehls_ros.experiments.run_failure.Implausible` holds the run up to the failure."""
 
 FEWEST = 5
-"""Fewest runs that are faster side by side than one after another."""
+"""Minimum number of runs that are faster side by side than one after another."""
 
 STRETCH = 400
-"""Cycles after which a block's records are taken away, a part of :data:`~ehls_ros.experiments.loop.CHUNK`: so many fit into a
-processor's own cache."""
+"""Number of cycles after which a block's records are copied out, a divisor of :data:`~ehls_ros.experiments.loop.CHUNK`; they
+fit into a processor's cache."""
 
 BRIEF = (SENSED.index("force"), len(SENSED))
-"""Columns of a record that are kept of a brief run: force and command."""
+"""Columns of a record that are kept for a brief run: force and command."""
 
 
 class Structure(NamedTuple):
-    """What runs must have in common to be lanes of one block.
+    """Common properties of the runs in the lanes of one block.
 
     Attributes:
-        members: names of friction model, controller, observer, and of the friction model that the observer believes in.
+        members: names of friction model, controller, observer, and the observer's friction model.
         effects: the effects in the plant's equations.
-        sizes: of everything in the loop.
+        sizes: sizes of all parts of the loop.
         timing: periods and steps.
         cycles: number of control cycles.
-        known: types of the numbers, as :func:`_kinds` tells them.
+        known: types of the numbers, as returned by :func:`_kinds`.
     """
 
     members: tuple[str, str, str, str]
@@ -104,14 +104,14 @@ def run_batch(
     """Run experiments without ROS.
 
     Args:
-        specs: the experiments, taken as they are needed.
-        check: refuse numbers that are allowed one by one but together describe no rig.
-        threads: threads that run blocks of lanes; None: one per processor.
-        brief: whether force, its reference and the command are all that is needed of a run side by side. To keep the rest, with
-            metadata, takes a third of a run's time and most of its memory.
+        specs: the experiments, consumed on demand.
+        check: whether to reject values that are valid individually but inconsistent together.
+        threads: number of threads that run blocks of lanes; None: one per processor.
+        brief: whether to keep only force, reference and command of runs in lanes. Keeping the rest, with metadata, takes a
+            third of a run's time and most of its memory.
 
     Yields:
-        The place of each spec, and what :func:`~ehls_ros.experiments.loop.run_in_process` returns or raises for it; in the
+        The index of each spec, and the result or exception of :func:`~ehls_ros.experiments.loop.run_in_process` for it, in the
         order in which the runs end.
     """
     waiting: dict[Hashable, list[_Lane]] = {}
@@ -145,10 +145,10 @@ def run_batch(
 
 
 class _Here(Executor):
-    """Does work at once."""
+    """Executor that does the work immediately."""
 
     def submit(self, work: Callable[..., Any], /, *arguments: Any, **keywords: Any) -> Future[Any]:
-        """Do it."""
+        """Do the work."""
         done = Future[Any]()
         done.set_result(work(*arguments, **keywords))
         return done
@@ -162,7 +162,7 @@ def _alone(spec: Spec) -> Result:
 
 
 def _lane(index: int, spec: Spec, check: bool) -> _Lane | None:
-    """Return a run before its first cycle; None if it has to run by itself."""
+    """Return a run before its first cycle; None if it has to run separately."""
     if check:
         check_spec(spec, spec.settings.title)
     if spec.companions or DISTURBANCES.load(spec.disturbance.name).REACTS:
@@ -202,12 +202,12 @@ def _lane(index: int, spec: Spec, check: bool) -> _Lane | None:
 
 
 def _kinds(value: Any) -> Any:
-    """Return the type of a number, or those of all numbers in tuples; numba's own would take longer than a tenth of a run."""
+    """Return the type of a number, or of all numbers in tuples; numba's typing would take over a tenth of a run."""
     return (type(value), *map(_kinds, value)) if isinstance(value, tuple) else type(value)
 
 
 class _Sampled(SampledReference):
-    """A reference that several runs follow, sampled once."""
+    """Reference shared by several runs, sampled once."""
 
     def __init__(self, use: Use, period: float, cycles: int) -> None:
         """Sample all cycles of the runs."""
@@ -215,16 +215,16 @@ class _Sampled(SampledReference):
         self.all = super().rows(0, cycles)
 
     def rows(self, first: int, cycles: int) -> Array:
-        """Return some cycles on end, shape (cycles, 3)."""
+        """Return consecutive cycles, shape (cycles, 3)."""
         return self.all[first : first + cycles].copy() if first + cycles <= len(self.all) else super().rows(first, cycles)
 
 
 class _Coming:
-    """What comes from outside in the runs of a block.
+    """External inputs of the runs of a block.
 
     Attributes:
-        wanted: reference by run, and its first and second derivative, shape (cycles, 3).
-        disturbance: by run, shape (cycles, 4).
+        wanted: reference and its first and second derivative by run, shape (cycles, 3).
+        disturbance: disturbance by run, shape (cycles, 4).
     """
 
     def __init__(self, lanes: list[_Lane], cycles: int) -> None:
@@ -232,7 +232,7 @@ class _Coming:
         made: dict[str, _Sampled] = {}
 
         def sampled_once(use: Use, period: float) -> _Sampled:
-            # As text, in which numbers that are equal but for a sign or a type differ.
+            # As text, which distinguishes equal numbers of different sign or type.
             key = f"{use} {period!r}"
             if key not in made:
                 made[key] = _Sampled(use, period, cycles)
@@ -253,11 +253,11 @@ class _Coming:
         self._given[:, :, SIGNALS : SIGNALS + FOLLOWED] = np.nan
 
     def given(self, now: slice, source: list[int]) -> Array:
-        """Return what the loop is given in some cycles: noise, reference, disturbance; shape (LANES, n, numbers).
+        """Return the inputs of the loop in some cycles: noise, reference, disturbance; shape (LANES, n, numbers).
 
         Args:
-            now: the cycles, which follow those asked for before.
-            source: the run whose numbers each lane has.
+            now: the cycles, which follow those of the previous call.
+            source: the run whose numbers each lane uses.
         """
         given = self._given[:, : now.stop - now.start]
         for run in set(source):
@@ -279,7 +279,7 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
     columns = Columns.of(rows.status - rows.estimate)
     block = np.zeros((rows.end, LANES))
     for place in range(LANES):
-        # Places left over run the first one too.
+        # Spare places repeat the first run.
         _fill(block[:, place], rows, lanes[place] if place < len(lanes) else lanes[0])
     memory = block.reshape(-1)
     coming = _Coming(lanes, cycles)
@@ -288,14 +288,14 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
     work, forces_work = np.empty((WORK_ROWS, rows.plant.rate - rows.plant.y)), np.empty((WORK_ROWS, sizes.forces))
     lost: dict[int, Implausible] = {}
     ends = [cycles] * len(lanes)
-    # The run whose reference and disturbance each place has.
+    # The run whose reference and disturbance each place uses.
     source = [place if place < len(lanes) else 0 for place in range(LANES)]
     for first in range(0, cycles, STRETCH):
         now = slice(first, min(first + STRETCH, cycles))
         run(first, timing, memory, lanes[0].known, coming.given(now, source), record, work, forces_work)
         latest = record[:, : now.stop - first]
         kept[:, now] = latest[: len(lanes), :, BRIEF] if brief else latest[: len(lanes)]
-        # As by itself, a run is looked at behind its sensors now and then.
+        # As in a separate run, the true states are checked at intervals.
         suspect = _suspects(block, rows, hidden=now.stop % CHUNK == 0 or now.stop == cycles)
         if not suspect.any():
             continue
@@ -307,7 +307,7 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
         left = next((place for place in source if place not in lost), None)
         if left is None:
             break
-        # A run that ended is replaced by another one, whose numbers are possible.
+        # A run that ended is replaced by another one with plausible numbers.
         for place, of in enumerate(source):
             if of in lost:
                 source[place], block[:, place] = left, block[:, left]
@@ -324,7 +324,7 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
 
 
 def _suspects(block: Array, rows: LoopRows, *, hidden: bool) -> NDArray[np.bool_]:
-    """Tell which lanes came to what cannot be, in their readings or, if asked for, behind their sensors at the last cycle."""
+    """Return which lanes have implausible readings or, with ``hidden``, implausible true values at the last cycle."""
     suspect: NDArray[np.bool_] = block[rows.impossible] > 0.0
     if hidden:
         away = np.abs(block[rows.truth : rows.truth + SIGNALS] - block[rows.middle : rows.middle + SIGNALS])
@@ -333,20 +333,20 @@ def _suspects(block: Array, rows: LoopRows, *, hidden: bool) -> NDArray[np.bool_
 
 
 def _brief_of(spec: Spec, kept: Array, wanted: Array, _disturbance: Array) -> Trajectory:
-    """Return what is kept of a run as signals."""
+    """Return the signals kept of a brief run."""
     names = REFERENCE_TOPICS[CONTROLLERS.load(spec.controller.name).FOLLOWS].signals.values()
     signals = {"force_n": kept[:, 0], "valve_command_m": kept[:, 1], next(iter(names)): wanted[:, 0]}
     return Trajectory(np.arange(len(kept), dtype=np.float64) * spec.settings.control_period, signals)
 
 
 def is_ready(spec: Spec) -> bool:
-    """Tell whether the loop for runs like this one is compiled; never true of one that has to run by itself."""
+    """Return whether the loop of such runs is compiled; False for a run that has to run separately."""
     lane = _lane(0, spec, check=False)
     return lane is not None and is_compiled(_loop(lane.structure))
 
 
 def loop_kernel(structure: Structure) -> Callable[..., int]:
-    """Return the compiled loop of a structure; threads must not ask for one at the same time."""
+    """Return the compiled loop of a structure; not thread-safe."""
     run: Callable[..., int] = _loop(structure).run
     return run
 
@@ -365,7 +365,7 @@ def _loop(structure: Structure) -> ModuleType:
 
 
 def _fill(numbers: Array, rows: LoopRows, lane: _Lane) -> None:
-    """Write a run's numbers before the first cycle to its place."""
+    """Write the initial values of a run to its place."""
     state, control = lane.plant.state, lane.control
     sensors, observed = state.sensors, control.observed
     middle, farthest = possible_range(lane.spec.rig.limits, SIGNALS + 1)

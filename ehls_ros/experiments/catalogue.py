@@ -1,7 +1,7 @@
-"""Experiments that can be proposed next, scaled to a rig.
+"""Catalogue of experiments that can be proposed next, scaled to a rig.
 
-Each is a spec as ``ehls experiment`` runs it, but for ``rig``, five to ten seconds long. Forces, strokes and velocities are
-parts of what the rig allows; creeping and presliding are multiples of where its friction changes.
+Each is a spec for ``ehls experiment`` without ``rig``, five to ten seconds long. Forces, strokes and velocities are fractions
+of the rig's limits; creeping velocities and presliding displacements are multiples of those at which its friction changes.
 """
 
 import math
@@ -16,10 +16,10 @@ from ehls_ros.errors import BadInput, one_of
 from ehls_ros.physics.rig import EffectiveRig, Rig
 
 SLOW = 1e-3
-"""Velocity taken for slow where friction does not change with it, as a fraction of the rig's limit."""
+"""Velocity taken as slow if friction does not depend on it, as a fraction of the rig's limit."""
 
 LEAST_YIELDING = 1e-5
-"""Travel taken for presliding where the contact is stiffer [m]: sensors resolve no less."""
+"""Presliding travel assumed for stiffer contacts [m]: the resolution of sensors."""
 
 
 class Reach(NamedTuple):
@@ -27,9 +27,9 @@ class Reach(NamedTuple):
 
     Attributes:
         home: centre position of the experiments [m].
-        stroke: travel to either side that stroke and spring allow [m].
-        speed: velocity that valve and damping allow [m/s].
-        force: force to either side of ``weight`` that the cylinder, and the stroke against the spring, allow [N].
+        stroke: travel to either side allowed by stroke and spring [m].
+        speed: velocity allowed by valve and damping [m/s].
+        force: force to either side of ``weight`` allowed by the cylinder and by the stroke against the spring [N].
         load: disturbance that the rig can withstand [N].
         weight: driving force at rest at home [N].
         slow: velocity at which friction changes from static to sliding [m/s].
@@ -47,19 +47,19 @@ class Reach(NamedTuple):
 
 
 def home_of(rig: Rig | EffectiveRig) -> float:
-    """Return the position where a run starts [m]: the spring's rest position, or mid-stroke if that is too near an end."""
+    """Return the initial position of a run [m]: the spring's rest position, or mid-stroke if that is too near an end."""
     low, high = rig.limits.position
     return 0.0 if min(-low, high) > 0.25 * (high - low) else 0.5 * (low + high)
 
 
 def room_of(rig: Rig | EffectiveRig) -> float:
-    """Return the distance from there to the nearer end of the stroke [m]."""
+    """Return the distance from the initial position to the nearer end of the stroke [m]."""
     low, high = rig.limits.position
     return min(home_of(rig) - low, high - home_of(rig))
 
 
 def largest_force(rig: Rig | EffectiveRig) -> float:
-    """Return the largest force that limits and supply pressure allow [N]."""
+    """Return the largest force allowed by limits and supply pressure [N]."""
     area = rig.plant.piston_area
     return min(rig.limits.force, rig.limits.load_pressure * area, rig.plant.supply_pressure * area)
 
@@ -90,7 +90,7 @@ class Entry(NamedTuple):
     """One experiment of the catalogue.
 
     Attributes:
-        purpose: what it does, in a few words.
+        purpose: short description.
         build: makes the spec's mapping, without ``rig``, from the ranges of a rig.
     """
 
@@ -187,7 +187,7 @@ def _loaded_motion(r: Reach) -> dict[str, Any]:
 
 
 def _pressure_staircase(r: Reach) -> dict[str, Any]:
-    # A motion first, so that friction does not depend on the past; then the load.
+    # A motion first, so that friction does not depend on its history; then the load.
     way = min(12.0 * r.yielding, 0.5 * r.stroke)
     reference, _ = _stepped([r.home, r.home + way, r.home], hold=0.2, rise=0.5)
     signal, duration = _stepped([0.0, *_staircase(r.load, 2)], hold=0.8, rise=0.2)

@@ -1,4 +1,4 @@
-"""The causal limit of an experiment: what :mod:`ehls_ros.control.limits` says of a run's rig, disturbance and delay."""
+"""Causal limit of an experiment: :mod:`ehls_ros.control.limits` applied to a run's rig, disturbance and delay."""
 
 import math
 from pathlib import Path
@@ -16,18 +16,18 @@ from ehls_ros.recording.topics import DISTURBANCE
 from ehls_ros.trajectory import Trajectory
 
 MOST_MISSING = 0.05
-"""Fraction of cycles without a sample up to which the disturbance is taken as straight in between."""
+"""Fraction of missing samples up to which the disturbance is interpolated linearly."""
 
 LEAST_CYCLES = 100
-"""Fewest cycles of which a limit can be said."""
+"""Minimum number of cycles for a limit."""
 
 
 class LimitOfRun(NamedTuple):
     """The causal limit of a run.
 
     Attributes:
-        limit: None where nothing can be said.
-        reason: why not; else empty.
+        limit: the limit; None if it cannot be determined.
+        reason: reason if there is none; otherwise empty.
     """
 
     limit: CausalLimit | None
@@ -35,7 +35,7 @@ class LimitOfRun(NamedTuple):
 
 
 def limit_of_spec(spec: Spec) -> LimitOfRun:
-    """Return the causal limit of an experiment, which is run in this process for what its disturbance does."""
+    """Return the causal limit of an experiment; runs it in this process to obtain its disturbance."""
     reason = _nothing_to_say(spec)
     return LimitOfRun(None, reason) if reason else _limit(spec, run_in_process(spec))
 
@@ -43,8 +43,8 @@ def limit_of_spec(spec: Spec) -> LimitOfRun:
 def limit_of_run(run: Trajectory) -> LimitOfRun:
     """Return the causal limit of a run.
 
-    The disturbance is the recorded one, and with it whatever the actuator under test answered to the loader in that run.
-    The reading of the velocity counts where the run's controller uses it.
+    The disturbance is the recorded one, including any reaction of the actuator under test to the loader in that run. The
+    velocity reading is considered if the run's controller uses it.
 
     Args:
         run: a recording whose metadata hold rig and spec.
@@ -67,13 +67,13 @@ def with_causal_limit(metrics: Metrics, run: Trajectory) -> Metrics:
 
 
 def evaluate_recording(run: Trajectory) -> Metrics | None:
-    """Evaluate a recording, its causal limit included; None where it has no reference."""
+    """Evaluate a recording, including its causal limit; None without a reference."""
     metrics = evaluate_controlled(run)
     return None if metrics is None else with_causal_limit(metrics, run)
 
 
 def _nothing_to_say(spec: Spec) -> str:
-    """Return why an experiment has no causal limit; empty if it has one."""
+    """Return the reason why an experiment has no causal limit; empty if it has one."""
     if CONTROLLERS.load(spec.controller.name).FOLLOWS != "force":
         return "the reference is a position, not a force"
     rig = spec.loader_rig().effective()
@@ -109,7 +109,7 @@ def _limit(spec: Spec, run: Trajectory) -> LimitOfRun:
 
 
 def _flow_pressure(spec: Spec, run: Trajectory) -> float:
-    """Return the valve's mean flow-pressure coefficient of the last half; 0, which is that at null, where it was not read."""
+    """Return the valve's mean flow-pressure coefficient over the last half; 0, its value at null, if not measured."""
     if "spool_m" not in run or "load_pressure_pa" not in run:
         return 0.0
     half = len(run) // 2

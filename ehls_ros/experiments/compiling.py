@@ -1,4 +1,4 @@
-"""Compiling the kernels of a diagnosis on all processors before it runs.
+"""Compilation of the kernels of a diagnosis on all processors before it runs.
 
 A kernel is compiled once per version of this package; later runs load it.
 """
@@ -37,13 +37,13 @@ class Job(NamedTuple):
 
 
 def diagnosis_jobs(rig: Rig) -> list[Job]:
-    """Return the kernels of a rig's diagnosis; those that take longest to compile come first."""
+    """Return the kernels of a rig's diagnosis, those with the longest compile time first."""
     effective = rig.effective()
     return [Job(partial(part_kernel, name, effective), partial(compile_part, name, effective)) for name in reversed(PARTS)]
 
 
 def identification_jobs(rig: Rig) -> list[Job]:
-    """Return the kernels that identify a whole rig: its parts, and the same with derivatives."""
+    """Return the kernels for the identification of a whole rig: its parts, with and without derivatives."""
     effective = rig.effective()
     needed = [name for name in reversed(PARTS) if name != "load" or effective.piston_mass() > 0.0]
     return [
@@ -64,7 +64,7 @@ def consequences_jobs(diagnosis: Diagnosis) -> list[Job]:
 
 
 def compile_in_parallel(jobs: Iterable[Job], workers: Workers, progress: Progress) -> None:
-    """Compile those kernels that are not in the cache.
+    """Compile the kernels that are not in the cache.
 
     Args:
         jobs: the kernels.

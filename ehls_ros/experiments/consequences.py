@@ -1,6 +1,6 @@
-"""What follows from a diagnosis: a free run of both models, the benefit to the controller, the next experiment.
+"""Consequences of a diagnosis: a free run of both models, the benefit to the controller, the next experiment.
 
-Nothing here changes the verdict. Whatever fails becomes a remark, and the diagnosis stands.
+The verdict is not changed here. A failure becomes a remark, and the diagnosis remains valid.
 """
 
 import math
@@ -24,7 +24,7 @@ SURE = 0.9
 """Probability of a cause above which its rivals are ruled out."""
 
 CLOSE = 10.0
-"""A rival of a cause less probable than that stays open if it is behind by less than this [nats]."""
+"""Deficit below which a rival remains open, for a cause less probable than :data:`SURE` [nats]."""
 
 MOST_RIVALS = 2
 """Largest number of rivals that the next experiment has to separate from a cause."""
@@ -33,19 +33,19 @@ LEAST_STD, MOST_STD = 0.01, 0.3
 """Limits on the assumed uncertainty of the candidates' parameters, as a fraction of their values."""
 
 Progress = Callable[[str, float], None]
-"""Called with the current step and the fraction of all steps that is done."""
+"""Function called with the current step and the completed fraction of all steps."""
 
 Made = TypeVar("Made")
 
 
 class Consequences(NamedTuple):
-    """What follows from a diagnosis.
+    """Consequences of a diagnosis.
 
     Attributes:
-        free_run: free run of both models along the recording; None where it could not be simulated.
+        free_run: free run of both models along the recording; None if it could not be simulated.
         controller: benefit of the extended model to the controller; None unless an effect was named.
-        proposal: search for the next experiment; None where no two causes are open.
-        remarks: why a result is missing.
+        proposal: search for the next experiment; None unless two causes are open.
+        remarks: reasons for missing results.
     """
 
     free_run: FreeRun | None
@@ -55,12 +55,12 @@ class Consequences(NamedTuple):
 
     @property
     def next_experiment(self) -> NextExperiment | None:
-        """The experiment proposed, if there is one."""
+        """The proposed experiment; None if there is none."""
         return None if self.proposal is None else self.proposal.experiment
 
     @property
     def no_experiment(self) -> str:
-        """Why no experiment is proposed although causes are open; else empty."""
+        """Reason why no experiment is proposed although causes are open; otherwise empty."""
         return "" if self.proposal is None or self.proposal.experiment is not None else self.proposal.reason
 
     @property
@@ -70,7 +70,7 @@ class Consequences(NamedTuple):
 
 
 NOTHING = Consequences(None, None, None)
-"""Nothing follows, or nothing was computed."""
+"""No consequences, or none computed."""
 
 
 def consequences(
@@ -81,17 +81,17 @@ def consequences(
     workers: Workers | None = None,
     progress: Progress = lambda step, fraction: None,
 ) -> Consequences:
-    """Compute what follows from a diagnosis.
+    """Compute the consequences of a diagnosis.
 
     Args:
         diagnosis: the diagnosis.
-        trajectory: the recording it was made from.
-        name: what the recording is called in errors.
-        workers: processes to compile in; by default each kernel is compiled where it is run.
-        progress: called with the current step and the fraction that is done.
+        trajectory: the recording on which it is based.
+        name: name of the recording in errors.
+        workers: processes to compile in; by default each kernel is compiled when it is run.
+        progress: called with the current step and the completed fraction.
 
     Returns:
-        The results, and why any of them is missing.
+        The results, with the reasons for any that are missing.
     """
     if lacking := unknown_keys(diagnosis.rig):
         return NOTHING._replace(remarks=(f"nothing is simulated: the rig file has no {', '.join(lacking)}",))
@@ -125,7 +125,7 @@ def consequences(
 
 
 def _compiled(diagnosis: Diagnosis, workers: Workers, progress: Progress) -> None:
-    # What cannot be compiled cannot be run either, and says so there.
+    # A kernel that cannot be compiled cannot be run either, and the run reports it.
     with suppress(Exception):
         compile_in_parallel(consequences_jobs(diagnosis), workers, lambda *_: progress(COMPILING, 0.0))
 
@@ -136,7 +136,7 @@ def _tried(what: str, remarks: list[str], make: Callable[[], Made]) -> Made | No
     except BadInput as error:
         remarks.append(f"no {what}: {error.what}")
         return None
-    except Exception as error:  # noqa: BLE001 - whatever happens here, the diagnosis stands
+    except Exception as error:  # noqa: BLE001 - no failure here invalidates the diagnosis
         remarks.append(f"no {what}: it failed ({type(error).__name__}: {error})")
         return None
 
@@ -149,7 +149,7 @@ def open_rivals(cause: Cause) -> tuple[Rival, ...]:
 
 
 def open_candidates(diagnosis: Diagnosis) -> dict[str, Rig]:
-    """Return the extended rigs that the next experiment has to tell apart, by the causes' names.
+    """Return the extended rigs that the next experiment has to separate, by the causes' names.
 
     They are those of the least probable cause with open rivals.
     """
@@ -164,7 +164,7 @@ def open_candidates(diagnosis: Diagnosis) -> dict[str, Rig]:
 
 
 def _use(rival: Rival, rig: Rig) -> EffectUse:
-    """Return a rival switched on as fitted, with the values its form fixes."""
+    """Return a rival as an active effect, with its fitted values and those fixed by its form."""
     effect = EFFECTS.load(rival.name)
     fixed: Mapping[str, float] = next((form.fixed for form in effect.forms(rig) if set(form.free) == set(rival.parameters)), {})
     return EffectUse(rival.name, effect.Parameters(**fixed, **{n: e.value for n, e in rival.parameters.items()}))

@@ -1,9 +1,9 @@
 """Benefit of an extended model to the controller: FASMC on the extended plant, designed with the given and the extended model.
 
-FASMC and its friction observer know a rig only by the coefficients of ``plant`` and ``friction``. They benefit from an
-extension that shifts coefficients (``Rig.effective``): another Coulomb force, mass or bandwidth. They cannot use one that
-adds terms to the equations (a dead zone, a hysteresis, leakage through an orifice, friction over position): then both runs
-have the same controller and the same error, and only the simulation benefits. Both runs use the default tuning.
+FASMC and its friction observer use only the rig's coefficients of ``plant`` and ``friction``. They benefit from an extension
+that shifts coefficients (``Rig.effective``): another Coulomb force, mass or bandwidth. They cannot use one that adds terms to
+the equations, such as a dead zone, a hysteresis, leakage through an orifice or friction over position. Then both runs have the
+same controller and the same error, and only the simulation benefits. Both runs use the default tuning.
 """
 
 import math
@@ -33,7 +33,7 @@ FORCE, DISTURBANCE, DISTURBANCE_FREQUENCY = 10e3, 5e3, 1.0
 """The paper's cases: reference force [N], disturbance force [N] and its frequency [Hz]."""
 
 FORCE_PART = 0.55
-"""Largest reference as a fraction of the rig's force; the paper's own ratio."""
+"""Largest reference as a fraction of the rig's force; the ratio of the paper."""
 
 STROKE_PART = 1.15
 """Largest estimated travel as a fraction of the stroke; the paper's case is estimated at 1.11 and takes 1.01."""
@@ -42,16 +42,16 @@ SLACK = 0.05
 """Fraction by which a run may exceed a limit of the rig."""
 
 LOST = 0.5
-"""Steady error, as a fraction of the reference, above which the force is not followed."""
+"""Steady error above which the force counts as not followed, as a fraction of the reference."""
 
 
 class Steady(NamedTuple):
     """Steady error of one run.
 
     Attributes:
-        max_error_n: largest steady force error [N]; None where ``trouble`` says why.
+        max_error_n: largest steady force error [N]; None if there is ``trouble``.
         rms_error_n: its rms [N]; None likewise.
-        trouble: what went wrong and when, and what to do; empty when the force was followed within the rig's limits.
+        trouble: failure with its time, and advice; empty if the force was followed within the rig's limits.
     """
 
     max_error_n: float | None
@@ -63,10 +63,10 @@ class BenefitCase(NamedTuple):
     """One case on the extended plant.
 
     Attributes:
-        case: reference and disturbance in words.
+        case: description of reference and disturbance.
         force_n: largest reference force [N].
-        before: with controller and observer designed with the given model.
-        after: with both designed with the extended model's coefficients.
+        before: steady error with controller and observer designed with the given model.
+        after: steady error with both designed with the extended model's coefficients.
     """
 
     case: str
@@ -76,12 +76,12 @@ class BenefitCase(NamedTuple):
 
 
 class ControllerBenefit(NamedTuple):
-    """All cases.
+    """Benefit in all cases.
 
     Attributes:
-        cases: empty when no force can be controlled on the rig.
-        same_controller: no coefficient the law uses has changed, so before and after are the same run.
-        reason: why there is no case; else empty.
+        cases: the cases; empty if no force can be controlled on the rig.
+        same_controller: whether the law's coefficients are unchanged, so that before and after are the same run.
+        reason: reason if there is no case; otherwise empty.
     """
 
     cases: tuple[BenefitCase, ...]
@@ -102,14 +102,14 @@ def controller_benefit(before: Rig, extended: Rig, *, progress: Callable[[int, i
     The cases are the paper's 10 kN and 10 sin(pi t) kN against 5 kN at 1 Hz, scaled down to the rig's force and stroke.
 
     Args:
-        before: the model the controller has been designed with so far.
+        before: model with which the controller has been designed so far.
         extended: that model with effects switched on: plant and sensors of both runs.
         progress: called with the cases done and the total number of cases.
 
     Returns:
-        The steady errors of each case. A run that leaves the rig's limits is a result that says so. There is no case, with
-        the reason, where neither controller follows a force, not even on the given model's own plant; and where no force
-        can be built up: an axis without hydraulics, or without a load to press against.
+        The steady errors of each case, with ``trouble`` if the run leaves the rig's limits. No cases, but a reason, if neither
+        controller follows a force, not even on the plant of the given model. The same if no force can be built up: on an axis
+        without hydraulics, or without a load to press against.
     """
     try:
         old, new = before.effective(), extended.effective()
@@ -137,7 +137,7 @@ def controller_benefit(before: Rig, extended: Rig, *, progress: Callable[[int, i
 
 
 def _size(rig: EffectiveRig) -> float:
-    """Return the factor on the paper's forces for which the rig has enough force and stroke."""
+    """Return the scale of the paper's forces for which the rig has sufficient force and stroke."""
     plant = rig.plant
     damping: float = plant.viscous_damping + rig.friction.viscous_coefficient
     # A constant force deflects the spring; without one, damping limits the travel within the run.
@@ -152,7 +152,7 @@ def _size(rig: EffectiveRig) -> float:
 
 
 def _least_force(rig: EffectiveRig) -> float:
-    """Return the force that friction and weight alone take up [N]."""
+    """Return the force needed to overcome friction and weight [N]."""
     return rig.friction_level(0.0) + abs(rig.plant.moving_mass * rig.plant.gravity)
 
 
@@ -177,7 +177,7 @@ def _cases(size: float) -> tuple[_Case, ...]:
 
 
 def runs(before: Rig, extended: Rig) -> tuple[Spec, ...]:
-    """Return a run of each controller on the extended plant, for what compiles them beforehand."""
+    """Return a run of each controller on the extended plant, for compilation in advance."""
     case = _cases(1.0)[0]
     return tuple(_spec(case, extended, rig.effective().without_effects()) for rig in (before, extended))
 
@@ -213,7 +213,7 @@ def _run(case: _Case, plant: Rig, believed: Rig) -> Steady:
 
 
 def _left_limits(run: Trajectory, rig: Rig) -> str:
-    """Return which limit the run leaves first, and what to do; empty if none."""
+    """Return the limit that the run leaves first, with advice; empty if none."""
     low, high = rig.limits.position
     beyond = SLACK * (high - low)
     checks = {
@@ -240,7 +240,7 @@ def _around(limit: float) -> tuple[float, float]:
 
 
 def _lost(run: Trajectory, force: float) -> str:
-    """Return that the force was not followed, and what to do; empty if it was."""
+    """Return a message that the force was not followed, with advice; empty if it was."""
     largest = evaluate(run).max_error_n
     if largest <= LOST * force:
         return ""

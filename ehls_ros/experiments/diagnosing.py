@@ -1,4 +1,4 @@
-"""A recording to its diagnosis and what follows from it: the work of `ehls diagnose`, without files."""
+"""Diagnosis of a recording and its consequences: the work of `ehls diagnose`, without files."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -15,11 +15,11 @@ from ehls_ros.progress import Update
 from ehls_ros.trajectory import Trajectory
 
 CORE, STEPS = 0.8, 1000
-"""Fraction of the time taken by the diagnosis itself; number of steps told of the whole work."""
+"""Fraction of the time taken by the diagnosis itself; number of progress steps of the whole work."""
 
 
 class Diagnosed(NamedTuple):
-    """A diagnosis, and what follows from it."""
+    """A diagnosis and its consequences."""
 
     found: Diagnosis
     follows: Consequences
@@ -35,26 +35,26 @@ def diagnose_recording(
     threads: int | None,
     progress: Update,
 ) -> Diagnosed:
-    """Find what a rig's model gets wrong, or what changed since its baselines, and what follows.
+    """Find the errors of a rig's model, or the changes since its baselines, and their consequences.
 
     Args:
         trajectory: the recording.
-        rig: the rig as its file describes it.
+        rig: the rig as described in its file.
         name: name of the recording in errors.
-        baselines: recordings from when the rig was well, by their names; none: the recording is judged by itself.
-        seed: of the noise added to find the noise floor, and of resampling.
-        threads: hypotheses tried at once; None: one for each processor.
-        progress: called with the steps done, their number and what is being done.
+        baselines: recordings of the healthy rig, by name; none: the recording is judged against the rig file alone.
+        seed: seed of the noise added to find the noise floor, and of resampling.
+        threads: number of hypotheses tried in parallel; None: one per processor.
+        progress: called with the steps done, their total and the current activity.
 
     Raises:
-        BadInput: a recording cannot be read as one of such a rig, or contradicts the rig file.
+        BadInput: a recording does not match the rig, or contradicts the rig file.
     """
 
     def told(doing: str, part: float) -> None:
         progress(round(CORE * STEPS * part), STEPS, doing)
 
     for called, recording in ({name: trajectory} | dict(baselines)).items():
-        check_suits(recording, rig, called)  # before compiling takes its time
+        check_suits(recording, rig, called)  # before the time-consuming compilation
     with Workers() as workers:
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
         if baselines:

@@ -1,6 +1,6 @@
-"""``diagnosis.json``: its schema as frozen records, and how a diagnosis with its consequences fills them.
+"""``diagnosis.json``: its schema as frozen records, and their creation from a diagnosis and its consequences.
 
-The field names are the keys. A record of :mod:`ehls_ros.diagnosis.result` that is written as it is stands here by its own name.
+The field names are the keys. A record of :mod:`ehls_ros.diagnosis.result` that is written unchanged appears under its own name.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,16 +27,16 @@ from ehls_ros.experiments.next_experiment import NextExperiment
 from ehls_ros.physics.effects import EFFECTS
 
 NORMAL_95 = 1.959964
-"""Half of the 95 % interval of a normal distribution, in standard deviations."""
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 class RivalEntry(NamedTuple):
-    """Another effect in the place of a cause.
+    """An alternative effect in place of a cause.
 
     Attributes:
         name: name of the effect.
-        behind_nats: by how much it explains held-out data worse [nats].
-        closed_fraction: fraction of the removable error it closes.
+        behind_nats: deficit against the cause on held-out data [nats].
+        closed_fraction: fraction of the removable error that it explains.
         parameters: its best fit.
     """
 
@@ -47,12 +47,12 @@ class RivalEntry(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Why a cause is named.
+    """Evidence for a cause.
 
     Attributes:
         gain_nats: gain on held-out data [nats].
-        standard_errors_from_neutral: distance of its surest parameter from neutral, in standard errors.
-        equation: what the effect changes in the model.
+        standard_errors_from_neutral: distance from neutral of its most significant parameter, in standard errors.
+        equation: change of the model equation by the effect.
         rivals: other effects in its place, best first.
     """
 
@@ -79,7 +79,7 @@ class ParameterEntry(NamedTuple):
 
 
 class Advice(NamedTuple):
-    """What to do next where an effect is the cause; attributes as in :class:`ehls_ros.physics.effects.base.Words`."""
+    """Recommended actions for a cause; attributes as in :class:`ehls_ros.physics.effects.base.Words`."""
 
     inspect: str
     measure: str
@@ -103,13 +103,13 @@ class CauseEntry(NamedTuple):
 
 
 class UnknownEvidence(NamedTuple):
-    """What is known of an error that no effect explains.
+    """Evidence on an error that no effect explains.
 
     Attributes:
         depends_on: signals that predict it, strongest first.
         partial: effects that explain a fraction of it.
         nrmse: residual with those effects in the model.
-        noise_floor: residual that noise alone would leave.
+        noise_floor: residual of noise alone.
     """
 
     depends_on: tuple[str, ...]
@@ -119,7 +119,7 @@ class UnknownEvidence(NamedTuple):
 
 
 class UnknownEntry(NamedTuple):
-    """Stands in the list of causes for one that no effect describes."""
+    """Entry in the list of causes for an error that no effect describes."""
 
     name: Literal["unknown"]
     probability: float
@@ -130,11 +130,11 @@ class UnknownEntry(NamedTuple):
 
 
 class RemainderEntry(NamedTuple):
-    """What remains of a stage's residual when all that is named is in the model.
+    """Remaining residual of a stage with all named causes in the model.
 
     Attributes:
         nrmse: rms on held-out data, as a fraction of the stage's largest term.
-        noise_floor: the same of noise alone.
+        noise_floor: the same for noise alone.
         depends_on: signals that predict it, strongest first.
     """
 
@@ -144,16 +144,16 @@ class RemainderEntry(NamedTuple):
 
 
 class GainEntry(NamedTuple):
-    """Gain of the extension on held-out data; without an extension, of the stage that stands out most, with nothing gained.
+    """Gain of the extension on held-out data; without an extension, zero gain for the stage with the largest residual.
 
     Attributes:
-        channel: residual that gained most; None without an extension.
+        channel: channel with the largest gain; None without an extension.
         heldout_nrmse_before: residual of the given model.
         heldout_nrmse_after: residual of the extended model.
-        noise_floor: residual that noise alone would leave.
-        closed_fraction: fraction of the removable error power that is closed.
+        noise_floor: residual of noise alone.
+        closed_fraction: fraction of the removable error power that is explained.
         ci95: its 95 % interval.
-        channels: what is closed in each channel with an error to remove.
+        channels: explained fraction in each channel with a removable error.
     """
 
     channel: Channel | None
@@ -177,8 +177,8 @@ class FreeRunEntry(NamedTuple):
 
     Attributes:
         seconds: simulated time [s].
-        nrmse: by signal, as fractions of its standard deviation.
-        remarks: what a reader has to know.
+        nrmse: errors by signal, as fractions of its standard deviation.
+        remarks: remarks on the interpretation.
     """
 
     seconds: float
@@ -187,7 +187,7 @@ class FreeRunEntry(NamedTuple):
 
 
 class BaselineEntry(NamedTuple):
-    """What the recording was judged against; attributes as in :class:`ehls_ros.diagnosis.result.BaselineSummary`."""
+    """Baselines of the judgement; attributes as in :class:`ehls_ros.diagnosis.result.BaselineSummary`."""
 
     recordings: tuple[str, ...]
     coefficients: Mapping[str, Fitted]
@@ -197,31 +197,31 @@ class BaselineEntry(NamedTuple):
 
 
 class DiagnosisDocument(NamedTuple):
-    """What ``diagnosis.json`` holds.
+    """Content of ``diagnosis.json``.
 
     Attributes:
         verdict: the verdict in one word.
         summary: the verdict in one or two sentences.
         stages: every stage of the model.
         causes: best first; empty when the model agrees with the recording.
-        remainder: what remains of every stage that is judged.
-        depends_on: for ``unknown`` and ``partial``, signals that predict what is not explained.
-        gain: what the extension gains.
-        next_experiment: what would separate the open causes; None where nothing is open or nothing would.
+        remainder: remaining residual of each judged stage.
+        depends_on: for ``unknown`` and ``partial``, signals that predict the unexplained residual.
+        gain: gain of the extension.
+        next_experiment: experiment to separate the open causes; None if no causes are open or none separates them.
         extended_rig: file name of the extended rig.
         seed: seed of noise and resampling.
         version: version of this package.
         unknown_stage: for ``unknown``, the stage where the error is.
         partial: effects that explain a fraction of an unknown error.
-        missing: for ``insufficient``, what the data lack.
+        missing: for ``insufficient``, the missing data.
         not_judged: effects that could not be evaluated, with the reason.
-        sensitivities: smallest effects that these data would have shown.
+        sensitivities: smallest effects detectable in these data.
         controller_gain: benefit of the extended model to the controller.
         free_run: both models simulated along the recording.
-        remarks: on the data, and on results that are missing.
+        remarks: remarks on the data and on missing results.
         diagnosis_s: wall time of the diagnosis alone [s].
         wall_s: wall time of everything [s].
-        baseline: what the recording was judged against; None where it was judged by itself.
+        baseline: baselines of the judgement; None without baselines.
     """
 
     verdict: Verdict | Literal["unchanged", "changed"]
@@ -251,7 +251,7 @@ class DiagnosisDocument(NamedTuple):
 def diagnosis_document(
     diagnosis: Diagnosis, follows: Consequences, summary: str, extended_rig: str, wall_s: float
 ) -> DiagnosisDocument:
-    """Return what ``diagnosis.json`` holds.
+    """Return the content of ``diagnosis.json``.
 
     Args:
         diagnosis: the diagnosis.
@@ -292,7 +292,7 @@ def diagnosis_document(
 
 
 def _verdict(diagnosis: Diagnosis) -> Verdict | Literal["unchanged", "changed"]:
-    """Return the verdict in one word; beside baselines it says whether the rig has changed."""
+    """Return the verdict in one word; with baselines, whether the rig has changed."""
     if diagnosis.baseline is None:
         return diagnosis.verdict
     if diagnosis.verdict == "consistent":

@@ -9,10 +9,10 @@ PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def config_folder() -> Path:
-    """Return the folder of the rig files and experiment specs that come with the package.
+    """Return the folder of the package's rig files and experiment specs.
 
     Raises:
-        BadInput: the installation has none.
+        BadInput: the installation has no such folder.
     """
     for parent in PACKAGE.parents:
         for folder in (parent / "config", parent / "share" / "ehls_ros" / "config"):
@@ -22,27 +22,27 @@ def config_folder() -> Path:
 
 
 def configured_names(folder: str = "") -> list[str]:
-    """Return the names of the files that come with the package.
+    """Return the names of the package's configuration files.
 
     Args:
-        folder: where they are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
+        folder: subfolder of the configuration folder: ``experiments``, ``campaigns``, or empty for rigs.
     """
     return sorted(file.stem for file in (config_folder() / folder).glob("*.yaml" if folder else "rig_*.yaml"))
 
 
 def configured(name: str | Path, folder: str = "", beside: Path = Path()) -> Path:
-    """Return a file, or the one of that name that comes with the package where there is none.
+    """Resolve a file by its path, or a file of the package by its name.
 
     Args:
-        name: path of a file, or name without ``.yaml`` of one that comes with the package, such as ``sine_fd2``.
-        folder: where those are in the configuration folder: ``experiments``, ``campaigns``, or the empty text for rigs.
-        beside: where a relative path starts.
+        name: path of a file, or name without ``.yaml`` of a file of the package, such as ``sine_fd2``.
+        folder: subfolder of the configuration folder: ``experiments``, ``campaigns``, or empty for rigs.
+        beside: base folder of a relative path.
 
     Raises:
         BadInput: there is no file of that name.
     """
     path = beside / name
-    if path.suffix or Path(name).name != str(name) or os.path.exists(path):  # noqa: PTH110 - Path's raises for a long name
+    if path.suffix or Path(name).name != str(name) or os.path.exists(path):  # noqa: PTH110 - Path.exists raises for a long name
         return path
     names = configured_names(folder)
     if str(name) not in names:

@@ -1,4 +1,4 @@
-"""Recordings to a whole rig: the work of `ehls identify --whole-rig`, without files."""
+"""Identification of a whole rig from recordings: the work of `ehls identify --whole-rig`, without files."""
 
 from collections.abc import Mapping
 
@@ -14,16 +14,16 @@ from ehls_ros.trajectory import Trajectory
 
 
 def identify_whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, *, seed: int, progress: Update) -> RigIdentification:
-    """Identify every coefficient of a rig that recordings tell, on kernels compiled on all processors.
+    """Identify all identifiable coefficients of a rig, with kernels compiled on all processors.
 
     Args:
-        recordings: by their names in messages.
+        recordings: recordings by their names in messages.
         rig: the rig as known so far.
-        seed: of the noise added to find the noise floor.
-        progress: called with the steps done, their number and what is being done.
+        seed: seed of the noise added to find the noise floor.
+        progress: called with the steps done, their total and the current activity.
 
     Raises:
-        BadInput: there is no recording, or none of them can be read as one of such a rig or agrees with its file.
+        BadInput: there is no recording, or none of them matches the rig or agrees with its file.
     """
     _check(recordings, rig)
     with Workers() as workers:
@@ -32,7 +32,7 @@ def identify_whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, *, seed: 
 
 
 def _check(recordings: Mapping[str, Trajectory], rig: Rig) -> None:
-    """Refuse what cannot be of one rig before compiling takes its time; one of several recordings may be left out later."""
+    """Reject recordings before the compilation if none of them matches the rig; single ones may be left out later."""
     refused = list[BadInput]()
     for name, recording in recordings.items():
         try:

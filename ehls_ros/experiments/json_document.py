@@ -1,4 +1,4 @@
-"""Results as JSON: every result is a frozen record, and this is the one place that turns records into documents."""
+"""Conversion of results, which are frozen records, to JSON documents."""
 
 import math
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def json_document(value: object) -> Any:
-    """Return a record as JSON holds it.
+    """Return a record as JSON values.
 
     Args:
         value: a named tuple or frozen dataclass, whose field names become keys; or a mapping, sequence or scalar of them.

@@ -1,4 +1,4 @@
-"""Files of the learnt arrays of companions: read before a run, tried for writing then, and replaced at its end."""
+"""Files with the learnt arrays of companions: read and checked for writing before a run, and replaced at its end."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,14 +16,14 @@ from ehls_ros.experiments.state_files.state_file import Origin, StateFile
 
 
 def recall(company: Company, spec: Spec) -> None:
-    """Let companions go on from their files, which are also tried for writing.
+    """Restore companions from their files, and check that the files can be written.
 
     Args:
         company: the companions, before the first cycle.
-        spec: the experiment that they are of.
+        spec: their experiment.
 
     Raises:
-        BadInput: a file cannot be written, is no learnt file, or was learnt with something else.
+        BadInput: a file cannot be written, is not a learnt file, or was learnt under other conditions.
     """
     for name, companion, file in _files(company, spec):
         file.check_writable()
@@ -44,14 +44,14 @@ def recall(company: Company, spec: Spec) -> None:
 
 
 def keep(company: Company, spec: Spec) -> None:
-    """Write the learnt arrays of companions to their files; a companion that has learnt nothing leaves its file as it is.
+    """Write the learnt arrays of companions to their files; without learnt arrays a file is left unchanged.
 
     Args:
         company: the companions, after the last cycle.
-        spec: the experiment that they are of.
+        spec: their experiment.
 
     Raises:
-        NotWritten: with the file and the reason, once all files have been tried.
+        NotWritten: files could not be written, with the reasons; raised after all files have been tried.
     """
     failures = []
     for name, companion, file in _files(company, spec):
@@ -80,7 +80,7 @@ def _parts(numbers: tuple[int, ...], arrays: Arrays) -> dict[int, dict[str, NDAr
     """Return arrays by part, from names such as ``3.period``.
 
     Raises:
-        ValueError: an array is of no part.
+        ValueError: an array belongs to no part.
     """
     parts: dict[int, dict[str, NDArray[Any]]] = {number: {} for number in numbers}
     for name, array in arrays.items():

@@ -1,6 +1,6 @@
-"""The whole loop in one process and one compiled kernel: the nodes' work without ROS.
+"""The closed loop in one process and one compiled kernel: the work of the nodes without ROS.
 
-Every part is the one the nodes run, in the same order, so that both give the same trajectory.
+The parts and their order are those of the nodes, so that both give the same trajectory.
 """
 
 import os
@@ -44,20 +44,20 @@ from ehls_ros.recording.topics import ACTUATOR_TOPICS, CONTROLLER_STATUS, DISTUR
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 2000
-"""Cycles in a block."""
+"""Number of cycles in a block."""
 
 
 class Control(NamedTuple):
-    """Observer and controller of a loop, with what they remember.
+    """Observer and controller of a loop, with their states.
 
     Attributes:
-        friction: friction as the observer knows it.
+        friction: friction parameters of the observer.
         compensation: the observer's parameters.
         observed: its state.
         tuning: the controller's parameters.
-        model: what it knows of the rig.
+        model: the controller's model of the rig.
         memory: its state.
-        status: what it says of its last step.
+        status: its status after the last step.
     """
 
     friction: Any
@@ -70,13 +70,13 @@ class Control(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What comes from outside in some cycles, a row each.
+    """External inputs of some cycles, one row per cycle.
 
     Attributes:
         noise: standard normal numbers, shape (n, signals).
-        reference: what the law follows, shape (n, :data:`ehls_ros.control.controllers.base.ROW`).
-        disturbance: force, its rate, displacement, velocity, shape (n, 4). The last two of a simulated servo are those that it
-            is to follow, and are overwritten with those that it has.
+        reference: reference of the law, shape (n, :data:`ehls_ros.control.controllers.base.ROW`).
+        disturbance: force, its rate, displacement, velocity, shape (n, 4). For a simulated servo, the last two are its
+            setpoints, and are overwritten with the actual values.
     """
 
     noise: Array
@@ -91,7 +91,7 @@ class _Loop(NamedTuple):
 
 
 def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
-    """Build the loop of a compiled plant, a controller, and an observer that believes in a friction model."""
+    """Build the loop of a compiled plant, a controller, and an observer with its friction model."""
     sense, cycle, update, step = plant.sense, plant.cycle, observer.updater(believed), law.step
 
     @kernel
@@ -134,7 +134,7 @@ def loop_kernel(spec: Spec) -> ModuleType:
 
 
 def sampled(use: Use, period: float) -> SampledReference:
-    """Return a reference ready to be asked by cycle; ``period`` in s."""
+    """Return a reference sampled by cycle; ``period`` in s."""
     return SampledReference(REFERENCES.load(use.name), use.parameters, period)
 
 
@@ -162,12 +162,12 @@ def _start(spec: Spec) -> dict[str, float]:
 
 
 class Block(NamedTuple):
-    """Some cycles on end, a row each.
+    """Consecutive cycles, one row per cycle.
 
     Attributes:
         first: number of the first cycle.
         record: measurement, command, friction estimate, controller status; see :class:`Columns`.
-        reference: what the controller follows and its first and second derivative.
+        reference: the controller's reference and its first and second derivative.
         disturbance: force, its rate, displacement, velocity.
     """
 
@@ -178,7 +178,7 @@ class Block(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Where a block's record holds what."""
+    """Columns of a block's record."""
 
     measured: slice
     command: int
@@ -187,7 +187,7 @@ class Columns(NamedTuple):
 
     @classmethod
     def of(cls, estimate_size: int) -> "Columns":
-        """Return the columns for a friction estimate of a size."""
+        """Return the columns for a friction estimate of the given size."""
         estimate = len(SENSED) + 1
         status = estimate + estimate_size
         return cls(slice(0, len(SENSED)), len(SENSED), slice(estimate, status), slice(status, status + STATUS_SIZE))
@@ -209,11 +209,11 @@ def control_of(spec: Spec) -> Control:
 
 
 def impossible(record: Array, truth: Array, limits: Limits) -> Exceedance | None:
-    """Return the first of some cycles in which a run came to what cannot be, or None.
+    """Return the first cycle with physically impossible values, or None.
 
     Args:
         record: rows of the cycles, which begin with the readings and the command.
-        truth: true values of the sensed signals at the last of them; a sensor may hide what the rig itself comes to.
+        truth: true values of the sensed signals in the last cycle; a sensor may hide impossible values.
         limits: the rig's limits.
     """
     lost = implausible(record[:, : len(SENSED) + 1], limits)
@@ -233,7 +233,7 @@ class ClosedLoop:
     Attributes:
         columns: layout of the blocks' records.
         company: the controller's companions.
-        dense: integration steps so far in which events came too densely to be located.
+        dense: number of integration steps so far with too many events to be located.
     """
 
     def __init__(self, spec: Spec, *, check: bool = True) -> None:
@@ -241,10 +241,10 @@ class ClosedLoop:
 
         Args:
             spec: the experiment.
-            check: refuse numbers that are allowed one by one but together describe no rig.
+            check: whether to reject values that are valid individually but inconsistent together.
 
         Raises:
-            BadInput: the spec's numbers describe no rig, or nothing that can be run on it.
+            BadInput: the spec's values are inconsistent, or it cannot be run on the rig.
         """
         if check:
             check_spec(spec, spec.settings.title)
@@ -261,13 +261,13 @@ class ClosedLoop:
         self._run(0, nothing, np.empty((0, FOLLOWED)), np.empty((0, ROW)), np.random.default_rng())
 
     def become(self, rig: Rig) -> None:
-        """Let the loader's rig be another one from the next cycle on; its sensors stay as they are.
+        """Replace the loader's rig from the next cycle on; its sensors stay unchanged.
 
         Args:
-            rig: one with the same effects, of other sizes.
+            rig: a rig with the same effects, possibly of other values.
 
         Raises:
-            BadInput: it has other effects, which the loop is not compiled for.
+            BadInput: the rig has other effects, for which the loop is not compiled.
         """
         settings = self._spec.settings
         # The actuator under test stays the same.
@@ -281,10 +281,10 @@ class ClosedLoop:
         """Run the experiment.
 
         Yields:
-            The cycles in order, :data:`CHUNK` at a time. The record's memory is used again for the next block.
+            The cycles in order, up to :data:`CHUNK` at a time. The record's memory is reused for the next block.
 
         Raises:
-            Implausible: the rig came to what cannot be true, in the last of the cycles yielded before.
+            Implausible: the rig reached an impossible state in the last of the cycles yielded before.
         """
         spec = self._spec
         period, cycles = spec.settings.control_period, spec.cycles
@@ -328,7 +328,7 @@ class ClosedLoop:
         """Write the learnt arrays of the companions to their files.
 
         Raises:
-            NotKept: one cannot be written.
+            NotKept: a file cannot be written.
         """
         try:
             learnt_files.keep(self.company, self._spec)
@@ -346,13 +346,13 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
     Args:
         spec: the experiment.
         progress: called now and then with the number of cycles done and the total number.
-        check: refuse numbers that are allowed one by one but together describe no rig.
+        check: whether to reject values that are valid individually but inconsistent together.
 
     Returns:
-        The signals that a bag of the node graph would hold, without the timing of messages.
+        The signals that a bag of the node graph would contain, without the timing of messages.
 
     Raises:
-        BadInput: the spec's numbers describe no rig, or the run does not fit into memory.
+        BadInput: the spec's values are inconsistent, or the run does not fit into memory.
         RunFailed: the state of the rig became impossible, or a companion's file cannot be written; the error holds the run.
     """
     loop = ClosedLoop(spec, check=check)
@@ -378,17 +378,17 @@ def run_in_process(spec: Spec, progress: Callable[[int, int], None] | None = Non
 def run_as_far_as_it_goes(
     spec: Spec, progress: Callable[[int, int], None] | None = None
 ) -> tuple[Trajectory, RunFailed | None]:
-    """Run an experiment without ROS, and keep the cycles of a run that fails.
+    """Run an experiment without ROS, and keep the cycles of a failed run.
 
     Args:
         spec: the experiment.
         progress: called now and then with the number of cycles done and the total number.
 
     Returns:
-        The run, and why it failed if it did.
+        The run, and its failure; None if it succeeded.
 
     Raises:
-        BadInput: the spec's numbers describe no rig, or the run does not fit into memory.
+        BadInput: the spec's values are inconsistent, or the run does not fit into memory.
     """
     try:
         return run_in_process(spec, progress), None
@@ -408,15 +408,15 @@ def _check_memory(spec: Spec, columns: int) -> None:
 
 
 def run_in_stretches(spec: Spec, later: Sequence[tuple[float, Rig]] = ()) -> Iterator[Trajectory]:
-    """Run an experiment without ROS, only as far ahead as somebody asks.
+    """Run an experiment without ROS, in stretches on demand.
 
     Args:
         spec: the experiment.
-        later: what its rig becomes, each from the first stretch on that begins at a time or later [s], in their order; see
+        later: times [s] and later rigs in order, each valid from the first stretch that begins at its time or later; see
             :meth:`ClosedLoop.become`.
 
     Yields:
-        What :func:`run_in_process` returns, :data:`CHUNK` cycles at a time. Its memory is used again for the next stretch.
+        The result of :func:`run_in_process`, up to :data:`CHUNK` cycles at a time. Its memory is reused for the next stretch.
     """
     loop = ClosedLoop(spec)
     waiting = list(later)
@@ -431,13 +431,13 @@ def run_in_stretches(spec: Spec, later: Sequence[tuple[float, Rig]] = ()) -> Ite
 def trajectory_of(
     spec: Spec, columns: Columns, record: Array, reference: Array, disturbance: Array, first: int = 0
 ) -> Trajectory:
-    """Return some cycles on end as signals.
+    """Return consecutive cycles as signals.
 
     Args:
         spec: the experiment.
         columns: layout of the record.
-        record: a row per cycle.
-        reference: the reference and its first and second derivative in them, shape (n, 3).
+        record: record, one row per cycle.
+        reference: the reference and its first and second derivative, shape (n, 3).
         disturbance: force, its rate, displacement, velocity, shape (n, 4).
         first: number of the first cycle.
     """
@@ -471,7 +471,7 @@ def trajectory_of(
 
 
 def metadata(spec: Spec, timing: str) -> dict[str, Any]:
-    """Return what a recording says of how it was made: spec, rig, versions, timing mode."""
+    """Return the metadata of a recording: spec, rig, versions, timing mode."""
     mapping = spec_to_mapping(spec)
     rig = mapping.pop("rig")
     return {

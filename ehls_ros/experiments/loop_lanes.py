@@ -1,7 +1,7 @@
-"""The closed loop of :mod:`ehls_ros.experiments.loop` for lanes: many runs of one structure in one compiled call.
+"""Closed loop of :mod:`ehls_ros.experiments.loop` for lanes: many runs of one structure in one compiled call.
 
-The parts and their order are the loop's. Each part goes over all lanes before the next does, so that the compiler makes vector
-instructions of it; what it cannot, such as a law that calls the C library, goes lane by lane. No lane depends on another.
+The parts and their order are the same. Each part processes all lanes before the next, so that the compiler can vectorise it.
+Parts that cannot be vectorised, such as a law that calls the C library, are executed lane by lane. The lanes are independent.
 """
 
 from collections.abc import Callable
@@ -31,15 +31,15 @@ SENSOR_COLUMNS = 6
 
 
 class Known(NamedTuple):
-    """The numbers of a lane that stay the same during a run.
+    """Values of a lane that are constant during a run.
 
     Attributes:
         plant: the effective rig's coefficients.
         friction: its friction parameters.
-        believed: friction as the observer knows it.
+        believed: friction parameters of the observer.
         compensation: the observer's parameters.
         tuning: the controller's parameters.
-        model: what it knows of the rig.
+        model: the controller's model of the rig.
         warming: rate of the oil temperature [K/s].
     """
 
@@ -53,7 +53,7 @@ class Known(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """What all lanes share.
+    """Timing common to all lanes.
 
     Attributes:
         period: control period [s].
@@ -67,7 +67,7 @@ class Timing(NamedTuple):
 
 
 class LoopRows(NamedTuple):
-    """First rows of what the loop keeps in a block.
+    """First rows of the loop's variables in a block.
 
     Attributes:
         plant: the plant's integrator.
@@ -76,16 +76,16 @@ class LoopRows(NamedTuple):
         effects: parameters of its effects.
         table, lagged, past: the sensors' state.
         truth: true values of the sensed signals.
-        measured: their readings. Command, estimate and status follow: they make a row of the record.
+        measured: their readings. Command, estimate and status follow; together they form a row of the record.
         command: spool command [m].
-        estimate: the observer's.
-        status: the controller's.
+        estimate: the observer's estimate.
+        status: the controller's status.
         last: the observer's last velocity.
-        motion: velocity and acceleration of the motion that it runs, and the number of steps in which to.
-        memory: the controller's.
+        motion: velocity and acceleration of the observer's motion, and its number of integration steps.
+        memory: the controller's memory.
         given: noise, reference and disturbance of a cycle.
-        middle, farthest: middle of the range that each reading and the command must be in to be possible, and half of it.
-        impossible: 1 after a cycle in which one of them was not.
+        middle, farthest: middle and half width of the plausible range of each reading and of the command.
+        impossible: 1 after a cycle with a value out of these ranges.
         known: :class:`Known`.
         end: number of all rows.
     """
@@ -114,17 +114,17 @@ class LoopRows(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """The sizes of a loop, which are compiled into it.
+    """Sizes of a loop, fixed at compile time.
 
     Attributes:
         elements: number of the plant's friction forces.
-        states: number of its effects' own states.
+        states: number of its effects' states.
         inputs: number of its inputs.
         parameters: number of its effects' parameters.
         delays: columns of the sensors' past.
         forces: number of the observer's forces.
         memory: size of the controller's memory.
-        known: how many numbers :class:`Known` has.
+        known: number of values in :class:`Known`.
     """
 
     elements: int
@@ -138,7 +138,7 @@ class Sizes(NamedTuple):
 
 
 def loop_rows(sizes: Sizes) -> LoopRows:
-    """Return where a block of lanes has what."""
+    """Return the rows of a block of lanes."""
     rows = Rows()
     return LoopRows(
         plant=LaneRows.of(rows, FRICTION + sizes.elements + sizes.states, 1 + sizes.elements),
@@ -178,7 +178,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
         friction: module of the plant's friction model.
         law: module of the controller.
         observer: module of the friction observer.
-        believed: module of the friction model that the observer believes in.
+        believed: module of the observer's friction model.
         chains: hooks of the plant's effects; none may delay the command.
         **numbers_of: :class:`Sizes`.
     """
@@ -250,17 +250,17 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
         """Run some cycles.
 
         Args:
-            first: number of the first one.
-            timing: of all lanes.
+            first: number of the first cycle.
+            timing: timing of all lanes.
             block: the lanes' memory, updated in place.
-            like: any lane's constants; only their type counts.
+            like: constants of any lane; only their type matters.
             given: noise, reference and disturbance by lane and cycle, shape (LANES, n, numbers).
-            record: rows by lane and cycle, as those of the loop for one run, shape (LANES, n or more, columns).
+            record: rows by lane and cycle, as in the loop for one run, shape (LANES, n or more, columns).
             work: workspace of the plant's integrator.
-            forces_work: workspace of the observer's.
+            forces_work: workspace of the observer's integrator.
 
         Returns:
-            Number of integration steps with more events than were located.
+            Number of integration steps with more events than could be located.
         """
         dense = 0
         for i in range(given.shape[1]):

@@ -20,7 +20,7 @@ CONVERGENCE_BAND = 0.01
 """Band of a converged error, as a fraction of the largest reference."""
 
 LOST = 0.2
-"""Error, as a fraction of the largest reference, above which the reference is not followed."""
+"""Error above which the reference counts as not followed, as a fraction of the largest reference."""
 
 MOSTLY = 0.5
 """Fraction of the last half above which saturation of the command is a warning."""
@@ -30,9 +30,9 @@ IN_REAL_TIME = 0.99
 
 
 class Metrics(NamedTuple):
-    """What ``metrics.json`` holds of one run; NaN is null there.
+    """Content of ``metrics.json`` for one run; NaN is null there.
 
-    Errors are those of the last half, the steady part; NaN without a force reference.
+    Errors refer to the last half, the steady part; NaN without a force reference.
 
     Attributes:
         max_error_n, rms_error_n: largest and rms force error [N].
@@ -40,14 +40,14 @@ class Metrics(NamedTuple):
         cycles, missed_cycles: control cycles, and those without an answer.
         duration_s: plant time [s].
         cycles_per_second_asked, cycles_per_second_reached: cycles due and answered by wall clock [1/s]; None in lockstep.
-        in_real_time: whether enough of them were answered; None in lockstep.
+        in_real_time: whether enough of these cycles were answered; None in lockstep.
         wall_s: wall time [s].
         bag, report: paths of the recording and of the report.
         convergence_band_n: half width of the band [N].
         oscillation_n: half the distance between smallest and largest error [N].
-        causal_limit_n: largest true error that is to be expected of the best controller without foresight [N], see
-            :mod:`ehls_ros.control.limits`; NaN where it was not asked for or cannot be said.
-        warnings: one sentence per reason why the run is of little use.
+        causal_limit_n: largest true error expected of the best controller without foresight [N], see
+            :mod:`ehls_ros.control.limits`; NaN if not requested or not determined.
+        warnings: one sentence per reason why the run is of limited use.
     """
 
     max_error_n: float
@@ -91,7 +91,7 @@ def evaluate(trajectory: Trajectory) -> Metrics:
 
 
 def evaluate_errors(trajectory: Trajectory) -> Metrics:
-    """Evaluate a run without warnings and without its pace by wall clock; see :func:`evaluate`."""
+    """Evaluate a run without warnings and without its pace; see :func:`evaluate`."""
     time = trajectory.time_s
     missed = int(np.sum(~np.isfinite(trajectory["valve_command_m"]))) if "valve_command_m" in trajectory else 0
     metrics = Metrics(
@@ -120,19 +120,19 @@ def evaluate_errors(trajectory: Trajectory) -> Metrics:
 
 
 def _late(trajectory: Trajectory) -> NDArray[np.bool_]:
-    """Tell which samples are in the last half."""
+    """Return which samples are in the last half."""
     time = trajectory.time_s
     late: NDArray[np.bool_] = time >= time[0] + 0.5 * (time[-1] - time[0])
     return late
 
 
 def evaluate_controlled(trajectory: Trajectory) -> Metrics | None:
-    """Evaluate a recording; None where it has no reference."""
+    """Evaluate a recording; None without a reference."""
     return evaluate(trajectory) if {"force_reference_n", "position_reference_m"} & trajectory.signals.keys() else None
 
 
 def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
-    """Say why a run is of little use: reference not followed, valve saturated, an estimate at its bound, limits left."""
+    """Yield warnings on a run: reference not followed, valve saturated, an estimate at its bound, limits exceeded."""
     followed = (("force", "force_n", "force_reference_n", "N"), ("position", "position_m", "position_reference_m", "m"))
     for quantity, signal, reference, unit in followed:
         error = steady_error(run, signal, reference)
@@ -145,7 +145,7 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
     if "saturated" in run and (share := float(np.mean(run["saturated"][late] > 0.5))) >= MOSTLY:
         yield f"the valve command is at its limit for {100.0 * share:.0f} % of the last half: the rig can give no more"
     for bound in bounds_in(run.metadata):
-        # An estimate's place in the status is that of its signal in the topic.
+        # An estimate has the same index in the status as its signal in the topic.
         values = run.signals.get(tuple(CONTROLLER_STATUS.signals.values())[bound.place])
         stood = 0.0 if values is None else float(np.mean(bound.reached(values[late])))
         if stood > 0.0:
@@ -158,7 +158,7 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
 
 
 def bounds_in(metadata: Mapping[str, Any]) -> tuple[Bound, ...]:
-    """Return the bounds of the estimates of a run's controller; none where the metadata do not tell the controller."""
+    """Return the bounds of the estimates of a run's controller; none if the metadata do not contain the controller."""
     spec = metadata.get("spec")
     given = spec.get("controller") if isinstance(spec, Mapping) else None
     if not isinstance(given, Mapping) or given.get("name") not in CONTROLLERS.names():
@@ -172,7 +172,7 @@ def bounds_in(metadata: Mapping[str, Any]) -> tuple[Bound, ...]:
 
 
 def _limits(metadata: Mapping[str, Any]) -> Limits | None:
-    """Return the limits of the rig from a run's metadata; None where they are missing or unusable."""
+    """Return the limits of the rig from a run's metadata; None if missing or unusable."""
     rig = metadata.get("rig")
     if not isinstance(rig, Mapping) or not isinstance(rig.get("limits"), Mapping):
         return None
@@ -183,10 +183,10 @@ def _limits(metadata: Mapping[str, Any]) -> Limits | None:
 
 
 def _pace(trajectory: Trajectory, missed: int) -> tuple[float | None, float | None, bool | None]:
-    """Return cycles due and answered per second of wall clock, and whether that is real time; None for a run in lockstep."""
+    """Return cycles due and answered per second of wall clock, and whether this is real time; None for a run in lockstep."""
     wall = trajectory.metadata.get("wall_s")
     if trajectory.metadata.get("timing") != "realtime" or not isinstance(wall, float) or not wall > 0.0 or len(trajectory) < 2:
         return None, None, None
-    # Not of the whole duration: where simulated time falls behind, the stamps are set to the clock.
+    # The median, not the mean: when simulated time falls behind, the stamps are set to the clock.
     asked, reached = 1.0 / float(np.median(np.diff(trajectory.time_s))), (len(trajectory) - 1 - missed) / wall
     return asked, reached, reached >= IN_REAL_TIME * asked

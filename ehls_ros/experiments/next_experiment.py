@@ -1,23 +1,23 @@
-"""The experiment that separates the causes a diagnosis left open.
+"""Search for the experiment that best separates the causes left open by a diagnosis.
 
-Every experiment of :data:`~ehls_ros.experiments.catalogue.CATALOGUE` is simulated with each candidate's rig as the plant,
-under the same controller, which is designed with the nominal rig. These closed loops are not compared with each other:
-feedback makes any two rigs differ in what it does not control and agree in what it does, and a moment of sticking changes all
-that follows. The comparison is how well one candidate's model **explains the record** of another. The model is simulated along
-the record with the same valve commands and disturbance, and its position is drawn to the recorded one with the time constant
-:data:`~ehls_ros.experiments.separation.MEMORY`: valve and cylinder integrate, so no force restores the position. This is a
-prediction over a moving window. An error of the force balance appears in the pressure, one of the flow in the position (as
-wrong travel within the memory), one of the valve in the spool.
+Every experiment of :data:`~ehls_ros.experiments.catalogue.CATALOGUE` is simulated with each candidate's rig as the plant, under
+the same controller, which is designed with the nominal rig. These closed loops are not compared directly: under feedback any
+two rigs agree in the controlled signals and differ in the others, and a moment of sticking changes the further course. Instead,
+the criterion is how well one candidate's model **explains the record** of another. The model is simulated along the record with
+the same valve commands and disturbance. Valve and cylinder integrate, so no force restores the position. The position is
+therefore drawn to the recorded one with the time constant :data:`~ehls_ros.experiments.separation.MEMORY`. This is a prediction
+over a moving window. An error of the force balance appears in the pressure, one of the flow in the position (as wrong travel
+within the memory), one of the valve in the spool.
 
-Means over blocks, in which a millisecond earlier or later makes no difference, are divided by the noise floor of sensors and
-model: noise and resolution; the error of the best model of a rig; and the effect of an unknown null of the valve, which is
-large where the piston sticks and a trickle builds up pressure. The start is excluded until friction no longer depends on its
-initial state, which is unknown on a real rig. From the difference, whatever the candidate could explain by other values of its
-own parameters is subtracted (least squares, linear around the given values, which the data so far hold with a standard
-deviation), since all data will be fitted together: the criterion of T-optimal design (Atkinson, Fedorov, Biometrika 62, 1975).
-The root of the sum of squares is the separation in sigma. The smaller of a pair's two directions counts, as the true one is
-unknown, and the smallest of all pairs ranks the experiment. An experiment is not proposed if a candidate's loop leaves the
-rig's limits or does not follow its reference.
+Means over blocks, which are insensitive to shifts of a millisecond, are divided by the noise floor of sensors and model. It
+comprises noise and resolution, the error of the best model of a rig, and the effect of an unknown null of the valve. The last
+is large where the piston sticks and a small flow builds up pressure. The start is excluded until friction no longer depends on
+its initial state, which is unknown on a real rig. The part of the difference that the candidate could explain by other
+parameter values is subtracted, since all data will be fitted together: the criterion of T-optimal design (Atkinson, Fedorov,
+Biometrika 62, 1975). This fit is by least squares, linear around the given values, with their standard deviation by the data so
+far as a prior. The root of the sum of squares is the separation in sigma. Of a pair's two directions the smaller one is used,
+as the true cause is unknown, and the smallest of all pairs ranks the experiment. An experiment is not proposed if a candidate's
+loop leaves the rig's limits or does not follow its reference.
 
 A cause that acts only through the displacement of a position servo (``coupling_stiffness``) is not excited: the loads of the
 catalogue are forces.
@@ -78,31 +78,31 @@ NAMES = {
     "supply_pressure": ("supply pressure", "bar", 1e-5),
     "oil_temperature": ("oil temperature", "K", 1.0),
 }
-"""Name of a signal in a sentence, its unit there and the factor of the unit."""
+"""Name of a signal in a sentence, display unit and its factor."""
 
 
 # --- running candidates ------------------------------------------------------------------------
 
 _FORCE_LAW, _POSITION_LAW, _ALONG = 0, 1, 2
-"""What commands the valve: the law that follows a force, the one that follows a position, or a record."""
+"""Source of the valve command: the law that follows a force, the one that follows a position, or a record."""
 
 _LAWS = {"fasmc": (_FORCE_LAW, FORCE), "pid": (_POSITION_LAW, POSITION)}
 """Each law of the catalogue with the column of a record that follows its reference."""
 
 
 class _Control(NamedTuple):
-    """Observer and both laws, with what they remember.
+    """Observer and both laws, with their states.
 
     Attributes:
-        friction: friction as the observer knows it.
+        friction: friction parameters of the observer.
         compensation: the observer's parameters.
         observed: its state.
-        model: what the laws know of the rig.
+        model: the laws' model of the rig.
         force_tuning: parameters of the law that follows a force.
         force_memory: its state.
         position_tuning: parameters of the law that follows a position.
         position_memory: its state.
-        status: what the law says of its last step.
+        status: status of the law after its last step.
     """
 
     friction: Any
@@ -117,13 +117,13 @@ class _Control(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """What comes from outside, a row a cycle.
+    """External inputs, one row per cycle.
 
     Attributes:
         reference: shape (n, 3).
         load: disturbance, shape (n, 4).
         record: readings and command to run along, shape (n, 8); not read under a law.
-        pull: fraction of the distance by which a cycle draws the position to the recorded one.
+        pull: fraction of the distance by which the position is drawn to the recorded one in a cycle.
     """
 
     reference: Array
@@ -139,7 +139,7 @@ class _Bench(NamedTuple):
 
 
 def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Bench:
-    """Build a plant under either law, or along a record, of compiled modules."""
+    """Build a bench from compiled modules: a plant under either law or along a record."""
     sense, cycle = plant.sense, plant.cycle
     force_step, position_step, update = force_law.step, position_law.step, observer.update
 
@@ -181,7 +181,7 @@ class _Experiment:
     """One experiment, ready to run on any candidate's rig."""
 
     def __init__(self, mapping: Mapping[str, Any], nominal: Rig) -> None:
-        """Check the spec and sample what does not depend on the plant."""
+        """Check the spec and sample the inputs that do not depend on the plant."""
         self.spec = spec_from_mapping({**mapping, "rig": rig_to_mapping(nominal)}, "catalogue", Path())
         spec = self.spec
         self.period = spec.settings.control_period
@@ -242,7 +242,7 @@ LOOSEST = 0.3
 
 
 def _unfit(run: _Run, experiment: _Experiment, rig: Rig) -> str:
-    """Return why an experiment cannot be proposed, given its run; empty if it can."""
+    """Return the reason why an experiment cannot be proposed, given its run; empty if it can."""
     record, limits = run.record, rig.limits
     if not np.all(np.isfinite(record)):
         return "its loop does not stay finite"
@@ -278,7 +278,7 @@ class Pair(NamedTuple):
     Attributes:
         one: a candidate's name.
         other: the other's.
-        sigma: expected separation: what one cannot explain of the other's record, in units of the noise floor.
+        sigma: expected separation: the part of the other's record that one cannot explain, in units of the noise floor.
     """
 
     one: str
@@ -287,12 +287,12 @@ class Pair(NamedTuple):
 
 
 class NextExperiment(NamedTuple):
-    """The experiment proposed.
+    """The proposed experiment.
 
     Attributes:
         name: its name in :data:`CATALOGUE`.
-        purpose: what it does, in a few words.
-        why: one sentence on the pair that is hardest to separate: which signal differs, when, and by how much.
+        purpose: short description.
+        why: one sentence on the pair that is hardest to separate: signal, time and size of the difference.
         separation: expected separation of each pair, the smallest first.
         spec: spec for ``ehls experiment``, without the rig file.
     """
@@ -309,8 +309,8 @@ class Considered(NamedTuple):
 
     Attributes:
         name: its name.
-        sigma: separation of its worst pair; an upper bound where ``note`` says so, None where it is unsuitable.
-        note: why it is unsuitable, or that the bound was already below another's separation; else empty.
+        sigma: separation of its worst pair; an upper bound if ``note`` says so, None if it is unsuitable.
+        note: reason if it is unsuitable, or that the bound was below another's separation; otherwise empty.
     """
 
     name: str
@@ -322,8 +322,8 @@ class Proposal(NamedTuple):
     """Result of the search.
 
     Attributes:
-        experiment: the experiment to do next; None if none separates the candidates.
-        reason: why there is none; else empty.
+        experiment: the proposed experiment; None if none separates the candidates.
+        reason: reason if there is none; otherwise empty.
         considered: every experiment of the catalogue, the best first.
     """
 
@@ -333,7 +333,7 @@ class Proposal(NamedTuple):
 
 
 class _Rated(NamedTuple):
-    """An experiment simulated on all candidates: each one's record, and the sample where its comparison starts."""
+    """An experiment simulated on all candidates, with their records and the samples where the comparisons start."""
 
     name: str
     mapping: dict[str, Any]
@@ -357,9 +357,9 @@ def next_experiment(
 
     Args:
         candidates: the extended rig of each open cause, by its name.
-        nominal: rig the controller is designed with; None: the first candidate's rig without effects.
-        signals: signals to be recorded, names of :data:`~ehls_ros.physics.rig.SENSED`; the command always is.
-        noise: standard deviation of a reading by signal, in its unit; missing signals take noise and resolution from the
+        nominal: rig with which the controller is designed; None: the first candidate's rig without effects.
+        signals: signals to be recorded, names of :data:`~ehls_ros.physics.rig.SENSED`, beside the command.
+        noise: standard deviation of a reading by signal, in its unit; missing signals use noise and resolution of the
             candidates' rigs.
         parameter_std: standard deviation of the candidates' parameters by the data so far, as a fraction of the value or of
             its distance from neutral, whichever is smaller.
@@ -441,7 +441,7 @@ def _rate(
     noise: Mapping[str, float],
     duration_limit: float,
 ) -> _Rated | str:
-    """Simulate an experiment on every candidate, and every candidate along the others' records; or say why not."""
+    """Simulate an experiment on every candidate and along the others' records, or return the reason why not."""
     try:
         mapping = catalogue_spec(name, nominal)
         experiment = _Experiment(mapping, nominal)
@@ -477,7 +477,7 @@ def _rate(
 def _fitted(
     entry: _Rated, pair: tuple[str, str], candidates: Mapping[str, Rig], columns: Sequence[int], parameter_std: float
 ) -> Difference:
-    """Subtract what a candidate explains of another's record with its parameters fitted to it and to the data so far."""
+    """Subtract the part of another's record explained by a candidate with parameters fitted to it and to the data so far."""
     true, model = pair
     record, base = entry.records[true], entry.bounds[pair]
     stepped = [

@@ -1,4 +1,4 @@
-"""Files of points: a recorded load spectrum."""
+"""Reading of recorded load spectra."""
 
 import csv
 from io import StringIO

@@ -1,4 +1,4 @@
-"""Test programmes as YAML files."""
+"""Reading of test programmes from YAML files."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +14,7 @@ from ehls_ros.schema import parse
 
 
 def load_programme(path: Path) -> Programme:
-    """Read a programme's file; files it names are looked for beside it.
+    """Read a programme's file; files named in it are relative to its folder.
 
     Args:
         path: the file.
@@ -26,7 +26,7 @@ def load_programme(path: Path) -> Programme:
 
 
 def programme_values(path: Path) -> dict[str, Any]:
-    """Return the content of a programme's file, with the points of the files it names in place of their names.
+    """Return the content of a programme's file, with the names of point files replaced by their points.
 
     Args:
         path: the file.

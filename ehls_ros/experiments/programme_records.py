@@ -1,7 +1,7 @@
-"""The records of a running programme: the log of its load cycles, and the state from which it goes on.
+"""Records of a running programme: the log of its load cycles, and the state from which it resumes.
 
-Both are judged before either is changed: a state that is another rig's or programme's, or impossible for this programme, is
-refused, and so is a log that does not go with it.
+Both are checked before either is changed: a state of another rig or programme, or one impossible for this programme, is
+rejected, as is a log that does not match the state.
 """
 
 import hashlib
@@ -34,31 +34,31 @@ UNITS: Mapping[str, Mapping[str, str]] = {
     "force": {"value": "n", "stiffness": "n_m"},
     "position": {"value": "m", "stiffness": "1"},
 }
-"""Ends of the columns' names by the quantity that the programme prescribes."""
+"""Suffixes of the column names by the controlled quantity of the programme."""
 
 REMEDY = "the log as it was, another folder, or anew:=true to begin the programme anew"
 
 FOREIGN = "a log of load cycles, or another folder"
 
 MOST_HOLDS = 100
-"""Values held after a stop that a state keeps, as the programme's file was changed between starts."""
+"""Maximum number of hold values in a state; they accumulate when the programme's file is changed between starts."""
 
 LARGEST_HOLD = 1e6
-"""Range of a programme's values where the rig file has no limits [N or m]."""
+"""Range of a programme's values if the rig file has no limits [N or m]."""
 
 SETTINGS = ("hold", "stop_time", "hold_time")
 """Settings of a programme that may change between two starts: each change is reported."""
 
 
 class Records(NamedTuple):
-    """The records of a programme, ready to go on; no other program may change them until they are closed.
+    """Open records of a programme; no other process may change them until they are closed.
 
     Attributes:
-        state: where the programme was; None: it begins.
-        log: open for further load cycles.
-        counted: load cycles that are not counted again.
+        state: state from which the programme resumes; None: it begins.
+        log: log, open for further load cycles.
+        counted: number of load cycles that are not counted again.
         remarks: sentences for the operator.
-        lock: of the folder.
+        lock: lock of the folder.
     """
 
     state: ProgrammeState | None
@@ -89,8 +89,8 @@ def state_file(folder: Path, origin: Origin | None = None) -> StateFile:
     """Return the state file of a folder.
 
     Args:
-        folder: of the programme.
-        origin: rig and control period; None: a reader to whom these make no difference.
+        folder: folder of the programme.
+        origin: rig and control period; None: not checked.
     """
     return StateFile(folder / STATE, PROGRAMME, origin)
 
@@ -106,7 +106,7 @@ def read_state(folder: Path, origin: Origin | None = None) -> ProgrammeState | N
 
 
 def plain(state: ProgrammeState) -> dict[str, Any]:
-    """Return a state as its file has it."""
+    """Return a state as JSON values."""
     motions = [
         {**motion._asdict(), **{key: [part._asdict() for part in getattr(motion, key)] for key in ("legs", "skipped")}}
         for motion in state.motions
@@ -115,19 +115,19 @@ def plain(state: ProgrammeState) -> dict[str, Any]:
 
 
 def open_records(folder: Path, programme: Programme, origin: Origin, follows: str, limits: Limits, *, anew: bool) -> Records:
-    """Lock a folder, judge its state and log, and open the log.
+    """Lock a folder, check its state and log, and open the log.
 
     Args:
-        folder: of the programme; made if it is missing.
+        folder: folder of the programme; created if missing.
         programme: the programme.
         origin: rig and control period.
         follows: quantity that the programme prescribes, ``force`` or ``position``.
-        limits: of the rig.
-        anew: begin the programme anew.
+        limits: limits of the rig.
+        anew: whether to restart the programme from its beginning.
 
     Raises:
-        BadInput: the folder cannot be written, or another programme runs in it; the state or the log cannot be used, or they do
-            not go together.
+        BadInput: the folder cannot be written, or another programme runs in it; the state or the log is unusable, or they do
+            not match.
     """
     file, path = state_file(folder, origin), folder / LOG
     file.check_writable()
@@ -136,7 +136,7 @@ def open_records(folder: Path, programme: Programme, origin: Origin, follows: st
         undo.callback(lock.release)
         state = None if anew else read_state(folder, origin)
         check = LineCheck(len(programme.leaves), programme.load_cycles)
-        # The lines of a log that is put aside do not matter, but it must be a log.
+        # The lines of a log that is put aside are not checked, but it must be a log.
         judged = table.judge(path, heading(follows), check if state else _anything, REMEDY if state else FOREIGN, "the log")
         counted, remarks = 0, [lock.remark] if lock.remark else []
         if state is not None:
@@ -151,7 +151,7 @@ def open_records(folder: Path, programme: Programme, origin: Origin, follows: st
         try:
             end = judged.end
             if state is None:
-                # The state first: a log without a state begins anew at the next start, too.
+                # The state first: a log without a state restarts at the next start, too.
                 old = [kept for kept, there in ((file.path, os.path.lexists(file.path)), (path, judged.lines)) if there]
                 remarks += [f"{kept} of the programme before is now {access.put_aside(kept).name}" for kept in old]
                 end = 0 if path in old else end
@@ -163,14 +163,14 @@ def open_records(folder: Path, programme: Programme, origin: Origin, follows: st
 
 
 def _counted(programme: Programme, state: ProgrammeState, period: float, logged: int, path: Path) -> int:
-    """Return the load cycles that are not counted again.
+    """Return the number of load cycles that are not counted again.
 
     Args:
         programme: the programme.
-        state: where it was.
-        period: of the control cycles [s].
+        state: state from which it resumes.
+        period: period of the control cycles [s].
         logged: last load cycle in the log.
-        path: of the log, for the error.
+        path: path of the log, for the error.
 
     Raises:
         BadInput: the log is ahead of the state.
@@ -186,7 +186,7 @@ def _anything(_: list[str]) -> None:
 
 
 def _changes(state: ProgrammeState, programme: Programme) -> list[str]:
-    """Return a sentence for each setting that is another one than at the last start."""
+    """Return a sentence for each setting that has changed since the last start."""
     out = []
     for name in SETTINGS:
         was, becomes = getattr(state, name), getattr(programme.parameters, name)
@@ -201,16 +201,16 @@ def _said(value: float | None) -> str:
 
 
 def check_state(state: ProgrammeState, programme: Programme, period: float, values: tuple[float, float]) -> None:
-    """Check that a programme can have left a state.
+    """Check that a state is possible for a programme.
 
     Args:
         state: the state.
         programme: the programme.
-        period: of the control cycles [s].
-        values: range of the rig [N] or [m].
+        period: period of the control cycles [s].
+        values: range of the rig's force [N] or position [m].
 
     Raises:
-        ValueError: it cannot.
+        ValueError: the state is impossible.
     """
     if state.programme != digest(programme):
         raise ValueError("it is of another programme")
@@ -230,7 +230,7 @@ def check_state(state: ProgrammeState, programme: Programme, period: float, valu
 
 
 def value_range(limits: Limits, follows: str) -> tuple[float, float]:
-    """Return the range of a rig's forces [N] or positions [m]; a rig file without limits leaves it wide."""
+    """Return the range of a rig's forces [N] or positions [m]; wide for a rig file without limits."""
     low, high = (-limits.force, limits.force) if follows == "force" else limits.position
     return (low, high) if low < high else (-LARGEST_HOLD, LARGEST_HOLD)
 
@@ -239,11 +239,11 @@ class LineCheck:
     """Check of a log's lines.
 
     Attributes:
-        last: number of the last load cycle; 0: there is none.
+        last: number of the last load cycle; 0: none.
     """
 
     def __init__(self, blocks: int, load_cycles: int) -> None:
-        """Begin.
+        """Start before the first line.
 
         Args:
             blocks: number of the programme's blocks.
@@ -256,7 +256,7 @@ class LineCheck:
         """Check one line.
 
         Raises:
-            ValueError: it is none of a log.
+            ValueError: it is not a valid line of the log.
         """
         if len(cells) != len(LoadCycle._fields) + 1:
             raise ValueError(f"a line has {len(cells)} values, not {len(LoadCycle._fields) + 1}")
@@ -276,35 +276,35 @@ _TYPES = tuple(LoadCycle.__annotations__.items())
 
 
 class CycleLog:
-    """The log of load cycles: a CSV, one line each, which survives that the program is killed."""
+    """Log of load cycles, a CSV with one line per cycle; it survives a kill of the process."""
 
     def __init__(self, path: Path, follows: str, end: int) -> None:
-        """Open a log that was judged.
+        """Open a log that has been checked.
 
         Args:
             path: the file.
             follows: quantity that the programme prescribes, ``force`` or ``position``.
-            end: size of the part that is kept [B]; 0: it begins.
+            end: size of the part that is kept [B]; 0: a new log.
 
         Raises:
-            access.NotWritten: it cannot be written.
+            access.NotWritten: the log cannot be written.
         """
         self._table = table.Table(path, heading(follows), end)
 
     def add(self, cycles: Iterable[LoadCycle], stamp_s: float) -> None:
-        """Keep load cycles that were finished at a time [s] for the next :meth:`flush`."""
+        """Buffer load cycles completed at a time [s] for the next :meth:`flush`."""
         for cycle in cycles:
             numbers = (f"{value:.9g}" if isinstance(value, float) else str(value) for value in cycle)
             self._table.add(f"{','.join(numbers)},{stamp_s:.6f}")
 
     def flush(self, *, durable: bool = False) -> None:
-        """Hand the added lines to the system.
+        """Pass the added lines to the operating system.
 
         Args:
-            durable: let it survive a power failure, too.
+            durable: whether to secure them against a power failure, too.
 
         Raises:
-            access.NotWritten: lines not written yet are kept.
+            access.NotWritten: lines could not be written; they are kept.
         """
         self._table.flush()
         if durable:

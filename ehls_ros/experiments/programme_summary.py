@@ -1,4 +1,4 @@
-"""What a test programme holds: each block's time, load cycles and extremes, the rates it needs, and its rainflow counts."""
+"""Summary of a test programme: each block's duration, load cycles, extremes and rates, and the rainflow counts."""
 
 import math
 from collections import Counter
@@ -18,16 +18,16 @@ from ehls_ros.physics.valve import load_flow
 from ehls_ros.trajectory import Trajectory
 
 MOST_SAMPLES = 200_000
-"""Most samples taken of a load cycle, or of a block without any."""
+"""Maximum number of samples of a load cycle, or of a block without load cycles."""
 
 LEAST_SAMPLES = 20
-"""Fewest."""
+"""Minimum number of these samples."""
 
 BINS = 32
-"""Classes that the largest range is divided into for the printed counts."""
+"""Number of classes of the largest range for the printed counts."""
 
 SAME = 1e-6
-"""Ranges and means count as the same where they differ by less than this share of the programme's range."""
+"""Difference below which ranges and means count as equal, as a fraction of the programme's range."""
 
 Counts = tuple[tuple[float, float, float], ...]
 """Range, mean and number of rainflow cycles, the largest range first."""
@@ -37,11 +37,11 @@ class Block(NamedTuple):
     """One block of the file, over all its passes.
 
     Attributes:
-        name: what it is called.
+        name: name of the block.
         kind: its kind.
-        passes: how often it is run.
-        load_cycles: its load cycles.
-        duration_s: its time, with the ramps that lead to it [s].
+        passes: number of passes.
+        load_cycles: number of load cycles.
+        duration_s: duration, including the ramps that lead to it [s].
         peak_n: largest value.
         valley_n: smallest value.
         largest_rate_n_s: largest rate.
@@ -58,19 +58,19 @@ class Block(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """A programme.
+    """Summary of a programme.
 
     Attributes:
-        title: what it is called.
-        duration_s: its time [s].
-        load_cycles: its load cycles.
-        ramps: automatic ramps between blocks.
+        title: title of the programme.
+        duration_s: duration [s].
+        load_cycles: number of load cycles.
+        ramps: number of automatic ramps between blocks.
         largest_rate_n_s: largest rate.
-        possible_rate_n_s: rate that the rig's valve reaches at the programme's largest force, the piston at rest.
+        possible_rate_n_s: rate possible with the rig's valve at the programme's largest force, with the piston at rest.
         blocks: its blocks.
-        complaints: what the rig cannot do.
+        complaints: demands beyond the rig's limits.
         rainflow: cycles of the whole programme.
-        recorded: cycles of a recorded force; None: none was asked for.
+        recorded: cycles of a recorded force; None if not requested.
     """
 
     title: str
@@ -93,7 +93,7 @@ def summary_of(programme: Programme, rig: Rig) -> Summary:
         rig: the rig.
 
     Raises:
-        BadInput: the library that counts is not installed.
+        BadInput: the library for counting is not installed.
     """
     blocks = [Block(leaf.name, leaf.kind, 0, 0, 0.0, -math.inf, math.inf, 0.0) for leaf in programme.leaves]
     ramps = 0
@@ -137,7 +137,7 @@ def summary_of(programme: Programme, rig: Rig) -> Summary:
 
 
 def possible_rate(rig: Rig, force: float) -> float:
-    """Return the rate that the rig's valve reaches at a force, by (1) and (2) of the paper, the piston at rest [N/s].
+    """Return the force rate possible with the rig's valve at a force, by (1) and (2) of the paper, piston at rest [N/s].
 
     Args:
         rig: the rig.
@@ -159,22 +159,22 @@ def _segments(part: Segment | Parts, passes: int) -> Iterator[tuple[Segment, int
 
 
 def _rows(segment: Segment) -> Array:
-    """Return samples of a load cycle from within a block, or of all of it, that miss no turning point."""
+    """Sample a load cycle within a block, or the whole block, without missing a turning point."""
     course = segment.course
     time = min(course.duration, 2.0 * course.cycle) if course.cycle else course.duration
     count = _samples(time, course.step)
     rows = segment.sample(np.linspace(0.0, time, count + 1))
     if course.count < 3:
         return rows
-    # A block may begin and end otherwise than its load cycles.
+    # The beginning and the end of a block may differ from its load cycles.
     last = segment.sample(np.linspace(course.duration - course.cycle, course.duration, count // 2 + 1))
     return np.concatenate([rows, last])
 
 
 def rainflow_of(programme: Programme) -> Counts:
-    """Count the rainflow cycles of a programme, by ASTM E1049 as the library `rainflow` has it.
+    """Count the rainflow cycles of a programme by ASTM E1049, as implemented in the library `rainflow`.
 
-    What is run often is counted once: between two passes of the same, a further one adds the cycles of a closed loop.
+    Repeated parts are counted once: a further pass between two others adds the cycles of a closed loop.
 
     Args:
         programme: the programme.
@@ -204,7 +204,7 @@ def counted(trajectory: Trajectory, where: str) -> Counts:
 
 
 def _counted(part: Segment | Parts) -> tuple[list[float], "Counter[tuple[float, float]]"]:
-    """Return the turning points of a part with at most two passes of each, and the cycles of the others."""
+    """Return the turning points of a part with at most two passes each, and the cycles of the other passes."""
     if isinstance(part, Segment):
         return _of_segment(part)
     history: list[float] = []
@@ -222,7 +222,7 @@ def _of_segment(segment: Segment) -> tuple[list[float], "Counter[tuple[float, fl
     course = segment.course
     if not course.cycle or course.count < 4:
         return _turning(_values(segment, 0.0, course.duration)), Counter()
-    # The first and the last load cycle may differ from those between them, by fades.
+    # The first and the last load cycle may differ from the others due to fades.
     ends = [_turning(_values(segment, at, at + course.cycle)) for at in (0.0, course.duration - course.cycle)]
     between = _turning(_values(segment, course.cycle, 2.0 * course.cycle))
     inner = Counter({key: number * (course.count - 4) for key, number in _closed(between).items()})
@@ -236,12 +236,12 @@ def _values(segment: Segment, begin: float, end: float) -> list[float]:
 
 
 def _samples(time: float, step: float) -> int:
-    """Return how many samples are taken of a time, a step apart where that is possible; both in s."""
+    """Return the number of samples for a duration, one step apart if possible; both in s."""
     return int(np.clip(math.ceil(time / step), LEAST_SAMPLES, MOST_SAMPLES))
 
 
 def _turning(values: Sequence[float]) -> list[float]:
-    """Return the first and the last of some values, and those between them where they turn."""
+    """Return the first and the last value, and the turning points between them."""
     points = np.asarray(values)
     points = points[np.append(True, np.diff(points) != 0.0)]
     turns = np.flatnonzero(np.diff(np.sign(np.diff(points))) != 0.0) + 1
@@ -250,14 +250,14 @@ def _turning(values: Sequence[float]) -> list[float]:
 
 
 def _closed(points: list[float]) -> "Counter[tuple[float, float]]":
-    """Return the cycles that one more pass of a history adds."""
+    """Return the cycles added by one more pass of a history."""
     more, fewer = _cycles(points * 4), _cycles(points * 3)
     more.subtract(fewer)
     return Counter({key: number for key, number in more.items() if number > 0.0})
 
 
 def _cycles(values: Sequence[float]) -> "Counter[tuple[float, float]]":
-    """Return the number of cycles by range and mean, both rounded to a share of the values' range."""
+    """Return the number of cycles by range and mean, both rounded to a fraction of the values' range."""
     rainflow = library("rainflow", "programme", "ehls programme")
     span = max(values) - min(values)
     step = 10.0 ** math.floor(math.log10(span * SAME)) if span > 0.0 else 1.0
@@ -272,7 +272,7 @@ def _sorted(cycles: "Counter[tuple[float, float]]") -> Counts:
 
 
 def in_bins(counts: Counts) -> Counts:
-    """Return rainflow cycles in classes of their range and mean, as many classes as a table can show.
+    """Group rainflow cycles in classes of range and mean, few enough for a table.
 
     Args:
         counts: the cycles.

@@ -1,4 +1,4 @@
-"""Failures of runs whose data are kept all the same."""
+"""Failures of runs whose data are kept nevertheless."""
 
 from ehls_ros.errors import WorkFailed
 from ehls_ros.experiments.metrics import Metrics
@@ -10,7 +10,7 @@ class RunFailed(WorkFailed):
 
     Attributes:
         complete: whether it has all its cycles.
-        trajectory: the run as far as it went, where it was kept.
+        trajectory: the run up to the failure, if kept.
     """
 
     complete = False
@@ -18,7 +18,7 @@ class RunFailed(WorkFailed):
 
 
 class Implausible(RunFailed):
-    """A run in an impossible state: its numbers are not finite, or far beyond the rig's limits."""
+    """A run in an impossible state: values not finite, or far beyond the rig's limits."""
 
 
 class NotKept(RunFailed):
@@ -37,15 +37,15 @@ class NodeFailed(RunFailed):
     complete = True
 
     def __init__(self, what: str, wall_s: float) -> None:
-        """Take the one line, and the wall time [s]."""
+        """Set the one-line message, and the wall time [s]."""
         super().__init__(what)
         self.wall_s = wall_s
 
 
 def with_failure(metrics: Metrics, failure: RunFailed | None) -> Metrics:
-    """Return the metrics of a run with the reason why it failed among their warnings.
+    """Return the metrics of a run with the reason for its failure among the warnings.
 
-    Other warnings are dropped where the run is not complete: they follow from that.
+    Other warnings of an incomplete run are dropped, as they follow from the failure.
     """
     if failure is None:
         return metrics

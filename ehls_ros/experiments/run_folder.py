@@ -1,4 +1,4 @@
-"""The folder a run leaves: spec, bag, metrics, report."""
+"""Folder of a run: spec, bag, metrics, report."""
 
 import errno
 import json
@@ -30,28 +30,28 @@ HOLDS = (
 """Files and folders of a run."""
 
 LEFT = re.compile(r"(load_cycles\.[0-9]+\.csv|programme_state\.[0-9]+\.json|\.(load_cycles|programme_state)\..+\.part)")
-"""Names of files that a programme begun anew has put aside, and of those that a killed program has not finished."""
+"""Names of files put aside by a restarted programme, and of those left unfinished by a killed process."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a full disk, an exhausted quota and a file too large."""
 
 
 class RunFolder(NamedTuple):
-    """Where one run keeps its files."""
+    """Folder with the files of one run."""
 
     path: Path
 
     @classmethod
     def create(cls, path: Path | None, name: str, *, overwrite: bool) -> "RunFolder":
-        """Make the folder of a new run.
+        """Create the folder of a new run.
 
         Args:
             path: the folder; None makes a new one below ``runs/``.
             name: name of the run if ``path`` is None.
-            overwrite: replace a run that the folder already holds. Only a run is ever replaced.
+            overwrite: whether to replace a run in the folder. Only a run is ever replaced.
 
         Raises:
-            BadInput: the folder cannot be written, or holds something that may not be replaced.
+            BadInput: the folder cannot be written, or contains files that may not be replaced.
         """
         if path is None:
             path = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -73,10 +73,10 @@ class RunFolder(NamedTuple):
 
     @contextmanager
     def filling(self) -> Iterator[None]:
-        """Turn errors of writing into one line.
+        """Convert write errors to a one-line message.
 
         Raises:
-            WorkFailed: the system refused to write, for lack of space for example.
+            WorkFailed: writing failed, for lack of space for example.
         """
         try:
             yield
@@ -86,39 +86,39 @@ class RunFolder(NamedTuple):
 
     @property
     def bag(self) -> Path:
-        """The bag's folder."""
+        """Folder of the bag."""
         return self.path / "bag"
 
     @property
     def report(self) -> Path:
-        """The report."""
+        """Path of the report."""
         return self.path / "report.html"
 
     @property
     def spec(self) -> Path:
-        """The spec with all files it names written out."""
+        """Path of the spec, with the content of all referenced files."""
         return self.path / "spec.yaml"
 
     @property
     def rig_adapted(self) -> Path:
-        """The rig file with what adaptation found."""
+        """Path of the rig file with the adapted values."""
         return self.path / "rig_adapted.yaml"
 
     @property
     def logs(self) -> Path:
-        """Output of the nodes, one file each."""
+        """Folder of the nodes' output, one file each."""
         return self.path / "logs"
 
     def write_spec(self, spec: Spec) -> None:
-        """Keep the spec."""
+        """Write the spec."""
         self.spec.write_text(spec_text(spec_to_mapping(spec)), encoding="utf-8")
 
     def write_metrics(self, metrics: Metrics) -> None:
-        """Keep the metrics."""
+        """Write the metrics."""
         (self.path / "metrics.json").write_text(json.dumps(json_document(metrics), indent=2) + "\n", encoding="utf-8")
 
 
 def recording_in(path: Path) -> Path:
-    """Return the bag of a run's folder; any other path as it is."""
+    """Return the bag of a run's folder; any other path unchanged."""
     bag = path / "bag"
     return bag if bag.is_dir() else path

@@ -1,4 +1,4 @@
-"""Separation of two candidate models by a record: what one cannot explain of the other's, in units of the noise floor."""
+"""Separation of two candidate models: the unexplained part of one's record by the other, in units of the noise floor."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,10 +15,10 @@ MEMORY = 0.05
 """Time constant with which a model's position is drawn to the recorded one [s]."""
 
 BLOCK = 0.025
-"""Interval over which readings are averaged before they are compared [s]; a few periods of oil and mass."""
+"""Interval over which readings are averaged before comparison [s]; a few periods of the hydraulic resonance."""
 
 SETTLING, WORN_IN = 0.5, 6.0
-"""Excluded at the start: a time [s], and travel of this many presliding displacements."""
+"""Excluded at the start: time [s], and travel in presliding displacements."""
 
 MODEL_ERROR = 1e-3
 """Error of the best model of a rig, as a fraction of a signal's magnitude: the floor with perfect sensors."""
@@ -27,14 +27,14 @@ NULL_ERROR = 2e-4
 """Uncertainty of the valve's null, as a fraction of the spool's limit."""
 
 STEP = 0.05
-"""Step of a parameter, as a fraction of its value or of its distance from neutral, to see what it can explain."""
+"""Step of a parameter for its sensitivity, as a fraction of its value or of its distance from neutral."""
 
 
 class Difference(NamedTuple):
-    """What one candidate cannot explain of another's record.
+    """Part of one candidate's record that another candidate cannot explain.
 
     Attributes:
-        blocks: in units of the noise floor, shape (blocks, signals).
+        blocks: block means in units of the noise floor, shape (blocks, signals).
         scale: noise floor of each block and signal in its unit, shape (blocks, signals).
         bent: deviation of the fitted parameters from the data so far, in standard deviations.
     """
@@ -77,7 +77,7 @@ def scale_of(
 
 
 def _size(record: Array, column: int, period: float) -> float:
-    """Return the magnitude a model has to predict: of the position, the travel within the memory."""
+    """Return the magnitude of a signal to be predicted; for the position, the travel within the memory."""
     if column != POSITION:
         return float(np.max(np.abs(record[:, column])))
     ahead = max(round(MEMORY / period), 1)
@@ -85,7 +85,7 @@ def _size(record: Array, column: int, period: float) -> float:
 
 
 def block_means(values: Array, columns: Sequence[int], period: float, start: int) -> Array:
-    """Return means over blocks, beginning at a sample, shape (blocks, signals)."""
+    """Return means over blocks from a sample on, shape (blocks, signals)."""
     length = max(round(BLOCK / period), 1)
     settled = values[start:, list(columns)]
     count = len(settled) // length
@@ -94,10 +94,10 @@ def block_means(values: Array, columns: Sequence[int], period: float, start: int
 
 
 def unexplained(base: Difference, stepped: Sequence[Array], parameter_std: float) -> Difference:
-    """Return what remains of a difference after the candidate's parameters are fitted to the record and the data so far.
+    """Return the residual of a difference after a fit of the candidate's parameters to the record and the data so far.
 
     Args:
-        base: the difference with the parameters as they are.
+        base: the difference with unchanged parameters.
         stepped: block means of the difference with one parameter stepped, in units of the noise floor, one array of shape
             (blocks, signals) per parameter.
         parameter_std: relative standard deviation of the parameters by the data so far.
@@ -125,7 +125,7 @@ def stepped_rigs(candidates: Mapping[str, Rig], name: str) -> list[Rig]:
             way = getattr(neutral, field) - value
             if way == 0.0:
                 continue
-            # A neutral value may stand for infinity, as the place of an end stop does.
+            # A neutral value may represent infinity, such as the position of an end stop.
             size = min(abs(way), abs(value)) or abs(way)
             nearer = use.parameters._replace(**{field: value + STEP * math.copysign(size, way)})
             effects = (*rig.effects[:index], EffectUse(use.name, nearer), *rig.effects[index + 1 :])

@@ -1,4 +1,4 @@
-"""One experiment: rig, reference, disturbance, controller, duration, seed."""
+"""Specification of an experiment: rig, reference, disturbance, controller, duration, seed."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,7 +49,7 @@ class Use(NamedTuple):
 
 
 class DisturbanceUse(NamedTuple):
-    """A disturbance with the signal it follows."""
+    """A disturbance with its signal."""
 
     name: str
     parameters: Any
@@ -57,7 +57,7 @@ class DisturbanceUse(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Plain numbers and names of a spec."""
+    """Scalar settings of a spec."""
 
     title: Annotated[str, text("what the experiment is called in reports")] = "experiment"
     duration: Annotated[float, quantity("s", "plant time to run", above=0.0, maximum=1e6)] = 10.0
@@ -81,9 +81,9 @@ class Spec(NamedTuple):
     """A complete experiment.
 
     Attributes:
-        rig: the rig as it is.
-        controller_rig: the rig as controller and friction observer believe it to be.
-        companions: what works beside the controller, in this order.
+        rig: the true rig.
+        controller_rig: the rig as modelled in controller and friction observer.
+        companions: companions of the controller, in order.
     """
 
     settings: Settings
@@ -101,7 +101,7 @@ class Spec(NamedTuple):
         return round(self.settings.duration / self.settings.control_period) + 1
 
     def loader_rig(self) -> Rig:
-        """Return the rig with what the disturbance adds to the loader's plant."""
+        """Return the rig with the effects of the disturbance on the loader's plant."""
         kind = DISTURBANCES.load(self.disturbance.name)
         return self.rig.with_effects(kind.loader_effects(self.disturbance.parameters))
 
@@ -140,14 +140,14 @@ def load_rig(path: Path) -> Rig:
 
 
 def load_spec(path: Path, rig: Path | None = None) -> Spec:
-    """Read an experiment's YAML file; files it names are looked for beside it.
+    """Read an experiment's YAML file; files named in it are relative to its folder.
 
     Args:
         path: the file.
-        rig: a rig file in place of the experiment's rig, its effects and its controller's rig.
+        rig: rig file that replaces the experiment's rig, its effects and its controller's rig.
 
     Raises:
-        BadInput: a file or one of its keys is wrong, or its numbers together make no sense.
+        BadInput: a file or one of its keys is wrong, or its values are inconsistent.
     """
     data = read_yaml(path, "spec")
     if rig is not None and isinstance(data, Mapping):
@@ -158,11 +158,11 @@ def load_spec(path: Path, rig: Path | None = None) -> Spec:
 
 
 def chosen_spec(spec: str, rig: str) -> Spec:
-    """Read the experiment that a node or a launch was given.
+    """Read the experiment given to a node or a launch file.
 
     Args:
-        spec: experiment file; empty: the 10 kN sine that comes with the package.
-        rig: rig file in place of the experiment's; empty: none.
+        spec: experiment file; empty: the 10 kN sine of the package.
+        rig: rig file that replaces the experiment's; empty: none.
 
     Raises:
         BadInput: a file or one of its keys is wrong.
@@ -171,14 +171,14 @@ def chosen_spec(spec: str, rig: str) -> Spec:
 
 
 def with_programme(spec: Spec, file: str) -> Spec:
-    """Return an experiment with a test programme for its reference.
+    """Return an experiment with a test programme as its reference.
 
     Args:
         spec: the experiment.
-        file: the programme's file, or the name of one that comes with the package; empty: the experiment's own reference.
+        file: the programme's file, or the name of one of the package; empty: the reference of the experiment.
 
     Raises:
-        BadInput: the file is wrong, or there is none and the experiment's reference is no programme.
+        BadInput: the file is wrong.
     """
     if not file:
         return spec
@@ -186,15 +186,15 @@ def with_programme(spec: Spec, file: str) -> Spec:
 
 
 def check_law(spec: Spec, law: str, where: str) -> None:
-    """Check that a controller can take the place of an experiment's.
+    """Check that a controller can replace that of an experiment.
 
     Args:
         spec: the experiment.
         law: name of the controller.
-        where: who chose it, for errors.
+        where: origin of the choice, for errors.
 
     Raises:
-        BadInput: it does not serve the rig's friction model, or follows a force where the reference is a position.
+        BadInput: it does not support the rig's friction model, or follows another quantity than the reference.
     """
     check_serves(CONTROLLERS, law, spec.controller_rig, where)
     follows, meant_for = (CONTROLLERS.load(name).FOLLOWS for name in (law, spec.controller.name))
@@ -209,13 +209,13 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     Args:
         data: the parsed file.
         where: the file, for errors.
-        folder: where relative file names start.
+        folder: base folder of relative file names.
 
     Returns:
         The spec.
 
     Raises:
-        BadInput: the first key that is missing, unknown or out of range.
+        BadInput: names the first key that is missing, unknown or out of range.
     """
     if not isinstance(data, Mapping):
         raise BadInput(f"a spec is {type(data).__name__}", where, f"a mapping with keys of {', '.join(SECTIONS)}")
@@ -254,14 +254,14 @@ SAMPLES = 4096
 
 
 def check_spec(spec: Spec, where: str) -> None:
-    """Refuse numbers that are allowed one by one but make no sense together.
+    """Reject values that are valid individually but inconsistent together.
 
     Args:
         spec: the experiment.
         where: the file, for errors.
 
     Raises:
-        BadInput: the first one that makes no sense.
+        BadInput: names the first inconsistent value.
     """
     settings, rig = spec.settings, spec.rig
     period = settings.control_period
@@ -273,7 +273,7 @@ def check_spec(spec: Spec, where: str) -> None:
     check_serves(OBSERVERS, spec.compensation.name, spec.controller_rig, f"{where}: compensation")
     check_serves(CONTROLLERS, spec.controller.name, spec.controller_rig, f"{where}: controller")
     _check_companions(spec, where, _setting(spec, model_of(spec.controller_rig, period), where))
-    # What disturbs the rig may have a cylinder of its own.
+    # The disturbance may have a separate cylinder.
     check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
     loader, servo = spec.loader_rig(), spec.servo()
     steps = steps_per_period(loader, period, settings.integration_step, servo)
@@ -290,7 +290,7 @@ def check_spec(spec: Spec, where: str) -> None:
 
 @dataclass(frozen=True)
 class _Signal:
-    """A signal that is known by its text, which tells any two apart; its parameters may have no hash."""
+    """Hashable signal, identified by its text, as its parameters may not be hashable."""
 
     text: str
     use: Use = field(compare=False)
@@ -298,15 +298,15 @@ class _Signal:
 
 @lru_cache(maxsize=16)
 def _throughout(signal: _Signal, duration: float) -> Array:
-    """Return some rows of a signal during an experiment; the runs of a campaign have few different signals."""
-    # Spread evenly, and synchronous with no frequency.
+    """Sample a signal over an experiment; cached, as the runs of a campaign have few different signals."""
+    # Evenly spread, and not synchronous with any frequency.
     times = duration * (0.5 * (math.sqrt(5.0) - 1.0) * np.arange(SAMPLES, dtype=np.float64) % 1.0)
     rows: Array = REFERENCES.load(signal.use.name).sample(times, signal.use.parameters)
     return rows
 
 
 def _rig(data: Any, where: str, folder: Path) -> Rig:
-    """Read a rig that is to be simulated, which takes all of it."""
+    """Read a rig for simulation, which requires all its values."""
     file = configured(data, beside=folder) if isinstance(data, str) else None
     rig = rig_from_mapping(data, where) if file is None else load_rig(file)
     check_known(rig, where if file is None else str(file))
@@ -314,7 +314,7 @@ def _rig(data: Any, where: str, folder: Path) -> Rig:
 
 
 def _use(family: Any, data: Any, where: str, folder: Path, rig: Rig | None = None) -> Use:
-    """Read a member of a family; ``rig``: the one that defaults in proportion to a rig follow from."""
+    """Read a member of a family; ``rig``: rig to which defaults are scaled."""
     if isinstance(data, str):
         data = {"name": data}
     if not isinstance(data, Mapping) or "name" not in data:
@@ -340,7 +340,7 @@ def _disturbance(data: Any, where: str, folder: Path, rig: Rig) -> DisturbanceUs
 
 
 def _known_effects(data: Any, acting: Sequence[EffectUse], where: str) -> tuple[EffectUse, ...]:
-    """Return the effects that the controller knows of: by name as they act, or with parameters of their own."""
+    """Return the effects known to the controller: by name with the acting parameters, or with other parameters."""
     if not isinstance(data, list):
         raise BadInput(
             f"known_effects is {data!r}", where, "a list of effects, each a name or {name: <effect>, <parameter>: value}"
@@ -363,13 +363,13 @@ def _companions(data: Any, where: str, folder: Path, rig: Rig) -> tuple[Use, ...
 
 
 def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> Company:
-    """Return an experiment's companions, ready to work but for their files (:mod:`ehls_ros.experiments.learnt_files`).
+    """Return an experiment's companions, without the content of their files (:mod:`ehls_ros.experiments.learnt_files`).
 
     Args:
         spec: the experiment.
-        model: what its controller knows of the rig.
+        model: the controller's model of the rig.
         where: the file, for errors.
-        law: name of a controller in place of the experiment's.
+        law: name of a controller that replaces the experiment's.
         tuning: its parameters.
 
     Raises:
@@ -382,7 +382,7 @@ def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tun
 
 
 def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> Setting:
-    """Return what companions know before the first cycle; arguments as of :func:`company_of`."""
+    """Return the initial information of companions; arguments as of :func:`company_of`."""
     name = spec.controller.name if law is None else law
     kind = CONTROLLERS.load(name)
     if spec.companions and kind.FOLLOWS != "force":
@@ -395,7 +395,7 @@ def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tunin
 
 
 def _check_companions(spec: Spec, where: str, setting: Setting) -> None:
-    """Refuse companions that cannot work together with the rest."""
+    """Reject companions that are incompatible with the controller or the rig."""
     law = str(getattr(setting.law, "__name__", "")).rpartition(".")[2]
     for use in spec.companions:
         with _placed(f"{where}: {use.name} beside {law}"):
@@ -404,7 +404,7 @@ def _check_companions(spec: Spec, where: str, setting: Setting) -> None:
 
 @contextmanager
 def _placed(where: str) -> Iterator[None]:
-    """Say of errors in which file they are."""
+    """Prefix the file to the place of errors."""
     try:
         yield
     except BadInput as error:
@@ -412,11 +412,11 @@ def _placed(where: str) -> Iterator[None]:
 
 
 def untold(spec: Spec, law: str | None = None) -> tuple[str, ...]:
-    """Return a sentence per effect of the rig that the controller reckons with and is not told of.
+    """Return a warning for each effect of the rig that the controller supports but that is not declared as known.
 
     Args:
         spec: the experiment.
-        law: name of a controller in place of the experiment's.
+        law: name of a controller that replaces the experiment's.
     """
     name = spec.controller.name if law is None else law
     acting = {use.name for use in spec.loader_rig().effects}
@@ -428,17 +428,17 @@ def untold(spec: Spec, law: str | None = None) -> tuple[str, ...]:
 
 
 def uses_actuator(spec: Spec) -> bool:
-    """Tell whether a companion of the controller uses the command of the actuator under test."""
+    """Return whether a companion of the controller uses the setpoint of the actuator under test."""
     return any(COMPANIONS.load(use.name).ACTUATOR for use in spec.companions)
 
 
 def signal_kind(disturbance: str) -> str:
-    """Return what the signal of a disturbance is: a ``"force"`` or the ``"position"`` of a servo."""
+    """Return the quantity of a disturbance's signal: ``"force"``, or ``"position"`` for a servo."""
     return "position" if DISTURBANCES.load(disturbance).REACTS else "force"
 
 
 def _sampled_once(use: Use, where: str) -> None:
-    """Check now the parameters of a signal that must fit together."""
+    """Check the consistency of a signal's parameters by sampling it once."""
     with _placed(where):
         rows = REFERENCES.load(use.name).sample(np.zeros(1), use.parameters)
     if not np.all(np.isfinite(rows)):
@@ -446,7 +446,7 @@ def _sampled_once(use: Use, where: str) -> None:
 
 
 def spec_to_mapping(spec: Spec) -> dict[str, Any]:
-    """Return a spec with everything it names written out; :func:`spec_from_mapping` turns it back."""
+    """Return a spec as a self-contained mapping, the inverse of :func:`spec_from_mapping`."""
 
     def plain(use: Use) -> dict[str, Any]:
         return {"name": use.name, **use.parameters._asdict()}

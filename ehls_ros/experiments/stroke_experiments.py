@@ -1,4 +1,4 @@
-"""The experiments that deliver the strokes that recordings lack, within the limits of the rig."""
+"""Experiments for strokes missing in recordings, within the limits of the rig."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -12,10 +12,10 @@ from ehls_ros.identification.strokes import Missing
 from ehls_ros.physics.rig import Rig, rig_to_mapping, unknown_keys
 
 OF_STROKE, LONGEST, REST, PERIODS = 0.8, 6.0, 0.5, 18
-"""Fraction of the stroke that is used, longest time at one velocity and rest before each stroke [s], periods of the sine."""
+"""Fraction of the stroke used, longest time at one velocity and rest before each stroke [s], periods of the sine."""
 
 ACCELERATION = 0.25
-"""Of the strokes, as the paper's, unless a fast stroke would then be over before its velocity is reached [m/s^2]."""
+"""Acceleration of the strokes as in the paper [m/s^2]; larger if a fast stroke would otherwise not reach its velocity."""
 
 
 class Asked(NamedTuple):
@@ -34,10 +34,10 @@ def stroke_experiments(missing: Missing, rig: Rig, path: Path, folder: Path) -> 
     """Yield the experiments; none for a rig file that cannot be simulated.
 
     Args:
-        missing: what recordings lack.
+        missing: the missing strokes.
         rig: the rig.
         path: its file.
-        folder: where the experiments will stand.
+        folder: folder of the experiments.
 
     Raises:
         BadInput: the rig cannot run them.

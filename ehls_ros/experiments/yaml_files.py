@@ -1,4 +1,4 @@
-"""Rig files and experiment specs as text: the units stand beside the values, as in the files that come with the package."""
+"""Rig files and experiment specs as text, with the units beside the values as in the package's files."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -19,7 +19,7 @@ from ehls_ros.physics.parameters import Limits, Plant, Sensor
 from ehls_ros.schema import notes
 
 Remarks = Mapping[str, Any]
-"""Text behind each key's value, or the remarks of the mapping that is its value."""
+"""Remark on each key's value, or the remarks on the entries of a nested mapping."""
 
 FAMILIES: Mapping[str, Family[Any]] = {
     "reference": REFERENCES,
@@ -32,7 +32,7 @@ FAMILIES: Mapping[str, Family[Any]] = {
 """Sections of a spec that name a member of a family."""
 
 COLUMN = 38
-"""Where remarks begin, unless the value before them is longer."""
+"""Column where remarks begin, unless the value is longer."""
 
 
 def rig_text(rig: Mapping[str, Any], more: Mapping[str, Mapping[str, str]] | None = None) -> str:
@@ -40,7 +40,7 @@ def rig_text(rig: Mapping[str, Any], more: Mapping[str, Mapping[str, str]] | Non
 
     Args:
         rig: its content, as :func:`ehls_ros.physics.rig.rig_to_mapping` returns it.
-        more: text behind the unit of a value, by section and key.
+        more: text after the unit of a value, by section and key.
     """
     return "\n".join(_lines(_plain(rig), _of_rig(rig, more or {}))) + "\n"
 
@@ -49,7 +49,7 @@ def spec_text(spec: Mapping[str, Any]) -> str:
     """Return an experiment's file.
 
     Args:
-        spec: its content; rigs by the names of their files, or in full.
+        spec: its content; rigs by file name or as mappings.
     """
     remarks = dict[str, Any](_units(Settings))
     for key, value in spec.items():

@@ -1,4 +1,4 @@
-"""JSON Schemas of every kind of YAML file, from the declarations that also check these files."""
+"""JSON Schemas of all kinds of YAML files, from the declarations that also check these files."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -28,7 +28,7 @@ from ehls_ros.trajectory import READABLE
 SIGNALS = FAMILIES["signal"]
 
 DIALECT = "http://json-schema.org/draft-07/schema#"
-"""The dialect that editors' YAML servers know best."""
+"""Dialect best supported by the YAML servers of editors."""
 
 
 def _ref(name: str) -> Schema:
@@ -189,7 +189,7 @@ SHARED: Mapping[str, Callable[[], Schema]] = {
     "column": lambda: schema_of(Column),
     "entry": _entry,
 }
-"""What stands several times in a file; it may name what stands before it here."""
+"""Definitions used several times in a schema; each may refer to those before it."""
 
 KINDS: Mapping[str, Callable[[], Schema]] = {
     "rig": _rig,
@@ -200,4 +200,4 @@ KINDS: Mapping[str, Callable[[], Schema]] = {
     "columns": _columns,
     "answers": _answers,
 }
-"""What each kind of file may hold."""
+"""Schema of each kind of file."""

@@ -95,7 +95,7 @@ class Calibration:
         return tuple(signals)
 
     def saturated(self, values: Sequence[float]) -> tuple[str, ...]:
-        """Return the signals whose converter is at or beyond an end of its range, so that their values mean nothing.
+        """Return the signals whose converter is at or beyond an end of its range, so that their values are invalid.
 
         Args:
             values: raw values in the order of the wiring's inputs.

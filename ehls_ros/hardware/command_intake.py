@@ -1,4 +1,4 @@
-"""Which incoming commands are accepted: by sender, by the cycle they answer, and by value."""
+"""Acceptance rules for incoming commands: by sender, by the cycle they answer, and by value."""
 
 import math
 
@@ -15,7 +15,7 @@ class CommandIntake:
     """The last accepted command and its sender.
 
     Attributes:
-        owner: sender whose commands are accepted; None: the first to come.
+        owner: sender whose commands are accepted; None: the first to send.
         left: the owner before a hand-over, whose last commands may still arrive.
         value: the last accepted command [m].
         answered: the cycle it answers; -1 before the first.
@@ -60,13 +60,13 @@ class CommandIntake:
         Args:
             cycle: the cycle it answers; None if it names none.
             spool: spool command [m].
-            sender: who sent it.
+            sender: name of the sender.
             newest: the newest cycle.
             followed: whether the output follows commands at once, so that their rate matters.
-            driving: whether commands reach the actuator: then a silent owner keeps its place.
+            driving: whether commands reach the actuator: then a silent owner remains the owner.
 
         Returns:
-            Whether it is accepted; if not, a detector says why.
+            Whether it is accepted; if not, a detector gives the reason.
         """
         if cycle is None:
             self._order.flag(math.nan, float(newest), "no cycle")
@@ -94,11 +94,11 @@ class CommandIntake:
 
     @property
     def silent(self) -> bool:
-        """Whether no command has arrived for as long as its sender may be replaced."""
+        """Whether the owner has been silent long enough to be replaced."""
         return not self.fresh and self._age >= self._p.command_timeout - ROUNDING
 
     def hand_over(self, sender: str, newest: int) -> None:
-        """Accept another sender's commands from now on; the age of the last command goes on.
+        """Accept another sender's commands from now on; the age of the last command keeps counting.
 
         Args:
             sender: the new owner.
@@ -119,7 +119,7 @@ class CommandIntake:
         return True
 
     def _is_due(self, cycle: int, newest: int) -> bool:
-        """Tell whether a command answers a cycle that is neither in the future, nor answered already, nor too old."""
+        """Return whether a command answers a cycle that is neither in the future, nor answered already, nor too old."""
         if cycle > newest:
             self._order.flag(float(cycle - newest), 0.0, "in the future")
         elif cycle == self.answered:
@@ -133,7 +133,7 @@ class CommandIntake:
         return False
 
     def _is_sound(self, cycle: int, value: float, followed: bool) -> bool:
-        """Tell whether a command's value is acceptable, and keep it if so."""
+        """Return whether a command's value is acceptable, and store it if so."""
         finite = math.isfinite(value)
         self._not_finite.look(not finite, value, math.inf)
         if not finite:

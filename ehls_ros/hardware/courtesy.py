@@ -1,7 +1,7 @@
-"""Keeps realtime loops from starving the machine: a loop that demands a processor all the time gives up SCHED_FIFO for a while.
+"""Prevents realtime loops from starving the machine: a loop in constant demand of a processor gives up SCHED_FIFO temporarily.
 
-Demand is the time the loop ran plus the time it queued for a processor. So several loops that block one another are caught,
-just as one that has a processor to itself. A loop that hardly runs is in nobody's way, however long it queues.
+Demand is the running time of the loop plus its time in the run queue. This catches several loops that block one another as
+well as one that occupies a processor alone. A loop that hardly runs disturbs no other, however long it queues.
 """
 
 import os
@@ -14,7 +14,7 @@ WINDOW = 0.3
 """Time over which the demand is averaged [s]."""
 
 LEAST = 0.1
-"""Fraction of a processor below which a loop is in nobody's way."""
+"""Fraction of a processor below which a loop disturbs no other."""
 
 REST = 10.0
 """Time after which SCHED_FIFO is requested again [s]."""
@@ -25,8 +25,8 @@ class Courtesy:
 
     Attributes:
         wanted: demand over the last window, as a fraction of a processor.
-        given_back: how often SCHED_FIFO was given up.
-        complaint: why SCHED_FIFO is given up; empty while it is not.
+        given_back: number of times SCHED_FIFO was given up.
+        complaint: reason for giving up SCHED_FIFO; empty while it is not given up.
     """
 
     def __init__(self, share: float, statistics: Path) -> None:
@@ -34,7 +34,7 @@ class Courtesy:
 
         Args:
             share: largest demand, as a fraction of a processor; 1: no limit.
-            statistics: the thread's schedstat file: how long it ran and how long it queued.
+            statistics: the thread's schedstat file: running time and queueing time.
 
         Raises:
             OSError: the file cannot be opened.
@@ -72,7 +72,7 @@ class Courtesy:
         return self._share < 1.0 and self.wanted > self._share and had > LEAST and self._yield(now)
 
     def _so_far(self) -> tuple[float, float]:
-        """Return how long the loop's thread ran and how long it queued for a processor [s]."""
+        """Return the running time of the loop's thread and its queueing time for a processor [s]."""
         ran, waited = os.pread(self._statistics, 100, 0).split()[:2]
         return 1e-9 * int(ran), 1e-9 * int(waited)
 

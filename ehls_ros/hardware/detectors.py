@@ -48,7 +48,7 @@ class Violation(NamedTuple):
 
 
 class Detector:
-    """One kind of fault: whether it is present, for how long, and how often it has occurred.
+    """One kind of fault: its presence, duration and number of occurrences.
 
     Attributes:
         name: in diagnostics.
@@ -60,7 +60,7 @@ class Detector:
         limit: the limit in force; infinite if there is none or it depends on the signal.
         subject: the signal or sender concerned, where there are several.
         count: number of occurrences.
-        seen: the gate's own time when the fault was last present [s].
+        seen: time on the gate's clock when the fault was last present [s].
     """
 
     __slots__ = ("count", "lasted", "limit", "name", "parameter", "raised", "reaction", "seen", "subject", "unit", "value")
@@ -80,7 +80,7 @@ class Detector:
         self.seen = -math.inf
 
     def retune(self, parameters: Parameters) -> None:
-        """Take the reaction from a parameter set."""
+        """Set the reaction from a parameter set."""
         if self.parameter:
             self.reaction = REACTIONS.index(getattr(parameters, self.parameter))
 
@@ -100,7 +100,7 @@ class Detector:
             return
         self.lasted += elapsed
         if self.raised:
-            # Value and limit are those of the moment it was raised: of the same signal, in the same unit.
+            # Value and limit are those of the moment the fault was raised: of the same signal, in the same unit.
             return
         self.limit = limit
         # Rounding of the clock must not add a cycle.
@@ -163,7 +163,7 @@ class Signal:
         good: last plausible reading; NaN before the first.
         gap: time since then [s].
         last: last reading.
-        still: how long the reading has not changed [s].
+        still: time for which the reading has not changed [s].
         lowest: smallest command written in that time [m].
         highest: largest command written in that time [m].
     """

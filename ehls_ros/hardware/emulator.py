@@ -15,7 +15,7 @@ from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import SENSED
 
 BLOCK = 1024
-"""Cycles whose noise is drawn, and whose disturbance is computed, at a time."""
+"""Cycles for which noise and disturbance are computed at a time."""
 
 LOGGED = [
     sensors.SPOOL, sensors.LOAD_PRESSURE, sensors.SUPPLY_PRESSURE, sensors.POSITION, sensors.VELOCITY, sensors.FORCE,
@@ -70,7 +70,7 @@ class Emulator:
 
         Args:
             simulator: the plant with its sensors.
-            disturbance: of the actuator under test; of a servo that the plant simulates, the motion that it is to follow.
+            disturbance: of the actuator under test; for a servo that the plant simulates, the motion to follow.
             calibration: of the rig's channels.
             seed: of the sensor noise.
             disturb_at_once: start the disturbance in cycle 0 instead of after the first command that opens the valve.
@@ -124,7 +124,7 @@ class Emulator:
 
         Args:
             raw: raw valve command, held over the cycle.
-            status: why the command is at null, for the log.
+            status: reason why the command is at null, for the log.
             sequence: number of the last command accepted, for the log.
             answered: number of the measurement that it answers, for the log.
             now: time of this computer, for the log [s].

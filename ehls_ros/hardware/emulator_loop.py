@@ -1,4 +1,4 @@
-"""The emulator's loop: on its own clock, or waiting for the answer to each cycle."""
+"""The emulator's loop: paced by its clock, or waiting for the answer to each cycle."""
 
 import time
 from collections import deque
@@ -18,15 +18,15 @@ LOOK = 0.05
 """Interval at which a stop is checked for while waiting for packets [s]."""
 
 SLOWEST = 10_000
-"""Largest wake-up delay that is resolved [us]."""
+"""Largest wake-up delay resolved by the histogram [us]."""
 
 
 class Run(NamedTuple):
-    """How long to run, and the links to the caller.
+    """Number of cycles to run, and the links to the caller.
 
     Attributes:
         cycles: number of cycles to run.
-        stopped: tells whether to stop.
+        stopped: returns whether to stop.
         lines: faults to inject, appended by another thread.
         tell: called with each injected fault, or the error in its line, and the time [s].
     """
@@ -46,7 +46,7 @@ class Delays:
         self.largest = 0.0
 
     def add(self, delay: float) -> None:
-        """Count one [s]."""
+        """Count a delay [s]."""
         self._counts[min(int(1e6 * delay), SLOWEST)] += 1
         self.largest = max(self.largest, delay)
 
@@ -65,9 +65,9 @@ def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delay
 
     Args:
         emulator: the rig.
-        target: its side of the protocol.
-        wire: its socket.
-        run: how long, and the links to the caller.
+        target: the target's side of the protocol.
+        wire: the target's socket.
+        run: number of cycles, and the links to the caller.
         delays: collects the wake-up delays.
     """
     period = emulator.period
@@ -100,9 +100,9 @@ def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patie
 
     Args:
         emulator: the rig.
-        target: its side of the protocol.
-        wire: its socket.
-        run: how long, and the links to the caller.
+        target: the target's side of the protocol.
+        wire: the target's socket.
+        run: number of cycles, and the links to the caller.
         patience: longest wait for an answer [s].
 
     Raises:

@@ -1,4 +1,4 @@
-"""Faults injected into the emulated rig while it runs, for tests; one line of text each."""
+"""Faults injected into the emulated rig while it runs, for tests; each is one line of text."""
 
 import math
 from collections.abc import Sequence

@@ -141,7 +141,7 @@ class Change(NamedTuple):
 
 
 def changes(before: Parameters, after: Parameters) -> Iterator[Change]:
-    """Yield what differs between two parameter sets."""
+    """Yield the differences between two parameter sets."""
     old, new = before._asdict(), after._asdict()
     for name in Parameters._fields:
         if old[name] != new[name]:

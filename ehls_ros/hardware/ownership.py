@@ -1,11 +1,11 @@
-"""The one sender from which an input of a node is accepted, until it leaves.
+"""Ownership of a node's input: the one sender from which it is accepted, until that sender leaves.
 
-Commands have their own rule (:mod:`ehls_ros.hardware.command_intake`), which also knows whether the valve is open. Every other
-input of the control cycle, such as a reference or a disturbance, follows this one:
+Commands follow a different rule (:mod:`ehls_ros.hardware.command_intake`), which also considers whether the valve is open.
+Every other input of the control cycle, such as a reference or a disturbance, follows this one:
 
 * The first sender becomes the owner. Messages of others are refused.
-* The input becomes free when the owner announces that it leaves, or is gone from the graph. What a refused sender sent before
-  is accepted then, unless that sender has left meanwhile.
+* The input becomes free when the owner announces its departure, or is gone from the graph. Earlier messages of a refused
+  sender are then accepted, unless that sender has left meanwhile.
 * A sender of the owner's node name takes over once the owner has been silent for :data:`RESTART`: the node was restarted.
 """
 
@@ -17,10 +17,10 @@ RESTART = 0.5
 """Silence of the owner after which a sender of the same node name counts as that node, restarted [s]; a start takes longer."""
 
 REMAINDER = 0.5
-"""Time in which messages may still arrive of an owner that has left or was killed [s]."""
+"""Time in which messages may still arrive from an owner that has left or was killed [s]."""
 
 MOST_CONTENDERS = 16
-"""Senders that are remembered; a sender could use a new name in each message."""
+"""Number of senders remembered; a sender could use a new name in each message."""
 
 SILENT = 1.0
 """Silence of the owner after which it may have left without an announcement [s]."""
@@ -54,7 +54,7 @@ class Ownership:
     """Owner and contenders of one input.
 
     Attributes:
-        owner: the sender whose messages are accepted; None: the first to come.
+        owner: the sender whose messages are accepted; None: the first to send.
         contenders: the senders refused since the owner took the input.
     """
 
@@ -68,7 +68,7 @@ class Ownership:
         self.contenders: dict[str, Heard] = {}
 
     def admits(self, sender: str) -> bool:
-        """Return whether a message of a sender is accepted, and note that it came."""
+        """Return whether a sender's message is accepted, and note its arrival."""
         now = self._clock()
         if sender == self.owner:
             self._heard = now
@@ -88,17 +88,17 @@ class Ownership:
         return False
 
     def _is_remainder(self, sender: str, now: float) -> bool:
-        """Return whether a message was on its way when its sender left."""
+        """Return whether a message was still under way when its sender left."""
         left, when = self._left
         return left == sender and now - when <= REMAINDER
 
     @property
     def silent(self) -> bool:
-        """Whether the owner has sent nothing for :data:`SILENT`."""
+        """Whether the owner has sent no message for :data:`SILENT`."""
         return self.owner is not None and self._clock() - self._heard > SILENT
 
     def must_yield(self, sender: str) -> bool:
-        """Return whether a contender has to stop: the owner has gone on for :data:`REMAINDER` beside it."""
+        """Return whether a contender has to stop: the owner has continued for :data:`REMAINDER` alongside it."""
         heard = self.contenders.get(sender)
         return heard is not None and self._heard - heard.first > REMAINDER
 
@@ -116,7 +116,7 @@ class Ownership:
         return self._clock()
 
     def has_left_since(self, sender: str, when: float) -> bool:
-        """Return whether a sender has left since it sent a message that came at a time [s]."""
+        """Return whether a sender has left since sending a message that arrived at a time [s]."""
         return self._departures.get(sender, -float("inf")) >= when
 
     def release(self, sender: str) -> None:

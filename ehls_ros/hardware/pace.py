@@ -1,4 +1,4 @@
-"""Whether a computer keeps up with its cycles: cycles due per second against cycles answered."""
+"""Check whether a computer keeps up with its cycles: cycles due per second against cycles answered."""
 
 WINDOW = 0.5
 """Time over which cycles are counted [s]."""
@@ -15,7 +15,7 @@ CHANGE = 0.1
 ADVICE = (
     "stop other work, permit realtime priority (check it with ehls doctor), choose a longer control_period, or run in lockstep"
 )
-"""What to do when the computer is too slow."""
+"""Advice for a computer that is too slow."""
 
 
 class Pace:

@@ -39,13 +39,13 @@ LARGEST = HEADER.size + 8 * MOST_VALUES + TAG.size
 """Length of the longest packet [B]."""
 
 MOST_AT_ONCE = 256
-"""Most packets received in one go, so that a flood cannot block a loop."""
+"""Maximum number of packets received at once, so that a flood cannot block a loop."""
 
 LONGEST_KEY = hashlib.blake2b.MAX_KEY_SIZE
 """Length of the longest key [B]."""
 
 REASONS = ("length", "magic", "version", "kind", "count", "tag", "value", "session", "field")
-"""Why a datagram is refused, in the order of the checks."""
+"""Reasons for refusing a datagram, in the order of the checks."""
 
 
 class Kind(IntEnum):
@@ -57,7 +57,7 @@ class Kind(IntEnum):
 
 
 class Status(IntEnum):
-    """Why the target's output is at null."""
+    """Reason why the target's output is at null."""
 
     COMMANDED = 0
     """Not at null: the last command is held."""

@@ -29,7 +29,7 @@ LARGE = 2**25
 """Size above which an allocation is mapped separately and returned when freed; glibc's maximum [B]."""
 
 SMALL = 2**18
-"""The same for a process that gives back what it frees [B]."""
+"""The same for a process that returns freed memory to the system [B]."""
 
 HARDLY = 0.25
 """A file with no more than this fraction in memory is hardly used."""
@@ -101,10 +101,10 @@ def processors_of(text: str, where: str) -> frozenset[int]:
 
     Args:
         text: numbers and ranges, separated by commas.
-        where: who says so, for errors.
+        where: source of the text, for errors.
 
     Raises:
-        BadInput: it is no such list, or this process may not use one of them.
+        BadInput: it is not such a list, or this process may not use one of the processors.
     """
     allowed = os.sched_getaffinity(0)
     chosen: set[int] = set()
@@ -121,7 +121,7 @@ def processors_of(text: str, where: str) -> frozenset[int]:
 
 
 def keep_to(processors: Collection[int]) -> None:
-    """Let all threads of this process, and those they start, use only these processors."""
+    """Restrict all threads of this process, and those they start, to these processors."""
     for thread in threads():
         with suppress(ProcessLookupError):
             os.sched_setaffinity(thread, processors)
@@ -141,10 +141,10 @@ def preferring_what_starts(priority: int) -> Iterator[None]:
 
 
 def be_frugal() -> None:
-    """Make this process reserve little memory and keep what it has; call it before other threads start.
+    """Limit the memory that this process reserves, and keep freed memory; call it before other threads start.
 
-    By default each thread has its own allocation arena and a stack of 8 MiB, and freed memory returned to the system would have
-    to be requested again in the middle of a cycle.
+    By default each thread has a separate allocation arena and a stack of 8 MiB. Freed memory returned to the system would
+    have to be requested again in the middle of a cycle.
     """
     system = ctypes.CDLL(None)
     system.mallopt(M_ARENA_MAX, 1)
@@ -197,21 +197,21 @@ def drop_compiler() -> None:
 
 
 def be_modest() -> None:
-    """Undo what :func:`be_frugal` keeps: large arrays go back to the system at once; for a process without deadlines."""
+    """Undo the memory retention of :func:`be_frugal`, for a process without deadlines: large arrays are returned at once."""
     system = ctypes.CDLL(None)
     system.mallopt(M_TRIM_THRESHOLD, SMALL)
     system.mallopt(M_MMAP_THRESHOLD, SMALL)
 
 
 def tidy() -> None:
-    """Give back memory that this process does not need, for one that goes on for weeks beside those with deadlines."""
+    """Return unused memory to the system, for a process that runs for weeks beside those with deadlines."""
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
     drop_compiler()
 
 
 def _in_use(part: Part) -> bool:
-    """Tell whether a mapping is worth locking: anonymous memory in use, or a file that is used more than a little."""
+    """Return whether a mapping is worth locking: anonymous memory in use, or a file of which more than a little is resident."""
     least = HARDLY * part.length if part.file.startswith("/") else 0
     return 1024 * part.resident > least
 
@@ -260,7 +260,7 @@ def claim(priority: int, behind: Collection[int] = ()) -> tuple[str, ...]:
         behind: threads, by native id, that get :data:`LOWEST` instead.
 
     Returns:
-        A sentence for each thing that was not permitted.
+        A sentence for each request that was not permitted.
     """
     gc.collect()
     gc.freeze()

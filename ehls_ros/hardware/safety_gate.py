@@ -51,13 +51,13 @@ CUT_NAME = REACTIONS[CUT_REACTION]
 
 STOP = "emergency_stop"
 LEFT = "left_active"
-"""Causes without a detector: an emergency stop was requested; the loop ended while commands reached the actuator."""
+"""Causes without a detector: a requested emergency stop; the end of the loop while commands reached the actuator."""
 
 STOP_TIME = 1.0
 """Shortest duration of an emergency stop [s]."""
 
 DEAF = 1.0
-"""Silence of the service thread after which an emergency stop is taken not to get through [s]."""
+"""Silence of the service thread after which an emergency stop may not get through [s]."""
 
 REACH = 3
 """Largest number of periods by which one step may move or blend in the output, however late it is."""
@@ -66,7 +66,7 @@ RECOVERY = 0.1
 """Rate at which the used hold time recovers while commands pass [s/s]."""
 
 NOTICE = 2.0
-"""How long diagnostics keep showing a fault that is over [s]."""
+"""Time for which diagnostics keep showing a fault that is over [s]."""
 
 LEAST_STEP = 0.01
 """A clock that advances by less than this fraction of a period per step counts as stopped."""
@@ -184,12 +184,12 @@ class Gate:
 
     @property
     def owner(self) -> str | None:
-        """Sender whose commands are accepted; None: the first to come."""
+        """Sender whose commands are accepted; None: the first to send."""
         return self._commands.owner
 
     @property
     def vacant(self) -> bool:
-        """Whether the first sender to come is accepted, as nobody's commands reach the actuator and nobody sends any."""
+        """Whether the first sender is accepted, as no commands reach the actuator and none are sent."""
         return not self.driving and self._commands.silent
 
     @property
@@ -236,7 +236,7 @@ class Gate:
             detector.look(False, 0.0, detector.limit)
 
     def retune(self, parameters: Parameters) -> list[Change]:
-        """Apply other limits and reactions from the next call, and return what changed.
+        """Apply other limits and reactions from the next call, and return the changes.
 
         Raises:
             BadInput: a parameter is out of range, or :meth:`objection` refuses the change; the old parameters stay.
@@ -294,7 +294,7 @@ class Gate:
             reference: force reference of this cycle [N]; NaN if unknown.
             elapsed: time since the last snapshot by the rig's clock [s]; None: one period per cycle.
             lag: transport delay [s].
-            at_null: the device itself keeps the valve closed.
+            at_null: the device keeps the valve closed.
         """
         number = _integer(cycle)
         with self._lock:
@@ -305,7 +305,7 @@ class Gate:
             self._sensed = True
             self._lag = max(_number(lag), 0.0)
             self._shut.look(bool(at_null), math.nan, math.nan)
-            # A force error means nothing while the loop does not control the force.
+            # A force error is meaningless while the loop does not control the force.
             expected = _number(reference) if self.state in {ACTIVE, HOLDING} else math.nan
             self._readings.look(_readings(measured), periods if elapsed is None else elapsed, self.output, expected)
 
@@ -315,10 +315,10 @@ class Gate:
         Args:
             cycle: the cycle it answers.
             spool: spool command [m].
-            sender: who sent it.
+            sender: name of the sender.
 
         Returns:
-            Whether it is accepted; if not, :meth:`health` says why.
+            Whether it is accepted; if not, :meth:`health` gives the reason.
         """
         number, value = _integer(cycle), _number(spool)
         with self._lock:
@@ -326,12 +326,12 @@ class Gate:
             return self._commands.take(number, value, str(sender), self._newest, followed=followed, driving=self.driving)
 
     def hand_over(self, sender: str) -> None:
-        """Accept the commands of another sender from now on, and those of the present one no more."""
+        """Accept the commands of another sender from now on, and no longer those of the present one."""
         with self._lock:
             self._commands.hand_over(str(sender), self._newest)
 
     def hear(self, silence: float) -> None:
-        """Set how long the service thread has been silent [s]: without it nobody could stop the rig."""
+        """Set how long the service thread has been silent [s]: without it the rig could not be stopped."""
         with self._lock:
             self._unheard.look(not silence <= DEAF, silence, DEAF)
 
@@ -454,7 +454,7 @@ class Gate:
         """Let commands through from the next step, blended in over ``enable_time``.
 
         Returns:
-            None, or why not: tripped, no fresh command or snapshot, or a fault that would trip the gate at once.
+            None, or the reason for refusal: tripped, no fresh command or snapshot, or a fault that would trip the gate at once.
         """
         with self._lock:
             if self.driving:
@@ -495,7 +495,7 @@ class Gate:
         """Cut and latch until acknowledged.
 
         Returns:
-            The name of the stop; a stop during another has its own name and time.
+            The name of the stop; a stop during another has a separate name and time.
         """
         with self._lock:
             self._stops += 1
@@ -512,7 +512,7 @@ class Gate:
             stop: its name.
 
         Returns:
-            None, or why not: another stop is engaged, or it is younger than :data:`STOP_TIME`.
+            None, or the reason for refusal: another stop is engaged, or it is younger than :data:`STOP_TIME`.
         """
         with self._lock:
             if self.state != STOPPED:
@@ -529,7 +529,7 @@ class Gate:
         """Clear the trip once its causes are gone; the gate is then disabled, at null.
 
         Returns:
-            None, or why not.
+            None, or the reason for refusal.
         """
         with self._lock:
             if not self.causes:

@@ -1,4 +1,4 @@
-"""Age and rate of a device's samples, from its own clock and sequence numbers: a sample that queued on the way is not fresh.
+"""Age and rate of a device's samples, from its clock and sequence numbers: a sample that queued on the way is not fresh.
 
 A sample gives three numbers: its sequence number, its time by the device's clock and its time of arrival by this computer's.
 Arrival minus device time is the transport delay plus a constant, since the clocks have any offset. The age of a sample is
@@ -8,10 +8,10 @@ this difference above a baseline, which
 * rises no faster than two free-running clocks drift apart (:data:`MAX_DRIFT`), whatever the samples do,
 * starts anew only when the device does.
 
-So a delay that grows, however slowly beyond :data:`MAX_DRIFT`, adds up to an age, and one that jitters counts from its
-fastest samples. A true sampling period that differs from the nominal one is no delay, as the device's clock shows it. A device
-clock that is wrong by more than :data:`MAX_DRIFT` cannot be told from a delay that grows or shrinks, by any rule; the
-:attr:`SampleClock.drift` is that of both.
+So a delay that grows, however slowly beyond :data:`MAX_DRIFT`, adds up to an age, and one that jitters is measured from its
+fastest samples. A true sampling period that differs from the nominal one is no delay, as the device's clock shows it. A
+device clock wrong by more than :data:`MAX_DRIFT` is indistinguishable from a delay that grows or shrinks, by any rule; the
+:attr:`SampleClock.drift` includes both.
 """
 
 import math
@@ -23,16 +23,16 @@ DRIFT_WINDOW = 10.0
 """Window of the measured drift [s]."""
 
 JITTER = 2e-3
-"""Largest difference between the fastest samples of two such windows that is no drift [s]."""
+"""Largest difference between the fastest samples of two such windows that does not count as drift [s]."""
 
 COUNTED = 0.25
-"""Samples counted for a rate, as time at the expected one [s]."""
+"""Length of the sample count for a rate, as time at the expected rate [s]."""
 
 WANDER = 0.5
 """Largest deviation of the device's clock from the sequence numbers, as a fraction of the interval they give."""
 
 PAUSE = 0.5
-"""Silence after which a device may have stopped sampling for a while [s]: the largest time that a gate waits for a sample."""
+"""Silence after which a device may have paused its sampling [s]: the longest time that a gate waits for a sample."""
 
 
 class SampleClock:
@@ -99,7 +99,7 @@ class SampleClock:
 
     @property
     def strays(self) -> bool:
-        """Whether device and arrival differ in rate by more than two clocks and jitter explain."""
+        """Whether the device's clock and the arrivals differ in rate by more than two clocks and jitter explain."""
         return abs(self.drift) > MAX_DRIFT + JITTER / DRIFT_WINDOW
 
     def _increment(self, sequence: int, time_ns: int, now: float) -> int:
@@ -107,12 +107,12 @@ class SampleClock:
         counted, measured = (sequence - self._sequence) * self._period, 1e-9 * (time_ns - self._time_ns)
         silence = now - self._now
         plausible = abs(measured - counted) <= WANDER * counted
-        # Both clocks agree that a silence lasted longer than the missing samples account for: the device stood still.
+        # Both clocks show a silence longer than the missing samples account for: the device stood still.
         paused = silence > PAUSE and abs(measured - silence) < abs(counted - silence)
         return time_ns - self._time_ns if plausible or paused else round(1e9 * counted)
 
     def _count(self, sequence: int, time_ns: int) -> None:
-        """Find the rate once enough samples have come; a clock that was set spoils one count."""
+        """Compute the rate once enough samples have arrived; a clock that was set spoils one count."""
         first, since_ns = self._counted_from
         samples, elapsed_ns = sequence - first, time_ns - since_ns
         if samples * self._period >= COUNTED:

@@ -2,11 +2,11 @@
 
 After one late answer the last command is held, as on a rig. From the second late answer in a row simulated time waits for the
 answers and does not catch up, because a loop with growing dead time diverges. Waiting ends with a window in which the cycles
-kept up with wall time. It also begins that way: a computer that is too slow would miss the first answers, when the commands
-change most from cycle to cycle.
+kept up with wall time. A run also starts in this state: a computer that is too slow would miss the first answers, when the
+commands change most from cycle to cycle.
 
-Where the controller shares the plant's process, a cycle that begins late has its answer as soon as any other. There is no dead
-time that grows, and simulated time catches up.
+Where the controller shares the plant's process, a cycle that begins late is answered as soon as any other. Dead time does not
+grow, and simulated time catches up.
 """
 
 from ehls_ros.hardware.pace import Pace
@@ -15,8 +15,8 @@ BEARABLE = 2
 """Unanswered cycles in a row after which simulated time waits; a delay of three makes the law unstable (docs/measured.md)."""
 
 HOPE = 2.0
-"""Longest wait for an answer; after that the controller is taken to be gone [s]. A busy computer may well stop it for half a
-second, and a loop that goes on without it diverges within a few cycles."""
+"""Longest wait for an answer, after which the controller counts as gone [s]. A busy computer may well stop it for half a
+second, and a loop that continues without it diverges within a few cycles."""
 
 CATCH_UP = 0.01
 """Delay of the cycles that is still caught up where it delays no answer [s]."""
@@ -96,7 +96,7 @@ class SimulatedClock:
         behind = now - self._end
         self.late += behind > self._period
         long_ago = behind > max(BEARABLE * self._period, CATCH_UP if prompt else 0.0)
-        # A controller that seems to be gone is not waited for until it answers again.
+        # A controller that seems to be gone is not awaited until it answers again.
         self.waiting = answered if self.waiting else self._unanswered == BEARABLE or (answered and long_ago)
         if self._overdue or long_ago:
             self._end = now
@@ -110,7 +110,7 @@ class SimulatedClock:
     def _update_pace(self, now: float) -> bool:
         before = self.pace.complaint
         if self._unanswered > BEARABLE:
-            # A missing controller says nothing about the computer's speed.
+            # A missing controller gives no information on the computer's speed.
             self.pace = Pace()
         elif self.pace.look(now, (now - self._start) / self._period, self._ended - self.missed):
             self.waiting = bool(self.pace.complaint)

@@ -1,16 +1,16 @@
 """Time stamps of the cycles: evenly spaced, as the samples are, and never far from the clock of the graph."""
 
 FAR = 1.0
-"""Distance between stamps and clock at which the stamps are set to the clock [s]: much more than one late cycle."""
+"""Difference between stamps and clock at which the stamps are set to the clock [s]: much more than one late cycle."""
 
 
 class Stamps:
-    """Numbers the cycles' times.
+    """Assigns time stamps to the cycles.
 
     Attributes:
         behind: distance of the last stamp behind the clock; negative if ahead [s].
-        jumps: how often the stamps were set to the clock.
-        jump: by how much they were set the last time; negative for backwards [s].
+        jumps: number of times the stamps were set to the clock.
+        jump: size of the last adjustment; negative for backwards [s].
     """
 
     def __init__(self, period: float) -> None:
@@ -20,7 +20,7 @@ class Stamps:
         self.begin(0, 0)
 
     def begin(self, cycle: int, now_ns: int) -> None:
-        """Let a cycle begin now; that is no jump.
+        """Start a cycle now, without counting a jump.
 
         Args:
             cycle: its number.

@@ -1,4 +1,4 @@
-"""Controllers that stand by while another drives: who they are, and whether one could take over at once."""
+"""Standby controllers, and whether one could take over at once."""
 
 import math
 
@@ -6,38 +6,38 @@ from ehls_ros.errors import BadInput
 
 
 class Standby:
-    """The controllers that have told lately what they would command.
+    """The controllers that have recently published standby commands.
 
     Attributes:
         cycle: the newest cycle.
     """
 
     def __init__(self, patience: int) -> None:
-        """Start with none.
+        """Start without controllers.
 
         Args:
-            patience: cycles after which one that has not answered stands by no more.
+            patience: cycles without an answer after which a controller no longer counts as standby.
         """
         self._patience = patience
         self._answered: dict[str, int] = {}
         self.cycle = -1
 
     def hear(self, sender: str, cycle: int) -> None:
-        """Note that a controller has told what it would command in a cycle."""
+        """Note a controller's standby command for a cycle."""
         self._answered[sender] = cycle
 
     def forget(self, sender: str) -> None:
-        """Note that a controller has left."""
+        """Remove a controller that has left."""
         self._answered.pop(sender, None)
 
     @property
     def behind(self) -> list[str]:
-        """Those that have not answered the newest cycle."""
+        """Controllers that have not answered the newest cycle."""
         return [sender for sender in self.ready if self._answered.get(sender, -math.inf) < self.cycle]
 
     @property
     def ready(self) -> list[str]:
-        """Those that could take over, sorted."""
+        """Controllers that could take over, sorted."""
         return sorted(sender for sender, cycle in self._answered.copy().items() if cycle >= self.cycle - self._patience)
 
     def named(self, name: str) -> str:
@@ -47,7 +47,7 @@ class Standby:
             name: its node, by full name or last part, or the sender itself.
 
         Raises:
-            BadInput: none that stands by has this name, or several have.
+            BadInput: no standby controller has this name, or several have.
         """
         ready = self.ready
         found = [sender for sender in ready if sender == name or is_of(sender, name)]
@@ -59,6 +59,6 @@ class Standby:
 
 
 def is_of(sender: str, name: str) -> bool:
-    """Tell whether a sender, ``<full name of the node>-<process>``, is of a node, given its full name or last part."""
+    """Return whether a sender, ``<full name of the node>-<process>``, belongs to a node, given its full name or last part."""
     node = sender.rpartition("-")[0]
     return bool(name) and (node == name or node.endswith(f"/{name.strip('/')}"))

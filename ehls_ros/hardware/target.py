@@ -1,4 +1,4 @@
-"""The real-time target's side of the protocol, with its watchdog: what firmware has to do, in Python."""
+"""The real-time target's side of the protocol, with its watchdog: a Python model of the firmware."""
 
 import math
 from collections import deque
@@ -10,11 +10,11 @@ SILENCE = 0.1
 """Silence of the computer in command after which another may take over [s]."""
 
 LONGEST_WATCHDOG = 1e-6 * LONGEST_WATCHDOG_US
-"""Longest time that the target holds a command, and that its measurements can be answered [s]."""
+"""Longest time for which the target holds a command, and in which a measurement can be answered [s]."""
 
 REASONS = ("busy", "stranger", "session", "order", "late", "kind")
-"""Why a valid packet is refused: another computer is in command; unknown sender address; wrong or earlier session; not newer
-than the last; the measurement it answers is older than the watchdog time; neither hello nor command."""
+"""Reasons for refusing a valid packet: another computer is in command; unknown sender address; wrong or earlier session; not
+newer than the last; the measurement it answers is older than the watchdog time; neither hello nor command."""
 
 
 class Target:
@@ -24,7 +24,7 @@ class Target:
     that did not notice would otherwise reopen the valve in one step.
 
     Attributes:
-        address: where measurements go; None before the first hello.
+        address: destination of the measurements; None before the first hello.
         answered: sequence number of the measurement answered by the last command; -1 before the first command.
         commanded: sequence number of the last command accepted since the hello.
         greeted: a hello has arrived since this was last set to False.
@@ -73,7 +73,7 @@ class Target:
             self._counts[wrong] += 1
 
     def output(self, now: float) -> tuple[float, Status]:
-        """Return the current raw output and, if it is at null, why.
+        """Return the current raw output and, if it is at null, the reason.
 
         Args:
             now: time on the target's clock [s].
@@ -95,9 +95,9 @@ class Target:
         Args:
             cycle: its sequence number.
             time_ns: the target's time [ns].
-            status: why the output is at null.
+            status: reason why the output is at null.
             values: raw values by channel number.
-            now: time on the target's clock, from which the age of its answer counts [s]; None: time passes with the cycles
+            now: time on the target's clock, from which the age of its answer counts [s]; None: time advances with the cycles
                 alone, as in lockstep.
         """
         if now is not None:
@@ -149,7 +149,8 @@ class Target:
     def _age(self, answered: int, now: float, cycle: int) -> float:
         """Return the age of a measurement [s].
 
-        The target's clock counts beside its cycles: one that was held up has sent fewer measurements than periods have passed.
+        The target's clock counts in addition to its cycles: a delayed target has sent fewer measurements than periods have
+        passed.
         """
         by_cycles = (cycle - answered) * self._period
         if not self._sent:

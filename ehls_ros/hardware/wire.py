@@ -95,7 +95,7 @@ class BadWire(Wire):
         return now
 
     def received(self) -> list[Datagram]:
-        """Return the packets that have got through."""
+        """Return the packets that have passed the impairments and are due."""
         now = time.monotonic()
         self._move(now)
         packets: list[Datagram] = []

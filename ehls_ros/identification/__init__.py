@@ -1,1 +1,1 @@
-"""From a rig's recordings to its coefficients and their uncertainty."""
+"""Identification of a rig's coefficients and their uncertainty from recordings."""

@@ -1,4 +1,4 @@
-"""A friction model run along a recorded motion, as its observer runs it along a measured one."""
+"""Run of a friction model along a recorded motion, as its observer runs it along a measured one."""
 
 import math
 from collections.abc import Callable
@@ -18,11 +18,11 @@ from ehls_ros.physics.friction.base import FrictionModel
 from ehls_ros.physics.integration import WORK_ROWS, integrator
 
 MOST_PARTS = 60
-"""Most parts into which a block is divided."""
+"""Maximum number of parts into which a block is divided."""
 
 
 class Contact(NamedTuple):
-    """State of a contact: forces and modes of its elements, and scratch of the integrator."""
+    """State of a contact: forces and modes of its elements, and scratch memory of the integrator."""
 
     forces: Array
     mode: Array
@@ -50,7 +50,7 @@ def build(friction: FrictionModel) -> Run:
             period: length of a block [s].
             friction: parameters of the model.
             contact: the contact's state.
-            out: where the mean force of each block goes, without the viscous part, shape (n,) [N].
+            out: receives the mean force of each block, without the viscous part, shape (n,) [N].
         """
         last = velocity[0]
         for i in range(velocity.size):
@@ -64,7 +64,7 @@ def build(friction: FrictionModel) -> Run:
             step = period / parts
             total = 0.0
             for part in range(parts):
-                # Between the middles of the blocks the velocity is a straight line.
+                # The velocity is interpolated linearly between the middles of the blocks.
                 at = (part + 0.5) / parts - 0.5
                 v = velocity[i] + at * (velocity[i] - before if at < 0.0 else after - velocity[i])
                 if part > 0 or not fresh[i]:
@@ -79,14 +79,14 @@ def build(friction: FrictionModel) -> Run:
 
 
 MOST_TANGENTS = 14
-"""Most tangents of :func:`slopes_along`."""
+"""Maximum number of tangents of :func:`slopes_along`."""
 
 WIDTH = width_of(MOST_TANGENTS)
-"""Width of its duals."""
+"""Width of the duals of :func:`slopes_along`."""
 
 
 class Rows(NamedTuple):
-    """Duals as rows of floats: parameters, forces, and scratch of the integrator; and the modes."""
+    """Duals as rows of floats, for parameters, forces and scratch memory of the integrator; and the modes."""
 
     friction: Array
     forces: Array
@@ -100,7 +100,7 @@ def build_slopes(friction: FrictionModel) -> Run:
 
     @kernel
     def run(velocity: Array, fresh: Any, period: float, friction: Any, rows: Rows, out: Array) -> None:
-        """Run the model; ``friction`` has the names of the parameters, and ``out`` the shape (n, WIDTH)."""
+        """Run the model; ``friction`` supplies the parameters' names, and ``out`` has the shape (n, WIDTH)."""
         contact = Contact(dual_array(rows.forces, WIDTH), rows.mode, dual_array(rows.work, WIDTH))
         run_model(velocity, fresh, period, dual_record(rows.friction, WIDTH, friction), contact, dual_array(out, WIDTH))
 
@@ -109,7 +109,7 @@ def build_slopes(friction: FrictionModel) -> Run:
 
 @cache
 def compiled_run(model: str) -> Callable[..., None]:
-    """Compile (or load) the run of a friction model."""
+    """Return the compiled run of a friction model."""
     arguments = "velocity, fresh, period, friction, contact, out"
     run: Callable[..., None] = compiled(build, {"run": arguments}, {"friction": FRICTION_MODELS.load(model)}).run
     return run
@@ -117,7 +117,7 @@ def compiled_run(model: str) -> Callable[..., None]:
 
 @cache
 def compiled_slopes(model: str) -> Callable[..., None]:
-    """Compile (or load) the run of a friction model with derivatives."""
+    """Return the compiled run of a friction model with derivatives."""
     arguments = "velocity, fresh, period, friction, rows, out"
     run: Callable[..., None] = compiled(build_slopes, {"run": arguments}, {"friction": FRICTION_MODELS.load(model)}).run
     return run
@@ -139,7 +139,7 @@ def force_along(motion: Motion, model: str, friction: Any) -> Array:
 
 
 def slopes_along(motion: Motion, model: str, friction: Any) -> Array:
-    """Return the derivatives of what :func:`force_along` returns, shape (n, tangents) [N].
+    """Return the derivatives of the force of :func:`force_along`, shape (n, tangents) [N].
 
     Args:
         motion: the motion, n blocks.

@@ -1,8 +1,9 @@
-"""The force balance (3), (5) along a recorded motion.
+"""Force balance (3), (5) along a recorded motion.
 
     F = m0 a + (B0 + σf) v + ks x + F0 + Ff
 
-It is linear in mass, viscous damping, spring and constant force. Only the friction model has to be run along the motion.
+The balance is linear in mass, viscous damping, spring and constant force. Only the friction model has to be run along the
+motion.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,7 +26,7 @@ class Recorded(NamedTuple):
 
     Attributes:
         motions: the recordings.
-        usable: blocks of each that may count, a mask of shape (n,) for each recording.
+        usable: mask of the blocks to be fitted, of shape (n,) for each recording.
         linear: linear coefficients to fit, a subset of ``viscous``, ``spring``, ``constant`` and ``mass``.
     """
 
@@ -34,13 +35,13 @@ class Recorded(NamedTuple):
     linear: tuple[str, ...]
 
     def chosen(self, which: Iterable[int]) -> "Recorded":
-        """Return some of the recordings, by their numbers."""
+        """Return a selection of the recordings by index."""
         which = list(which)
         return self._replace(motions=tuple(self.motions[i] for i in which), usable=tuple(self.usable[i] for i in which))
 
 
 def linear_columns(motion: Motion, names: Sequence[str]) -> Array:
-    """Return what the linear coefficients multiply.
+    """Return the regressors of the linear coefficients.
 
     Args:
         motion: the recording, n blocks.
@@ -59,7 +60,7 @@ def linear_columns(motion: Motion, names: Sequence[str]) -> Array:
 
 
 def without_known(motion: Motion, linear: Sequence[str], rig: Rig) -> Motion:
-    """Subtract the rig file's spring and inertia force where spring and mass are not fitted."""
+    """Return a motion less the rig file's spring and inertia forces, unless spring and mass are fitted."""
     force = motion.force.copy()
     if "spring" not in linear:
         force -= rig.plant.spring_stiffness * motion.position
@@ -69,7 +70,7 @@ def without_known(motion: Motion, linear: Sequence[str], rig: Rig) -> Motion:
 
 
 def check_unit(what: str, found: float, known: float, names: str) -> None:
-    """Refuse a result that only a wrong unit explains.
+    """Reject a result that only a wrong unit explains.
 
     Args:
         what: the coefficient, for the error.

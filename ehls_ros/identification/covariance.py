@@ -10,11 +10,11 @@ from ehls_ros.samples import Mask
 DOUBT = 2.0
 """Standard deviation of a searched coordinate without any data; for a logarithm, a factor of e^2.
 
-It keeps coordinates on which the data have no bearing from blurring the others.
+It prevents coordinates on which the data have no bearing from degrading the others.
 """
 
 MOST_LAGS = 200
-"""Longest correlation of residuals that is looked for [blocks]."""
+"""Longest lag of the residuals' autocorrelation [blocks]."""
 
 
 def normal_covariance(rows: Array, searched: int) -> Array:
@@ -22,7 +22,7 @@ def normal_covariance(rows: Array, searched: int) -> Array:
 
     Args:
         rows: derivatives of the residuals, shape (n, coefficients).
-        searched: number of leading coefficients that are searched coordinates, which nobody doubts by more than
+        searched: number of leading coefficients that are searched coordinates, with a prior standard deviation of
             :data:`DOUBT`.
 
     Returns:
@@ -32,11 +32,11 @@ def normal_covariance(rows: Array, searched: int) -> Array:
 
 
 def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searched: int) -> Array:
-    """Return the covariance that holds however the residuals within a cluster are correlated.
+    """Return the cluster-robust covariance, valid for any correlation of the residuals within a cluster.
 
-    A model error shifts a whole stroke to one side, so strokes, not blocks, are independent. The covariance is the jackknife's:
-    from how the coefficients shift when each cluster in turn is left out (CR3 of Cameron and Miller, Journal of Human
-    Resources 50, 2015), widened for the degrees of freedom. It stays honest where a few clusters alone tell a coefficient.
+    A model error shifts a whole stroke to one side, so strokes, not blocks, are independent. The jackknife covariance follows
+    from the shifts of the coefficients when each cluster in turn is left out (CR3 of Cameron and Miller, Journal of Human
+    Resources 50, 2015), widened for the degrees of freedom. It remains valid if only a few clusters determine a coefficient.
 
     Args:
         rows: derivatives of the residuals, shape (n, coefficients).
@@ -45,8 +45,8 @@ def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searche
         searched: as in :func:`normal_covariance`.
 
     Returns:
-        Array of shape (coefficients, coefficients); that of :func:`normal_covariance` where there are too few clusters, less
-        than two for each coefficient.
+        Array of shape (coefficients, coefficients); that of :func:`normal_covariance` if there are fewer than two clusters for
+        each coefficient.
     """
     prior = _prior(rows.shape[1], searched)
     information = rows.T @ rows + prior
@@ -68,7 +68,7 @@ def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searche
 
 
 def _prior(size: int, searched: int) -> Array:
-    """Return the information without any data."""
+    """Return the prior information matrix."""
     return np.diag(np.where(np.arange(size) < searched, 1.0 / DOUBT**2, 0.0))
 
 
@@ -81,11 +81,11 @@ def _inverse(information: Array) -> Array:
 
 
 def correlation_time(residuals: Array, mask: Mask) -> float:
-    """Return how many successive residuals carry the information of one, at least 1.
+    """Return the number of successive residuals that carry the information of one, at least 1.
 
     Args:
         residuals: residuals in the order of time, shape (n,).
-        mask: which of them count, shape (n,).
+        mask: mask of the residuals that count, shape (n,).
     """
     values = np.where(mask, residuals, 0.0)
     values = values - np.sum(values) / max(1, int(mask.sum())) * mask

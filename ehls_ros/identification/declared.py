@@ -22,35 +22,35 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import declarations
 
 VISCOUS = "viscous_coefficient"
-"""The parameter that every model has, a linear coefficient of the force balance."""
+"""Parameter common to all models, a linear coefficient of the force balance."""
 
 SAMPLES, STARTS = 64, 3
-"""Points of a Sobol sequence that are tried as starts, and how many of the best are followed."""
+"""Points of a Sobol sequence tried as starts, and number of the best that are fitted."""
 
 WIDTH = math.log(10.0)
-"""Half the width of the range of the samples about the start, in coordinates."""
+"""Half width of the range of the samples about the start, in coordinates."""
 
 NOTHING = 1.0
-"""Standard deviation of a coordinate above which the data say nothing of it."""
+"""Standard deviation of a coordinate above which the data hold no information on it."""
 
 FORGET = 3.0
-"""Travel after a turn, in lengths of break-away, in which the contact forgets it."""
+"""Travel after a reversal, in lengths of break-away, after which the contact no longer depends on it."""
 
 LEAST_FORGET = 3e-3
-"""Least travel after a turn in which the contact forgets it [m]."""
+"""Least travel after a reversal after which the contact no longer depends on it [m]."""
 
 RISE = 1e-3
-"""Least start of Fs - Fc, as a fraction of Fc."""
+"""Least starting value of Fs - Fc, as a fraction of Fc."""
 
 
 class Axis(NamedTuple):
     """One coordinate.
 
     Attributes:
-        name: its name; that of the parameter, an entry of a list with its number from 1.
+        name: name of the parameter; for an entry of a list, with its number from 1.
         parameter: name of the parameter.
-        entry: number of the entry of a list from 0; None for a number.
-        scale: unit of a linear coordinate; 0 for a logarithm.
+        entry: index of the entry of a list from 0; None for a number.
+        scale: unit of a linear coordinate; 0 for a logarithmic one.
         low: smallest value.
         high: largest value.
     """
@@ -74,17 +74,17 @@ class Axis(NamedTuple):
         return self.coordinate(value if self.entry is None else value[self.entry])
 
     def value(self, coordinate: Any) -> Any:
-        """Return the value at a coordinate, a limit of its range where only rounding lies between."""
+        """Return the value at a coordinate, snapped to a limit of its range within rounding."""
         value = coordinate * self.scale if self.scale else exp(coordinate)
         limit = min(max(value_of(value), self.low), self.high)
-        # The sum is the limit exactly, and a dual keeps its tangents.
+        # The sum is exactly the limit, and a dual keeps its tangents.
         return value + (limit - value_of(value)) if math.isclose(value_of(value), limit, rel_tol=1e-9) else value
 
 
 class DeclaredCoordinates(NamedTuple):
-    """Coordinates of declared parameters: logarithms of what cannot be negative, else multiples of the start.
+    """Coordinates of declared parameters: logarithms of non-negative ones, else multiples of the start.
 
-    A static force above Coulomb friction is searched for as their difference, so that it stays above.
+    A static force is searched for as its excess over Coulomb friction, so that it stays above it.
 
     Attributes:
         model: name of the friction model.
@@ -98,7 +98,7 @@ class DeclaredCoordinates(NamedTuple):
 
     @classmethod
     def of(cls, model: str, friction: Any) -> "DeclaredCoordinates":
-        """Return the coordinates of a model about a friction of it."""
+        """Return the coordinates of a model about one set of its parameters."""
         axes = []
         for declared in declarations(type(friction)):
             value = getattr(friction, declared.name)
@@ -141,7 +141,7 @@ class DeclaredCoordinates(NamedTuple):
         return friction
 
     def bounds(self, z: Array, period: float) -> tuple[Array, Array]:
-        """Return the lowest and the highest coordinates of a search from ``z``; ``period`` is that of the blocks [s]."""
+        """Return the lowest and the highest coordinates of a search from ``z``; ``period`` is the blocks' length [s]."""
         low = np.maximum([axis.coordinate(axis.low) for axis in self.axes], z - REACH)
         high = np.minimum([axis.coordinate(axis.high) for axis in self.axes], z + REACH)
         return low, high
@@ -160,7 +160,7 @@ def _has_rise(friction: Any) -> bool:
 
 
 class DeclaredFit(NamedTuple):
-    """Result of the fit.
+    """Result of the fit of a declared friction model.
 
     Attributes:
         fit: the joint fit.
@@ -176,12 +176,12 @@ def fit_declared(
 ) -> DeclaredFit:
     """Fit the parameters of any friction model.
 
-    Sliding comes first, then presliding for what sliding does not tell sharply, then a fit of everything from there.
+    Sliding is fitted first, then presliding for the parameters that sliding does not determine well, then everything together.
 
     Args:
         recorded: the recordings.
         rig: the rig as known so far.
-        start: friction to start from, with what a static fit tells.
+        start: friction to start from, including the results of a static fit.
         steady: the static fit; None without steady sliding.
         tell: called with the name of each step that begins.
 
@@ -230,7 +230,7 @@ def fit_declared(
 
 
 def _told(recorded: Recorded, start: Start, doubt: float) -> Start:
-    """Return a start that frees only the coordinates that the recordings tell better than a doubt; all if there are none."""
+    """Return a start with only the coordinates free whose standard error is below a limit; with all free if there are none."""
     fit = joint.fit(recorded, start, rounds=1)
     std = np.sqrt(np.diag(fit.covariance))[: len(fit.free)]
     told = tuple(name for name, own in zip(fit.free, std, strict=True) if own <= doubt and name not in fit.limited)
@@ -241,7 +241,7 @@ def _told(recorded: Recorded, start: Start, doubt: float) -> Start:
 
 
 def _best_fit(recorded: Recorded, start: Start) -> JointFit:
-    """Fit from the best of several starts, the given one among them."""
+    """Fit from the given start and the best of several others, and return the best fit."""
     coordinates = start.coordinates
     z = coordinates.pack(start.friction)
     problem = Problem(recorded, start, z, [max(m.force_noise, 1e-9) for m in recorded.motions])
@@ -250,7 +250,7 @@ def _best_fit(recorded: Recorded, start: Start) -> JointFit:
     unit = scipy.stats.qmc.Sobol(len(own), scramble=False).random(SAMPLES)
     bottom, top = np.maximum(low, own - WIDTH), np.minimum(high, own + WIDTH)
     trials = [own, *(bottom + unit * (top - bottom))]
-    # Absolute values: the best start is not the one that happens to suit a few stray blocks.
+    # Absolute values, so that a few stray blocks do not decide the choice.
     costs = [float(np.sum(np.abs(problem.residuals(trial)))) for trial in trials]
     chosen = {*np.argsort(costs)[:STARTS].tolist(), 0}
     fits = [joint.fit(recorded, start._replace(friction=problem.friction(trials[i]))) for i in sorted(chosen)]
@@ -258,7 +258,7 @@ def _best_fit(recorded: Recorded, start: Start) -> JointFit:
 
 
 def _unexplained(fit: JointFit, recorded: Recorded) -> float:
-    """Return the mean size of the residuals [N]; a block that was left out counts with its limit."""
+    """Return the mean absolute residual [N]; a block that was left out counts with its limit."""
     total, count = 0.0, 0
     for residuals, usable, noise in zip(fit.residuals, recorded.usable, fit.noise, strict=True):
         left_out = usable & np.isnan(residuals)

@@ -1,4 +1,4 @@
-"""Identification of the friction model with Maxwell-slip elements: their number, the hysteresis loop and the joint fit.
+"""Identification of the friction model with Maxwell-slip elements: number of elements, hysteresis loop and joint fit.
 
 Other models are fitted by :mod:`ehls_ros.identification.declared`.
 """
@@ -21,43 +21,43 @@ from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
 
 MODEL = "gms"
-"""The friction model with elements."""
+"""Name of the friction model with elements."""
 
 EXPONENTS = (0.1, 4.0)
-"""Range of the Stribeck exponent; a rig file takes no larger one."""
+"""Range of the Stribeck exponent; a rig file allows no larger one."""
 
 STATIC = ("coulomb_force", "static_rise", "stribeck_velocity", "stribeck_exponent")
 """Coordinates of the Stribeck curve."""
 
 MOST_ELEMENTS = 4
-"""Largest number of elements that is tried."""
+"""Largest number of elements tried."""
 
 EVIDENCE = 100.0
-"""By how much one more element has to lower the Bayesian information criterion to be accepted.
+"""Decrease of the Bayesian information criterion required for one more element.
 
 Far more than chance requires: motion at a reversal that the sensor does not resolve looks like one more element, too.
 """
 
 RATES = np.geomspace(30.0, 3e4, 7)
-"""Attraction rates C that are tried as starts [N/s]."""
+"""Attraction rates C tried as starts [N/s]."""
 
 SETTLED = 6.0
 """Lags s/C of the slipping elements after which sliding counts as steady."""
 
 FORGET = 3e-3
-"""Travel after a turn in which the elements forget it, where presliding was not recorded [m]."""
+"""Travel after which the elements no longer depend on a reversal, if presliding was not recorded [m]."""
 
 
 UNDERSTATED = {"coulomb_force": 2.1, "attraction_rate": 5.7, "element_stiffness": 4.3}
-"""Errors in standard errors, root mean square, in `benchmarks/identification.py`, of coefficients for which it is above 2.
+"""Rms error in standard errors, in `benchmarks/identification.py`, of the coefficients for which it exceeds 2.
 
-There, noise in the position loop moves the piston by less than the sensor resolves, and in the same way in every stroke, so
-that no scatter shows it.
+There, noise in the position loop moves the piston by less than the sensor resolves, in the same way in every stroke, so that
+the scatter does not reveal it.
 """
 
 
 class ElementCoordinates(NamedTuple):
-    """Coordinates of a friction with elements, all logarithms: weights relative to the last one, ``static_rise`` Fs - Fc.
+    """Coordinates of a friction with elements, all logarithmic: weights relative to the last one, ``static_rise`` Fs - Fc.
 
     Attributes:
         elements: number of friction elements.
@@ -105,12 +105,12 @@ class ElementCoordinates(NamedTuple):
         )
 
     def bounds(self, z: Array, period: float) -> tuple[Array, Array]:
-        """Return the lowest and the highest coordinates of a search from ``z``; ``period`` is that of the blocks [s]."""
+        """Return the lowest and the highest coordinates of a search from ``z``; ``period`` is the blocks' length [s]."""
         low, high = z - REACH, z + REACH
         exponent, rate = self.names.index("stribeck_exponent"), self.names.index("attraction_rate")
         low[exponent] = max(low[exponent], math.log(EXPONENTS[0]))
         high[exponent] = min(high[exponent], math.log(EXPONENTS[1]))
-        # Rates faster than a block shows, and than its integration can follow, are all alike.
+        # Rates too fast for a block to resolve and for its integration to follow are indistinguishable.
         fastest = math.log(MOST_PARTS / period) + z[self.names.index("coulomb_force")]
         high[rate] = min(high[rate], fastest)
         low[rate] = min(low[rate], fastest - REACH)
@@ -126,7 +126,7 @@ class ElementCoordinates(NamedTuple):
 
 
 class ElementsFit(NamedTuple):
-    """Result of the fit.
+    """Result of the fit of friction elements.
 
     Attributes:
         fit: the joint fit.
@@ -144,7 +144,7 @@ class ElementsFit(NamedTuple):
 
 
 def understated(names: Iterable[str]) -> dict[str, float]:
-    """Return by which factor standard errors are known to be too small, of those of some coefficients that are.
+    """Return the factors by which standard errors are known to be too small, for those of the coefficients concerned.
 
     Args:
         names: the fitted coefficients, those of an element with its number.
@@ -155,12 +155,12 @@ def understated(names: Iterable[str]) -> dict[str, float]:
 def fit_elements(
     recorded: Recorded, rig: Rig, start: Friction, steady: StaticFit | None, elements: int | None, tell: Callable[[str], None]
 ) -> ElementsFit:
-    """Find the friction elements and fit everything.
+    """Determine the number of friction elements and fit the friction.
 
     Args:
         recorded: the recordings.
-        rig: the rig as known so far, to recognise a wrong unit.
-        start: friction to start from, the Stribeck curve of ``steady`` in it.
+        rig: the rig as known so far, to detect a wrong unit.
+        start: friction to start from, with the Stribeck curve of ``steady``.
         steady: the static fit; None without steady sliding.
         elements: number of elements; None: as many as the data show.
         tell: called with the name of each step that begins.
@@ -225,14 +225,14 @@ def _remarks(fit: JointFit, slid: bool, branch: presliding.Branch | None, criter
 def _number_of_elements(
     near: Recorded, start: Friction, ramps: tuple[Array, Array], elements: int | None, also: Sequence[str]
 ) -> tuple[Friction, dict[int, float]]:
-    """Return the friction with as many elements as the data show, or are asked for, and the criterion of each number.
+    """Return the friction with the required or best-supported number of elements, and the criterion of each number tried.
 
     Args:
         near: recordings of presliding.
         start: friction to start from.
         ramps: ends [m] and stiffness [N/m] of the loop's ramps.
         elements: number of elements; None: as many as the data show.
-        also: coordinates that are free beside those of the elements.
+        also: free coordinates beside those of the elements.
     """
     criteria: dict[int, float] = {}
     best = start
@@ -243,13 +243,13 @@ def _number_of_elements(
         trial = joint.fit(near, Start(coordinates, first, free), turned=presliding.corrected_turns, rounds=2)
         criteria[number] = _criterion(trial, near.motions)
         if number - 1 in criteria and criteria[number] > criteria[number - 1] - EVIDENCE:
-            break  # one more did not help
+            break  # no significant improvement
         best = trial.friction
     return best, criteria
 
 
 def _without_elements(motion: Motion, start: Friction, steady: StaticFit | None) -> Array:
-    """Return the force balance without the friction elements, as far as it is known before the joint fit [N]."""
+    """Return the known part of the force balance before the joint fit, without the friction elements [N]."""
     other: Array = start.viscous_coefficient * motion.velocity
     if steady is not None:
         names = list(steady.linear)
@@ -258,7 +258,7 @@ def _without_elements(motion: Motion, start: Friction, steady: StaticFit | None)
 
 
 def _with_elements(start: Friction, ends: Array, stiffness: Array) -> Friction:
-    """Return a friction with the elements of a branch's ramps: each holds D_i k_i / 2."""
+    """Return a friction with the elements of a branch's ramps, each with the limit force D_i k_i / 2."""
     order = np.argsort(ends)
     hold = (ends * stiffness)[order]
     return start._replace(
@@ -267,13 +267,13 @@ def _with_elements(start: Friction, ends: Array, stiffness: Array) -> Friction:
 
 
 def ramps_of(friction: Friction) -> tuple[Array, Array]:
-    """Return ends [m] and stiffness [N/m] of the ramps that the elements make at standstill, shape (elements,) each."""
+    """Return ends [m] and stiffness [N/m] of the elements' ramps at standstill, shape (elements,) each."""
     stiffness = np.asarray(friction.element_stiffness)
     return 2.0 * np.asarray(friction.element_weight) * friction.static_force / stiffness, stiffness
 
 
 def _best_rate(near: Recorded, start: Friction) -> Friction:
-    """Return the friction with that attraction rate of :data:`RATES` that explains the recordings best."""
+    """Return the friction with the attraction rate of :data:`RATES` that explains the recordings best."""
 
     def unexplained(friction: Friction) -> float:
         total = 0.0
@@ -288,11 +288,11 @@ def _best_rate(near: Recorded, start: Friction) -> Friction:
 
 
 def _criterion(trial: JointFit, motions: Sequence[Motion]) -> float:
-    """Return the Bayesian information criterion for a noise that has to be estimated."""
+    """Return the Bayesian information criterion of a fit with estimated noise variance."""
     squares = sum(float(np.nansum(r**2)) for r in trial.residuals)
     count = sum(int(np.sum(np.isfinite(r))) for r in trial.residuals)
     left_out = sum(int(m.resolved.sum()) for m in motions) - count
-    # A block that is left out costs what one at the limit would.
+    # An omitted block costs as much as one at the limit.
     squares += left_out * (joint.FAR * max(trial.noise)) ** 2
     independent = max(trial.blocks, 2.0)
     return independent * float(np.log(squares / (count + left_out))) + len(trial.covariance) * float(np.log(independent))
@@ -301,14 +301,14 @@ def _criterion(trial: JointFit, motions: Sequence[Motion]) -> float:
 def _fit_in_turn(recorded: Recorded, start: Friction, small: Sequence[int], wide: Sequence[int]) -> JointFit:
     """Fit the force balance and the Stribeck curve to sliding, then the elements to presliding.
 
-    In presliding the sensor misses small motion at the turns. That hardly matters for the elements, but would draw a Stribeck
-    curve fitted to it away from that of steady sliding.
+    In presliding the sensor misses small motion at reversals. That hardly affects the elements, but would bias a Stribeck curve
+    fitted to it.
 
     Args:
         recorded: the recordings.
-        start: where to start.
-        small: numbers of the recordings of presliding.
-        wide: numbers of those of sliding.
+        start: friction to start from.
+        small: indices of the recordings of presliding.
+        wide: indices of those of sliding.
     """
     coordinates: Coordinates = ElementCoordinates(len(start.element_stiffness))
     elements = tuple(name for name in coordinates.names if name not in STATIC)

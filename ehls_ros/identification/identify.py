@@ -1,4 +1,4 @@
-"""From recordings to the friction of a rig: static fit, then one fit of the model and the force balance to everything."""
+"""Identification of a rig's friction: static fit, then a joint fit of model and force balance to all recordings."""
 
 import itertools
 import math
@@ -25,7 +25,7 @@ from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
 DEFAULT_OPTIMISER = "pso"
-"""The fastest in `benchmarks/optimisers.py`, without a failed run; least squares is the most exact."""
+"""Fastest optimiser in `benchmarks/optimisers.py` without a failed run; least squares is the most accurate."""
 
 MASS_SIGNAL = 10.0
 """Inertia force, in standard deviations of the force's noise, above which the mass is fitted."""
@@ -34,22 +34,22 @@ STEADY = 0.1
 """Largest inertia force, and largest scatter of the force, of steady sliding, as a fraction of Coulomb friction."""
 
 SOME_OUTLIERS = 1e-3
-"""Fraction of a recording left out above which a remark says so."""
+"""Omitted fraction of a recording above which a remark is made."""
 
 NEEDED = ("plant.moving_mass", "plant.piston_area", "plant.spring_stiffness", "plant.viscous_damping")
-"""What friction's identification takes from the rig file beside the friction."""
+"""Keys of the rig file required besides the friction."""
 
 STEPS, DONE = 4, "done"
-"""Largest number of steps that an identification reports, and the name of its end."""
+"""Number of progress steps of an identification, and the name of the last report."""
 
 Progress = Callable[[str, int, int], None]
 
 
 class MissingStrokes(BadInput):
-    """Recordings from which friction does not follow."""
+    """Raised if the recordings lack strokes needed for the identification of friction."""
 
     def __init__(self, what: str, where: str, expected: str, missing: Missing) -> None:
-        """Make the one line, and keep what is missing."""
+        """Create the message and store the missing motion."""
         super().__init__(what, where, expected)
         self.missing = missing
 
@@ -68,11 +68,11 @@ def identify(
 
     Args:
         recordings: by a name for messages; each with ``position_m`` and ``force_n`` or ``load_pressure_pa``.
-        rig: the rig as known so far: mass, piston area and B0 are taken from it, and its friction is where the search starts.
+        rig: the rig as known so far: mass, piston area and B0 are taken from it, and the search starts from its friction.
         optimiser: of the static fit, a name of :data:`ehls_ros.identification.optimisers.OPTIMISERS`.
         parameters: its parameters; None: the declared defaults.
         elements: number of friction elements, of a model that has them; None: as many as the data show.
-        seed: seed of what is random in the search.
+        seed: seed of the search's random numbers.
         progress: called with the name of the step that begins, the steps done and the number of steps.
 
     Returns:
@@ -105,7 +105,7 @@ def identify(
 
     tell("static fit")
     chosen = parameters if parameters is not None else OPTIMISERS.load(optimiser).Parameters()
-    # Steady sliding has hardly any inertia: its mass is the rig file's.
+    # Steady sliding has hardly any inertia force, so the mass of the rig file is used.
     straight = tuple(name for name in linear if name not in {"viscous", "mass"})
     known = tuple(without_known(m, straight, rig) for m in motions)
     slow = tuple(u if m.small else u & is_steady(m, rig) for u, m in zip(usable, motions, strict=True))
@@ -154,14 +154,14 @@ def identify(
 
 
 def known_state(motion: Motion) -> Mask:
-    """Tell which blocks come after the second turn of their stretch: by then the contact has forgotten how it began."""
+    """Return the blocks after the second reversal of their stretch, where the contact's initial state no longer matters."""
     at_start = np.maximum.accumulate(np.where(motion.fresh, motion.strokes, 0))
     known: Mask = motion.strokes - at_start >= 2
     return known
 
 
 def fitted_linear(motions: Sequence[Motion], rig: Rig) -> tuple[str, ...]:
-    """Return the linear coefficients that the recordings tell."""
+    """Return the names of the linear coefficients identifiable from the recordings."""
     names = ["viscous"]
     used = [m for m in motions if np.any(m.resolved)]
     widest = max((float(np.ptp(m.position[m.resolved])) for m in used), default=0.0)
@@ -175,9 +175,9 @@ def fitted_linear(motions: Sequence[Motion], rig: Rig) -> tuple[str, ...]:
 
 
 def is_steady(motion: Motion, rig: Rig) -> Mask:
-    """Tell which blocks hardly accelerate: inertia and scatter of the force are small against friction.
+    """Return the blocks of steady motion, in which inertia force and scatter of the force are small compared with friction.
 
-    Stick-slip too fast for the blocks hides in the velocity, but shows in the force.
+    Stick-slip too fast for the blocks is invisible in the velocity, but shows in the force.
     """
     limit = STEADY * rig.friction_level(math.inf)
     usual = float(np.median(motion.scatter[motion.resolved])) if np.any(motion.resolved) else 0.0
@@ -186,7 +186,7 @@ def is_steady(motion: Motion, rig: Rig) -> Mask:
 
 
 def start_of(rig: Rig, steady: StaticFit | None) -> Any:
-    """Return the friction to start from: the rig file's, with the coefficients of a static fit that the model has."""
+    """Return the starting friction: the rig file's, updated with those coefficients of a static fit that the model has."""
     if steady is None:
         return rig.friction
     found = steady.friction._asdict()
@@ -196,7 +196,7 @@ def start_of(rig: Rig, steady: StaticFit | None) -> Any:
 
 
 def _check_units(names: str, rig: Rig, steady: StaticFit) -> None:
-    """Refuse coefficients of the static fit that only a wrong unit explains."""
+    """Reject coefficients of the static fit that only a wrong unit explains."""
     check_unit("friction", steady.friction.coulomb_force, rig.friction_level(math.inf), names)
     if "spring" in steady.linear:
         check_unit("spring", steady.linear["spring"], rig.plant.spring_stiffness, names)
@@ -204,7 +204,7 @@ def _check_units(names: str, rig: Rig, steady: StaticFit) -> None:
 
 @contextmanager
 def _explained(lacking: Missing) -> Iterator[None]:
-    """Say of a fit that fails which strokes it lacks."""
+    """Add the missing strokes to the error of a failing fit."""
     try:
         yield
     except BadInput as error:
@@ -234,7 +234,7 @@ def _said(lacking: Missing) -> list[str]:
 
 
 def _too_small(factors: Mapping[str, float]) -> list[str]:
-    """Return a sentence on standard errors that are too small."""
+    """Return a remark on understated standard errors, if there are any."""
     if not factors:
         return []
     named = ", ".join(f"{name} {factor:g} times" for name, factor in factors.items())

@@ -1,8 +1,8 @@
-"""Fit of a friction model and the force balance (3) to recordings, all at once.
+"""Joint fit of a friction model and the force balance (3) to recordings.
 
 The friction force depends on the model's coefficients nonlinearly, the rest of the balance linearly. So only the model's
 coefficients are searched for (Gauss-Newton with bounds, SciPy); at each trial the linear ones follow by linear least squares
-(variable projection). Blocks with residuals that are too large are left out.
+(variable projection). Blocks with too large residuals are left out.
 """
 
 import math
@@ -21,20 +21,20 @@ from ehls_ros.identification.motion import Motion
 from ehls_ros.samples import GAUSS
 
 REACH = 4.0
-"""How far a logarithm may move from its start: a factor of 55 either way."""
+"""Largest change of a logarithm from its start, a factor of 55 either way."""
 
 EDGE = 1e-3
-"""Distance to the end of its reach, as a fraction of it, within which a coordinate has ended there."""
+"""Distance to the end of its reach, as a fraction of it, within which a coordinate counts as at its limit."""
 
 FAR = 5.0
 """Residual, in standard deviations, beyond which a block is left out."""
 
 ROUNDS = 3
-"""Fits in a row; each uses the noise that the one before it left, and leaves out the blocks that it found too far off."""
+"""Number of successive fits; each uses the noise level of the previous one and omits the blocks that it found too far off."""
 
 
 class Coordinates(Protocol):
-    """The coordinates in which the coefficients of a friction model are searched for.
+    """Coordinates of the search for the coefficients of a friction model.
 
     Coordinates are of order 1: logarithms, or multiples of a typical value.
     """
@@ -47,13 +47,13 @@ class Coordinates(Protocol):
         """Return the coordinates of a friction, shape (len(names),)."""
 
     def unpack(self, z: Array) -> Any:
-        """Return the friction at coordinates ``z``, maybe duals; a viscous part that the linear coefficients hold is 0."""
+        """Return the friction at coordinates ``z``, maybe duals; 0 for a viscous part covered by the linear coefficients."""
 
     def bounds(self, z: Array, period: float) -> tuple[Array, Array]:
         """Return the lowest and the highest coordinates of a search.
 
         Args:
-            z: where the search starts.
+            z: starting point of the search.
             period: length of the longest block [s].
         """
 
@@ -65,12 +65,12 @@ class Coordinates(Protocol):
 
 
 class Start(NamedTuple):
-    """Where a search starts and which coordinates it may move.
+    """Starting point of a search, and its free coordinates.
 
     Attributes:
         coordinates: of the friction model.
         friction: the model's coefficients to start from.
-        free: names of the coordinates that are searched for; the others stay.
+        free: names of the coordinates that are searched for; the others are held.
     """
 
     coordinates: Coordinates
@@ -85,15 +85,15 @@ class JointFit(NamedTuple):
         coordinates: of the friction model.
         z: all coordinates, searched for or not.
         free: names of the coordinates that were searched for.
-        limited: names of those that ended at the end of their reach.
+        limited: names of those that ended at a limit of their reach.
         linear_names: names of the linear coefficients.
         linear: their values.
         covariance: of the free coordinates followed by the linear coefficients.
         cost: half the sum of squares of the residuals in standard deviations.
-        blocks: number of blocks that counted, correlated ones counted once.
-        noise: standard deviation of each recording's residuals [N]; NaN for a recording that did not count.
-        residuals: measured less fitted force, one array for each recording [N]; NaN where a block did not count.
-        converged: whether the last search ended by its own rule.
+        blocks: effective number of fitted blocks, correlated ones counted once.
+        noise: standard deviation of each recording's residuals [N]; NaN for a recording that was not fitted.
+        residuals: measured less fitted force, one array for each recording [N]; NaN for a block that was not fitted.
+        converged: whether the last search met its convergence criterion.
     """
 
     coordinates: Coordinates
@@ -111,7 +111,7 @@ class JointFit(NamedTuple):
 
     @property
     def friction(self) -> Any:
-        """The fitted friction; a viscous part that the linear coefficients hold is 0."""
+        """The fitted friction; 0 for a viscous part covered by the linear coefficients."""
         return self.coordinates.unpack(self.z)
 
 
@@ -119,7 +119,7 @@ class Problem:
     """Residuals of all recordings, in standard deviations.
 
     Attributes:
-        rows: what the linear coefficients multiply in each usable block, shape (n, linear coefficients).
+        rows: regressors of the linear coefficients in each usable block, shape (n, linear coefficients).
     """
 
     def __init__(self, recorded: Recorded, start: Start, z: Array, deviations: Sequence[float]) -> None:
@@ -127,8 +127,8 @@ class Problem:
 
         Args:
             recorded: the recordings.
-            start: coordinates and which of them are free; its friction is not used.
-            z: all coordinates; those that are not free stay at these values.
+            start: the coordinates and the free ones of them; its friction is not used.
+            z: all coordinates; those not free are held at these values.
             deviations: standard deviation of a residual in each recording [N].
         """
         self._recorded, self._coordinates, self._z, self._deviations = recorded, start.coordinates, z, tuple(deviations)
@@ -142,7 +142,7 @@ class Problem:
         return np.concatenate([v[good] / deviation for v, good, deviation in usable])
 
     def free(self, z: Array) -> Array:
-        """Return those of all coordinates that are searched for."""
+        """Return the free ones of all coordinates."""
         return z[self._searched]
 
     def complete(self, free: Array) -> Array:
@@ -161,13 +161,13 @@ class Problem:
         return self._stacked([m.force - self._coordinates.force(m, friction) for m in self._recorded.motions])
 
     def residuals(self, free: Array) -> Array:
-        """Return the residuals with the best linear coefficients."""
+        """Return the residuals with the optimal linear coefficients."""
         total = self.unexplained(free)
         projected: Array = total - self._q @ (self._q.T @ total)
         return projected
 
     def linear(self, free: Array) -> Array:
-        """Return the best linear coefficients."""
+        """Return the optimal linear coefficients."""
         solution: Array = scipy.linalg.solve_triangular(self._r, self._q.T @ self.unexplained(free))
         return solution
 
@@ -204,7 +204,7 @@ class Problem:
 
 
 Turned = Callable[[Motion, Array, Any], Motion]
-"""Corrects the turns of a motion, from the forces that a fit left, shape (n,) [N], and the fitted friction."""
+"""Correction of a motion's turning points from the residual forces of a fit, shape (n,) [N], and the fitted friction."""
 
 
 def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, rounds: int = ROUNDS) -> JointFit:
@@ -212,9 +212,9 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
 
     Args:
         recorded: the recordings.
-        start: where to start.
-        turned: how the turns of a motion are corrected between two fits; None: not at all.
-        rounds: fits in a row.
+        start: starting point and free coordinates.
+        turned: correction of a motion's turning points between two fits; None: no correction.
+        rounds: number of successive fits.
 
     Returns:
         The fit.
@@ -256,7 +256,7 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
                 for m, u, r in zip(recorded.motions, recorded.usable, left, strict=True)
             )
             recorded = recorded._replace(motions=motions)
-        # Correlated blocks count once: a recording weighs less by its correlation time.
+        # Correlated blocks count once: the weight of a recording is reduced by its correlation time.
         inflation = [correlation_time(r / s, u) for r, s, u in zip(left, deviations, recorded.usable, strict=True)]
     problem = Problem(recorded, start, z, _inflated(deviations, inflation))
     found = problem.free(z)
@@ -281,7 +281,7 @@ def fit(recorded: Recorded, start: Start, *, turned: Turned | None = None, round
 
 
 def moved_with_held(fit: JointFit, recorded: Recorded) -> Array:
-    """Return how what was fitted moves with the coordinates that were held, so as to keep the force.
+    """Return the sensitivity of the fitted coefficients to the held coordinates, at constant force.
 
     Args:
         fit: the fit.
@@ -299,7 +299,7 @@ def moved_with_held(fit: JointFit, recorded: Recorded) -> Array:
 
 
 def with_doubt(fit: JointFit, recorded: Recorded) -> JointFit:
-    """Return a fit whose covariance counts that what was not searched for may be wrong, by as much as without any data.
+    """Return a fit whose covariance includes the prior uncertainty of the coordinates that were held.
 
     Args:
         fit: the fit.
@@ -319,11 +319,11 @@ def _inflated(deviations: Sequence[float], inflation: Sequence[float]) -> list[f
 
 
 def placed(fit: JointFit, at: Sequence[int], motions: Sequence[Motion]) -> JointFit:
-    """Return a fit of some recordings as a fit of all, in which the others do not count.
+    """Return a fit of some recordings as a fit of all, in which the others are not counted.
 
     Args:
         fit: the fit.
-        at: numbers of its recordings among all.
+        at: indices of its recordings among all.
         motions: all recordings.
     """
     noise = [math.nan] * len(motions)
@@ -334,15 +334,15 @@ def placed(fit: JointFit, at: Sequence[int], motions: Sequence[Motion]) -> Joint
 
 
 def combined(first: JointFit, second: JointFit, moved: Array) -> JointFit:
-    """Return one fit made of two that searched for different coordinates, the second starting from the first.
+    """Combine two fits that searched for different coordinates, the second starting from the first.
 
-    The second holds what the first found, so errors of the first move it; its covariance grows by that (Murphy and Topel,
-    Journal of Business & Economic Statistics 3, 1985, (15), with independent recordings).
+    The second holds the coordinates fitted by the first, so errors of the first propagate to it and enlarge its covariance
+    (Murphy and Topel, Journal of Business & Economic Statistics 3, 1985, (15), with independent recordings).
 
     Args:
         first: the fit whose linear coefficients are kept.
-        second: the other fit, of the same recordings; where one has no residual the other's counts.
-        moved: how the second moves with what it held, from :func:`moved_with_held`.
+        second: the other fit, of the same recordings; residuals missing in one are taken from the other.
+        moved: sensitivity of the second to the coordinates it held, from :func:`moved_with_held`.
     """
     names = [name for name in first.coordinates.names if name in {*first.free, *second.free}]
     size = len(names) + len(first.linear_names)
@@ -387,7 +387,7 @@ def least_covariance(fit: JointFit, motions: Sequence[Motion]) -> Array:
     """Return the Cramér-Rao bound of a fit's coefficients for the force sensor's white noise alone.
 
     Args:
-        fit: the fit, for its coefficients and the blocks that counted.
+        fit: the fit, for its coefficients and the fitted blocks.
         motions: its recordings.
     """
     recorded = Recorded(tuple(motions), tuple(np.isfinite(r) for r in fit.residuals), fit.linear_names)

@@ -1,4 +1,4 @@
-"""A recording prepared for identification: even blocks of position and force, velocity and acceleration from position.
+"""Preparation of a recording for identification: uniform blocks of position, force, and the position's derivatives.
 
 Identification needs position and driving force. Velocity and acceleration are derivatives of a local cubic fit of the
 position, because a rig has no sensors for them.
@@ -18,40 +18,40 @@ from ehls_ros.samples import GAUSS, Mask, inliers, noise
 from ehls_ros.trajectory import Trajectory
 
 BLOCK_LENGTHS, BLOCKS = (0.005, 0.01, 0.02, 0.05, 0.1), 100_000
-"""Lengths of a block [s], and how many blocks all recordings together have at most, as far as the longest length allows."""
+"""Lengths of a block [s], and the maximum number of blocks of all recordings, as far as the longest length allows."""
 
 BRANCH_BLOCKS, LONGEST_FINE = 80, 0.02
-"""Blocks between two turns that resolve the hysteresis loop, and the longest such block [s]."""
+"""Blocks between two reversals that resolve the hysteresis loop, and the longest such block [s]."""
 
 SLOW, CLEAR = 0.1, 0.01
-"""The velocity of a block is clear if its noise is below this fraction of the slowest tenth of the velocities."""
+"""Quantile of the speeds that counts as slow, and noise of a block's velocity as a fraction of it below which it is clear."""
 
 LAST_FRACTION, LEAST_SETTLED = 0.4, 0.85
-"""Fraction at the end of a short stroke that counts, and fraction of the settling time that must have passed by then."""
+"""Fraction at the end of a short stroke that is used, and fraction of the settling time that must have passed by then."""
 
 WINDOW = 9
-"""Blocks in the window of a local fit."""
+"""Number of blocks in the window of a local fit."""
 
 SMALL_TRAVEL = 0.02
-"""Travel below which a recording is one of presliding, cut into short blocks [m]."""
+"""Travel below which a recording is one of presliding, divided into short blocks [m]."""
 
 ORDER = 3
 """Order of the local polynomial."""
 
 MOST_OUTLIERS = 0.25
-"""Fraction of a signal that may be outliers; with more, nobody can say which samples are right."""
+"""Largest fraction of outliers in a signal; with more, the valid samples cannot be determined."""
 
 STUCK_TIME, STUCK_TRAVEL = 1.0, 1e-3
-"""Time [s] and travel [m] over which a force that does not change by one bit means a stuck sensor."""
+"""Time [s] and travel [m] over which an exactly constant force indicates a stuck sensor."""
 
 TURN_DOUBT = 4.0
-"""Standard deviations of a position sample by which a turn may be missed; smaller motion to and fro is invisible."""
+"""Standard deviations of a position sample by which a turning point may be missed; smaller oscillation is invisible."""
 
 STUCK_FORCE = 2.5
-"""Change of force, in units of static friction, that no piston withstands at rest; 2 take it from one limit to the other."""
+"""Change of force, in units of static friction, that no piston withstands at rest; 2 spans both limits."""
 
 FULL_BLOCK = 0.5
-"""Fraction of its samples that a block needs."""
+"""Least fraction of a block's samples that must be present."""
 
 SMALLEST_MISFIT = 1e-5
 """Misfit of the local fit that is always accepted, as a fraction of the travel."""
@@ -70,10 +70,10 @@ class Motion(NamedTuple):
         force: mean driving force, outliers left out [N].
         scatter: standard deviation of the force's samples within each block, about a straight line [N].
         fresh: whether a block begins a stretch without gaps.
-        resolved: whether position and derivatives can be trusted: no gap, and no motion too fast for the local fit.
+        resolved: whether position and derivatives are valid: no gap, and no motion too fast for the local fit.
         force_noise: standard deviation of a block's mean force from the sensor's noise [N].
         velocity_noise: standard deviation of the velocity from the sensor's noise [m/s].
-        turn_doubt: how far beyond its measured place a turn may lie, because of the sensor's noise [m].
+        turn_doubt: distance by which a turning point may lie beyond its measured position because of sensor noise [m].
         outliers: fraction of the samples that were left out.
     """
 
@@ -94,12 +94,12 @@ class Motion(NamedTuple):
 
     @property
     def small(self) -> bool:
-        """Whether it is one of presliding: its travel is below :data:`SMALL_TRAVEL`."""
+        """Whether the recording is one of presliding, with a travel below :data:`SMALL_TRAVEL`."""
         return bool(np.any(self.resolved)) and float(np.ptp(self.position[self.resolved])) < SMALL_TRAVEL
 
     @property
     def turns(self) -> NDArray[np.intp]:
-        """Numbers of the blocks that move the other way than the one before."""
+        """Indices of the blocks whose direction differs from the previous block's."""
         return np.flatnonzero(np.diff(np.sign(self.velocity)) != 0.0) + 1
 
     @property
@@ -112,7 +112,7 @@ class Motion(NamedTuple):
 
 
 def motions_of(recordings: Mapping[str, Trajectory], rig: Rig) -> tuple[Motion, ...]:
-    """Bring recordings into blocks, short ones for presliding and longer ones for wide strokes.
+    """Divide recordings into blocks, short ones for presliding and longer ones for wide strokes.
 
     Args:
         recordings: by a name for errors.
@@ -163,7 +163,7 @@ def block_length(trajectory: Trajectory, shortest: float) -> float:
 
 
 def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motion:
-    """Bring a recording into even blocks.
+    """Divide a recording into uniform blocks.
 
     Args:
         trajectory: the recording; needs ``position_m``, and ``force_n`` or ``load_pressure_pa``.
@@ -175,7 +175,8 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
         The motion.
 
     Raises:
-        BadInput: a signal is missing, stuck, mostly outliers or of a size that no such rig can have.
+        BadInput: a signal is missing, constant, stuck or has too many outliers, the recording is too short, or its load
+            pressure refers to another piston area.
     """
     trajectory.preparation.check_area(rig.plant.piston_area, name)
     position = _signal(trajectory, "position_m", name)
@@ -199,7 +200,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     there = (count_x >= FULL_BLOCK * expected) & (count_f >= FULL_BLOCK * expected)
     middle = (np.arange(blocks, dtype=np.float64) + 0.5) * period
     _, velocity, _, _ = _local_fit(x, there, period)
-    # The mean time of a block that lacks samples is not its middle.
+    # The mean time of a block with missing samples is not its middle.
     x = x + velocity * (middle - x_time)
     smooth, velocity, acceleration, inside = _local_fit(x, there, period)
     slope = np.gradient(np.where(there, f, np.interp(middle, middle[there], f[there])), period)
@@ -214,7 +215,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str, period: float) -> Motio
     least = SMALLEST_MISFIT * float(np.ptp(smooth[inside])) if np.any(inside) else 0.0
     usual = max(GAUSS * float(np.median(misfit[inside])) if np.any(inside) else 0.0, position_noise, least)
     resolved = inside & ~_widened(misfit > 5.0 * usual, WINDOW // 2)
-    # Plain differences keep what the local fit smears: the total deflection of the contact.
+    # Plain differences preserve the total deflection of the contact, which the local fit smooths.
     filled = np.interp(middle, middle[there], x[there])
     velocity = np.where(resolved, velocity, np.gradient(filled, period))
     fresh = there & ~np.concatenate([[False], there[:-1]])
@@ -246,7 +247,7 @@ def _signal(trajectory: Trajectory, signal: str, name: str) -> Array:
 
 
 def _inliers(values: Array, signal: str, name: str) -> Mask:
-    """Tell which samples are finite and agree with their neighbours."""
+    """Return the samples that are finite and consistent with their neighbours."""
     finite, good = np.isfinite(values), inliers(values)
     if np.mean(finite) > 0.0 and np.mean(good[finite]) < 1.0 - MOST_OUTLIERS:
         raise BadInput(
@@ -256,7 +257,7 @@ def _inliers(values: Array, signal: str, name: str) -> Mask:
 
 
 def _check_moves(position: Array, force: Array, source: str, name: str) -> None:
-    """Refuse a recording in which nothing moves."""
+    """Reject a recording with constant position or force."""
     if float(np.ptp(position)) <= 0.0:
         raise BadInput("position_m does not change", name, "a recording in which the piston moves")
     if float(np.ptp(force)) <= 0.0:
@@ -264,7 +265,7 @@ def _check_moves(position: Array, force: Array, source: str, name: str) -> None:
 
 
 def _check_stuck(time: Array, position: Array, force: Array, source: str, rig: Rig, name: str) -> None:
-    """Refuse a signal that does not change by one bit while the other shows motion."""
+    """Reject a signal that stays exactly constant while the other shows motion."""
     start, end = _longest_constant(force)
     if time[end] - time[start] > STUCK_TIME and abs(position[end] - position[start]) > STUCK_TRAVEL:
         what = f"{source} is stuck from {time[start]:.3g} to {time[end]:.3g} s while the piston moves"
@@ -284,8 +285,8 @@ def _longest_constant(values: Array) -> tuple[int, int]:
 
 
 def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -> tuple[Array, Array, Array]:
-    """Return mean, mean time and number of the good samples of each block; NaN where there is none."""
-    # A sample on the edge of two blocks belongs to the later one, despite rounding.
+    """Return mean, mean time and number of the good samples of each block; NaN if there are none."""
+    # A sample on the boundary of two blocks belongs to the later one, despite rounding.
     index = np.minimum((time[good] / period + 1e-6).astype(np.intp), blocks)
     count = np.bincount(index, minlength=blocks + 1)[:blocks].astype(np.float64)
     total = np.bincount(index, weights=values[good], minlength=blocks + 1)[:blocks]
@@ -295,7 +296,7 @@ def _means(time: Array, values: Array, good: Mask, period: float, blocks: int) -
 
 
 def _local_fit(x: Array, there: Mask, period: float) -> tuple[Array, Array, Array, Mask]:
-    """Return smoothed position, velocity, acceleration, and where a complete window lies in one stretch."""
+    """Return smoothed position, velocity, acceleration, and a mask of the blocks whose window lies within one stretch."""
     filled = np.interp(np.arange(len(x)), np.flatnonzero(there), x[there]) if np.any(there) else np.zeros(len(x))
     rows = [scipy.signal.savgol_coeffs(WINDOW, ORDER, deriv=d, delta=period, use="dot") for d in range(3)]
     half = WINDOW // 2
@@ -312,19 +313,19 @@ def _widened(mask: Mask, by: int) -> Mask:
 
 
 def slope_noise(block_noise: float, period: float) -> float:
-    """Return the noise of the velocity [m/s] for that of a block's mean position [m]."""
+    """Return the noise of the velocity [m/s] from that of a block's mean position [m]."""
     return block_noise * float(np.sqrt(np.sum(scipy.signal.savgol_coeffs(WINDOW, ORDER, deriv=1, delta=period) ** 2)))
 
 
 def slides(motion: Motion, travel: float, time: float) -> Mask:
-    """Tell which blocks slide, with the turn before them forgotten.
+    """Return the blocks that slide, far enough from the last reversal for the friction to be independent of it.
 
-    Long blocks smear a turn; what happens there is for the recordings of presliding to tell.
+    Long blocks blur a reversal; its friction is identified from recordings of presliding.
 
     Args:
         motion: a recording of wide strokes.
-        travel: travel since the turn that it takes [m].
-        time: time since the turn that it takes [s].
+        travel: required travel since the reversal [m].
+        time: required time since the reversal [s].
 
     Returns:
         A mask of shape (n,).
@@ -334,7 +335,7 @@ def slides(motion: Motion, travel: float, time: float) -> Mask:
     time_since = (np.arange(len(stroke)) - start) * motion.period
     travel_since = np.abs(motion.position - motion.position[start])
     lasts = np.bincount(stroke) * motion.period
-    # The end of a stroke too short for the time counts, too, unless it is still settling.
+    # The end of a stroke shorter than that time is used too, unless it is still settling.
     needed = np.clip((1.0 - LAST_FRACTION) * lasts, LEAST_SETTLED * time, time)[stroke]
     moves = np.abs(motion.velocity) > 5.0 * motion.velocity_noise
     sliding: Mask = moves & (travel_since >= travel) & (time_since >= needed)

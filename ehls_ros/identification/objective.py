@@ -1,4 +1,4 @@
-"""A problem as an optimiser sees it: points of the unit box in batches, compiled and counted, the best one kept."""
+"""Objective of the optimisers: compiled and counted evaluation of points of the unit box in batches, with the best one kept."""
 
 import math
 from typing import Any
@@ -19,7 +19,7 @@ def batch(residuals: Any) -> Any:
         """Write the costs of the first points, shape (n, parameters), into ``out``, shape (at most n,).
 
         Returns:
-            Whether no coordinate of the points spreads as wide as ``spread``.
+            Whether the range of the points is below ``spread`` in every coordinate.
         """
         for k in range(out.size):
             out[k] = cost_at(points[k], box, work)
@@ -29,11 +29,11 @@ def batch(residuals: Any) -> Any:
 
 
 class Enough(Exception):
-    """Ends a search from inside: it has converged, reached the target or used up its evaluations."""
+    """Raised to end a search that has converged, reached the target or used up its evaluations."""
 
 
 class Counted:
-    """The objective with its evaluations counted.
+    """Objective with counted evaluations.
 
     Attributes:
         size: number of parameters.
@@ -45,15 +45,16 @@ class Counted:
     def __init__(
         self, problem: Problem, seed: int, budget: int, target: float, *, tolerance: float = 0.0, patience: int = 0
     ) -> None:
-        """Check the problem and compile it.
+        """Check and compile the problem.
 
         Args:
-            problem: what to minimise.
+            problem: the problem to minimise.
             seed: the seed, checked only.
-            budget: most evaluations.
+            budget: maximum number of evaluations.
             target: cost at which to stop.
             tolerance: a batch of points narrower than this in the unit box has converged.
-            patience: number of batches without a relative fall of the cost by the tolerance that means convergence; 0: none.
+            patience: number of batches without a relative decrease of the cost by the tolerance after which the search counts
+                as converged; 0: never.
 
         Raises:
             BadInput: the problem is ill-posed.
@@ -76,10 +77,10 @@ class Counted:
         self.lowest = math.inf
 
     def costs(self, points: Array) -> Array:
-        """Return the costs of points of the unit box, shape (n, parameters): one iteration.
+        """Return the costs of points of the unit box, shape (n, parameters), and count one iteration.
 
         Raises:
-            Enough: the target is reached, the search has converged, or not all points could be afforded.
+            Enough: the target is reached, the search has converged, or the evaluations are used up.
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
         afforded = min(len(points), self._budget - self.evaluations)
@@ -94,7 +95,7 @@ class Counted:
         return out
 
     def residuals(self, u: Array) -> Array:
-        """Return the residuals at a point of the unit box, shape (residual_count,): one iteration.
+        """Return the residuals at a point of the unit box, shape (residual_count,), and count one iteration.
 
         Raises:
             Enough: the target is reached, or the evaluations are used up.
@@ -109,7 +110,7 @@ class Counted:
         """Return the residuals' derivatives by the coordinates of the unit box, shape (residual_count, parameters).
 
         Args:
-            u: point, best that of the last call of :meth:`residuals`.
+            u: point, preferably that of the last call of :meth:`residuals`.
 
         Raises:
             Enough: the evaluations are used up.
@@ -122,7 +123,7 @@ class Counted:
         return out
 
     def result(self, *, agreed: bool) -> Result:
-        """Return the best point; ``agreed`` tells that the search ended by its own rule."""
+        """Return the best point; ``agreed`` states whether the search met its convergence criterion."""
         agreed = agreed or self._converged
         history = np.array(self._history)
         return ended(self._problem, self.best, self.lowest, self.evaluations, history, agreed, self._target)

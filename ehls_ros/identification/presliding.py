@@ -1,8 +1,8 @@
-"""The hysteresis loop (22), (23): from its branches to the friction elements, without nodes picked by hand.
+"""Hysteresis loop (22), (23): friction elements from its branches, without nodes picked by hand.
 
 After a reversal each element sticks until its force has changed from one limit to the other. So the force gained since the
 reversal is a sum of ramps, sum k_i min(d, D_i), with the travel d since then and D_i = 2 alpha_i s/k_i. Ramps with many ends
-are fitted at once, none of them negative; the few that remain are the elements. It serves models with friction elements.
+are fitted at once by non-negative least squares; the few that remain are the elements. Used for models with friction elements.
 """
 
 import itertools
@@ -18,16 +18,16 @@ from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.samples import Mask
 
 RAMPS = 60
-"""Number of ends of ramps that are tried."""
+"""Number of ramp ends tried."""
 
 POINTS = 200
-"""Points of the mean branch."""
+"""Number of points of the mean branch."""
 
 STICKING, LEAST_STICKING = 0.8, 3
-"""Fraction of the travel on which all elements stick that is used after a turn, and the number of blocks it needs."""
+"""Used fraction of the travel after a reversal on which all elements stick, and the fewest blocks in it."""
 
 LEAST_BRANCHES = 3
-"""Branches that a mean needs."""
+"""Fewest branches for a mean."""
 
 
 class Branch(NamedTuple):
@@ -45,7 +45,7 @@ class Branch(NamedTuple):
 
 
 class Node(NamedTuple):
-    """A bend of the branch: an element has given way.
+    """A bend of the branch, where an element starts to slip.
 
     Attributes:
         way: travel since the reversal [m].
@@ -63,11 +63,11 @@ def mean_branch(motions: Sequence[Motion], usable: Sequence[Mask], rest: Sequenc
 
     Args:
         motions: the recordings.
-        usable: blocks of each that may count.
-        rest: force balance of each without the friction elements, subtracted, shape (n,) each [N].
+        usable: mask of the blocks to be used of each.
+        rest: force balance of each without the friction elements, to be subtracted, shape (n,) each [N].
 
     Returns:
-        The branch; None where there are too few reversals.
+        The branch; None if there are too few reversals.
     """
     pieces: list[tuple[Array, Array]] = []
     for motion, good, other in zip(motions, usable, rest, strict=True):
@@ -89,11 +89,11 @@ def mean_branch(motions: Sequence[Motion], usable: Sequence[Mask], rest: Sequenc
 
 
 def corrected_turns(motion: Motion, left: Array, friction: Friction) -> Motion:
-    """Return a motion with its turns where the force shows them.
+    """Return a motion with its turning points corrected by the force.
 
-    Around a turn the piston moves to and fro by less than the sensor resolves, and each micrometre further before the turn
-    lowers the force of the sticking elements by their total stiffness. So the residual force while all stick shows by how much
-    the turn was missed. That travel is added before the turn and subtracted after it.
+    Around a reversal the piston moves to and fro by less than the sensor resolves. Each micrometre further before the reversal
+    lowers the force of the sticking elements by their total stiffness. So the residual force while all stick reveals the missed
+    travel, which is added before the reversal and subtracted after it.
 
     Args:
         motion: the recording.
@@ -108,7 +108,7 @@ def corrected_turns(motion: Motion, left: Array, friction: Friction) -> Motion:
     for turn, end in itertools.pairwise([*motion.turns.tolist(), len(velocity)]):
         way = np.abs(motion.position[turn:end] - motion.position[turn])
         if len(way) < 2 or way.max() < shortest:
-            continue  # to and fro on the spot
+            continue  # oscillation in place
         sticks = left[turn:end][way < STICKING * shortest]
         sticks = sticks[np.isfinite(sticks)]
         if len(sticks) < LEAST_STICKING:
@@ -121,7 +121,7 @@ def corrected_turns(motion: Motion, left: Array, friction: Friction) -> Motion:
 
 
 def _turning_point(values: Array, at: int) -> float:
-    """Return the value of a signal at the turn, between the blocks ``at - 1`` and ``at``."""
+    """Return the value of a signal at a reversal, between the blocks ``at - 1`` and ``at``."""
     return float(0.5 * (values[at - 1] + values[at]))
 
 
@@ -143,7 +143,7 @@ def merged(ends: Array, stiffness: Array, elements: int) -> tuple[Array, Array]:
     Args:
         ends: ends of the ramps, increasing, shape (n,) [m].
         stiffness: their stiffness, shape (n,) [N/m].
-        elements: number of elements; where there are fewer ramps, the strongest are split.
+        elements: number of elements; if there are fewer ramps, the strongest are split.
 
     Returns:
         Ends and stiffness, shape (elements,). Their total force and total stiffness stay the same.
@@ -164,7 +164,7 @@ def nodes(ends: Array, stiffness: Array) -> list[Node]:
     """Return the nodes N1, N2, ... of the branch of some elements, with the slopes K_i of (22).
 
     Args:
-        ends: travel at which each gives way, shape (n,) [m].
+        ends: travel at which each starts to slip, shape (n,) [m].
         stiffness: stiffness of each, shape (n,) [N/m].
     """
     order = np.argsort(ends)

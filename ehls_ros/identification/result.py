@@ -1,4 +1,4 @@
-"""The result of an identification, and what ``identification.json`` holds of it."""
+"""Result of the identification of friction, and its content in ``identification.json``."""
 
 import math
 from collections.abc import Mapping
@@ -21,9 +21,9 @@ class Identification(NamedTuple):
 
     Attributes:
         rig: the rig with the identified coefficients.
-        estimates: the coefficients that the data tell, by their names in the rig file, those of an element with its number.
+        estimates: the identified coefficients, by their names in the rig file, those of an element with its number.
         correlations: correlations of the estimates, shape (n, n), in their order.
-        not_identifiable: names of coefficients that the data do not tell, or not apart.
+        not_identifiable: names of coefficients that the data do not identify, or not separately.
         remarks: sentences about the limits of the result.
         static: the static fit; None without steady sliding.
         branch: the mean branch of the hysteresis loop; None without reversals in presliding, or friction elements.
@@ -33,8 +33,8 @@ class Identification(NamedTuple):
         motions: the recordings in blocks.
         method: the optimiser of the static fit.
         wall_s: wall time [s].
-        lacking: strokes that the recordings lack.
-        understated: by which factor standard errors are known to be too small, by name of the estimate.
+        lacking: strokes missing in the recordings.
+        understated: factor by which standard errors are known to be too small, by name of the estimate.
     """
 
     rig: Rig
@@ -60,7 +60,7 @@ class Identification(NamedTuple):
 
 
 def to_json(found: Identification) -> dict[str, Any]:
-    """Return what ``identification.json`` holds."""
+    """Return the content of ``identification.json``."""
     return {
         "parameters": {name: estimate._asdict() for name, estimate in found.estimates.items()},
         "understated": dict(found.understated),

@@ -1,4 +1,4 @@
-"""The coefficients of a whole rig that recordings can tell: where each stands in a rig file, and how it is searched for."""
+"""Coefficients of a whole rig that recordings can identify, with their paths in a rig file and their search coordinates."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +17,7 @@ PLANT = (
     "valve_bandwidth", "valve_gain", "supply_pressure", "discharge_coefficient", "leakage_coefficient", "bulk_modulus",
     "moving_mass", "spring_stiffness",
 )  # fmt: skip
-"""Coefficients of the plant that are fitted."""
+"""Fitted coefficients of the plant."""
 
 KEPT: Mapping[str, str] = {
     "plant.oil_density": "only plant.discharge_coefficient × plant.valve_area_gradient / √density is known; kept as given",
@@ -28,19 +28,19 @@ KEPT: Mapping[str, str] = {
     "plant.gravity": "only plant.moving_mass × gravity less effects.constant_load.force is known; kept as given",
     "plant.arm_length": "no equation of the stages depends on it; kept as given",
 }
-"""What is not searched for, and why."""
+"""Coefficients that are not searched for, with the reason."""
 
 BIASES = ("effects.valve_null_bias.command", "effects.valve_null_bias.opening", "effects.constant_load.force")
-"""Effects without which no real rig is; they enter linearly."""
+"""Effects present in every real rig; they enter linearly."""
 
 DEAD_ZONE = ("effects.valve_dead_zone.positive", "effects.valve_dead_zone.negative")
 DELAY = "effects.command_delay.delay"
 
 OPTIONAL = (*DEAD_ZONE, DELAY)
-"""Effects that are fitted only where a stage cannot do without: at none, the residuals have a corner."""
+"""Effects fitted only if a stage requires them, since the residuals are not smooth at their neutral values."""
 
 SENSORS = ("sensors.force.gain", "sensors.force.bias", "sensors.velocity.gain", "sensors.velocity.bias")
-"""Told where a second sensor measures the same: the load pressure and the piston area, the position."""
+"""Sensor errors, identifiable if a second sensor measures the same: load pressure times piston area, or position."""
 
 STATIC, COULOMB, STIFFNESS = "friction.static_force", "friction.coulomb_force", "friction.element_stiffness"
 VISCOUS = "friction.viscous_coefficient"
@@ -55,14 +55,14 @@ LEAST_COULOMB = 1e-4
 """Least Coulomb friction at which a search starts, as a fraction of the rig's largest force."""
 
 SMALL_LEAKAGE, SMALL_VISCOUS = 1e-3, 1e-2
-"""Leakage and viscous friction that count as none, as fractions of flow and force at the rig's limits."""
+"""Negligible leakage and viscous friction, as fractions of flow and force at the rig's limits."""
 
 SMALL_GAIN = 0.1
-"""A sensor's deviation of gain that counts as large."""
+"""Deviation of a sensor's gain that counts as large."""
 
 
 class Sizes(NamedTuple):
-    """What counts as large in the recordings, in SI units.
+    """Magnitudes that count as large in the recordings, in SI units.
 
     Attributes:
         spool: spool displacement [m].
@@ -79,12 +79,12 @@ class Coefficient(NamedTuple):
     """A coefficient and its coordinate, in which a change of 1 is large.
 
     Attributes:
-        path: section and name in the rig file, with dots.
+        path: dotted section and name in the rig file.
         unit: of its value.
         scale: value of a coordinate of 1; 0: the coordinate is the value's logarithm.
         low, high: range of the coordinate.
         given: the coordinate of the first guess.
-        neutral: value of an effect or a sensor without this error; None for what every rig has.
+        neutral: value of an effect or a sensor without this error; None for coefficients of every rig.
     """
 
     path: str
@@ -106,7 +106,7 @@ class Coefficient(NamedTuple):
 
 
 def read(rig: Rig, path: str) -> float:
-    """Return a coefficient's value; of a list of stiffnesses the sum, of an effect that the rig lacks the neutral one."""
+    """Return a coefficient's value: the sum for a list of stiffnesses, the neutral value for an absent effect."""
     section, name, *rest = path.split(".")
     if section == "effects":
         used = {use.name: use.parameters for use in rig.effects}
@@ -118,7 +118,7 @@ def read(rig: Rig, path: str) -> float:
 
 
 def placed(rig: Rig, values: Mapping[str, Any]) -> Rig:
-    """Return a rig with other values of some coefficients; effects that become neutral are switched off.
+    """Return a rig with some coefficients replaced; effects that become neutral are removed.
 
     Args:
         rig: the rig.
@@ -145,7 +145,7 @@ def placed(rig: Rig, values: Mapping[str, Any]) -> Rig:
 
 
 def _with(uses: Sequence[EffectUse], changes: Mapping[str, Mapping[str, Any]]) -> tuple[EffectUse, ...]:
-    """Return effects with other parameters; one that becomes neutral is left out."""
+    """Return effects with some parameters replaced; one that becomes neutral is left out."""
     added = [EffectUse(name, EFFECTS.load(name).Parameters()) for name in changes if name not in {use.name for use in uses}]
     out = [u._replace(parameters=u.parameters._replace(**changes.get(u.name, {}))) for u in (*uses, *added)]
     return tuple(u for u in out if u.name not in changes or u.parameters != EFFECTS.load(u.name).Parameters())
@@ -156,7 +156,7 @@ def coefficients(rig: Rig, sizes: Sizes) -> tuple[Coefficient, ...]:
 
     Args:
         rig: the first guess.
-        sizes: what is large in the recordings.
+        sizes: large magnitudes in the recordings.
     """
     paths = [f"plant.{name}" for name in PLANT if name != "spring_stiffness" or rig.plant.spring_stiffness > 0.0]
     paths += _friction_paths(rig)
@@ -166,7 +166,7 @@ def coefficients(rig: Rig, sizes: Sizes) -> tuple[Coefficient, ...]:
 
 
 def _friction_paths(rig: Rig) -> list[str]:
-    """Return the friction model's coefficients, those first that most data tell."""
+    """Return the paths of the friction model's coefficients, those identifiable from most data first."""
     values = rig.friction._asdict()
     paths = [f"friction.{name}" for name, value in values.items() if isinstance(value, float)]
     if "element_stiffness" in values:
@@ -223,7 +223,7 @@ def _signal_unit(path: str, unit: str) -> str:
 
 
 def values_at(rig: Rig, chosen: Sequence[Coefficient], z: Iterable[Any]) -> dict[str, Any]:
-    """Return the values of coefficients at coordinates ``z``, numbers or duals; others are those of the rig."""
+    """Return the values of coefficients at coordinates ``z``, numbers or duals."""
     out = {c.path: x * c.scale if c.scale else exp(x) for c, x in zip(chosen, z, strict=True)}
     if STATIC in out:
         out[STATIC] *= out.get(COULOMB, read(rig, COULOMB))
@@ -231,12 +231,12 @@ def values_at(rig: Rig, chosen: Sequence[Coefficient], z: Iterable[Any]) -> dict
 
 
 def model_at(rig: Rig, chosen: Sequence[Coefficient], z: Iterable[Any]) -> Rig:
-    """Return a rig with coefficients at coordinates ``z``, numbers or duals; static keeps its ratio to Coulomb friction."""
+    """Return a rig with coefficients at coordinates ``z``, numbers or duals; static friction keeps its ratio to Coulomb's."""
     return placed(rig, with_ratio(rig, values_at(rig, chosen, z)))
 
 
 def with_ratio(rig: Rig, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values with a static friction that keeps its ratio to Coulomb friction, where only this changes."""
+    """Return values with static friction scaled along if only Coulomb friction changes."""
     out = dict(values)
     if COULOMB in out and STATIC not in out and "static_force" in rig.friction._fields:
         out[STATIC] = out[COULOMB] * read(rig, STATIC) / read(rig, COULOMB)

@@ -1,4 +1,4 @@
-"""Fitting the coefficients of a rig to the residuals of all stages of its recordings."""
+"""Fit of a rig's coefficients to the residuals of all stages of its recordings."""
 
 import math
 from collections.abc import Collection, Sequence
@@ -18,30 +18,30 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import GAUSS
 
 LONGEST_MOVE = 1.0
-"""Longest move of a logarithm in one step."""
+"""Largest change of a logarithmic coordinate in one step."""
 
 SETTLED, SETTLED_FRACTION = 0.01, 1e-6
-"""Decrease of the loss below which a fit has settled [nats], and the same as a fraction of the loss."""
+"""Decrease of the loss below which a fit has converged [nats], and the same as a fraction of the loss."""
 
 STEADY_SCALE = 0.02
-"""Relative change of a channel's scale below which it has settled."""
+"""Relative change of a channel's scale below which it has converged."""
 
 DAMPING, DAMPINGS = 1e-8, (1e-8, 1e-4, 1e-2, 1.0, 100.0)
-"""Levenberg damping of a first step, and those tried one after the other."""
+"""Levenberg damping of a first step, and dampings tried in sequence."""
 
 FEWEST_CLUSTERS, SHORTEST_CLUSTER, LONGEST_CLUSTER = 90, 0.4, 2.5
-"""Stretches that count as independent: about how many there should be, and their shortest and longest duration [s]."""
+"""Stretches that count as independent: approximate number, and shortest and longest duration [s]."""
 
 
 class Stack:
-    """The evidence of several recordings as one vector of whitened residuals."""
+    """Evidence of several recordings as one vector of whitened residuals."""
 
     def __init__(self, evidences: Sequence[Evidence], *, noisier: bool = False) -> None:
-        """Lay out the rows: recording after recording, channel after channel.
+        """Arrange the rows by recording, and within a recording by channel.
 
         Args:
             evidences: of the recordings.
-            noisier: whether the recordings with as much noise again as the sensors have are taken.
+            noisier: whether to use the recordings with added noise of the sensors' level.
         """
         self.evidences = tuple(evidences)
         records = [e.noisy_record if noisier else e.record for e in evidences]
@@ -57,12 +57,12 @@ class Stack:
                 cluster.append(before + ((e.times[c] - first) / length).astype(np.intp))
             before = max([before, *(int(np.max(k)) + 1 for k in cluster)])
         self.channel = np.concatenate(channel) if channel else np.empty(0, dtype=np.intp)
-        """Number of the channel of each row, in ``channels``."""
+        """Index in ``channels`` of each row's channel."""
         self.cluster = np.concatenate(cluster) if cluster else np.empty(0, dtype=np.intp)
-        """Number of the stretch of each row."""
+        """Index of the stretch of each row."""
 
     def residuals(self, rig: Rig, known: Sequence[Residuals] | None = None) -> tuple[Residuals, ...]:
-        """Return the whitened residuals of a model in each recording, reusing those of another that must be equal."""
+        """Return the whitened residuals of a model in each recording, reusing equal ones of another model."""
         nothing = [Residuals({}, dict.fromkeys(e.channels)) for e in self.evidences]
         pairs = zip(self.evidences, self._comparisons, nothing if known is None else known, strict=True)
         return tuple(e.residuals(comparison, rig, before) for e, comparison, before in pairs)
@@ -73,7 +73,7 @@ class Stack:
         Args:
             rig: the model, of duals.
             channels: the channels.
-            parameters: how many the duals depend on.
+            parameters: number of parameters on which the duals depend.
         """
         parts = [np.empty((0, parameters))]
         for e, comparison in zip(self.evidences, self._comparisons, strict=True):
@@ -82,22 +82,22 @@ class Stack:
         return np.concatenate(parts)
 
     def joined(self, residuals: Sequence[Residuals]) -> Array:
-        """Return the rows of all recordings, shape (rows,)."""
+        """Return the concatenated residuals of all recordings, shape (rows,)."""
         parts = [r.joined(e.channels) for r, e in zip(residuals, self.evidences, strict=True)]
         return np.concatenate(parts) if parts else np.empty(0)
 
     def rows(self, channels: Collection[Channel]) -> NDArray[np.bool_]:
-        """Tell which rows belong to some channels."""
+        """Return the mask of the rows of some channels."""
         numbers = [i for i, c in enumerate(self.channels) if c in channels]
         inside: NDArray[np.bool_] = np.isin(self.channel, numbers)
         return inside
 
     def scales(self, e: Array, freedoms: float = math.inf) -> Array:
-        """Return the scale of each row's channel: its residuals in units of their noise, at least 1, shape (rows,).
+        """Return the scale of each row's channel: the size of its residuals in units of noise, at least 1, shape (rows,).
 
         Args:
             e: whitened residuals, shape (rows,).
-            freedoms: number of rows of a channel, in effect, over which what exceeds the noise averages out.
+            freedoms: effective number of rows of a channel over which the excess over the noise averages out.
         """
         out = np.ones(len(e))
         for i in range(len(self.channels)):
@@ -115,12 +115,12 @@ class RigFit(NamedTuple):
         chosen: the coefficients.
         z: their coordinates, shape (p,).
         rig: the rig with them.
-        rows: which rows of the stack they were fitted to, shape (rows,).
+        rows: mask of the rows of the stack they were fitted to, shape (rows,).
         e: residuals of these rows in units of their channels' scales, shape (n,).
         jacobian: derivatives of ``e`` by the coordinates, shape (n, p).
         scales: of these rows, shape (n,).
         loss: of ``e`` [nats].
-        settled: whether the loss decreased no further.
+        settled: whether the fit has converged.
     """
 
     chosen: tuple[Coefficient, ...]
@@ -140,7 +140,7 @@ class RigFit(NamedTuple):
 
     @property
     def comparable(self) -> float:
-        """The loss in units of the noise, to compare fits whose scales differ [nats]."""
+        """The loss in units of the noise, for comparison of fits with different scales [nats]."""
         return float(np.sum(loss(self.e * self.scales)))
 
 
@@ -152,18 +152,18 @@ def fit(
     iterations: int = 20,
     freedoms: float = math.inf,
 ) -> RigFit:
-    """Fit coefficients by damped Gauss-Newton steps of Huber's loss.
+    """Fit coefficients by damped Gauss-Newton steps of the Huber loss.
 
-    Where a stage is linear in its coefficients the first step is their linear regression, however far the guess. The loss is
-    taken in units of each channel's own scatter, so that large residuals of a bad guess count as squares, not as outliers.
+    If a stage is linear in its coefficients, the first step is their linear regression, however far the guess. The loss is
+    scaled by each channel's scatter, so that large residuals of a poor guess count as squares, not as outliers.
 
     Args:
         stack: the recordings.
-        rig: where the fit starts.
+        rig: starting point of the fit.
         chosen: the coefficients to fit.
         channels: the channels to fit to.
-        iterations: most steps; 0: the derivatives where it starts.
-        freedoms: number of windows of a channel, in effect, over which errors of the model's form average out; by default all.
+        iterations: maximum number of steps; 0: only evaluate the derivatives at the start.
+        freedoms: effective number of windows of a channel over which errors of the model's form average out; by default all.
     """
     rows = stack.rows(channels)
     low, high = np.array([c.low for c in chosen]), np.array([c.high for c in chosen])
@@ -187,7 +187,7 @@ def fit(
         jacobian = slopes(z) / scales[:, np.newaxis]
         if settled or iteration == iterations:
             break
-        # The first guess counts as one measurement, of a factor of e; it decides where the data do not.
+        # The first guess counts as a measurement with a standard deviation of 1; it decides if the data do not.
         with_guess, directions = np.concatenate([e, z - guess]), np.vstack([jacobian, np.eye(len(chosen))])
         before = float(np.sum(loss(with_guess)))
         taken = None

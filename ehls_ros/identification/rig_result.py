@@ -1,4 +1,4 @@
-"""The result of identifying a whole rig, and what ``identification.json`` holds of it."""
+"""Result of the identification of a whole rig, and its content in ``identification.json``."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -10,12 +10,12 @@ from ehls_ros.physics.rig import Rig
 
 
 class ChannelFit(NamedTuple):
-    """How well the model does in one residual, as rms and as a fraction of the largest term of its balance.
+    """Rms of one residual, as a fraction of the largest term of its balance.
 
     Attributes:
         before: of the given rig.
         after: of the fitted rig.
-        noise: that noise alone gives, the rms of the noise floor.
+        noise: of noise alone, the rms of the noise floor.
     """
 
     before: float
@@ -27,15 +27,15 @@ class RigIdentification(NamedTuple):
     """A rig identified from recordings.
 
     Attributes:
-        rig: the rig with the identified coefficients; what the data do not tell is as it was given.
-        estimates: what the data tell, by section and name in the rig file, with dots. A list of stiffnesses stands for its
-            sum: all are changed by one factor.
+        rig: the rig with the identified coefficients; those not identifiable keep their given values.
+        estimates: the identified coefficients, by dotted section and name in the rig file. A list of stiffnesses is represented
+            by its sum: all are changed by one factor.
         covariance: of the estimates, shape (n, n), in their order.
         correlations: likewise.
-        absent: biases and sensor errors that were looked for and are not told from none; the rig has none of them.
-        not_identifiable: coefficients that the data do not tell, with the reason.
-        channels: how well the model does, by residual.
-        recordings: names of the recordings that were used.
+        absent: biases and sensor errors that were fitted but are not significant; the rig has none of them.
+        not_identifiable: coefficients that the data do not identify, with the reason.
+        channels: goodness of fit, by residual.
+        recordings: names of the recordings used.
         remarks: sentences about the data and the limits of the result.
         wall_s: wall time [s].
     """
@@ -53,7 +53,7 @@ class RigIdentification(NamedTuple):
 
 
 def rig_to_json(found: RigIdentification) -> dict[str, Any]:
-    """Return what ``identification.json`` holds."""
+    """Return the content of ``identification.json``."""
     return {
         "parameters": {path: estimate._asdict() for path, estimate in found.estimates.items()},
         "correlations": {"names": list(found.estimates), "matrix": found.correlations.tolist()},

@@ -1,4 +1,4 @@
-"""A start for the fit of a whole rig: each stage's coefficients from that stage's residuals, however far the guess."""
+"""Starting point for the fit of a whole rig: each stage's coefficients from its residuals, robust to a poor first guess."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
@@ -37,12 +37,12 @@ BEAM = ("plant.moving_mass", "plant.spring_stiffness", "effects.constant_load.fo
 STRIBECK_VELOCITY = "friction.stribeck_velocity"
 
 SHARP = (COULOMB, VISCOUS, STIFFNESS)
-"""Coefficients of friction in which the loss has one minimum."""
+"""Coefficients of friction in which the loss has a single minimum."""
 
 OF_VALVE: tuple[Channel, ...] = ("spool",)
 OF_FLOW: tuple[Channel, ...] = ("volume", "supply")
 OF_BALANCE: tuple[Channel, ...] = ("force",)
-"""Residuals of the stages."""
+"""Residual channels of the stages."""
 
 NEEDED: Mapping[Channel, str] = {
     "spool": "the valve command and the spool, sampled fast enough for the valve",
@@ -51,7 +51,7 @@ NEEDED: Mapping[Channel, str] = {
     "cell": "load pressure and load cell",
     "velocity": "position and velocity",
 }
-"""What has to be recorded for a residual."""
+"""Signals required for a residual."""
 
 SUPPLY_FACTORS = (0.45, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2)
 """Factors on the given supply pressure from which the flow is fitted, unless the supply pressure was recorded."""
@@ -69,30 +69,30 @@ STRIBECK_FACTORS = (1.0, 0.4, 2.5)
 """Factors on the given Stribeck velocity from which friction is fitted."""
 
 NEEDED_GAIN = 60.0
-"""Decrease of the loss that makes a dead zone or a delay worth its parameters [nats]."""
+"""Least decrease of the loss for which a dead zone or a delay is accepted [nats]."""
 
 SURE = 4.0
-"""Standard errors by which what a rig need not have must differ from none to be put into it."""
+"""Standard errors by which an optional coefficient must differ from its neutral value to be included."""
 
 LARGE = 0.98
 """Quantile of a signal's magnitude that counts as large."""
 
 SMALL = 1e-3
-"""Fraction of the rig's limit that counts as large where a signal is smaller, or not recorded."""
+"""Least fraction of the rig's limit that counts as large, also if a signal was not recorded."""
 
 NEAR = 6e-3
-"""Loss per residual by which fits of friction from several starts may differ and be equally good [nats].
+"""Loss per residual by which equally good fits of friction from several starts may differ [nats].
 
-A right model lost 0.0005 to 0.006 against the fit in 10 recordings of the truth generator, 25 s each: what the friction does
+A correct model lost 0.0005 to 0.006 against the fit in 10 recordings of the truth generator, 25 s each, since the friction
 between two samples is not recorded.
 """
 
 SEARCHED, TRIED = 8, 4
-"""Most Gauss-Newton steps from one of several starts, of all coefficients and of a few."""
+"""Maximum number of Gauss-Newton steps from one of several starts, for all coefficients and for a few."""
 
 
 def sizes(records: Sequence[Record], rig: Rig) -> Sizes:
-    """Return what counts as large in some recordings.
+    """Return the magnitudes that count as large in some recordings.
 
     Args:
         records: the recordings.
@@ -112,7 +112,7 @@ def _large(records: Sequence[Record], signal: str) -> float:
 
 
 def without_signals(records: Sequence[Record], stack: Stack, known: Collection[str]) -> dict[str, str]:
-    """Return the coefficients for which something was not recorded, with the reason.
+    """Return the coefficients for which signals are missing, with the reason.
 
     Args:
         records: the recordings.
@@ -135,7 +135,7 @@ def without_signals(records: Sequence[Record], stack: Stack, known: Collection[s
         if path in known
     }
     if "volume" in stack.channels and not any(SPOOL in r for r in records):
-        # The spool is simulated, so that the flow tells what the valve does.
+        # The spool is simulated, so the bandwidth is identified from the flow.
         del out[BANDWIDTH]
         out[GAIN] = "without a recorded spool, only its product with plant.discharge_coefficient is known"
         out[NULL] = "without a recorded spool, it acts like effects.valve_null_bias.opening"
@@ -143,11 +143,11 @@ def without_signals(records: Sequence[Record], stack: Stack, known: Collection[s
 
 
 class Start(NamedTuple):
-    """Where a fit of everything starts.
+    """Starting point of the joint fit.
 
     Attributes:
         rig: the rig.
-        spread: by path, how far the coordinates of equally good fits are apart, as a standard error.
+        spread: by path, spread of the coordinates among equally good fits, as a standard error.
     """
 
     rig: Rig
@@ -155,9 +155,9 @@ class Start(NamedTuple):
 
 
 def stage_by_stage(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], records: Sequence[Record]) -> Start:
-    """Fit valve, flow and force balance one after the other, each to its own residuals.
+    """Fit valve, flow and force balance one after the other, each to the residuals of its stage.
 
-    A dead zone and a delay of the command are put into the rig where they are sure.
+    A dead zone and a delay of the command are included if they are significant.
 
     Args:
         stack: the recordings.
@@ -166,7 +166,7 @@ def stage_by_stage(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], reco
         records: the recordings.
 
     Returns:
-        Where a fit of everything starts.
+        The starting point of the joint fit.
     """
     if "spool" in stack.channels:
         rig = _valve(stack, rig, free)
@@ -223,7 +223,7 @@ def _best(stack: Stack, starts: Sequence[Rig], chosen: Sequence[Coefficient], ch
 
 
 def _better(stack: Stack, plain: RigFit, other: RigFit, more: Sequence[str]) -> Rig:
-    """Return the rig with more coefficients where they gain enough and one of them is sure, else the plain one."""
+    """Return the rig with additional coefficients if they gain enough and one is significant, else the plain rig."""
     found = estimated(stack, other).by_path
     sure = any(found[path].value > SURE * found[path].std for path in more)
     return other.rig if sure and plain.comparable - other.comparable > NEEDED_GAIN else plain.rig

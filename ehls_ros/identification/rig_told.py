@@ -1,4 +1,4 @@
-"""Which coefficients of a rig its recordings tell, and which only together with others."""
+"""Identifiability of a rig's coefficients: which the recordings determine, and which only in combination."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -13,13 +13,13 @@ from ehls_ros.identification.rig_coefficients import STATIC, slopes_at, values_a
 from ehls_ros.identification.rig_fit import RigFit, Stack
 
 VAGUE = 0.25
-"""Standard error of a coordinate above which its coefficient is not told: a quarter of the value, or of what is large."""
+"""Standard error of a coordinate above which its coefficient is not identified: a quarter of the value or of its scale."""
 
 PARTNER = 0.3
-"""Share of the largest entry of a singular vector above which another coefficient takes part in the combination."""
+"""Share of the largest entry of a singular vector above which another coefficient belongs to the combination."""
 
 OVERLAP = 2.0
-"""How many times neighbouring windows count the same samples."""
+"""Number of neighbouring windows that contain the same sample."""
 
 
 ACCURACY: Mapping[str, float] = {
@@ -34,25 +34,25 @@ ACCURACY: Mapping[str, float] = {
     "friction.stribeck_exponent": 1e-2,
     "friction.attraction_rate": 4e-3,
 }
-"""What the stages themselves get wrong between two samples, as a fraction of the value.
+"""Error of coefficients due to the stages' approximation between samples, as a fraction of the value.
 
-The rms error of a fit to 8 recordings of the truth generator without any noise, 25 s at 1 kHz, rounded up; it grows with the
+Rms error of a fit to 8 recordings of the truth generator without any noise, 25 s at 1 kHz, rounded up; it grows with the
 square of the sampling period.
 """
 
 ACCURATE_PERIOD = 1e-3
-"""Sampling period of those recordings [s]."""
+"""Sampling period of the recordings behind :data:`ACCURACY` [s]."""
 
 AT_LIMIT = 1e-9
-"""Distance from a limit of the search within which a coordinate is at it."""
+"""Distance from a limit of the search within which a coordinate counts as at the limit."""
 
 
 class Doubt(NamedTuple):
-    """A coefficient that the data do not tell.
+    """A coefficient that the data do not identify.
 
     Attributes:
         path: the coefficient.
-        reason: why.
+        reason: reason in words.
         excited: whether any residual depends on it.
     """
 
@@ -62,12 +62,12 @@ class Doubt(NamedTuple):
 
 
 def covariance(stack: Stack, fit: RigFit, doubtful: int = 0) -> Array:
-    """Return the covariance of a fit's coordinates, shape (p, p): the jackknife's over stretches of the recordings.
+    """Return the jackknife covariance of a fit's coordinates over stretches of the recordings, shape (p, p).
 
     Args:
         stack: the recordings.
         fit: the fit.
-        doubtful: number of leading coefficients that were not fitted, and are as doubtful as a guess.
+        doubtful: number of leading coefficients that were not fitted and are as uncertain as a guess.
     """
     if not fit.chosen:
         return np.empty((0, 0))
@@ -76,18 +76,18 @@ def covariance(stack: Stack, fit: RigFit, doubtful: int = 0) -> Array:
 
 
 def untold(stack: Stack, fit: RigFit, rank: Mapping[str, int]) -> tuple[Doubt, ...]:
-    """Find the coefficients that have to be kept for the others to be told.
+    """Find the coefficients that have to be kept at their given values so that the others are identifiable.
 
     The weakest combination of coefficients is the singular vector of the least singular value. While it is too weak for one
-    of them, one that takes part is kept.
+    of them, one of its members is kept.
 
     Args:
         stack: the recordings.
         fit: all coefficients fitted.
-        rank: by path; of those that take part in a combination, the one with the highest is kept.
+        rank: by path; of the members of a combination, the one with the highest rank is kept.
 
     Returns:
-        What to keep, with the reasons.
+        The coefficients to keep, with the reasons.
     """
     out = list[Doubt]()
     left = list(range(len(fit.chosen)))
@@ -124,7 +124,7 @@ def untold(stack: Stack, fit: RigFit, rank: Mapping[str, int]) -> tuple[Doubt, .
 
 
 def _at_limit(fit: RigFit, index: int) -> bool:
-    """Tell whether a coordinate is at a limit; that static friction is no larger than Coulomb friction is none."""
+    """Return whether a coordinate is at a limit; the lower limit of static friction, Coulomb friction, does not count."""
     c, z = fit.chosen[index], float(fit.z[index])
     return z >= c.high - AT_LIMIT or (z <= c.low + AT_LIMIT and c.path != STATIC)
 
@@ -159,7 +159,7 @@ def estimated(stack: Stack, fit: RigFit, doubtful: int = 0, spread: Mapping[str,
     Args:
         stack: the recordings.
         fit: the fit.
-        doubtful: number of leading coefficients that were not fitted; what depends on them is as doubtful.
+        doubtful: number of leading coefficients that were not fitted; their uncertainty propagates to the others.
         spread: by path, further standard errors of coordinates.
     """
     values, slopes = values_at(fit.rig, fit.chosen, fit.z.tolist()), slopes_at(fit.rig, fit.chosen, fit.z)

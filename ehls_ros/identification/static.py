@@ -1,4 +1,4 @@
-"""The static fit (20), (21): Stribeck curve and viscous friction from steady sliding.
+"""Static fit (20), (21): Stribeck curve and viscous friction from steady sliding.
 
 Spring, constant force and mass enter (20) linearly. They are subtracted first, with the best coefficients over a coarse grid
 of the Stribeck curve's two nonlinear ones. Then an optimiser fits the curve to the rest, averaged over classes of velocity.
@@ -18,28 +18,28 @@ from ehls_ros.identification.optimisers.base import Result
 from ehls_ros.samples import GAUSS
 
 SETTLE_TIMES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
-"""Times after a reversal or a break-away that are tried as the end of settling [s]."""
+"""Settling times after a reversal or a break-away that are tried [s]."""
 
 CLASSES = 400
-"""Most classes of velocity that the fit uses."""
+"""Maximum number of velocity classes in the fit."""
 
 LEAST_TRAVEL = 0.004
-"""Travel since a turn above which the piston slides, as a fraction of the recording's travel."""
+"""Travel since a reversal above which the piston slides, as a fraction of the recording's travel."""
 
 FEW = 3
-"""Blocks that a class of velocity needs."""
+"""Fewest blocks in a velocity class."""
 
 FAR = 6.0
 """Residual, in standard deviations of the classes' scatter, beyond which a class is left out."""
 
 LEAST_BLOCKS = 20
-"""Blocks of steady sliding that a static fit needs."""
+"""Fewest blocks of steady sliding for a static fit."""
 
 LEAST_RATIO = 1.2
-"""Ratio of fast to slow sliding, 90th to 10th percentile of the speed, that a static fit needs."""
+"""Least ratio of fast to slow sliding, 90th to 10th percentile of the speed, for a static fit."""
 
 BOTH_WAYS = 0.02
-"""Least fraction of the sliding blocks that has to go the other way."""
+"""Least fraction of the sliding blocks in the rarer direction."""
 
 VELOCITIES = np.geomspace(2e-4, 0.1, 14)
 EXPONENTS = (0.5, 0.8, 1.2, 2.0)
@@ -47,7 +47,7 @@ EXPONENTS = (0.5, 0.8, 1.2, 2.0)
 
 
 class Search(NamedTuple):
-    """How the curve is searched for.
+    """Settings of the search for the curve.
 
     Attributes:
         optimiser: name of the optimiser.
@@ -65,12 +65,12 @@ class StaticFit(NamedTuple):
 
     Attributes:
         friction: the five coefficients.
-        linear: spring, constant force and mass as far as they were fitted, by name.
+        linear: the fitted ones of spring, constant force and mass, by name.
         settle_time: time after which sliding counts as steady [s].
-        velocity: classes of velocity, shape (n,) [m/s].
+        velocity: velocity classes, shape (n,) [m/s].
         force: friction force of each class [N].
         deviation: standard deviation of each class's force [N].
-        search: how the optimiser's search went.
+        search: result of the optimiser.
     """
 
     friction: stribeck.StaticFriction
@@ -83,12 +83,12 @@ class StaticFit(NamedTuple):
 
 
 class Classes(NamedTuple):
-    """Averages over classes of velocity, shape (n,).
+    """Averages over velocity classes, shape (n,).
 
     Attributes:
         velocity: mean velocity [m/s].
         force: median force [N].
-        deviation: standard deviation of that [N].
+        deviation: standard deviation of that force [N].
     """
 
     velocity: Array
@@ -96,7 +96,7 @@ class Classes(NamedTuple):
     deviation: Array
 
     def chosen(self, mask: Any) -> "Classes":
-        """Return the classes of a mask."""
+        """Return the classes selected by a mask."""
         return Classes(*(values[mask] for values in self))
 
 
@@ -105,9 +105,9 @@ class Blocks(NamedTuple):
 
     Attributes:
         velocity: velocity [m/s].
-        since: time since the last turn, break-away or gap [s].
+        since: time since the last reversal, break-away or gap [s].
         force: driving force [N].
-        columns: what the linear coefficients multiply, shape (n, coefficients).
+        columns: regressors of the linear coefficients, shape (n, coefficients).
         noise: standard deviation of the force [N].
     """
 
@@ -118,7 +118,7 @@ class Blocks(NamedTuple):
     noise: Array
 
     def chosen(self, mask: Any) -> "Blocks":
-        """Return the blocks of a mask."""
+        """Return the blocks selected by a mask."""
         return Blocks(*(values[mask] for values in self))
 
 
@@ -126,15 +126,15 @@ def steady_fit(recorded: Recorded, viscous_damping: float, how: Search) -> Stati
     """Fit the Stribeck curve.
 
     Args:
-        recorded: the recordings; ``linear`` names what is subtracted: ``constant``, and ``spring`` and ``mass`` if fitted.
+        recorded: the recordings; ``linear`` names the terms to subtract: ``constant``, and ``spring`` and ``mass`` if fitted.
         viscous_damping: B0, which no data can separate from sigma_f [N s/m].
         how: optimiser and seed.
 
     Returns:
-        The fit; None where nothing slides steadily for long enough.
+        The fit; None without sufficient steady sliding.
 
     Raises:
-        BadInput: sliding goes one way only, so that friction cannot be separated from a constant force.
+        BadInput: there is sliding in one direction only, so that friction cannot be separated from a constant force.
     """
     if not recorded.motions:
         return None
@@ -177,13 +177,13 @@ def _search(classes: Classes, viscous_damping: float, how: Search) -> Result:
 
 
 def unexplained(friction: stribeck.StaticFriction, classes: Classes, viscous_damping: float) -> Array:
-    """Return the force of each class that the curve does not explain, shape (n,) [N]."""
+    """Return the residual force of each class with respect to the curve, shape (n,) [N]."""
     left: Array = classes.force - viscous_damping * classes.velocity - stribeck.steady_force(classes.velocity, friction)
     return left
 
 
 def sliding(recorded: Recorded) -> Blocks:
-    """Collect the usable blocks that move."""
+    """Collect the usable blocks in which the piston slides."""
     parts = []
     for motion, good in zip(recorded.motions, recorded.usable, strict=True):
         moves = good & (np.abs(motion.velocity) > 5.0 * motion.velocity_noise)
@@ -191,7 +191,7 @@ def sliding(recorded: Recorded) -> Blocks:
         begins = np.concatenate([[True], direction[1:] != direction[:-1]])
         start = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
         since: Array = np.asarray((np.arange(len(begins)) - start) * motion.period, dtype=np.float64)
-        # At first after a turn the piston only deflects the contact.
+        # Right after a reversal the piston only deflects the contact.
         travel = np.abs(motion.position - motion.position[start])
         moves &= travel >= LEAST_TRAVEL * float(np.ptp(motion.position[good]) if np.any(good) else 0.0)
         noise = np.full(len(moves), max(motion.force_noise, 1e-9))
@@ -221,7 +221,7 @@ def linear_part(blocks: Blocks) -> Array:
 
 
 def settle_time(blocks: Blocks) -> float:
-    """Return the shortest time after which a longer wait no longer changes the friction [s]."""
+    """Return the shortest settling time after which friction no longer changes [s]."""
     for shorter, longer in itertools.pairwise(SETTLE_TIMES):
         early = (blocks.since >= shorter) & (blocks.since < longer)
         late = blocks.since >= longer
@@ -246,7 +246,7 @@ def settle_time(blocks: Blocks) -> float:
 
 
 def averaged(velocity: Array, force: Array, noise: Array) -> Classes:
-    """Average over classes of velocity with about equally many blocks; medians, so that stragglers do not matter.
+    """Average over velocity classes with about equally many blocks; medians make the forces robust to outliers.
 
     Args:
         velocity: of the blocks, shape (n,) [m/s].

@@ -1,13 +1,14 @@
 """The paper's static objective (20)-(21): steady friction against velocity, as residuals for any optimiser.
 
-The unknowns are coordinates ``x = (Fc, e, w, delta, sigma_f)``, chosen so that every point of the box shows in the data. With
-(Fc, Fs, Vs, delta, sigma_f) a quarter of the box holds curves that vanish below the slowest speed, where a search gets lost:
+The unknowns are coordinates ``x = (Fc, e, w, delta, sigma_f)``, chosen so that the data depend on every coordinate throughout
+the box. With (Fc, Fs, Vs, delta, sigma_f), the curves of a quarter of the box would vanish below the slowest speed, and a
+search would stall there:
 
 * Fc, from just above 0 to the largest force measured [N];
-* e = (Fs - Fc) exp(-(v1/Vs)^delta), what Stribeck's curve adds to Fc at the slowest speed v1, from 0, so that Fs >= Fc, to the
-  largest force [N];
-* w, the place of ln Vs between 0, where exp(-5) of the curve remains at v1, and 1, the fastest speed;
-* delta, from 0.2 to 4: the literature has 0.5 to 2, and a rig file takes no more than 4;
+* e = (Fs - Fc) exp(-(v1/Vs)^delta), the excess of the Stribeck curve over Fc at the slowest speed v1, from 0, so that
+  Fs >= Fc, to the largest force [N];
+* w, the position of ln Vs between 0, where exp(-5) of the curve remains at v1, and 1, the fastest speed;
+* delta, from 0.2 to 4: the literature has 0.5 to 2, and a rig file allows no more than 4;
 * sigma_f, from 0 to 1.2 times the largest force over the fastest speed [N s/m].
 """
 
@@ -34,7 +35,7 @@ _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
 
 
 class StaticFriction(NamedTuple):
-    """The coefficients that the objective identifies.
+    """Coefficients identified by the objective.
 
     Attributes:
         coulomb_force: Fc [N].
@@ -77,7 +78,7 @@ class Data(NamedTuple):
 
 @_fused
 def _exp(y: float) -> float:
-    """Return e^y to the last digit or two, in arithmetic that compiles to vector instructions."""
+    """Return e^y, accurate to the last digit or two, in arithmetic that compiles to vector instructions."""
     y = min(max(y, -708.0), 709.0)
     shifted = y * 1.4426950408889634 + _ROUND
     n = shifted - _ROUND
@@ -133,7 +134,7 @@ def problem(velocity: Array, force: Array, weight: Array | None = None, viscous_
     Args:
         velocity: velocities, shape (n,) [m/s].
         force: driving force at each less its known parts, such as the spring's, shape (n,) [N].
-        weight: factor of each residual, 1/N for residuals in standard deviations; None: 1, as in (21).
+        weight: factor of each residual, in 1/N for residuals in standard deviations; None: 1, as in (21).
         viscous_damping: B0, which no data can separate from sigma_f [N s/m].
 
     Raises:
@@ -163,7 +164,7 @@ def problem(velocity: Array, force: Array, weight: Array | None = None, viscous_
         residuals=residuals,
         data=Data(v, np.sign(v), np.log(np.abs(v)), f, w, float(viscous_damping), slowest, fastest),
         residual_count=v.size,
-        # In a rig file Fc is above zero.
+        # A rig file requires Fc above zero.
         lower=np.array([1e-6 * largest, 0.0, 0.0, LOWEST_EXPONENT, 0.0]),
         upper=np.array([largest, largest, 1.0, HIGHEST_EXPONENT, 1.2 * largest / math.exp(fastest)]),
         name=where,
@@ -171,7 +172,7 @@ def problem(velocity: Array, force: Array, weight: Array | None = None, viscous_
 
 
 def friction_of(x: Array, velocity: Array) -> StaticFriction:
-    """Return the coefficients that coordinates mean, for data at these velocities, shape (n,) [m/s]."""
+    """Return the coefficients represented by coordinates, for data at these velocities, shape (n,) [m/s]."""
     slowest, fastest = _ends(velocity)
     coulomb, visible, w, exponent, viscous = map(float, x)
     log_velocity = _log_velocity(w, exponent, slowest, fastest)

@@ -1,6 +1,6 @@
-"""Which strokes friction needs and recordings lack: slow and fast ones at even velocity both ways, and presliding.
+"""Strokes missing for the identification of friction: slow and fast ones at steady velocity both ways, and presliding.
 
-Without them the fit explains inertia, spring and disturbance by friction, and its figures mean nothing.
+Without them the fit attributes inertia, spring and disturbance to friction, and its figures are meaningless.
 """
 
 import math
@@ -14,30 +14,30 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
 
 SLOW, FAST = 2.0, 5.0
-"""Velocities, in Stribeck velocities: below the first friction falls, above the second it grows with the velocity."""
+"""Velocities in Stribeck velocities: friction falls with the velocity below the first, and grows above the second."""
 
 SWEPT = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Velocities of the strokes that are asked for, in Stribeck velocities."""
+"""Velocities of the requested strokes, in Stribeck velocities."""
 
 FEWEST = 20
-"""Fewest blocks of steady sliding that tell the friction of a range of velocities."""
+"""Fewest blocks of steady sliding that identify the friction in a range of velocities."""
 
 EVEN = 0.3
-"""Time for which a stroke has to keep its velocity about, so that friction settles [s]."""
+"""Time for which a stroke has to keep an about constant velocity, so that friction settles [s]."""
 
 DISTURBED = 0.1
-"""Disturbance force, as a fraction of sliding friction, that is no part of the balance and spoils it."""
+"""Disturbance force, as a fraction of sliding friction, above which the balance, which lacks it, is invalid."""
 
 TURNED, SMALLEST = 1.7, 2e-4
-"""Amplitude of the small sine in travels of break-away, and at least [m]."""
+"""Amplitude of the small sine in break-away travels, and its minimum [m]."""
 
 
 class Missing(NamedTuple):
-    """What recordings lack.
+    """Motion missing in recordings.
 
     Attributes:
-        told: what is missing, one part each, such as ``strokes slower than 4.1 mm/s backwards``.
-        velocities: of the strokes that would deliver it [m/s]; empty if no strokes are missing.
+        told: the missing parts in words, such as ``strokes slower than 4.1 mm/s backwards``.
+        velocities: of the strokes that would supply them [m/s]; empty if no strokes are missing.
         sine: amplitude [m] and frequency [Hz] of the small sine that would show presliding; None if that was recorded.
     """
 
@@ -47,7 +47,7 @@ class Missing(NamedTuple):
 
     @property
     def asked_for(self) -> str:
-        """What would deliver it, in words."""
+        """The motion that would supply them, in words."""
         parts = []
         if self.velocities:
             low, high = (1e3 * v for v in (self.velocities[0], self.velocities[-1]))
@@ -58,12 +58,12 @@ class Missing(NamedTuple):
 
 
 def missing_strokes(motions: Sequence[Motion], steady: Sequence[Mask], rig: Rig, disturbance: float = 0.0) -> Missing:
-    """Return what is missing for the friction of a rig.
+    """Return the motion missing for the identification of a rig's friction.
 
     Args:
         motions: the recordings.
-        steady: blocks of each that slide evenly.
-        rig: the rig as known so far, for the velocities that matter and its limits.
+        steady: blocks of each that slide steadily.
+        rig: the rig as known so far, for the relevant velocities and the limits.
         disturbance: standard deviation of the recorded disturbance force [N].
     """
     stribeck = float(getattr(rig.friction, "stribeck_velocity", math.inf))
@@ -96,7 +96,7 @@ def missing_strokes(motions: Sequence[Motion], steady: Sequence[Mask], rig: Rig,
 
 
 def _even(motion: Motion) -> Mask:
-    """Tell which blocks move clear of noise and keep their velocity."""
+    """Return the blocks with a velocity clear of noise and nearly constant."""
     speed = np.abs(motion.velocity)
     even: Mask = (speed > 5.0 * motion.velocity_noise) & (EVEN * np.abs(motion.acceleration) < speed)
     return even

@@ -1,7 +1,7 @@
-"""The coefficients of a fit: how well each is known, and which the data cannot tell.
+"""Coefficients of a fit with their standard errors, and those that are not identifiable.
 
 Standard errors follow from the fit's covariance and the derivatives of each coefficient by the fitted coordinates. A
-coefficient whose standard error is a large fraction of its value is not given as a number.
+coefficient whose standard error is a large fraction of its value is not reported as a number.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,24 +21,24 @@ VAGUE = 0.25
 """Standard error, as a fraction of the value, above which a coefficient is not identifiable."""
 
 TANGLED = 0.999
-"""Correlation above which two coefficients cannot be told apart, unless one is sharp."""
+"""Correlation above which two coefficients cannot be separated, unless one is well determined."""
 
 SHARP = 0.02
-"""Standard error, as a fraction of the value, below which a coefficient is known despite any correlation."""
+"""Standard error, as a fraction of the value, below which a coefficient is well determined despite any correlation."""
 
 STEP = 1e-6
-"""Step of the numerical derivatives, relative or in coordinates of order 1."""
+"""Step of the numerical derivatives, relative, or absolute for coordinates below 1."""
 
 
 class Estimates(NamedTuple):
-    """All coefficients.
+    """All coefficients of the rig file with their standard errors.
 
     Attributes:
         rig: the rig with them.
-        by_name: coefficients that the data tell, by their names in the rig file, those of an element with its number.
+        by_name: identified coefficients, by their names in the rig file, those of an element with its number.
         correlations: between them, shape (n, n).
         not_identifiable: names of the others.
-        remarks: why they are not identifiable.
+        remarks: reasons why they are not identifiable.
     """
 
     rig: Rig
@@ -49,7 +49,7 @@ class Estimates(NamedTuple):
 
 
 class Propagated(NamedTuple):
-    """Coefficients with what follows for them from a covariance.
+    """Coefficients with the standard errors and correlations propagated from a covariance.
 
     Attributes:
         names: the coefficients.
@@ -71,11 +71,11 @@ class Propagated(NamedTuple):
 
 
 def estimates(fit: JointFit, rig: Rig) -> Estimates:
-    """Turn a fit into coefficients of the rig file.
+    """Convert a fit into coefficients of the rig file.
 
     Args:
         fit: the joint fit.
-        rig: the rig before it; what the fit does not tell is kept.
+        rig: the rig before it; its other coefficients are kept.
 
     Returns:
         The coefficients with their standard errors.
@@ -90,7 +90,7 @@ def estimates(fit: JointFit, rig: Rig) -> Estimates:
     untouched = [
         name for name in values if name not in moved and (np.any(changes[name]) or (name != _base(name, rig) and not numbered))
     ]
-    # What was not searched for is as doubtful as without any data.
+    # A coordinate that was not searched for has its prior uncertainty.
     covariance = np.diag(np.where(free, 0.0, DOUBT**2))
     covariance[np.ix_(free, free)] = fit.covariance
     found = propagated({name: values[name] for name in values if name in moved}, changes, covariance)
@@ -121,12 +121,12 @@ def estimates(fit: JointFit, rig: Rig) -> Estimates:
 
 
 def propagated(values: Mapping[str, float], changes: Mapping[str, Array], covariance: Array) -> Propagated:
-    """Return standard errors and correlations of coefficients.
+    """Propagate a covariance to standard errors and correlations of coefficients.
 
     Args:
         values: the coefficients by name.
         changes: derivatives of each by all coordinates and linear coefficients, shape (m,).
-        covariance: of those, shape (m, m).
+        covariance: of the coordinates and linear coefficients, shape (m, m).
     """
     names = tuple(values)
     derivative = np.array([changes[name] for name in names]).reshape(len(names), len(covariance))
@@ -137,7 +137,7 @@ def propagated(values: Mapping[str, float], changes: Mapping[str, Array], covari
 
 
 def doubts(found: Propagated) -> tuple[set[str], list[str]]:
-    """Return the names of the coefficients that the data do not tell, or not apart, and a sentence about each reason."""
+    """Return the names of the coefficients that are not identifiable, or not separable, and a sentence for each reason."""
     relative = found.relative
     vague = {name for name, share in zip(found.names, relative, strict=True) if share > VAGUE and name != "gravity"}
     remarks = [
@@ -156,7 +156,7 @@ def doubts(found: Propagated) -> tuple[set[str], list[str]]:
 
 
 def coefficients(fit: JointFit, everything: Array, rig: Rig) -> dict[str, float]:
-    """Return the rig file's coefficients by name; those of an element with its number.
+    """Return the rig file's coefficients by name, those of an element with its number.
 
     Args:
         fit: for its coordinates and the names of its linear coefficients.
@@ -178,7 +178,7 @@ def coefficients(fit: JointFit, everything: Array, rig: Rig) -> dict[str, float]
 
 
 def flat(friction: Any) -> dict[str, float]:
-    """Return a friction's coefficients by name, those of a tuple with their number from 1."""
+    """Return the coefficients of a friction model by name, those of a tuple with their number from 1."""
     out: dict[str, float] = {}
     for name, value in friction._asdict().items():
         if isinstance(value, tuple):
@@ -203,7 +203,7 @@ def _derivatives(fit: JointFit, everything: Array, rig: Rig) -> dict[str, Array]
 
 
 def _base(name: str, rig: Rig) -> str:
-    """Return the name in the rig file of a coefficient that may bear the number of an element."""
+    """Return the name in the rig file of a coefficient that may carry the number of an element."""
     known: Sequence[str] = (*rig.friction._fields, *Plant._fields)
     return name if name in known else name.rpartition("_")[0]
 
@@ -223,7 +223,7 @@ _GRAVITY_LIMIT = next(d.maximum for d in declarations(Plant) if d.name == "gravi
 
 
 def _units(rig: Rig) -> dict[str, str]:
-    """Return the units of all coefficients; those of a list stand in brackets at the end of its description."""
+    """Return the units of all coefficients; those of a list are given in brackets at the end of its description."""
     out = {d.name: d.unit for d in declarations(Plant)}
     for declared in declarations(type(rig.friction)):
         bracketed = declared.description.rpartition("[")[2].rstrip("]") if declared.description.endswith("]") else "1"

@@ -1,4 +1,4 @@
-"""From recordings to the coefficients of a whole rig: stage by stage, then all of them together.
+"""Identification of all coefficients of a rig: stage by stage, then jointly.
 
 The residuals are those of a diagnosis (:mod:`ehls_ros.diagnosis.stages`), in units of their noise floor.
 """
@@ -36,7 +36,7 @@ from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.trajectory import Trajectory
 
 OF_SENSORS: tuple[Channel, ...] = ("cell", "velocity")
-"""Residuals of two sensors of one quantity; they need no model, and no model's error may blur them."""
+"""Residuals of two sensors of one quantity; they need no model and are fitted apart from its errors."""
 
 CONTRADICTS = 20.0
 """Increase of the loss above which a given value of a coefficient contradicts the data [nats]."""
@@ -44,16 +44,16 @@ CONTRADICTS = 20.0
 CONTRADICTED = "the given value contradicts the data, and one that fits is kept"
 
 MOVING = (SPOOL, PRESSURE, POSITION, VELOCITY, FORCE)
-"""Signals that a sensor in order never gives as one value throughout."""
+"""Signals that are never constant throughout a recording if their sensor works."""
 
 OFF = 2.0
 """Factor by which a first guess may be off."""
 
 ROUNDS = 5
-"""Most times that coefficients are found to be none, or not to be told, and the others are fitted again."""
+"""Maximum number of refits after dropping insignificant or unidentifiable coefficients."""
 
 STEPS, DONE = 3, "done"
-"""Number of the steps that are reported, and the name of their end."""
+"""Number of progress steps, and the name of the last report."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -65,28 +65,28 @@ def identify_rig(
     seed: int = 0,
     progress: Progress = lambda what, done, total: None,
 ) -> RigIdentification:
-    """Identify every coefficient of a rig that recordings tell.
+    """Identify all coefficients of a rig that recordings determine.
 
     Args:
         recordings: by a name for messages, each with any of the data contract's signals.
-        rig: the first guess; a factor of two off will do. What only a product with another coefficient tells, such as piston
-            area and volume, is taken from it (:data:`ehls_ros.identification.rig_coefficients.KEPT`), and so are the friction
-            model and the weights of its elements.
-        seed: of the noise that is added to find the noise floor.
+        rig: the first guess, which may be off by a factor of two. Coefficients known only in combination with others, such as
+            piston area and volume, are taken from it (:data:`ehls_ros.identification.rig_coefficients.KEPT`), and so are the
+            friction model and the weights of its elements.
+        seed: of the noise added to estimate the noise floor.
         progress: called with the name of the step that begins, the steps done and the number of steps.
 
     Returns:
-        The result; where the numbers do not work out it is the given rig, with a remark.
+        The result; after a numerical failure, the given rig with a remark.
 
     Raises:
-        BadInput: there is no recording, or none of them can be read as one of such a rig.
+        BadInput: there is no recording, or none that can be one of such a rig.
     """
     began = clock.perf_counter()
     progress("reading the recordings", 0, STEPS)
     records, remarks = _records(recordings, rig)
     names = tuple(record.name for record in records)
     try:
-        # A recording without any noise has no noise floor; what is divided by it is cut off as far.
+        # Without any noise the noise floor is zero; residuals divided by it are clipped.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             found = _identified(records, rig, seed, progress)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
@@ -97,7 +97,7 @@ def identify_rig(
 
 
 def _records(recordings: Mapping[str, Trajectory], rig: Rig) -> tuple[list[Record], list[str]]:
-    """Return the recordings that can be used, and what is to be said of all."""
+    """Return the usable recordings, and remarks on all of them."""
     if not recordings:
         raise BadInput("there is no recording", "identification", "at least one recording")
     check_known(rig, "identification of the whole rig")
@@ -159,14 +159,14 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
 
 
 def _stack(records: Sequence[Record], rig: Rig, seed: int) -> Stack:
-    # With a guess of the bandwidth that is too high, the command would seem to be recorded too slowly.
+    # With too high a guess of the bandwidth, the command would seem to be sampled too slowly.
     slow = placed(rig, {BANDWIDTH: read(rig, BANDWIDTH) / OFF})
     setups = [(record, setup(record, slow)) for record in records]
     return Stack([gather(record, rig, compared, seed) for record, compared in setups if compared.channels])
 
 
 def _least(records: Sequence[Record]) -> dict[str, float]:
-    """Return what biases must exceed to matter: the noise of the sensor that they would be read from."""
+    """Return the least relevant biases: the noise of the sensor in which each would show."""
 
     def noise(signal: str) -> float:
         return max((record.noise[signal] for record in records if signal in record), default=0.0)
@@ -180,20 +180,20 @@ def _least(records: Sequence[Record]) -> dict[str, float]:
 
 
 def _is_off(coefficient: Coefficient, rig: Rig) -> bool:
-    """Tell whether a dead zone or a delay is not in a rig; biases start from none."""
+    """Return whether an optional dead zone or delay is absent from a rig."""
     return coefficient.path in OPTIONAL and read(rig, coefficient.path) == coefficient.neutral
 
 
 class _Fitted(NamedTuple):
-    """Coefficients that the data tell, fitted.
+    """Result of a fit of some coefficients.
 
     Attributes:
         rig: the rig with them.
-        estimates: the coefficients that are told.
+        estimates: the identified coefficients.
         covariance: of these, shape (n, n).
-        untold: the coefficients that are not, with the reason.
-        absent: those that are not told from none.
-        settled: whether the fit decreased the loss no further.
+        untold: the coefficients that are not identifiable, with the reason.
+        absent: those not significantly different from none.
+        settled: whether the fit has converged.
     """
 
     rig: Rig
@@ -213,15 +213,15 @@ def _fitted(
     least: Mapping[str, float],
     spread: Mapping[str, float],
 ) -> _Fitted:
-    """Fit coefficients, give those that are not told their given values again, and drop those that are not told from none.
+    """Fit coefficients, restore the given values of unidentifiable ones, and drop those not significantly different from none.
 
     Args:
         stack: the recordings.
-        given: the rig as it was given.
-        start: where the fit starts.
+        given: the given rig.
+        start: starting point of the fit.
         chosen: the coefficients.
         channels: the residuals to fit to.
-        least: what biases must exceed, by path.
+        least: least relevant biases, by path.
         spread: further standard errors of coordinates, by path.
     """
     told, absent = list(chosen), dict[str, Estimate]()
@@ -244,7 +244,7 @@ def _fitted(
         told = [c for c in told if c.path not in reasons]
         again = fit(stack, _given_again(now.rig, given, list(reasons)), told, channels)
         if again.comparable > now.comparable + CONTRADICTS:
-            # What no residual depends on is given again; of a combination, the values that fit are kept.
+            # Restore the coefficients without influence on the residuals; of a combination, keep the values that fit.
             unseen = [d.path for d in doubts if not d.excited]
             again = fit(stack, _given_again(now.rig, given, unseen), told, channels)
             reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in doubts if d.excited}
@@ -258,14 +258,14 @@ def _fitted(
 
 
 def _is_none(c: Coefficient, found: Estimate, given: Rig, least: Mapping[str, float]) -> bool:
-    """Tell whether what a rig need not have is not told from none, and the given rig has none either."""
+    """Return whether an optional coefficient is insignificant and absent from the given rig."""
     if c.neutral is None or read(given, c.path) != c.neutral:
         return False
     return abs(found.value - c.neutral) < max(SURE * found.std, least.get(c.path, 0.0))
 
 
 def _given_again(rig: Rig, given: Rig, paths: Sequence[str]) -> Rig:
-    """Return a rig with the given values of some coefficients; static friction by its ratio to Coulomb friction."""
+    """Return a rig with the given values of some coefficients restored; static friction keeps its ratio to Coulomb friction."""
     values = {path: read(given, path) for path in paths}
     if STATIC in values and COULOMB not in values:
         values[STATIC] *= read(rig, COULOMB) / read(given, COULOMB)
@@ -291,7 +291,7 @@ def _nrmse(stack: Stack, residuals: Sequence[Mapping[Channel, Array]], channel: 
     total, count = 0.0, 0
     for e, r in zip(stack.evidences, residuals, strict=True):
         if channel in e.channels:
-            # Where no balance is formed, the velocity has no size in the evidence.
+            # Without a balance, the evidence holds no size of the velocity.
             size = e.sizes[channel] or float(np.sqrt(np.mean(e.record.values(VELOCITY) ** 2))) or 1.0
             total += float(np.sum((r[channel] * e.floor[channel] / size) ** 2))
             count += len(e.block[channel])

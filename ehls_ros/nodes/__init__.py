@@ -35,7 +35,7 @@ def controller_of(node: str) -> str | None:
 
 
 class _ControllerNodes:
-    """Finds the module of a controller's node: the file of the controller process, under the node's name."""
+    """Module finder for controllers' nodes: maps each node name to the file of the controller process."""
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
@@ -46,7 +46,7 @@ class _ControllerNodes:
 
 
 class _NoMessages:
-    """Asked for ehls_msgs only where nobody else has it: says where to get it."""
+    """Last-resort finder for ehls_msgs: raises an error that explains how to build it."""
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> None:

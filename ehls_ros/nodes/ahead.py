@@ -1,4 +1,4 @@
-"""Base of the reference and disturbance nodes, which depend on time alone and run ahead of the cycles, at no latency."""
+"""Base of the reference and disturbance nodes, which depend on time alone and run ahead of the cycles at no latency."""
 
 import time
 from collections.abc import Mapping
@@ -17,33 +17,33 @@ LEAD = 200
 """Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
 
 REST = 0.005
-"""Longest time between two looks at the newest snapshot, in lockstep, in a shared process, or where the loop may be few cycles
-ahead [s]."""
+"""Longest polling interval for the newest snapshot in lockstep, in a shared process, or where the lead is only a few
+cycles [s]."""
 
 LONG_REST = 0.02
-"""The same where none of these holds: each look wakes up all who read what it sends [s]."""
+"""Longest polling interval otherwise [s]: each poll wakes up all readers of the published rows."""
 
 SHARE = 0.1
-"""Largest part of the cycles ahead that may pass between two looks."""
+"""Largest fraction of the lead that may pass between two polls."""
 
 ROWS_TOGETHER = 5
-"""Cycles between two looks of a loop that shares its process: more rows at once could delay the next cycle."""
+"""Cycles between two polls of a loop that shares its process: more rows at once could delay the next cycle."""
 
 
 class AheadNode(ControlNode):
     """Publishes one row per cycle, ahead of the cycle.
 
-    A row depends on time alone, and so needs only the approximate cycle, from the newest loader_state at intervals: a process
-    that does not wake in every cycle saves time.
+    A row depends on time alone, so the node needs only the approximate cycle, polled from the newest loader_state: a process
+    that does not wake in every cycle saves CPU time.
     """
 
     lead = LEAD
     answers = False
     tells_actuator = False
-    """Whether it also publishes the actuator's command where a companion of the spec's controller uses that."""
+    """Whether the node also publishes the actuator's command where a companion of the spec's controller uses it."""
 
     def open_outbox(self) -> Outbox:
-        """Compile what the rows need and return the publisher."""
+        """Compile the generator of the rows and return the publisher."""
         raise NotImplementedError
 
     def row(self, cycle: int) -> list[float]:
@@ -84,15 +84,15 @@ class AheadNode(ControlNode):
 
     def start(self) -> None:
         """Publish the rows needed before the first snapshot, or, in lockstep, before the next one."""
-        # In realtime the first cycles are not known to have begun: they are taken to begin now.
+        # In realtime the start of the first cycles is unknown: assume that they begin now.
         self.epoch_ns = 0 if self.lockstep else self.now_ns() or 0
         if self.lockstep:
-            # Readers may have refused what was sent before the node was deactivated, and the rig waits for it.
+            # Readers may have refused the rows sent before the node was deactivated, and the rig waits for them.
             self.next = max(self.last, 0)
         self._publish_to(self.next + self.lead - 1 if self.lockstep else self.lead - 1)
 
     def awaited_inputs(self) -> Waiter:
-        """Return what tells the cycle."""
+        """Return the waiter for the newest cycle."""
         return self.waiter
 
     def once(self) -> None:
@@ -101,7 +101,7 @@ class AheadNode(ControlNode):
         time.sleep(self.pause)
 
     def react(self) -> bool:
-        """Publish up to ``lead`` cycles beyond the newest one, if there is a newer one."""
+        """Publish up to ``lead`` cycles beyond the newest one, if it has changed."""
         before = self.next
         if self.hosted and not self.lockstep and self._rests():
             return False
@@ -118,7 +118,7 @@ class AheadNode(ControlNode):
         return self.next != before
 
     def _rests(self) -> bool:
-        """Tell whether the next look at the newest snapshot can wait, where the loop must not sleep."""
+        """Return whether the next poll is not due yet, where the loop must not sleep."""
         now = time.perf_counter()
         if now < self.resting:
             return True
@@ -126,12 +126,12 @@ class AheadNode(ControlNode):
         return False
 
     def _note_progress(self, cycle: int) -> None:
-        """Note the newest cycle; a snapshot that the rig repeats, as it waits for an answer, is no progress."""
+        """Note the newest cycle; a snapshot repeated by a rig that waits for an answer is no progress."""
         if cycle != self.last:
             self.last, self.moved = cycle, time.perf_counter()
 
     def _repeat(self) -> None:
-        """Publish the rows ahead again: the cycles may wait for a reader that receives nothing sent before it was matched."""
+        """Publish the rows ahead again: a reader that receives nothing sent before it was matched may stall the cycles."""
         self.moved = time.perf_counter()
         if self.outbox.has_volatile_reader():
             self.next = max(self.last, 0)
@@ -145,7 +145,7 @@ class AheadNode(ControlNode):
             self.next += 1
 
     def tell_actuator(self, stamp_ns: int, cycle: int) -> None:
-        """Publish the actuator's command at a cycle, where somebody uses it; to be called before its reference is sent."""
+        """Publish the actuator's command at a cycle if a companion uses it; call it before the reference is sent."""
         if self.actuator is not None:
             outbox, signal = self.actuator
             outbox.send(stamp_ns, cycle, *signal.row(cycle).tolist())

@@ -1,4 +1,4 @@
-"""Control-path messages to and from CDR with one ``struct`` call.
+"""Conversion of control-path messages to and from CDR with one ``struct`` call.
 
 rclpy fills a message object field by field, 8-14 us each way; at thousands of messages per second and node,
 that is most of the work. All control-path messages consist of a header, numbers and possibly sequences: a fixed
@@ -43,7 +43,7 @@ def _leading_numbers(fields: Mapping[str, str]) -> list[str]:
 
 
 def decode_text(message: bytes) -> str | None:
-    """Return the text of a ``std_msgs/String``; None if the bytes are none."""
+    """Return the text of a ``std_msgs/String``; None if the bytes are not one."""
     order = "<" if message[1:2] == b"\1" else ">"
     try:
         (length,) = struct.unpack_from(f"{order}I", message, _ENCAPSULATION)
@@ -98,14 +98,14 @@ class Encoder:
 
 
 class Template:
-    """A message serialised once, in which only the stamp and some numbers change."""
+    """A message serialised once, of which only the stamp and some numbers change."""
 
     def __init__(self, serialised: bytes, marks: Sequence[float], *, stamped: bool) -> None:
-        """Find the numbers.
+        """Locate the numbers in the serialised example.
 
         Args:
             serialised: an example, little endian.
-            marks: its numbers that are to change, each found nowhere else in it.
+            marks: the numbers in the example that are to change, each occurring only once.
             stamped: whether it begins with a header.
         """
         self._bytes = bytearray(serialised)

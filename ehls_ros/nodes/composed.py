@@ -1,8 +1,8 @@
-"""Several nodes as one process, in which a control cycle is one call: `ehls run plant_sim_node+fasmc_node+…`.
+"""Several nodes in one process, with a control cycle as one call: `ehls run plant_sim_node+fasmc_node+…`.
 
-The nodes are those that otherwise are processes, with their own names, parameters, services and diagnostics. The plant's loop
-runs in the main thread; where it would wait, the others react to what they have been handed over, estimator before
-controller, and the command is back before anything is published. What others want to see is published after that.
+The nodes keep the names, parameters, services and diagnostics that they have as separate processes. The plant's loop runs in
+the main thread. Where it would wait, the others react to the messages handed over, estimator before controller, and the
+command returns before anything is published. Messages for other readers are published afterwards.
 """
 
 import gc
@@ -39,14 +39,14 @@ NODES: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
 """Nodes that can share a process, besides the controllers'."""
 
 GATHERED = 20
-"""Messages that gather before they are published, four cycles: one by one, each would wake up its readers. Not where a node of
-another process takes part in the cycles."""
+"""Messages that gather before they are published, four cycles: published singly, each would wake up its readers. Not used
+where a node of another process takes part in the cycles."""
 
 GATHERED_IN_LOCKSTEP = 100
-"""The same in lockstep."""
+"""Messages that gather before they are published in lockstep."""
 
 KEPT_IN_LOCKSTEP = 5 * DEPTH
-"""Messages that a topic keeps in lockstep, where some thousand cycles may pass before a recorder on a busy machine reads."""
+"""History depth of a topic in lockstep: some thousand cycles may pass before a recorder on a busy machine reads."""
 
 
 def _maker(name: str) -> Callable[[], ControlNode]:
@@ -70,18 +70,18 @@ class Composition:
         kept, period = KEPT_IN_LOCKSTEP if lockstep else self._host.cycles_kept, self._host.spec.settings.control_period
         self._links = Links(self._wait, kept, patient=lockstep, period=period)
         self._inside = False
-        # The node whose code runs at present, and which an exception is reported of.
+        # The node whose code is running, to which an exception is attributed.
         self._acting: ControlNode = self._host
         for node in nodes:
             node.links = self._links
         for node in partners:
             node.be_hosted()
-        # The plant begins last and stops first: the others are there before it asks, and may end once it does not.
+        # The plant starts last and stops first: the others are ready before its first request and may end after its last.
         self._beginning, self._ending = list(nodes), [self._host, *partners]
         self._gathered = GATHERED_IN_LOCKSTEP if lockstep else GATHERED
 
     def work(self, stopping: Stopping) -> None:
-        """Run the loops of those that are active, until told to stop."""
+        """Run the loops of the active nodes until told to stop."""
         be_punctual()
         for node in self._beginning:
             node.begin_work()
@@ -128,7 +128,7 @@ class Composition:
         self._block([], WAIT)
 
     def _react(self, nodes: Sequence[ControlNode]) -> bool:
-        """Let nodes react to what has arrived; return whether any did."""
+        """Let nodes react to the messages that have arrived; return whether any did."""
         self._inside = True
         reacted = False
         try:
@@ -142,7 +142,7 @@ class Composition:
         return reacted
 
     def _wait(self, waiter: Waiter, seconds: float) -> None:
-        """Do what the others have to do in place of waiting; wait for other processes once nothing is left to do."""
+        """Run the other nodes in place of waiting; wait for other processes once nothing is left to do."""
         if self._inside:
             if not waiter.arrived:
                 waiter.block(seconds)
@@ -153,21 +153,21 @@ class Composition:
             if self._host.lockstep:
                 self._publish_what_gathered()
             return
-        # Once the snapshot has its answer, the end of the turn before did this.
+        # After the answer to the snapshot, the end of the previous turn did this.
         if self._links.open:
             if self._react(self._ahead):
                 return
-            # What it waits for may have to come from elsewhere.
+            # The awaited message may have to come from another process.
             self._links.publish()
         self._block([waiter], seconds)
 
     def _publish_what_gathered(self) -> None:
-        """Publish if enough has gathered, or somebody takes part; not between a snapshot and its answer."""
+        """Publish if enough messages have gathered or another process takes part; not between a snapshot and its answer."""
         if self._links.apart or self._links.pending >= self._gathered:
             self._links.publish()
 
     def _block(self, waiters: Sequence[Waiter], seconds: float) -> None:
-        """Wait for a message of another process, for any of the nodes, at most for a time [s]."""
+        """Wait for a message of another process for any of the nodes, at most for a time [s]."""
         self._links.begin_rest(seconds)
         waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node.is_running)]
         if waiters:

@@ -47,16 +47,16 @@ NAMESPACE = "ehls"
 """Default namespace of the nodes; a launch file or `-r __ns:=` may set another."""
 
 CLOCK_TOPIC = CLOCK.name
-"""Topic of the time, in lockstep and with use_sim_time; rclpy reads it under this name, and `-r` gives another."""
+"""Topic of the time, in lockstep and with use_sim_time; the name that rclpy uses, which `-r` remaps."""
 
 USE_SIM_TIME = "use_sim_time"
-"""Parameter of every ROS node: its time is that of the clock topic."""
+"""Parameter of every ROS node: take the time from the clock topic."""
 
 LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 """Timing modes."""
 
 PARENT = "EHLS_PARENT"
-"""Environment variable with the id of the process that started a node, which ends with it; unset: the node ends by itself."""
+"""Environment variable with the id of the process that started a node; the node ends with it. Unset: the node has no parent."""
 
 CLOSING = 30.0
 """Longest time the middleware may take to close the node's topics and services [s]."""
@@ -65,20 +65,20 @@ WAIT = 0.1
 """Longest time a loop waits before it checks whether to stop [s]."""
 
 FAREWELL = 0.2
-"""Longest wait for the others to hear that a node's loop has ended [s]."""
+"""Longest wait for the readers to receive the announcement that a node's loop has ended [s]."""
 
 PATIENCE = 1.0
-"""Longest quiet wait [s]: after it, diagnostics say what is missing, and in lockstep messages are repeated to readers that may
-have missed them."""
+"""Longest quiet wait [s]. After it, diagnostics report the missing input, and in lockstep messages are repeated to readers
+that may have missed them."""
 
 REPEAT = 10.0
-"""Time after which a warning is logged again that differs from an earlier one in its figures only [s]."""
+"""Time after which a warning that differs from an earlier one only in its figures is logged again [s]."""
 
 BEAT = 0.05
 """Period of the service thread's heartbeat [s]."""
 
 LONGEST_TURN = 0.1
-"""Most that one turn of the loop adds to the time without a heartbeat [s]: a suspended process was not unreachable."""
+"""Largest contribution of one turn of the loop to the time without a heartbeat [s]: a suspended process was not unreachable."""
 
 SWITCH_INTERVAL = 1e-4
 """Time after which a thread yields the interpreter to a waiting one [s]."""
@@ -107,7 +107,7 @@ class Common(NamedTuple):
 def transition(
     callback: Callable[[Any, LifecycleState], TransitionCallbackReturn],
 ) -> Callable[[Any, LifecycleState], TransitionCallbackReturn]:
-    """Let a lifecycle callback that raises end the process; rclpy drops the exception.
+    """End the process when a lifecycle callback raises; rclpy drops the exception.
 
     Args:
         callback: method of a :class:`ControlNode`.
@@ -135,13 +135,13 @@ class ControlNode(DeclaredParameters):
     """Longest time one turn of the loop waits [s]."""
 
     answers = True
-    """Whether another node waits for this loop's output within the cycle; if not, the loop runs at a lower priority."""
+    """Whether another node waits for this loop's output within the cycle; otherwise the loop runs at a lower priority."""
 
     background = False
-    """Whether it takes no priority at all, whatever the parameter says: it has time."""
+    """Whether the node takes no real-time priority, whatever the parameter says: it has no deadline."""
 
     announces = True
-    """Whether the end of its loop matters to others: its messages are inputs of the control cycle."""
+    """Whether the node announces the end of its loop: its messages are inputs of the control cycle."""
 
     def __init__(self, name: str) -> None:
         """Declare the common parameters and read the spec.
@@ -150,7 +150,7 @@ class ControlNode(DeclaredParameters):
             BadInput: the spec or rig file is wrong.
         """
         super().__init__(name, namespace=NAMESPACE)
-        # The process number tells two nodes of one name apart.
+        # The process number distinguishes two nodes of the same name.
         self.sender = f"{self.get_fully_qualified_name()}-{os.getpid()}"
         self._note_clock([self.get_parameter(USE_SIM_TIME)])
         self.add_post_set_parameters_callback(self._note_clock)
@@ -176,10 +176,10 @@ class ControlNode(DeclaredParameters):
         self._active = threading.Event()
         self._idle = threading.Event()
         self._idle.set()
-        # rclpy's state machine bears one thread at a time; the node starts itself in the main one, requests come in the other.
+        # rclpy's state machine admits one thread at a time; the main thread brings the node up, the other serves requests.
         self.changing = threading.RLock()
         self._begun = False
-        # Guards the two events above: one thread must not see one of them as it is and the other as it was.
+        # Guards the two events above: a thread must not see one before a change and the other after it.
         self._switching = threading.Lock()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._reported: tuple[bytes, str] | None = None
@@ -194,7 +194,7 @@ class ControlNode(DeclaredParameters):
         self._beating = self.create_timer(BEAT, self._beat, clock=self.steady)
 
     def be_hosted(self) -> None:
-        """Let the loop of another node in the same process run this one's; that node has the heartbeat and the courtesy."""
+        """Let another node in the same process run this node's loop; that node handles the heartbeat and the courtesy."""
         self.hosted = True
         self._beating.cancel()
 
@@ -203,7 +203,7 @@ class ControlNode(DeclaredParameters):
         return self.get_clock().now().nanoseconds or None if self._is_told_time else time.time_ns()
 
     def _note_clock(self, parameters: Sequence[Parameter]) -> None:
-        """Note which clock is the node's: the clock itself says so too, but takes longer than a law in each cycle."""
+        """Note which clock the node uses: querying the clock itself takes longer than a control law in each cycle."""
         for parameter in parameters:
             if parameter.name == USE_SIM_TIME:
                 self._is_told_time = bool(parameter.value)
@@ -213,18 +213,18 @@ class ControlNode(DeclaredParameters):
         return str(self.get_parameter(name).value)
 
     def prepare(self) -> None:
-        """Compile, open topics: build what the loop needs."""
+        """Build the resources of the loop: compile code, open topics."""
         raise NotImplementedError
 
     def start(self) -> None:
         """Run before the first turn of the loop."""
 
     def awaited_inputs(self) -> Waiter:
-        """Return what the loop waits for at present; for nodes that leave :meth:`once` as it is."""
+        """Return the inputs that the loop awaits at present; used by the default :meth:`once`."""
         raise NotImplementedError
 
     def react(self) -> bool:
-        """Take in what has arrived and do what it asks for, without waiting for more.
+        """Process the messages that have arrived, without waiting for more.
 
         Returns:
             Whether there was anything to do.
@@ -247,10 +247,10 @@ class ControlNode(DeclaredParameters):
         """Undo :meth:`prepare`."""
 
     def secure(self) -> None:
-        """Bring the rig into its safe state; run at the end of the process, whatever failed before."""
+        """Bring the rig into its safe state; called at the end of the process, even after a failure."""
 
     def make_safe(self) -> None:
-        """Secure the rig once no loop runs any more, and let a request go on that waits for the end of the loop."""
+        """Secure the rig once no loop runs any more, and release a request that waits for the end of the loop."""
         self._idle.set()
         self.secure()
 
@@ -259,7 +259,7 @@ class ControlNode(DeclaredParameters):
         return OK, "running" if self._active.is_set() else "inactive", {}
 
     def report_failure(self, error: Exception, activity: str) -> None:
-        """Log an unforeseen exception and let the process end; its valve is closed as when it is stopped.
+        """Log an unforeseen exception and end the process; the valve is closed as on a regular stop.
 
         Args:
             error: the exception.
@@ -304,14 +304,14 @@ class ControlNode(DeclaredParameters):
         if self._processors and not self.hosted:
             keep_to(self._processors)
         if priority and not self.hosted:
-            # The loop runs in the main thread, whose id is the process's.
+            # The loop runs in the main thread, whose id is that of the process.
             self.courtesy = Courtesy(float(self.get_parameter("processor_share").value), statistics_of(os.getpid()))
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
     @transition
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let the loop run."""
+        """Release the loop to run."""
         self.refused = ""
         with self._switching:
             if self._begun:
@@ -351,7 +351,7 @@ class ControlNode(DeclaredParameters):
         return TransitionCallbackReturn.SUCCESS
 
     def give_back(self) -> None:
-        """Release what was prepared, if anything was."""
+        """Release the prepared resources, if any."""
         if self.configured:
             self.configured = False
             self.release()
@@ -361,14 +361,14 @@ class ControlNode(DeclaredParameters):
                 self.courtesy = None
 
     def _release_after_failure(self) -> None:
-        """Release the part that was prepared before an exception."""
-        # What follows the failed step in `prepare` does not exist.
+        """Release the resources prepared before an exception."""
+        # Attributes assigned after the failed step of `prepare` do not exist.
         with contextlib.suppress(AttributeError):
             self.release()
         self._leaving.destroy()
 
     def bring_up(self, stopping: Stopping) -> bool:
-        """Configure and activate; return whether both succeeded. If not, the log has the reason.
+        """Configure and activate; return whether both succeeded. Otherwise the log has the reason.
 
         Args:
             stopping: is set when the node is told to stop meanwhile.
@@ -388,7 +388,7 @@ class ControlNode(DeclaredParameters):
             return bool(self._state_machine.current_state[0] != state or trigger() == TransitionCallbackReturn.SUCCESS)
 
     def begin_work(self) -> None:
-        """Note that a loop looks after the node from now on: until then no request has to wait for the loop's end."""
+        """Note that a loop serves the node from now on: until then no request has to wait for the loop's end."""
         with self._switching:
             self._begun = True
             if self._active.is_set():
@@ -400,7 +400,7 @@ class ControlNode(DeclaredParameters):
         self.begin_work()
         while not stopping.is_set():
             if not self._active.wait(WAIT):
-                # A request to deactivate may wait for the end of a loop that has not run, as the node was active too briefly.
+                # A request to deactivate may wait for the end of a loop that never ran because the node was active too briefly.
                 self.settle()
                 continue
             # A garbage collection within a cycle would delay the answer; the loops create no reference cycles.
@@ -418,7 +418,7 @@ class ControlNode(DeclaredParameters):
 
     @property
     def is_to_run(self) -> bool:
-        """Whether the loop is to run: the node is active."""
+        """Whether the loop is to run, i.e. the node is active."""
         return self._active.is_set()
 
     def enter(self) -> None:
@@ -429,14 +429,14 @@ class ControlNode(DeclaredParameters):
         self.start()
 
     def leave(self) -> None:
-        """End the loop, and announce that to the readers of this node's messages."""
+        """End the loop, and announce the end to the readers of this node's messages."""
         self.is_running = False
         try:
             self.stop()
             if self.announces:
                 self._leaving.tell(String(data=self.sender), self.sender)
                 if not self.hosted:
-                    # A process that goes on sends it anyway, and must not wait.
+                    # A process that goes on sends the announcement anyway and must not wait.
                     self._leaving.publisher.wait_for_all_acked(Duration(seconds=FAREWELL))
         except Exception as error:  # noqa: BLE001
             self.report_failure(error, "end of the loop")
@@ -447,13 +447,13 @@ class ControlNode(DeclaredParameters):
             self._idle.set()
 
     def settle(self) -> None:
-        """Note that the loop does not run, as the node was active for too short a time."""
+        """Mark the loop as ended if the node was active too briefly for it to run."""
         with self._switching:
             if not self._active.is_set():
                 self._idle.set()
 
     def look_after(self) -> None:
-        """Check after a turn the heartbeat of the service thread, which handles the emergency stop, and the loop's demand."""
+        """Check the service thread's heartbeat (it handles the emergency stop) and the loop's CPU demand after a turn."""
         now = time.monotonic()
         self._silence = 0.0 if self._beaten else self._silence + min(now - self._turned, LONGEST_TURN)
         self._beaten, self._turned = False, now
@@ -480,7 +480,7 @@ class ControlNode(DeclaredParameters):
         self._publish_health(*health)
 
     def _await_rest(self) -> None:
-        """Wait a little for a time at which loops in this process answer nobody."""
+        """Wait briefly for a time at which no loop in this process has an answer to compute."""
         if self.links is not None:
             self.links.await_rest()
 
@@ -488,7 +488,7 @@ class ControlNode(DeclaredParameters):
         """React to a silent service thread; called after each turn with the time since its last heartbeat [s]."""
 
     def finish(self) -> None:
-        """End the loop from within: its task is done."""
+        """End the loop from within, on completion of its task."""
         self._active.clear()
 
     def _health(self) -> tuple[bytes, str, Mapping[str, Any]]:
@@ -498,7 +498,7 @@ class ControlNode(DeclaredParameters):
             return OK, "unconfigured", {}
         level, message, figures = self.health()
         if level == OK and self._active.is_set() and self.now_ns() is None:
-            # In lockstep the plant brings the time, and comes last.
+            # In lockstep the plant, which is the source of the time, starts last.
             level, message = OK if self.lockstep else WARN, f"{USE_SIM_TIME} is set, but no time arrives on {CLOCK_TOPIC}"
         if self.courtesy is not None:
             figures = {**figures, **self.courtesy.figures()}
@@ -516,7 +516,7 @@ class ControlNode(DeclaredParameters):
         )
 
     def advice(self) -> str:
-        """Return what the log adds to a complaint; nothing if there is no remedy to type."""
+        """Return the remedy that the log adds to a complaint; empty if there is no command to type."""
         return ""
 
     def report(self) -> None:
@@ -526,7 +526,7 @@ class ControlNode(DeclaredParameters):
     def _publish_health(self, level: bytes, message: str, figures: Mapping[str, Any]) -> None:
         status = DiagnosticStatus(
             level=level,
-            # All rigs share /diagnostics: one in another namespace shows it in its nodes' names.
+            # All rigs share /diagnostics: nodes outside the default namespace are shown with theirs.
             name=self.get_fully_qualified_name().removeprefix(f"/{NAMESPACE}/").removeprefix("/"),
             message=message,
             hardware_id=self.get_namespace().strip("/"),
@@ -543,7 +543,7 @@ class ControlNode(DeclaredParameters):
         self._reported = (level, message)
 
     def _complain(self, level: bytes, message: str) -> None:
-        # rclpy ties each place in the code to the severity of its first call.
+        # rclpy binds each call site to the severity of its first call.
         if level == ERROR:
             self.get_logger().error(message)
             return
@@ -570,7 +570,7 @@ def survive_requests(node: Node) -> None:
 
 
 def _surviving(node: Node, service: Any) -> Callable[[Any, Any], Any]:
-    """Return a service's handler, with a refusal in place of what it raises."""
+    """Return a service's handler that answers with a refusal if the original handler raises."""
     answer = service.callback
     changes_state = service.srv_name.endswith("/change_state")
     guard = node.changing if changes_state and isinstance(node, ControlNode) else contextlib.nullcontext()
@@ -588,10 +588,10 @@ def _surviving(node: Node, service: Any) -> Callable[[Any, Any], Any]:
 
 
 def _refusal(request: Any, response: Any, reason: str) -> Any:
-    """Fill in a refusal, with the reason where the response has a field for one; ``success`` is false by default."""
+    """Fill in a refusal, with the reason if the response has a field for it; ``success`` is false by default."""
     refused = SetParametersResult(successful=False, reason=reason)
     if isinstance(response, SetParameters.Response):
-        # The parameters before the one that failed have been set.
+        # The parameters before the failed one have been set.
         response.results = [*response.results, *[refused] * (len(request.parameters) - len(response.results))]
     elif isinstance(response, SetParametersAtomically.Response):
         response.result = refused
@@ -601,7 +601,7 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
 
 
 class _Services:
-    """The thread that serves services and timers of a process's nodes; if it fails, they stop."""
+    """The thread that serves services and timers of a process's nodes; its failure stops the nodes."""
 
     def __init__(self, nodes: Sequence[ControlNode], failures: Failures) -> None:
         self._failures = failures
@@ -625,12 +625,12 @@ class _Services:
             while not self._failures.stopping.is_set():
                 self._executor.spin_once(timeout_sec=WAIT)
         except BaseException as error:  # noqa: BLE001
-            # A node that can no longer be stopped over ROS must not go on, whatever the error.
+            # A node that can no longer be stopped over ROS must not continue, whatever the error.
             self._failures.note(error, self._blamed, "service thread")
 
 
 def _made(makes: Sequence[Callable[[], ControlNode]], failures: Failures) -> list[ControlNode]:
-    """Return the nodes; none if one cannot be made. As a function, it leaves no reference to a failed node."""
+    """Return the nodes; none if one cannot be made. As a function, it keeps no reference to a failed node."""
     try:
         return [make() for make in makes]
     except (BadInput, ParameterException) as error:
@@ -641,17 +641,17 @@ def _made(makes: Sequence[Callable[[], ControlNode]], failures: Failures) -> lis
 
 
 def _joined() -> str:
-    """Join the ROS graph; return what is wrong with the arguments or files of `--ros-args`, or an empty string."""
+    """Join the ROS graph; return the error in the arguments or files of `--ros-args`, or an empty string."""
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        # What follows the first place in rcl's sources helps nobody.
+        # The text after the first source location of rcl does not help the user.
         return str(error).partition(", at /")[0]
     return ""
 
 
 def be_punctual() -> None:
-    """Let the calling thread, which runs a loop, wake up and get the interpreter in time."""
+    """Make the calling thread, which runs a loop, wake up and get the interpreter on time."""
     exact_wake_ups()
     # By default the other thread may keep the interpreter for 5 ms.
     sys.setswitchinterval(SWITCH_INTERVAL)
@@ -678,7 +678,7 @@ def run_nodes(
 
     Args:
         makes: build the nodes, after ``rclpy.init``; in the order in which they configure and activate themselves.
-        join: returns what runs the nodes' loops until an event is set.
+        join: returns a function that runs the nodes' loops until an event is set.
     """
     be_frugal()
     stopping = Stopping()
@@ -734,7 +734,7 @@ def _work(
 
 
 def _each(nodes: Sequence[ControlNode], step: Callable[[ControlNode], None]) -> None:
-    """Take all nodes through a step of their end, whichever of them fails."""
+    """Apply a shutdown step to all nodes, even if some of them fail."""
     for node in nodes:
         try:
             step(node)

@@ -1,9 +1,9 @@
-"""The node of any controller: it answers each loader_state with a valve_command.
+"""Node of any controller: answers each loader_state with a valve_command.
 
-While the plant obeys another controller, it stands by: it follows each cycle with its law, knows what the valve was told, and
-tells on a topic of its own what it would command.
+While the plant obeys another controller, the node stands by: its law follows each cycle, including the command that the valve
+received, and it publishes its would-be command on a separate topic.
 
-:mod:`ehls_ros.control.cycles` matches what belongs to a cycle; this file has the topics, parameters and diagnostics.
+:mod:`ehls_ros.control.cycles` matches the inputs of a cycle; this file has the topics, parameters and diagnostics.
 """
 
 import math
@@ -57,26 +57,26 @@ STATUS_TOGETHER = 5
 """Status messages that are published together, as no cycle waits for them."""
 
 LOCKSTEP_PATIENCE = 10.0
-"""friction_patience in lockstep, and longest wait for another's command and for the word of who drives [s]: nothing is late
-there, and a run must not depend on what else the machine does."""
+"""friction_patience in lockstep, and longest wait for another controller's command and for the driver message [s]: nothing
+is late there, and a run must not depend on the load of the machine."""
 
 
 NOTICE = 2.0
-"""Time for which diagnostics go on showing an estimate that has left its bound [s]."""
+"""Time for which diagnostics keep showing an estimate that has left its bound [s]."""
 
 HEARING = 0.5
-"""Time after which a driver that is not heard on the topic of the node's commands counts as one that passes them on [s]."""
+"""Time after which a driver not heard on the topic of the node's commands counts as a relay [s]."""
 
 HEARD = 100
-"""Messages of the driver topic and commands of others that are kept: many cycles more than a node may be behind."""
+"""Messages kept of the driver topic and of others' commands: many more cycles than a node may lag."""
 
 
 TO_SI = STATUS_TO_SI.tolist()
-"""Factors of the status, as numbers: ten of them are multiplied faster one by one than as arrays."""
+"""Conversion factors of the status as Python floats: ten scalar products are faster than array operations."""
 
 
 class Parameters(NamedTuple):
-    """What every controller node has in addition to the parameters of its law."""
+    """Parameters of every controller node besides those of its law."""
 
     friction_patience: Annotated[
         float,
@@ -88,7 +88,7 @@ class Parameters(NamedTuple):
 class RowsAhead:
     """Rows of a topic that runs ahead of the cycles, for companions.
 
-    They are sent before the reference of the same cycle, but another topic may overtake them: in lockstep they are waited for.
+    Rows are sent before the reference of the same cycle, but another topic may overtake them: in lockstep the node waits.
     """
 
     def __init__(self, node: ControlNode, topic: Topic, patience: float) -> None:
@@ -99,7 +99,7 @@ class RowsAhead:
         self._rows: dict[int, Sequence[float]] = {}
 
     def at(self, cycle: int) -> Sequence[float] | None:
-        """Return what the topic says of a cycle; None if it has not come."""
+        """Return the topic's row of a cycle; None if it has not arrived."""
         until = time.perf_counter() + self._patience
         while True:
             while (message := self._inbox.take()) is not None:
@@ -120,8 +120,8 @@ class RowsAhead:
 class ControllerNode(ControlNode):
     """Runs one control law.
 
-    A cycle is answered once its friction estimate has come. If the estimate stays away, the rig's friction of steady
-    sliding takes its place, and status and diagnostics say so.
+    A cycle is answered once its friction estimate has arrived. If it does not arrive, the rig's steady-sliding friction is
+    used instead, and status and diagnostics report this.
     """
 
     longest_wait = TURN
@@ -130,7 +130,7 @@ class ControllerNode(ControlNode):
         """Declare the law's parameters, with the spec's values if the spec is for this law.
 
         Raises:
-            BadInput: the spec's reference is not what this law follows.
+            BadInput: the spec's reference is not of the kind that this law follows.
         """
         super().__init__(f"{law}_node")
         declare(self, Parameters, live=False)
@@ -155,7 +155,7 @@ class ControllerNode(ControlNode):
         self.new_tuning = tuning
 
     def _on_accepted(self, message: String) -> None:
-        """Take in a rig that an operator has accepted; one that is wrong, or one of several, changes nothing."""
+        """Take in a rig that an operator has accepted; ignore an invalid one or one from several publishers."""
         publishers = self.get_publishers_info_by_topic(ACCEPTED_RIG.name)
         if len(publishers) > 1:
             names = ", ".join(sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers))
@@ -172,7 +172,7 @@ class ControllerNode(ControlNode):
         self.get_logger().error(f"the accepted rig is not used: {reason}")
 
     def _accept(self, model: Model, cycle: int) -> None:
-        """Begin the change to an accepted rig, or refuse one that differs too much from the rig file's."""
+        """Begin the transition to an accepted rig, or refuse it if it differs too much from the rig file's."""
         try:
             rig = self.spec.controller_rig
             duration = self.controller.accept(model, sizes(model_of(rig, model.period), rig.limits))
@@ -257,7 +257,7 @@ class ControllerNode(ControlNode):
             self.failures.fail_at_end()
 
     def have_nothing_to_do(self) -> None:
-        """Publish the status of the last cycles, if no other follows soon."""
+        """Publish the status of the last cycles if no further cycle follows soon."""
         if time.perf_counter() - self.replied_at > TURN:
             self.status.flush()
 
@@ -266,11 +266,11 @@ class ControllerNode(ControlNode):
         self.status.flush()
 
     def awaited_inputs(self) -> Waiter:
-        """Return what the next cycle lacks."""
+        """Return the waiter for the inputs that the next cycle lacks."""
         return self.arrivals[self.cycles.lacks]
 
     def react(self) -> bool:
-        """Answer the newest cycle that has all it needs."""
+        """Answer the newest cycle whose inputs are complete."""
         arrived = time.perf_counter()
         while (message := self.friction.take()) is not None:
             self.cycles.add_friction(message[1], message[2:4])
@@ -285,40 +285,40 @@ class ControllerNode(ControlNode):
         if not self._knows_who_drives():
             return False
         if not self.sent and self._driver_of(self.answered[1]) == self.sender:
-            # The snapshot of the first cycle after a switch was faster than the word of the switch.
+            # The snapshot of the first cycle after a switch overtook the driver message.
             self._send()
         if (ready := self.cycles.take(arrived)) is None:
             return False
         self._answer(ready)
         self.replied_at = time.perf_counter()
         self.latency.add(self.replied_at - arrived)
-        # The cycles ahead come in bunches; all at once they would delay the answer to the cycle that needs the first of them.
+        # Rows ahead arrive in bursts; reading a burst at once would delay the answer to the cycle that needs its first row.
         self._take_references(ROWS)
         return True
 
     def _take_references(self, most: float) -> None:
-        """Take in the references of cycles to come, at most so many."""
+        """Read references of future cycles, at most a given number."""
         while most > 0 and (message := self.reference.take()) is not None:
             self.cycles.add_reference(message[1], message[2:5])
             most -= 1
 
     def _knows_who_drives(self) -> bool:
-        """Note who drives from which cycle on; return False while that is not certain.
+        """Note which sender drives from which cycle on; return False while that is not certain.
 
-        A driver that is not heard on the topic of this node's commands, which the plant does not read, passes them on to the
-        plant: it is no controller.
+        A driver not heard on the topic of this node's commands, which the plant does not read, is no controller: it is a relay
+        that passes the commands on to the plant.
         """
         while (message := self.driver.take()) is not None:
             _, first, self.driven, sender, _ = message
             if not self.drivers or self.drivers[-1] != (first, sender):
                 self.drivers.append((first, sender))
-                # The time of the first answer since then is yet to come.
+                # The time of the first answer from then on is not yet known.
                 self.named, self.replied = time.perf_counter(), math.nan
         if not self.drivers:
             return self.driver.publishers() == 0
         newest = self.drivers[-1][1]
         if newest == "" and self.lockstep and time.perf_counter() - self.replied < LOCKSTEP_PATIENCE:
-            # Before the plant opens the next cycle, it says whose answer came first.
+            # Before the plant opens the next cycle, it announces whose answer came first.
             return False
         if newest in {"", self.sender}:
             return True
@@ -329,14 +329,14 @@ class ControllerNode(ControlNode):
         return newest in self.heard | self.relays
 
     def _listen(self) -> None:
-        """Take in what other controllers tell the valve; one that is heard after all is no relay."""
+        """Read other controllers' commands; a sender that is heard is no relay."""
         while (message := self.others.take()) is not None:
             self.told.append(message[1:4])
             self.heard.add(message[3])
             self.relays.discard(message[3])
 
     def _commands_reach_plant(self) -> bool:
-        """Return whether the plant itself reads the topic of this node's commands: then another that drives is no relay."""
+        """Return whether the plant itself reads the topic of this node's commands; then another driver is no relay."""
         plants, readers = (
             {(info.node_namespace, info.node_name) for info in endpoints}
             for endpoints in (
@@ -347,12 +347,12 @@ class ControllerNode(ControlNode):
         return bool(plants & readers)
 
     def _driver_of(self, cycle: int) -> str:
-        """Return the sender whose answer to a cycle the plant wants; empty: the first to come."""
+        """Return the sender whose answer to a cycle the plant accepts; empty: the first to answer."""
         driver = next((sender for first, sender in reversed(self.drivers) if cycle >= first), "")
         return "" if driver in self.relays else driver
 
     def _told(self, ready: Ready) -> float | None:
-        """Return what another controller told the valve since the last answered cycle [m]; None if none did."""
+        """Return the spool command that another controller gave since the last answered cycle [m]; None if there is none."""
         last, driver = ready.cycle - 1, self._driver_of(ready.cycle - 1)
         if not self.answered or ready.anew or driver in {"", self.sender}:
             return None
@@ -360,7 +360,7 @@ class ControllerNode(ControlNode):
         while True:
             self._listen()
             told = [(cycle, spool) for cycle, spool, sender in self.told if sender == driver]
-            # In lockstep the plant has the command of the last cycle before it opens the next.
+            # In lockstep the plant receives the command of the last cycle before it opens the next.
             heard = any(cycle >= last for cycle, _ in told) or time.perf_counter() - asked > LOCKSTEP_PATIENCE
             if heard or not self.lockstep:
                 since = [(cycle, spool) for cycle, spool in told if ready.cycle - ready.elapsed <= cycle <= last]
@@ -399,13 +399,13 @@ class ControllerNode(ControlNode):
         self._send(shadow=self._driver_of(ready.cycle) not in {"", self.sender})
 
     def _send(self, *, shadow: bool = False) -> None:
-        """Send the answer to the cycle answered last: to the valve, or, standing by, only what it would be."""
+        """Send the command of the last answered cycle, to the valve or, on standby, to the shadow topic only."""
         stamp_ns, cycle = self.answered[:2]
         self.sent = not shadow
         if math.isnan(self.replied):
             self.replied = time.perf_counter()
         if not (shadow and self._unmeasured()):
-            # One that lacks a reading must not be given the valve.
+            # A controller that lacks a reading must not be given the valve.
             (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)
         values = [value * factor for value, factor in zip(self.controller.status.tolist(), TO_SI, strict=True)]
         self.saturated = values[SATURATED] != 0.0
@@ -419,7 +419,7 @@ class ControllerNode(ControlNode):
         return [name for name in self.kind.NEEDS if math.isnan(self.measured[SENSED.index(name)])]
 
     def _outlook(self, cycle: int) -> Outlook:
-        """Return what companions know of a cycle."""
+        """Return the inputs of the companions at a cycle."""
         if not self.company:
             return NOTHING_KNOWN
         actuator = None if self.actuator is None else self.actuator.at(cycle)
@@ -432,19 +432,19 @@ class ControllerNode(ControlNode):
         return Outlook(cycle, place, None if actuator is None else np.array(actuator[:FORESEEN]))
 
     def _without(self, unmeasured: list[str]) -> str:
-        """Return which laws of the same kind need none of these readings."""
+        """Return the laws of the same kind that need none of these readings, as a sentence."""
         laws = CONTROLLERS.usable()
         able = [name for name, law in laws.items() if law.FOLLOWS == self.kind.FOLLOWS and not set(law.NEEDS) & set(unmeasured)]
         return f"usable instead: {', '.join(able)}" if able else "no controller can do without"
 
     def _at_bounds(self) -> list[str]:
-        """Return a sentence for each estimate, of law and companions, that stands at its bound or did so shortly before."""
+        """Return a sentence for each estimate, of law and companions, that is or recently was at its bound."""
         recent = self.cycles.answered - NOTICE / self.spec.settings.control_period
         standing = [sentence(bound) for bound, cycle in list(self.at_bound.items()) if recent <= cycle <= self.cycles.answered]
         return [*standing, *self.company.at_bounds()]
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say how answering goes."""
+        """Report the state of the answering loop."""
         figures = {
             "cycle": self.cycles.answered,
             "friction_fallbacks": self.fallbacks,

@@ -1,4 +1,4 @@
-"""Runs one controller as a process, the one that the module's name ``ehls_ros.nodes.<name>_node`` says."""
+"""Process of one controller, selected by the module's name ``ehls_ros.nodes.<name>_node``."""
 
 from typing import NoReturn
 

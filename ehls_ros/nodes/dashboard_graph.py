@@ -1,4 +1,4 @@
-"""The dashboard's access to a graph: the nodes and recordings it starts, on top of what it sees of any graph."""
+"""The dashboard's access to a graph: starts nodes and recordings, besides observing any graph."""
 
 import threading
 import time
@@ -34,10 +34,10 @@ from ehls_ros.nodes.graph import (
 STORAGE = "mcap"
 
 START_TIME = 1.0
-"""Time in which the reference of a graph started here is led in from where the rig is [s]."""
+"""Time over which the reference of a graph started here is led in from the rig's present position [s]."""
 
 STARTING, COMPILING, READY, RUNNING, ENDED = "starting", "compiling", "ready", "running", "ended"
-"""Stages of a node: its process starts, it configures itself, it waits for the others, it runs, it has died."""
+"""Stages of a node: process starting, configuring, waiting for the others, running, dead."""
 
 
 class DashboardGraph(Link):
@@ -68,7 +68,7 @@ class DashboardGraph(Link):
         return bool(self._nodes.running)
 
     def snapshot(self) -> Snapshot:
-        """Return the present state of everything the page shows beside the signals."""
+        """Return the present state of everything the page shows besides the signals."""
         return Snapshot(
             rate=self.rate(),
             period=self.period,
@@ -97,7 +97,7 @@ class DashboardGraph(Link):
         return " ".join([self._failure, *map(_last_words, self._nodes.dead() + self._recorder.dead())]).strip()
 
     def activity(self) -> str:
-        """Return one sentence on what was started here: recording, files."""
+        """Return one sentence on the recording and the files started here."""
         return " ".join(part for part in (self._nodes.says, self._recorder.says) if part)
 
     def health(self) -> tuple[Health, ...]:
@@ -109,7 +109,7 @@ class DashboardGraph(Link):
         )
 
     def start(self, spec: Spec, name: str, timing: Timing) -> Answer:
-        """Start the nodes of a spec, with no last cycle; returns once they run."""
+        """Start the nodes of a spec, with no last cycle; return once they run."""
         with self._changing:
             if self.started_here() or self.rate():
                 return Answer(done=False, message="a graph is already running: stop it first")
@@ -172,7 +172,7 @@ class DashboardGraph(Link):
             return Answer(done=True, message=self._recorder.says)
 
     def _end_nodes(self) -> None:
-        """Stop the nodes, and do not report their silence."""
+        """Stop the nodes without reporting their silence."""
         names = {node.name for node in self._nodes.running}
         self._nodes.end()
         self.forget(names)
@@ -184,10 +184,10 @@ class DashboardGraph(Link):
             self._recorder.says = f"Recorded: {bag}."
 
     def _activate(self) -> str:
-        """Take the started nodes through their lifecycle; return what went wrong."""
+        """Take the started nodes through their lifecycle; return the reason of a failure, or an empty string."""
         running = self._nodes.running
         deadline = time.monotonic() + UP_TIME
-        # Configured in parallel, as most of that is compiling; activated in order, the plant last.
+        # Configured in parallel, as compiling dominates; activated in order, the plant last.
         with ThreadPoolExecutor(len(running)) as pool:
             configured = pool.map(lambda node: self._lead(node, Transition.TRANSITION_CONFIGURE, READY, deadline), running)
             refusals = [refusal for refusal in configured if refusal]
@@ -211,7 +211,7 @@ class DashboardGraph(Link):
         return self._unwanted.is_set() or bool(self._nodes.dead())
 
     def _why(self, refusal: str) -> str:
-        """Return why the start failed: a node that died comes before those that waited for it."""
+        """Return why the start failed: a node that died takes precedence over those that waited for it."""
         if self._unwanted.is_set():
             return "stopped before it was running"
         if twins := self.twins(node.name for node in self._nodes.running):
@@ -253,7 +253,7 @@ class _Started:
         self.running = self._stack.enter_context(processes)
 
     def end(self) -> None:
-        # Nodes end one after the other: those that are told to have not died.
+        # Nodes end one after the other: those being stopped have not died.
         self.running = []
         self._stack.close()
         self.says = ""

@@ -55,7 +55,7 @@ from ehls_ros.recording.topics import (
 from ehls_ros.recording.typestore import typestore
 
 REST = 0.05
-"""Time for which messages gather before they are read in bulk [s]."""
+"""Interval between bulk reads of the messages [s]."""
 
 FOUND = 5.0
 """Longest wait for the discovery of a service [s]."""
@@ -82,22 +82,22 @@ SERVICES = (
     (SetBool, "enable"),
     (Trigger, "monitor_acknowledge"),
 )
-"""What the page's buttons ask of plant and monitor."""
+"""Services of plant and monitor that the page's buttons call."""
 
 INSISTS = 2.0
-"""Time for which a reset or enabling that is refused is asked for again [s]: the ramp to null takes its time."""
+"""Time for which a refused reset or enabling is retried [s]: the ramp to null is not instantaneous."""
 
 REPORTS = 16
 """Queue depth for diagnostics; other publishers' messages may be large."""
 
 STRANGERS = 32
-"""Most nodes shown that are not this project's."""
+"""Maximum number of nodes shown that are not this project's."""
 
 LONGEST_REPORT = 64 * 1024
 """Size of the largest diagnostics message read [B]; one of this project's has about 3 kB."""
 
 TUNABLES = 200
-"""Most parameters of a node."""
+"""Maximum number of parameters read from a node."""
 
 OWN = frozenset(node_names())
 """Names that include all of this project's nodes, which are always shown."""
@@ -116,7 +116,7 @@ TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POS
 
 
 def observer_qos() -> QoSProfile:
-    """Return the quality of service of a reader that loads the loop least: best effort, so it acknowledges nothing."""
+    """Return the QoS profile of a reader that loads the loop least: best effort, so it acknowledges nothing."""
     return QoSProfile(
         depth=DEPTH,
         history=HistoryPolicy.KEEP_LAST,
@@ -186,7 +186,7 @@ class Link:
         self._heard: dict[str, _Heard] = {}
         self._forgotten: dict[str, int] = {}
         self._clients: dict[str, Any] = {}
-        # Known before they are needed: a node drops the answer to a client that it has not discovered yet.
+        # Created in advance: a node drops the answer to a client that it has not discovered yet.
         for kind, service in SERVICES:
             self._client(kind, service)
         self._reports = Inbox(self._node, DiagnosticArray, "/diagnostics", QoSProfile(depth=REPORTS), bytes)
@@ -242,7 +242,7 @@ class Link:
         return sum(count for _, count in arrivals[1:]) / (end - begin)
 
     def health(self) -> tuple[Health, ...]:
-        """Return the nodes' diagnostics, sorted by name; while cycles arrive, a node without any is late rather than gone."""
+        """Return the nodes' diagnostics, sorted by name; a silent node is shown as late while cycles arrive, else as silent."""
         now, level = time.monotonic(), LATE if self.rate() else SILENT
         with self._lock:
             self._heard = {name: heard for name, heard in self._heard.items() if self._passed(heard.at_pass) < FORGOTTEN}
@@ -306,11 +306,11 @@ class Link:
         return self._request(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
 
     def rig_health(self) -> RigHealth | None:
-        """Return what the monitor says of the rig; None without a monitor."""
+        """Return the monitor's report on the rig; None without a monitor."""
         return self._rig.health()
 
     def acknowledge_changes(self) -> Answer:
-        """Take note, for the monitor, that an operator has seen the changes that it found."""
+        """Acknowledge the changes found by the monitor on behalf of an operator."""
         return self._request(Trigger, "monitor_acknowledge", Trigger.Request(), "monitor")
 
     def reset_trips(self) -> Answer:
@@ -322,7 +322,7 @@ class Link:
         return self._request(SetBool, "enable", SetBool.Request(data=True))
 
     def reset_and_enable(self) -> Answer:
-        """Reset the gate's latched trips and let commands through again; what is refused for the moment is asked again."""
+        """Reset the gate's latched trips and let commands through again; retry requests that are refused for the moment."""
         answer = Answer(done=False, message="")
         for request in (self.reset_trips, self.enable):
             deadline = time.monotonic() + INSISTS
@@ -337,7 +337,7 @@ class Link:
         return bool(self._client(ChangeState, f"{node}/change_state").service_is_ready())
 
     def twins(self, nodes: Iterable[str]) -> list[str]:
-        """Return those of the nodes whose name another node of the graph has too."""
+        """Return those of the nodes whose name occurs more than once in the graph."""
         names = [(f"/{self.namespace}", node) for node in nodes]
         present = Counter((space, name) for name, space in self._node.get_node_names_and_namespaces())
         return [name for space, name in names if present[space, name] > 1]
@@ -345,9 +345,9 @@ class Link:
     def change_state(self, node: str, transition: int, patience: float, hopeless: Callable[[], bool]) -> Answer:
         """Request a lifecycle transition, until it is answered, ``patience`` [s] is over or ``hopeless`` holds.
 
-        A request can get lost, for example to a node that has just been stopped but is still listed. So a node that does not
-        answer is asked for its state, which it returns when it is up and between transitions, and the request is repeated if
-        the transition has not happened.
+        A request can get lost, for example to a node that has just been stopped but is still listed. So an unresponsive node is
+        queried for its state, which it returns when it is up and between transitions. If the transition has not happened, the
+        request is repeated.
         """
         request = ChangeState.Request(transition=Transition(id=transition))
         deadline = time.monotonic() + patience
@@ -479,7 +479,7 @@ class Link:
             return
         if topic is VALVE_COMMAND:
             response_ns = sent_ns - self._sent_at[cycle % KEPT]
-            # A node in one process with the plant has answered before either is sent, and its command is sent first.
+            # A node in the plant's process has answered before either message is sent, and its command is sent first.
             values[RESPONSE] = 1e-3 * self._since_snapshot(cycle, np.where(response_ns >= 0, response_ns, np.nan))
         if topic is CONTROLLER_STATUS:
             values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % KEPT] - values["force_error_n"])

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 KEPT = 8192
-"""Control cycles whose place in the programme is kept until their snapshot arrives; a programme is published 200 ahead."""
+"""Control cycles whose position in the programme is kept until their snapshot arrives; a programme is published 200 ahead."""
 
 
 class Peaks:
-    """Peak and valley of the load cycle that was finished last; NaN without a programme."""
+    """Peak and valley of the last completed load cycle; NaN without a programme."""
 
     def __init__(self) -> None:
-        """Know nothing of a programme."""
+        """Start without a programme."""
         self._cycle = np.full(KEPT, -1, dtype=np.int64)
         self._load_cycle = np.zeros(KEPT, dtype=np.int64)
         self._open: int | None = None
@@ -23,7 +23,7 @@ class Peaks:
         self._peak = self._valley = math.nan
 
     def note(self, cycle: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> None:
-        """Take where the programme is in some control cycles.
+        """Store the position in the programme at some control cycles.
 
         Args:
             cycle: their numbers, shape (n,).
@@ -34,7 +34,7 @@ class Peaks:
         self._load_cycle[cycle % KEPT] = columns["load_cycles"].astype(np.int64)
 
     def of(self, cycle: NDArray[np.int64], force: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return peak and valley of the last finished load cycle in each of some control cycles on end [N].
+        """Return peak and valley of the last completed load cycle at consecutive control cycles [N].
 
         Args:
             cycle: their numbers, shape (n,).

@@ -1,4 +1,4 @@
-"""What a monitor says of the rig, as the dashboard shows it."""
+"""The monitor's report on the rig, as the dashboard shows it."""
 
 import contextlib
 import threading
@@ -15,10 +15,10 @@ from ehls_ros.nodes.transport import Inbox, control_qos
 from ehls_ros.recording.topics import MODEL_HEALTH
 
 KEPT = 360
-"""Values of a coefficient that a trend has at most."""
+"""Maximum number of values in a coefficient's trend."""
 
 CHANGES, COEFFICIENTS = 20, 40
-"""Most changes and coefficients shown."""
+"""Maximum numbers of changes and coefficients shown."""
 
 LONGEST = 64 * 1024
 """Size of the largest message read [B]; one with fifteen coefficients and a change has about 3 kB."""
@@ -29,14 +29,14 @@ STATES = {
     ModelHealth.EXAMINING: "examining",
     ModelHealth.IDLE: "idle",
 }
-"""What a monitor is doing, in a word."""
+"""Monitor states by name."""
 
 
 class RigWatch:
-    """Listens to a monitor, and keeps the coefficients' last values."""
+    """Subscriber to a monitor that keeps the coefficients' recent values."""
 
     def __init__(self, node: Any) -> None:
-        """Begin to listen.
+        """Subscribe to the monitor.
 
         Args:
             node: the dashboard's node.
@@ -47,7 +47,7 @@ class RigWatch:
         self._past: dict[str, deque[tuple[float, float]]] = {}
 
     def take(self) -> None:
-        """Read what has come."""
+        """Read the messages that have arrived."""
         while (taken := self._inbox.take_raw()) is not None:
             if len(taken[0]) > LONGEST:
                 continue
@@ -56,7 +56,7 @@ class RigWatch:
                 self._note(deserialize_message(taken[0], ModelHealth))
 
     def health(self) -> RigHealth | None:
-        """Return what the monitor said last; None where there is none, or none any more."""
+        """Return the monitor's last report; None if there is no monitor, or none any more."""
         with self._lock:
             said = self._newest
             past = {name: tuple(points) for name, points in self._past.items()}

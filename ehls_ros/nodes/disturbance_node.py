@@ -1,4 +1,4 @@
-"""`disturbance_node`: what the actuator under test does, if it is a force, or what it is to do, if it is a position servo."""
+"""`disturbance_node`: publishes the force of the actuator under test, or its reference if it is a position servo."""
 
 from typing import NoReturn
 
@@ -12,7 +12,7 @@ from ehls_ros.recording.topics import DISTURBANCE, SERVO_REFERENCE
 
 
 class DisturbanceNode(AheadNode):
-    """Publishes the spec's disturbance, or the reference of a servo, which the plant simulates and publishes the motion of."""
+    """Publishes the spec's disturbance, or the reference of a servo whose motion the plant simulates and publishes."""
 
     def __init__(self) -> None:
         """Choose the topic."""

@@ -1,4 +1,4 @@
-"""Unforeseen exceptions of nodes: one line in the log and on stderr, a file with the traceback, the end of the process."""
+"""Unforeseen exceptions of nodes: one line in the log and on stderr, a traceback file, the end of the process."""
 
 import os
 import sys
@@ -34,7 +34,7 @@ class Failures:
     """
 
     def __init__(self, stopping: Stopping) -> None:
-        """Begin with none."""
+        """Start with no exceptions."""
         self.stopping = stopping
         self.noted = 0
 
@@ -43,7 +43,7 @@ class Failures:
 
         Args:
             error: the exception.
-            node: whose code raised it; None before there is one.
+            node: node whose code raised it; None before there is one.
             activity: during which it was raised, such as ``configure``.
         """
         self.noted += 1
@@ -55,7 +55,7 @@ class Failures:
         self.stopping.set()
 
     def fail_at_end(self) -> None:
-        """Let the process end with exit code 1 whenever it ends: part of its work failed, and the log says which."""
+        """Make the process end with exit code 1 whenever it ends: part of its work failed, as the log reports."""
         self.noted += 1
 
 
@@ -69,7 +69,7 @@ def described(error: BaseException) -> str:
 
 
 def _kept(error: BaseException, node: Logging | None) -> str:
-    """Write the traceback to a file of the log folder, and return the words that lead to it."""
+    """Write the traceback to a file of the log folder, and return the phrase that points to it."""
     content = "".join(traceback.format_exception(error))
     try:
         folder = Path(rclpy.logging.get_logging_directory())

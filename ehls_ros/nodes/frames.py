@@ -1,8 +1,8 @@
 """The frames of a rig, and their description as URDF for RViz, Foxglove and robot_state_publisher.
 
-The rig is drawn upright, as plain boxes and cylinders: the loading cylinder stands below one end of a beam, which turns about
-a hinge in its middle. Stroke, arm and bore are the rig file's; what it does not say, such as the height of the hinge, is chosen
-so that the parts meet.
+The rig is drawn upright, as plain boxes and cylinders: the loading cylinder is below one end of a beam that pivots about a
+hinge at its centre. Stroke, arm and bore are the rig file's; other dimensions, such as the height of the hinge, are chosen so
+that the parts meet.
 """
 
 import math
@@ -24,7 +24,7 @@ UPRIGHT = (0.0, -math.pi / 2.0, 0.0)
 
 
 def frame_prefix(namespace: str) -> str:
-    """Return what precedes a rig's frames, since all rigs share /tf: nothing in the default namespace.
+    """Return the prefix of a rig's frames, since all rigs share /tf; empty in the default namespace.
 
     Args:
         namespace: of the rig's nodes, such as ``/rig2``.
@@ -40,7 +40,7 @@ def loader_frame(namespace: str) -> str:
 def robot_description(rig: Rig) -> str:
     """Return the URDF of a rig: barrel, piston and beam on the ground.
 
-    The beam follows the piston by position over arm, the angle of a small motion. There are no masses: this is to be looked at.
+    The beam follows the piston by position over arm, the small-angle approximation. The model has no masses: it is for display.
 
     Args:
         rig: the rig; its arm, piston area and limits are used.
@@ -77,7 +77,7 @@ def _visual(robot: ET.Element, link: str, colour: Triple) -> ET.Element:
 
 
 def _cylinder(robot: ET.Element, link: str, radius: float, length: float, middle: float, colour: Triple) -> None:
-    """Add a link drawn as a cylinder along x, its middle at a place on x."""
+    """Add a link drawn as a cylinder along x, centred at a position on x."""
     visual = _visual(robot, link, colour)
     # The axis of URDF's cylinder is z.
     ET.SubElement(visual, "origin", xyz=_numbers(middle, 0.0, 0.0), rpy=_numbers(0.0, math.pi / 2.0, 0.0))

@@ -1,4 +1,4 @@
-"""`friction_estimator_node`: answers each loader_state with the friction of the rig's model."""
+"""`friction_estimator_node`: answers each loader_state with the friction estimate of the rig's model."""
 
 import math
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from ehls_ros.schema import text
 
 
 class Parameters(NamedTuple):
-    """Which observer is run."""
+    """Choice of the friction observer."""
 
     model: Annotated[str, text("friction observer: rig_model, stribeck, ...; empty: the spec's compensation")] = ""
 
@@ -66,7 +66,7 @@ class FrictionEstimatorNode(ControlNode):
         return self.waiter
 
     def react(self) -> bool:
-        """Answer every snapshot that is there."""
+        """Answer every waiting snapshot."""
         before = self.last
         while (message := self.states.take()) is not None:
             stamp, cycle = message[:2]
@@ -95,7 +95,7 @@ class FrictionEstimatorNode(ControlNode):
         self.estimates.send(stamp, self.last, estimate[0], estimate[1], n, *estimate[2 : 2 + n], n, *slipping)
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say which observer runs and whether it missed a snapshot."""
+        """Report the running observer and any missed snapshot."""
         figures = {
             "model": self.model,
             "cycle": self.last,

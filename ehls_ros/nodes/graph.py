@@ -1,6 +1,6 @@
 """One experiment on the node graph: start the nodes, take them through their lifecycle, record, shut down.
 
-Does without ``launch`` what ``launch/ehls.launch.py`` does, and ends after the last cycle.
+Replaces ``launch/ehls.launch.py`` without the use of ``launch``, and ends after the last cycle.
 """
 
 import gc
@@ -50,7 +50,7 @@ RECORDER = "recorder_node"
 REFERENCE = "reference_node"
 
 PROGRAMME = "programme_node"
-"""Takes the place of the reference node where the reference is a programme."""
+"""Node that replaces the reference node if the reference is a programme."""
 
 DISTURBANCE = "disturbance_node"
 
@@ -65,19 +65,19 @@ GOALS = {
     Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
     Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
 }
-"""A node's state after a transition."""
+"""State of a node after each transition."""
 
 SHUTDOWN_TIME = 60.0
-"""Time a node is given to exit after SIGINT before it is killed [s]."""
+"""Time that a node has to exit after SIGINT before it is killed [s]."""
 
 ENABLE_TIME = 60.0
 """Longest wait for the gate of a rig to open [s]."""
 
 ASK_AGAIN = 0.1
-"""Time after which a gate that stays closed is asked again [s]: each question takes time that the cycles need."""
+"""Retry interval while the gate stays closed [s]: each request takes time that the cycles need."""
 
 BACKGROUND = (RECORDER, REFERENCE, PROGRAMME, DISTURBANCE)
-"""Nodes whose output no cycle waits for; they run at lower priority."""
+"""Nodes whose output no cycle awaits; they run at lower priority."""
 
 REALTIME_PRIORITY = 10
 """SCHED_FIFO priority of the nodes in realtime, where the user may set it."""
@@ -86,14 +86,14 @@ NICE = 10
 """Nice value of the background nodes."""
 
 LONGEST_LINE = 4096
-"""Most bytes of a log read for its last line."""
+"""Maximum number of bytes read from a log to find its last line."""
 
 DOMAINS = range(1, 102)
 """Domains whose ports lie below Linux's ephemeral range."""
 
 
 class Running(NamedTuple):
-    """One node's process; nodes that share one have the same."""
+    """One node's process; nodes that share a process have the same one."""
 
     name: str
     process: subprocess.Popen[bytes]
@@ -121,7 +121,7 @@ SIMULATED = Plant()
 
 
 def nodes_of(spec: Spec, plant: Plant) -> list[str]:
-    """Return the executables an experiment needs, in order of activation; the plant comes last."""
+    """Return the executables that an experiment needs, in order of activation; the plant comes last."""
     friction = ["friction_estimator_node"] if CONTROLLERS.load(spec.controller.name).FRICTION else []
     disturbance = [DISTURBANCE] if plant.kind == "sim" else []
     return [RECORDER, reference_node(spec), *disturbance, *friction, f"{spec.controller.name}_node", plant.node]
@@ -157,7 +157,7 @@ def run_graph(
     *,
     compose: bool = False,
 ) -> float:
-    """Run an experiment over DDS, with each node in a process of its own, or those of the cycle in one.
+    """Run an experiment over DDS, with one process per node, or with the nodes of the cycle in one process.
 
     Args:
         spec: the experiment, already written to the run folder.
@@ -203,7 +203,7 @@ def graph_environment() -> dict[str, str]:
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("fastdds.xml")))
-    # No loop has matrices large enough for a second BLAS thread, which would reserve 70 MiB of buffers.
+    # No loop has matrices large enough to need a second BLAS thread, which would reserve 70 MiB of buffers.
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")
     environment.setdefault("PYTHONUNBUFFERED", "1")
     environment.setdefault("PYTHONFAULTHANDLER", "1")
@@ -213,7 +213,7 @@ def graph_environment() -> dict[str, str]:
 
 
 def free_domain() -> int:
-    """Return a domain no participant on this host uses; the search starts at a different one in each process."""
+    """Return a domain that no participant on this host uses; each process starts its search at a different one."""
     for offset in range(len(DOMAINS)):
         domain = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -249,7 +249,7 @@ def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, st
 
 @contextmanager
 def _interrupts_noted() -> Iterator[Stopping]:
-    """Note SIGINT and SIGTERM, for the conductor to act on between two steps.
+    """Record SIGINT and SIGTERM; the conductor checks for them between two steps.
 
     An exception raised by the handler could land in a destructor or callback, which would swallow it.
     """
@@ -274,12 +274,12 @@ def node_processes(
     environment: Mapping[str, str],
     namespace: str = NAMESPACE,
 ) -> Iterator[list[Running]]:
-    """Start the nodes; on exit, stop them with SIGINT and kill those that stay. If this process is killed, they end too.
+    """Start the nodes; on exit, stop them with SIGINT and kill those that remain. If this process is killed, they end too.
 
     Args:
-        processes: names of nodes; with :data:`~ehls_ros.nodes.together.PLUS` between them, those that are one process.
+        processes: names of nodes; nodes of one process are joined by :data:`~ehls_ros.nodes.together.PLUS`.
         parameters: of each node.
-        logs: folder for what the processes say, and for their parameters.
+        logs: folder for the output of the processes, and for their parameters.
         environment: of the processes.
         namespace: of the nodes.
     """
@@ -293,13 +293,13 @@ def node_processes(
             own = {f"/**/{node}": {"ros__parameters": dict(parameters[node])} for node in names}
             file.write_text(yaml.safe_dump(own), encoding="utf-8")
             arguments = ["--ros-args", "-r", f"__ns:=/{namespace}", "--params-file", str(file)]
-            # In lockstep, each rig has a time of its own.
+            # In lockstep, each rig has a separate time.
             arguments += ["-r", f"{CLOCK_TOPIC}:=/{namespace}{CLOCK_TOPIC}"] if namespace != NAMESPACE else []
             module = [f"ehls_ros.nodes.{name}", *(names if name == COMPOSED else [])]
             command = [sys.executable, "-m", *module, *arguments]
             log = logs / f"{name}.log"
             with log.open("wb") as output:
-                # In a session of its own, so that Ctrl-C reaches only this process, which stops the nodes in order.
+                # In a separate session, so that Ctrl-C reaches only this process, which stops the nodes in order.
                 process = subprocess.Popen(
                     command, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
                 )
@@ -321,9 +321,9 @@ def node_processes(
 def share_processors(running: list[Running], timing: str) -> None:
     """Give plant, estimator and controller priority over the background nodes.
 
-    These three work in turn, never at once. In lockstep they share one processor: between processors, each hand-over
-    has to wake an idle one, which takes longer than the work itself. In realtime they may use all processors, since
-    latency matters more than throughput.
+    These three work in turn, never at once. In lockstep they share one processor: a hand-over between processors has to wake
+    an idle one, which takes longer than the work itself. In realtime they may use all processors, since latency matters more
+    than throughput.
     """
     processors = sorted(os.sched_getaffinity(0))
     for node in running:
@@ -425,7 +425,7 @@ class Conductor:
                 self._spin()
                 if time.monotonic() > deadline:
                     raise WorkFailed(f"{node.name} did not answer in {UP_TIME:.0f} s: see {node.log}")
-                # The middleware may lose the answer; the node's state, told between transitions, stands for it.
+                # The middleware may lose the answer; the node's state, queried between transitions, replaces it.
                 if state() == GOALS[transition]:
                     return
             if not future.result().success:
@@ -434,7 +434,7 @@ class Conductor:
         return wait
 
     def _state_of(self, name: str) -> Callable[[], int | None]:
-        """Return a function that asks a node for its state now and then, and returns what it answered to the last question."""
+        """Return a function that polls a node's state at intervals and returns the answer to its last request."""
         answer: Any = None
         asked = time.monotonic()
 
@@ -448,11 +448,11 @@ class Conductor:
         return state
 
     def _enable(self) -> None:
-        """Open the rig's gate, as soon as it allows that."""
+        """Open the rig's gate as soon as it permits."""
         client = self._node.create_client(SetBool, "enable")
         deadline = time.monotonic() + ENABLE_TIME
         refusal, ask = "the service did not come up", 0.0
-        # A plant that has run all its cycles opens no more.
+        # A plant that has run all its cycles no longer opens the gate.
         while time.monotonic() < deadline and not self._ended:
             self._spin()
             if not client.service_is_ready() or time.monotonic() < ask:

@@ -22,13 +22,13 @@ from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import quantity, text
 
 LOCKSTEP_PATIENCE = 0.1
-"""In lockstep, wait for a sample or an answer after which the gate's time advances anyway; a busy machine needs less [s]."""
+"""Wait for a sample or an answer in lockstep after which the gate's time advances anyway; a busy machine needs less [s]."""
 
 SILENCE = 2.0
 """Periods without a sample after which the gate is stepped anyway."""
 
 OTHER_RATE = 0.25
-"""Deviation of the samples' rate from the control period's, as a fraction, at which they are not meant for each other."""
+"""Relative deviation of the sample rate from the control rate at which the two do not match."""
 
 
 class Parameters(NamedTuple):
@@ -164,8 +164,8 @@ class HardwareBridgeNode(PlantNode):
         return self._other_rate() or (f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else None)
 
     def _other_rate(self) -> str:
-        """Return what is wrong with the device's rate, for which the law is not made; empty if nothing is."""
-        # By the device's own clock: one that a busy computer emulates has fewer samples a second, but of the right period.
+        """Return the mismatch of the device's rate, for which the law is not designed; empty if the rates agree."""
+        # By the device's clock: a device emulated on a busy computer has fewer samples a second, but of the right period.
         rate = self.samples.rate
         if rate == 0.0 or abs(rate * self.period - 1.0) <= OTHER_RATE:
             return ""
@@ -173,7 +173,7 @@ class HardwareBridgeNode(PlantNode):
         return f"the device samples {rate:.0f} times a second, {wanted}: set one of them to the other's"
 
     def _straying_clock(self) -> str:
-        """Return how the device's clock and the arrival of its samples differ in rate; empty if they do not."""
+        """Return the rate difference between the device's clock and the arrival of its samples; empty if they agree."""
         drift = self.samples.drift
         if self.lockstep or not self.samples.strays:
             return ""
@@ -182,7 +182,7 @@ class HardwareBridgeNode(PlantNode):
         return f"the device's clock gains {-1e3 * drift:.2g} ms each second: a delay that grows would not show"
 
     def _time(self) -> float:
-        """Return the gate's time [s]: the wall clock's, or in lockstep, where the device waits, that of the cycles."""
+        """Return the gate's time [s]: wall-clock time, or cycle time in lockstep, where the device waits."""
         if not self.lockstep:
             return free_running_time()
         self.lockstep_time += self.elapsed * self.period
@@ -199,15 +199,15 @@ class HardwareBridgeNode(PlantNode):
         self.saturated = self.calibration.saturated(reading.values)
         signals = self.calibration.signals(reading.values)
         if self.saturated:
-            # A saturated converter measures nothing.
+            # A saturated converter gives no valid reading.
             signals = tuple(math.nan if name in self.saturated else value for name, value in zip(SENSED, signals, strict=True))
         self.samples.take(reading.sequence, reading.time_ns, free_running_time(), reading.session)
-        # In lockstep the device waits as long as this computer takes.
+        # In lockstep the device waits for this computer.
         lag = 0.0 if self.lockstep else self.samples.lag
         self.publish(self.cycle, signals, elapsed=self.samples.elapsed, lag=lag, at_null=reading.at_null)
 
     def _bear_silence(self) -> None:
-        """Step the gate, which sees the snapshots age, and keep sending its command to the device."""
+        """Step the gate, which detects stale snapshots, and keep sending its command to the device."""
         self.elapsed = 1
         self.take_commands(self.cycle)
         self._write(self.gate.step(self._time()))

@@ -20,7 +20,7 @@ class Latency:
         self.count += 1
 
     def figures(self) -> dict[str, float]:
-        """Return median, 99th and 99.9th percentile and maximum [us], or nothing before the first answer."""
+        """Return median, 99th and 99.9th percentile and maximum [us]; empty before the first answer."""
         kept = self._seconds[: min(self.count, self.KEPT)]
         if not kept.size:
             return {}

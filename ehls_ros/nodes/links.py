@@ -1,7 +1,7 @@
-"""What connects the nodes of one process: messages handed over as they are, and published once nobody waits any more.
+"""Links between the nodes of one process: messages are handed over unencoded, and published once no node waits any more.
 
-:class:`Links` is the post office; :mod:`ehls_ros.nodes.transport` uses it where a node has one, so that a node's loop does not
-know whether its partners are in its process. :mod:`ehls_ros.nodes.composed` runs the loops.
+:class:`Links` delivers the messages; :mod:`ehls_ros.nodes.transport` uses it where a node has one, so that a node's loop does
+not depend on where its partners run. :mod:`ehls_ros.nodes.composed` runs the loops.
 """
 
 import math
@@ -17,20 +17,20 @@ Message = tuple[Any, ...]
 
 
 PATIENCE = 1.0
-"""Longest wait for readers to have received what was published [s]: one that hangs must not hold up the others for good."""
+"""Longest wait for readers to receive the published messages [s]: a hung reader must not block the others for good."""
 
 LULL = 4e-4
-"""Shortest rest of the loops in which the service thread can do a piece of its work [s], or if that is shorter:"""
+"""Shortest rest of the loops in which the service thread can complete a step [s]; LULL_SHARE applies if that is shorter."""
 
 LULL_SHARE = 0.4
-"""The same as a fraction of the control period: the loops of a fast one never rest for longer."""
+"""Shortest rest as a fraction of the control period: the loops of a fast one never rest for longer."""
 
 RESTLESS = 2e-3
-"""Longest wait for a rest [s]: without one, the service thread must go on too; an emergency stop may be next."""
+"""Longest wait for a rest [s]: without one, the service thread must proceed too; an emergency stop may be next."""
 
 Encode = Callable[..., bytes]
 Publish = Callable[[bytes], None]
-"""How a message is encoded, and published to other processes."""
+"""Functions that encode a message and publish it to other processes."""
 
 
 class Topic:
@@ -39,7 +39,7 @@ class Topic:
     Attributes:
         queues: of the readers.
         senders: number of open senders in this process.
-        named: those senders, as messages name them: what they send would come back over DDS, and is left out.
+        named: names of those senders in messages; their messages would return over DDS and are left out.
     """
 
     def __init__(self) -> None:
@@ -50,13 +50,13 @@ class Topic:
         self._kept: deque[Message] = deque(maxlen=DEPTH)
 
     def hand_over(self, message: Message) -> None:
-        """Give a message to all readers, and keep it for those that come later."""
+        """Give a message to all readers, and keep it for late joiners."""
         self._kept.append(message)
         for queue in self.queues:
             queue.append(message)
 
     def open(self, depth: int) -> deque[Message]:
-        """Return the queue of a new reader, with what was sent before it came, as transient-local readers get it."""
+        """Return the queue of a new reader, filled with earlier messages, as transient-local readers receive them."""
         queue = deque(self._kept, maxlen=depth)
         self.queues = [*self.queues, queue]
         return queue
@@ -66,34 +66,34 @@ class Topic:
         self.queues = [other for other in self.queues if other is not queue]
 
     def leave(self) -> None:
-        """Note that a sender is closed; what it kept goes with it."""
+        """Note that a sender is closed; after the last one, drop the messages kept."""
         self.senders -= 1
         if not self.senders:
             self._kept.clear()
 
 
 class Reader(Protocol):
-    """Reads a topic, over DDS too once it has to."""
+    """Reader of a topic that reads over DDS too if necessary."""
 
     def look_outside(self) -> bool:
         """Read over DDS too if there is a publisher outside this process; return whether it does."""
 
 
 class Sender(Protocol):
-    """Publishes a topic."""
+    """Publisher of a topic."""
 
     def wait_until_heard(self, seconds: float) -> None:
-        """Wait until all readers have received what was published, at most for a time [s]."""
+        """Wait until all readers have received the published messages, at most for a time [s]."""
 
 
 class Links:
     """Connects the topics of the nodes of one process.
 
     Attributes:
-        kept: messages that a publisher keeps for readers that have not received them yet, and for those that come later.
+        kept: messages that a publisher keeps for readers that have not received them yet, and for late joiners.
         open: whether a snapshot has been sent that has no answer yet.
-        apart: whether a node of another process takes part: it sends what is read here.
-        wait: what a loop does in place of waiting: ``wait(waiter, seconds)`` lets the other nodes do their part first.
+        apart: whether a node of another process takes part: it sends messages read here.
+        wait: called in place of waiting: ``wait(waiter, seconds)`` runs the other nodes first.
     """
 
     def __init__(
@@ -104,8 +104,8 @@ class Links:
         Args:
             wait: see above.
             kept: see above.
-            patient: whether to wait for the readers before a message is dropped that one has not received; where cycles
-                follow the wall clock, they cannot.
+            patient: whether to wait for the readers before dropping a message that one has not received; not possible where
+                cycles follow the wall clock.
             period: control period [s].
         """
         self._lull = min(LULL, LULL_SHARE * period)
@@ -131,26 +131,26 @@ class Links:
         return self._topics.setdefault(name, Topic())
 
     def watch(self, reader: Reader) -> None:
-        """Let a reader look for publishers outside this process, now and until there is one."""
+        """Register a reader to look for publishers outside this process, now and until there is one."""
         with self._looking:
             self._readers.append(reader)
             self.apart = reader.look_outside() or self.apart
 
     def forget(self, reader: Reader) -> None:
-        """Let a reader look no more."""
+        """Unregister a reader."""
         with self._looking:
             self._readers = [other for other in self._readers if other is not reader]
 
     def look_outside(self) -> None:
-        """Let all readers look; to be called by the thread that serves the nodes, now and then."""
+        """Let all readers look for outside publishers; called at intervals by the thread that serves the nodes."""
         with self._looking:
             outside = [reader.look_outside() for reader in self._readers]
         self.apart = any(outside)
 
     def await_rest(self) -> None:
-        """Wait until the loops begin to rest; for the service thread, which would delay an answer while it has the interpreter.
+        """Wait until the loops begin to rest; for the service thread, which delays an answer while it holds the interpreter.
 
-        In lockstep they never rest, and nobody asks when an answer comes.
+        In lockstep the loops never rest, and response times do not matter.
         """
         if not self._patient:
             self._rest.clear()
@@ -158,7 +158,7 @@ class Links:
             self._rest.wait(RESTLESS)
 
     def begin_rest(self, seconds: float) -> None:
-        """Tell the service thread that the loops rest now, at most for a time [s]."""
+        """Signal to the service thread that the loops rest now, at most for a time [s]."""
         if self._wanted and seconds > self._lull:
             self._wanted = False
             self._rest.set()
@@ -168,10 +168,10 @@ class Links:
 
         Args:
             publish: publishes bytes.
-            encode: makes them of the message.
+            encode: converts the message to bytes.
             message: the message, without a sender.
-            answers: whether it answers a snapshot: such are published first, so that nobody takes the time between the two
-                for the time of the answer. That has been given before.
+            answers: whether it answers a snapshot. Answers are published first, so that the time between the two is not
+                mistaken for the response time: the answer has been handed over before.
         """
         (self._answers if answers else self._later).append((publish, encode, message))
 
@@ -181,12 +181,12 @@ class Links:
         return len(self._answers) + len(self._later)
 
     def publish(self) -> None:
-        """Publish what has gathered, in the order of sending, answers first; for the thread of the loops only."""
+        """Publish the gathered messages, in the order of sending, answers first; for the thread of the loops only."""
         gathered, self._answers, self._later = [*self._answers, *self._later], [], []
         for publish, encode, message in gathered:
             publish(encode(*message))
         self._unheard += len(gathered)
-        # A cycle has four topics at least, and a bunch of rows ahead is short beside what is kept.
+        # A cycle has at least four topics, and a burst of rows ahead is short compared with the history kept.
         if self._patient and self._unheard >= 3 * self.kept:
             self._unheard = 0
             with self._waiting:

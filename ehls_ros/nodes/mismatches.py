@@ -1,6 +1,6 @@
-"""Publishers and readers whose qualities of service do not fit each other, named with the remedy.
+"""Detection of publishers and readers with incompatible QoS policies, reported with the remedy.
 
-The middleware does not match them, so that no message passes, and tells only which policy was the last not to fit.
+The middleware does not match them, so no message passes, and reports only the last incompatible policy.
 """
 
 from collections.abc import Iterator
@@ -14,17 +14,17 @@ UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 
 class Mismatches:
-    """Watches the topics of a node."""
+    """QoS check of the topics of a node."""
 
     def __init__(self, node: Node) -> None:
-        """Start with nothing seen."""
+        """Start with no endpoints seen."""
         self._node = node
         self._counts: dict[str, tuple[int, int]] = {}
         self.found: tuple[str, ...] = ()
         """One sentence for each endpoint that cannot be matched."""
 
     def look(self) -> None:
-        """Look at the graph; it is searched only when publishers or readers have come or gone."""
+        """Check the graph; it is searched only when publishers or readers have come or gone."""
         node, name, namespace = self._node, self._node.get_name(), self._node.get_namespace()
         own = [
             *node.get_publisher_names_and_types_by_node(name, namespace),
@@ -59,7 +59,7 @@ class Mismatches:
 
 
 def _sentence(topic: str, publisher: TopicEndpointInfo, reader: TopicEndpointInfo) -> str:
-    """Return what does not fit between a publisher and a reader, and what to do about it."""
+    """Return the incompatibility of a publisher and a reader, and its remedy."""
     offered, wanted = publisher.qos_profile, reader.qos_profile
     unmet = [
         (policy, one.name.lower(), other.name.lower())

@@ -1,4 +1,4 @@
-"""`monitor_node`: watches the rig while it runs, and tells what of its model has changed since it was well."""
+"""`monitor_node`: watches the rig while it runs and reports changes of its model since the healthy baseline."""
 
 import gc
 import math
@@ -75,43 +75,43 @@ from ehls_ros.schema import quantity, text
 from ehls_ros.trajectory import Trajectory
 
 REST = 0.1
-"""Time for which messages gather before they are read in bulk [s]; the middleware holds them meanwhile."""
+"""Interval between bulk reads of the messages [s]; the middleware holds them meanwhile."""
 
 HELD_UP = 20.0
-"""Longest time for which messages gather while the monitor computes something else [s]."""
+"""Longest interval between bulk reads while the monitor computes something else [s]."""
 
 MOST_GATHERED = 100_000
-"""Most messages of a topic that gather: 20 s at 5 kHz."""
+"""Maximum number of messages of a topic that gather: 20 s at 5 kHz."""
 
 TELL = 2.5
-"""Shortest time between two messages, if nothing happens [s]."""
+"""Shortest time between two messages if no event occurs [s]."""
 
 TIDY = 60.0
-"""Time between two times that memory is given back [s]; no cycle waits for this loop."""
+"""Time between two releases of free memory [s]; no cycle waits for this loop."""
 
 QUIET = 2.0
-"""Time without snapshots after which nothing is judged [s]."""
+"""Time without snapshots after which judging stops [s]."""
 
 AFTER_TRIP = 0.5
-"""Time after the word of a trip at which the samples before it are here [s]."""
+"""Time after the report of a trip by which the samples before it have arrived [s]."""
 
 GATE = f"{OF_GATE}\0".encode()
-"""The key of the safety gate's diagnostics as it stands in a message."""
+"""Key of the safety gate's diagnostics as encoded in a message."""
 
 ACCEPTED = "rig_accepted.yaml"
 """File of the rig with the changes that an operator has accepted, in the monitor's folder."""
 
 BENEFIT = 30.0
-"""Time over which the force error is measured before and after controllers are told of an accepted rig [s]."""
+"""Time over which the force error is measured before and after controllers receive an accepted rig [s]."""
 
 SETTLING = 2.0
-"""Time between both [s]."""
+"""Time between the two measurements [s]."""
 
 MOST_FLIGHTS = 2
-"""Trips that wait to be written; a gate that trips again and again tells nothing more."""
+"""Maximum number of trips waiting to be written; repeated trips add no information."""
 
 MOST_CHANGES = 50
-"""Changes told, the newest; the memory has all."""
+"""Maximum number of changes published, the newest ones; the memory has all."""
 
 HOUR = 3600.0
 
@@ -119,7 +119,7 @@ UNKNOWN = Estimate(math.nan, math.nan, "")
 
 
 class Parameters(NamedTuple):
-    """What the monitor compares with, and where it keeps what it knows."""
+    """Baseline recordings, memory folder and flight recorder of the monitor."""
 
     baseline: Annotated[
         str, text("recordings from when the rig was well, separated by commas; empty: the rig file and the first minutes")
@@ -133,7 +133,7 @@ class Parameters(NamedTuple):
 
 
 class MonitorNode(ControlNode):
-    """Follows the graph as the recorder does; no cycle waits for it, and it holds up no sender."""
+    """Follows the graph like the recorder; no cycle waits for it, and it blocks no sender."""
 
     answers = False
     background = True
@@ -156,7 +156,7 @@ class MonitorNode(ControlNode):
     # --- lifecycle ----------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Read the baselines and what was known before, and open the topics.
+        """Read the baselines and the stored memory, and open the topics.
 
         Raises:
             BadInput: a baseline cannot be read, or the folder cannot be made or is another monitor's.
@@ -198,9 +198,9 @@ class MonitorNode(ControlNode):
         self.errors: Inbox | None = None
 
     def _cycle_inbox(self, message: Any, topic: Topic) -> Inbox:
-        """Return an inbox that holds up no sender: in realtime none waits for its word, and what it misses is a gap.
+        """Return an inbox that blocks no sender: in realtime no sender waits for acknowledgement, and lost messages are gaps.
 
-        In lockstep it misses only what a publisher no longer keeps by the time that a busy machine lets it read.
+        In lockstep it loses only messages that a publisher no longer keeps by the time a busy machine lets it read.
         """
         if self.lockstep:
             return Inbox(self, message, topic.name, control_qos(RECORDER_DEPTH))
@@ -209,7 +209,7 @@ class MonitorNode(ControlNode):
 
     def release(self) -> None:
         """Close memory and topics, and end a diagnosis under way."""
-        # The folder first: topics that `prepare` did not come to open do not exist.
+        # The folder first: topics that `prepare` did not get to open do not exist.
         self.memory.close()
         self.lock.release()
         for inbox in (self.states, self.commands, self.disturbances, self.drivers, self.driving, self.diagnostics):
@@ -220,7 +220,7 @@ class MonitorNode(ControlNode):
         self.monitor.close()
 
     def _begin_monitor(self) -> None:
-        """Make a monitor that goes on with the folder's memory; files that cannot be used are put aside."""
+        """Create a monitor that continues from the folder's memory; unusable files are set aside."""
         self.monitor = self._new_monitor()
         kept = self._recall()
         try:
@@ -237,7 +237,7 @@ class MonitorNode(ControlNode):
         return Monitor(self.spec.controller_rig, self.watching, InItsOwnProcess(), self.baselines)
 
     def _recall(self) -> Kept | None:
-        """Let the monitor go on from the folder's memory; one that cannot be used is put aside."""
+        """Continue from the folder's memory; set it aside if it cannot be used."""
         try:
             kept = self.memory.restore()
             if kept is not None:
@@ -252,8 +252,8 @@ class MonitorNode(ControlNode):
         return kept
 
     def start(self) -> None:
-        """Begin to follow."""
-        # The loops with deadlines do without; this one has time, and lists of findings refer to each other.
+        """Start following the graph."""
+        # The loops with deadlines run without garbage collection; this one has time, and lists of findings refer to each other.
         gc.enable()
         tidy()
         self.heard = self.tidied = time.monotonic()
@@ -261,20 +261,20 @@ class MonitorNode(ControlNode):
         self.published = -math.inf
 
     def stop(self) -> None:
-        """Keep what is known."""
+        """Save the memory."""
         self._keep(happened=True)
 
     # --- the loop -------------------------------------------------------------------------------------
 
     def once(self) -> None:
-        """Read what has gathered, and judge what is complete."""
+        """Read the gathered messages and judge the complete blocks."""
         time.sleep(REST)
         events = self._asked()
         try:
             events += self._follow()
             events += self._measure_benefit()
         except RuntimeError as error:
-            # A diagnosis that died; the memory is of before it began.
+            # The diagnosis process died; the memory dates from before it began.
             self.failure = str(error)
             self.get_logger().error(self.failure)
             self.monitor.close()
@@ -285,13 +285,13 @@ class MonitorNode(ControlNode):
         self._keep(happened=bool(events))
         self._tell(happened=bool(events))
         self._report_day()
-        # What was learnt or diagnosed took more memory than it needs from now on.
+        # Learning or diagnosis took more memory than is needed from now on.
         if events or time.monotonic() - self.tidied > TIDY:
             self.tidied = time.monotonic()
             tidy()
 
     def _follow(self) -> list[Event]:
-        """Read all messages, and return what happened."""
+        """Read all messages, and return the events."""
         follower, plant = self.follower, self.owners.of(LOADER_STATE.name)
         while (driver := self.drivers.take()) is not None:
             follower.hear_driver(driver[1], driver[3])
@@ -300,7 +300,7 @@ class MonitorNode(ControlNode):
             for raw, info in _taken(self.states)
             if (message := self.state(raw)) is not None and plant.admits(message[-1])
         ]
-        # After the snapshots: what was said before the newest of them is here.
+        # After the snapshots: messages older than the newest snapshot have arrived by now.
         for raw, info in _taken(self.driving):
             follower.hear_driving(deserialize_message(raw, Bool).data, info["source_timestamp"])
         follower.hear_commands(
@@ -320,12 +320,12 @@ class MonitorNode(ControlNode):
                 self.monitor.interrupt()
             events += self.monitor.add(stretch.time_s, stretch.signals)
         if snapshots:
-            # After the work on them, which may take long: what arrives meanwhile waits.
+            # After the work on the snapshots, which may take long: messages that arrive meanwhile wait.
             self.heard = time.monotonic()
         return events
 
     def _hear_trips(self) -> None:
-        """Take note when the gate trips, once for each trip."""
+        """Register each trip of the gate once."""
         for raw, _ in _taken(self.diagnostics):
             if GATE not in raw:
                 continue
@@ -339,7 +339,7 @@ class MonitorNode(ControlNode):
                 self.trip = cause
 
     def _asked(self) -> list[Event]:
-        """Do what services were asked for."""
+        """Carry out the service requests."""
         events = list[Event]()
         while self.asked:
             request = self.asked.popleft()
@@ -354,7 +354,7 @@ class MonitorNode(ControlNode):
         return events
 
     def _accept(self) -> str:
-        """Take the changes as the rig's own, write its file, and begin to measure what it brings to tell the controllers."""
+        """Adopt the changes into the rig, write its file, and begin to measure the benefit of passing it to the controllers."""
         rig = self.monitor.accept()
         if rig is None:
             return "there is no change with a cause to accept"
@@ -377,7 +377,7 @@ class MonitorNode(ControlNode):
         return f"{kept}; controllers with accept_rig are told in {BENEFIT:g} s"
 
     def _measure_benefit(self) -> list[Event]:
-        """Measure the force error before and after controllers are told of an accepted rig."""
+        """Measure the force error before and after controllers receive an accepted rig."""
         if self.benefit is None or self.errors is None:
             return []
         decoded = (self.status(raw) for raw, _ in _taken(self.errors))
@@ -398,7 +398,7 @@ class MonitorNode(ControlNode):
         self.benefit, self.errors = None, None
 
     def _record_flights(self) -> None:
-        """Have what led to a trip written and diagnosed, one flight at a time, and while the monitor diagnoses nothing."""
+        """Start writing and diagnosing the record before a trip, one flight at a time, and only while no diagnosis runs."""
         while self.tripped and time.monotonic() > self.tripped[0][0]:
             _, cause = self.tripped.popleft()
             recording = self.monitor.recording(self.own.flight_time)
@@ -419,7 +419,7 @@ class MonitorNode(ControlNode):
         self.get_logger().warning(f"the gate has tripped: the time before it is in {folder}")
 
     def _report_day(self) -> None:
-        """Have the report of a day written once it is over, by another process: figures take memory."""
+        """Start the report of the day that has ended, in another process: plotting takes memory."""
         if (now := today()) == self.day:
             return
         over, self.day = self.day, now
@@ -431,7 +431,7 @@ class MonitorNode(ControlNode):
         self.get_logger().info(f"the report of {over} is written to {self.folder}")
 
     def _keep(self, *, happened: bool) -> None:
-        """Keep what is known, at once where something happened."""
+        """Save the memory, at once after an event."""
         monitor = self.monitor
         newest = monitor.history[-1].time if monitor.history else -math.inf
         if not happened and newest == self.kept and not self.memory.due():
@@ -444,14 +444,14 @@ class MonitorNode(ControlNode):
         del monitor.history[:-MOST_HISTORY]
 
     def _fail(self, complaint: str) -> None:
-        """Say in log and diagnostics what does not work; the watch goes on."""
+        """Report a failure in log and diagnostics; the watch continues."""
         self.failure = complaint
         self.get_logger().error(complaint)
 
-    # --- what is told -----------------------------------------------------------------------------------
+    # --- publishing -------------------------------------------------------------------------------------
 
     def _tell(self, *, happened: bool) -> None:
-        """Publish the rig's health on change, and once in a while."""
+        """Publish the rig's health on change, and at intervals."""
         now = time.monotonic()
         if not happened and now - self.published < TELL:
             return
@@ -506,7 +506,7 @@ class MonitorNode(ControlNode):
         )
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Report a change that no operator has seen as a warning, and what is known otherwise."""
+        """Report an unacknowledged change as a warning, otherwise the state of the watch."""
         follower, told = self.follower, self.told
         figures: dict[str, Any] = {"lost": follower.lost, "unanswered": follower.unanswered, "folder": self.folder}
         if told is not None:
@@ -543,7 +543,7 @@ class MonitorNode(ControlNode):
 
 
 def _taken(inbox: Inbox) -> Iterator[tuple[bytes, Mapping[str, int]]]:
-    """Yield the messages that wait in an inbox."""
+    """Yield the waiting messages of an inbox."""
     while (taken := inbox.take_raw()) is not None:
         yield taken
 
@@ -562,7 +562,7 @@ def _coefficient(reading: Reading, rate: Estimate) -> TrackedCoefficient:
 
 
 def _baselines(names: str) -> dict[str, Trajectory]:
-    """Return the recordings that a parameter names, by their full paths.
+    """Return the recordings named by a parameter, by their full paths.
 
     Raises:
         BadInput: one cannot be read.
@@ -570,7 +570,7 @@ def _baselines(names: str) -> dict[str, Trajectory]:
     paths = [Path(name.strip()).resolve() for name in names.split(",") if name.strip()]
     if not paths:
         return {}
-    # Reading files takes libraries that a monitor without baselines has no use for.
+    # Reading files needs libraries that a monitor without baselines does not load.
     from ehls_ros.experiments.run_folder import recording_in
     from ehls_ros.recording.load import load
 
@@ -578,7 +578,7 @@ def _baselines(names: str) -> dict[str, Trajectory]:
 
 
 def main() -> NoReturn:
-    """Run the node, behind whatever has to be in time."""
+    """Run the node, with lower priority than the nodes with deadlines."""
     give_way()
     run_node(MonitorNode)
 

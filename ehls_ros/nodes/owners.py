@@ -1,8 +1,8 @@
 """The owners of a node's inputs over DDS: refusals, departures, and the node's reaction to a refusal of its messages.
 
 :mod:`ehls_ros.hardware.ownership` has the rule for one input. A reader that refuses a sender publishes that on the topic
-``refused``, and the refused node deactivates itself. Two senders that began together may each be refused by a reader that heard
-the other one first; then the sender whose name comes first in the alphabet stays.
+``refused``, and the refused node deactivates itself. Two senders that began together may each be refused by a reader that
+received the other one first; then the sender whose name comes first in the alphabet stays.
 """
 
 import os
@@ -23,10 +23,10 @@ DISCOVERY_RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 """Environment variable that limits how far the middleware discovers other nodes, and its value for this host only."""
 
 REPEAT = 1.0
-"""Time after which a refusal is published again while its sender goes on [s]."""
+"""Time after which a refusal is published again while its sender continues [s]."""
 
 GLANCE = 0.05
-"""Time between two looks whether the owner of a contended input has ended [s]."""
+"""Interval between checks whether the owner of a contended input has ended [s]."""
 
 DECISION = 0.1
 """Time between a node's first refusal and its reaction, in which the refusal of the other sender would arrive [s]."""
@@ -57,11 +57,11 @@ class Owners:
         self._refused: dict[str, str] = {}
         self._owner_refused_for_us: set[tuple[str, str]] = set()
         self._deciding: Timer | None = None
-        # A refusal may come before its sender is matched.
+        # A refusal may arrive before its sender is matched.
         kept = QoSProfile(depth=REFUSED.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._refusals = node.create_publisher(Refusal, REFUSED.name, kept)
         node.create_subscription(Refusal, REFUSED.name, self._on_refusal, kept)
-        # A departure from before this node came does not matter to it.
+        # Departures from before this node joined are irrelevant to it.
         node.create_subscription(String, LEAVING.name, self._on_leaving, QoSProfile(depth=LEAVING.depth))
 
     def of(self, topic: str) -> "Owner":
@@ -74,7 +74,7 @@ class Owners:
         return None if ownership is None else ownership.owner
 
     def refuse(self, topic: str, sender: str) -> None:
-        """Publish that a sender is refused, once it is certain that the owner goes on."""
+        """Publish that a sender is refused, once it is certain that the owner continues."""
         ownership, now = self._inputs[topic], time.monotonic()
         owner = ownership.owner
         if owner is None or not ownership.must_yield(sender) or now - self._published.get((topic, sender), -REPEAT) < REPEAT:
@@ -89,7 +89,7 @@ class Owners:
         self._refusals.publish(refusal)
 
     def frees(self, topic: str) -> bool:
-        """Free an input whose owner's process has ended; return whether it did. To be called for a contender's messages."""
+        """Free an input whose owner's process has ended; return whether it did. Called on a contender's messages."""
         ownership, now = self._inputs[topic], time.monotonic()
         if now - self._looked.get(topic, -GLANCE) < GLANCE:
             return False
@@ -102,9 +102,9 @@ class Owners:
         return True
 
     def look(self) -> None:
-        """Free the inputs whose owner has fallen silent and is gone from the graph; called now and then.
+        """Free the inputs whose owner has fallen silent and left the graph; called at intervals.
 
-        A contender that waits for an answer, such as a plant in lockstep, sends nothing more that could be refused.
+        A contender that waits for an answer, such as a plant in lockstep, sends no further message that could be refused.
         """
         for topic, ownership in self._inputs.items():
             for sender in ownership.contenders.copy():
@@ -118,7 +118,7 @@ class Owners:
     def _is_present(self, topic: str, owner: str, ownership: Ownership) -> bool:
         """Return whether the owner may still be there: its process runs, and the graph has its node among the publishers.
 
-        A killed node stays in the graph until the middleware misses it, which takes 20 s.
+        A killed node stays in the graph until the middleware notices, which takes 20 s.
         """
         if not self.may_run(owner):
             return False
@@ -126,7 +126,7 @@ class Owners:
         names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in endpoints}
         if node_of(owner).startswith("/"):
             return node_of(owner) in names
-        # A sender that is not named after its node is any publisher that is no contender.
+        # A sender not named after its node may be any publisher that is not a contender.
         return bool(names - {node_of(sender) for sender in ownership.contenders})
 
     @staticmethod
@@ -178,7 +178,7 @@ class Owner:
         self._owners, self._topic, self._ownership = owners, topic, ownership
 
     def admits(self, sender: str) -> bool:
-        """Return whether a message of a sender is accepted; publish it if the sender is refused."""
+        """Return whether a sender's message is accepted; if the sender is refused, publish the refusal."""
         if self._ownership.admits(sender) or (self._owners.frees(self._topic) and self._ownership.admits(sender)):
             return True
         self._owners.refuse(self._topic, sender)
@@ -194,7 +194,7 @@ class Owner:
         return self._ownership.owner in {None, sender}
 
     def holds(self, sender: str, came: float) -> bool:
-        """Return whether a message still counts that was refused when it came [s]: its sender has not left since."""
+        """Return whether a message refused on arrival at ``came`` [s] is still valid: its sender has not left since."""
         return not self._ownership.has_left_since(sender, came) and self._owners.may_run(sender)
 
 

@@ -1,4 +1,4 @@
-"""Requests to the services of running nodes: to those of their parameters, as `ros2 param` makes them, and for a switch."""
+"""Requests to the services of running nodes: parameters, as with `ros2 param`, and controller switches."""
 
 import os
 import time
@@ -21,7 +21,7 @@ FOUND = 5.0
 """Longest wait for the discovery of a node [s]."""
 
 SETTLED = 1.5
-"""Time without a new node after which all are taken to be found [s]."""
+"""Time without a new node after which discovery counts as complete [s]."""
 
 ANSWERED = 30.0
 """Longest wait for an answer [s]; on a busy machine, real-time nodes leave other threads little time."""
@@ -30,7 +30,7 @@ AGAIN = 2.0
 """Time after which an unanswered request is repeated [s]: a node drops an answer to a client that it has not discovered yet."""
 
 LOOK = 0.1
-"""Time between two looks at the graph [s]."""
+"""Interval between checks of the graph [s]."""
 
 WORDS: Mapping[int, tuple[str, str]] = {
     ParameterType.PARAMETER_NOT_SET: ("not set", "Parameter not set."),
@@ -75,15 +75,15 @@ class Described(NamedTuple):
 
 
 class Requests:
-    """Asks the nodes of this process's ROS domain."""
+    """Client of the nodes of this process's ROS domain."""
 
     def __init__(self, node: Node, executor: Executor) -> None:
-        """Ask as a node, with an executor for its context that nothing else uses."""
+        """Send requests as a node, with an executor for its context that is used for nothing else."""
         self._node = node
         self._executor = executor
 
     def nodes(self) -> list[str]:
-        """Return the full names of all nodes, once no new ones are found."""
+        """Return the full names of all nodes, once discovery yields no new ones."""
         found: list[str] = []
         since = time.monotonic()
         while time.monotonic() - since < SETTLED:
@@ -93,7 +93,7 @@ class Requests:
         return found
 
     def resolve(self, name: str) -> str:
-        """Return the full name of a node, given that or its last part.
+        """Return the full name of a node from its full name or its last part.
 
         Raises:
             BadInput: there is no such node, or several.
@@ -138,7 +138,7 @@ class Requests:
         ]
 
     def set(self, node: str, name: str, text: str) -> str:
-        """Set a parameter to a value given as in YAML; return what the node adds to its consent.
+        """Set a parameter to a value given as in YAML; return the node's remark on success.
 
         Raises:
             BadInput: the node has no parameter of that name.
@@ -152,7 +152,7 @@ class Requests:
         return str(result.reason)
 
     def switch(self, node: str) -> str:
-        """Let a controller that stands by take over; return the answer of the plant node in its namespace.
+        """Let a standby controller take over; return the answer of the plant node in its namespace.
 
         Args:
             node: full name of the controller's node.
@@ -172,7 +172,7 @@ class Requests:
     def _present(self) -> list[str]:
         present = self._node.get_node_names_and_namespaces()
         own = self._node.get_fully_qualified_name()
-        # Names that begin with an underscore are hidden, as those of this command and of ros2 are.
+        # Names that begin with an underscore are hidden, such as those of this command and of ros2.
         full = {f"{namespace.rstrip('/')}/{name}" for name, namespace in present if not name.startswith("_")}
         return sorted(full - {own})
 
@@ -189,7 +189,7 @@ class Requests:
         return self._answered(node, lambda: request(client))
 
     def _answered(self, node: str, request: Callable[[], Any]) -> Any:
-        """Return the first answer to a request that may be followed more than once."""
+        """Return the first answer to a request that may safely be repeated."""
         asked: list[Any] = []
         deadline = time.monotonic() + ANSWERED
         while (left := deadline - time.monotonic()) > 0.0:
@@ -203,7 +203,7 @@ class Requests:
 
 @contextmanager
 def requests() -> Iterator[Requests]:
-    """Join the graph for as long as requests are made."""
+    """Join the graph for the duration of the requests."""
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = Node(f"_ehls_param_{os.getpid()}", context=context, start_parameter_services=False)

@@ -1,4 +1,4 @@
-"""The parameters with which the nodes of a graph run, for a recorder that joins after they were declared."""
+"""Collector of the parameters of running nodes, for a recorder that joins after they were declared."""
 
 import time
 from collections.abc import Callable
@@ -18,7 +18,7 @@ PATIENCE = 5.0
 
 
 class _Asked(NamedTuple):
-    """What is needed to ask one node."""
+    """Service clients of one node and the time of the last request."""
 
     names: Any
     values: Any
@@ -26,10 +26,10 @@ class _Asked(NamedTuple):
 
 
 class ParameterStock:
-    """Asks each node of the namespace once for all its parameters.
+    """Requests all parameters of each node of the namespace once.
 
-    Nodes tell their parameters on ``/parameter_events`` only when they are declared or change. What they answer here is put
-    into the same form: an event in which all of them are new.
+    Nodes publish their parameters on ``/parameter_events`` only when they are declared or change. The answers here are
+    converted to the same form: an event in which all parameters are new.
     """
 
     def __init__(self, node: Node, tell: Callable[[int, bytes], None]) -> None:
@@ -50,7 +50,7 @@ class ParameterStock:
         return len(self._answered)
 
     def look(self) -> None:
-        """Ask the nodes that have appeared, and those that have not answered for long."""
+        """Query new nodes, and repeat requests that are overdue."""
         own = self._node.get_namespace()
         present = {name for name, namespace in self._node.get_node_names_and_namespaces() if namespace == own}
         self._answered &= present

@@ -20,12 +20,12 @@ LARGEST_INTEGER = 2**63 - 1
 class DeclaredParameters(LifecycleNode):
     """A lifecycle node that checks its parameters against their declarations, wherever they are set.
 
-    Command line, file and live change take the same values and are refused in the same words. An unchanged read-only
-    parameter is accepted, so that what `ros2 param dump` has written can be loaded.
+    Command line, file and live change accept the same values and refuse others in the same words. An unchanged read-only
+    parameter is accepted, so that the output of `ros2 param dump` can be loaded.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
-        """Make the node, without parameters of its own.
+        """Create the node, without parameters.
 
         Args:
             name: of the node.
@@ -44,7 +44,7 @@ class DeclaredParameters(LifecycleNode):
         return super().set_parameters_atomically(changes) if changes else SetParametersResult(successful=True)
 
     def _is_kept(self, change: Parameter) -> bool:
-        """Tell whether a read-only parameter keeps its value; the command line reads quoted text as what it looks like."""
+        """Return whether a read-only parameter keeps its value; the command line may convert the type of a quoted text."""
         if not self.has_parameter(change.name) or not self.describe_parameter(change.name).read_only:
             return False
         value = self.get_parameter(change.name).value
@@ -67,13 +67,13 @@ class DeclaredParameters(LifecycleNode):
             parse(parameters, self.requested(parameters, changes), self.get_name())
 
     def requested(self, parameters: type, changes: Sequence[Parameter]) -> dict[str, Any]:
-        """Return the values that a parameter set has after the changes."""
+        """Return the values of a parameter set after the changes."""
         present = {name: self.get_parameter(name).value for name, (kind, _) in self.declared.items() if kind is parameters}
         return present | {change.name: change.value for change in changes if change.name in present}
 
 
 def declare(node: DeclaredParameters, parameters: type, values: Mapping[str, Any] | None = None, *, live: bool) -> None:
-    """Declare a parameter set on a node, with the values that command line and files give it.
+    """Declare a parameter set on a node, with the values from command line and files.
 
     Args:
         node: owner.
@@ -97,7 +97,7 @@ def declare(node: DeclaredParameters, parameters: type, values: Mapping[str, Any
 
 
 def coerced(declared: Declaration, value: Any) -> Any:
-    """Return a value as its declaration has it, where that loses nothing; else the value itself.
+    """Return a value converted to its declared type if that is lossless, otherwise the value itself.
 
     Args:
         declared: the parameter's declaration.
@@ -140,7 +140,7 @@ def follow(
     retune: Callable[[Parameters], None],
     objection: Callable[[Parameters], BadInput | None] = lambda _: None,
 ) -> None:
-    """Pass on every accepted change of a parameter set.
+    """Call a function on every accepted change of a parameter set.
 
     Args:
         node: owner, on which the set was declared live.

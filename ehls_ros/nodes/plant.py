@@ -1,6 +1,6 @@
 """Base of the plant nodes: topics, services, the safety gate, telemetry.
 
-``plant_sim_node`` puts the simulator behind it, ``hardware_bridge_node`` a DAQ backend.
+``plant_sim_node`` runs the simulator behind it, ``hardware_bridge_node`` a DAQ backend.
 """
 
 import math
@@ -40,22 +40,22 @@ CLOCK_CYCLES = 10
 """Cycles between two clock messages in lockstep; nodes that run ahead of the cycles follow the clock."""
 
 CLOCK_CYCLES_TOGETHER = 100
-"""The same where nodes are in one process with the plant: they are many times faster, and see each cycle anyway."""
+"""Cycles between two clock messages where nodes share the plant's process: they are many times faster and see each cycle."""
 
 NOTICE = 2.0
-"""Time for which diagnostics tell a jump of the stamps [s]; the last jump's size stays among the figures."""
+"""Time for which diagnostics report a jump of the stamps [s]; the size of the last jump stays among the figures."""
 
 ASK_AGAIN = 1.0
-"""Time after which a partner that has not answered is asked again [s]."""
+"""Time after which a partner that has not answered is queried again [s]."""
 
 HANDOVER_DEPTH = 10
-"""Messages kept about who drives and who leaves."""
+"""History depth of the driver and departure topics."""
 
 STANDBY_PATIENCE = 10.0
-"""Longest time for which a plant in lockstep waits for a controller that stands by [s]: one that hangs must not hold it up."""
+"""Longest wait of a plant in lockstep for a standby controller [s]: a hung one must not stall it."""
 
 KEPT = 4000
-"""Most force references kept for future cycles."""
+"""Maximum number of force references kept for future cycles."""
 
 
 class Parameters(NamedTuple):
@@ -84,10 +84,10 @@ class PlantNode(ControlNode):
     """
 
     gate_defaults: Mapping[str, Any] = MappingProxyType({})
-    """Gate parameters that differ from the declared defaults, for the paper's rig like those."""
+    """Gate parameters that differ from the declared defaults; both are for the paper's rig."""
 
     gate_bounds: Mapping[str, Bound] | None = None
-    """Bounds of the gate's parameters; None: those the rig's limits set."""
+    """Bounds of the gate's parameters; None: set from the rig's limits."""
 
     def __init__(self, name: str) -> None:
         """Declare the parameters and the services; make the gate, which stays latched for the life of the node.
@@ -106,7 +106,7 @@ class PlantNode(ControlNode):
         declare(self, GateParameters, defaults, live=True)
         self.awaited: tuple[str, ...] = ()
         self.take_over_after = float(self.get_parameter("take_over_after").value)
-        # Who is to drive next; the last driver that left or fell silent.
+        # The next driver; the last driver that left or fell silent.
         self.successor = self.gone = ""
         self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), self.sensed, bounds=self.gate_bounds)
         self.told_gate: tuple[str, int] | None = None
@@ -130,7 +130,7 @@ class PlantNode(ControlNode):
         return stopping.is_set() or self.activate_itself()
 
     def _is_active(self, client: Client) -> bool:
-        """Ask a node for its state; an answer that is late or lost is asked for again."""
+        """Query a node's state; repeat the request if the answer is late or lost."""
         if not client.wait_for_service(WAIT):
             return False
         answered = threading.Event()
@@ -149,13 +149,13 @@ class PlantNode(ControlNode):
         self.references: dict[int, float] = {}
         self.latency = Latency()
         self.published = self.begun = time.perf_counter()
-        # Topics are discovered in this order: who receives a snapshot is to know who drives.
+        # Topics are discovered in this order: a reader of snapshots must already have the driver message.
         self.driver = Notice(self, Driver, DRIVER.name, HANDOVER_DEPTH)
         self.state = Outbox(self, LoaderState, "loader_state", opens=True)
         self.commands = Inbox(self, ValveCommand, "valve_command", owned="")
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
-        # In lockstep the plant waits for each that it has heard of.
+        # In lockstep the plant waits for each standby controller it has heard from.
         timeout = math.ceil(0.5 * self.gate.parameters.command_timeout / self.period)
         self.standby = Standby(DEPTH if self.lockstep else timeout)
         self.shadows = Inbox(self, ValveCommand, STANDBY_COMMAND.name, owned="")
@@ -163,7 +163,7 @@ class PlantNode(ControlNode):
         self.leaving = Inbox(self, String, LEAVING.name, control_qos(HANDOVER_DEPTH), decode_text)
         self.told_driver: str | None = None
         self.drives_from = 0
-        # The first cycle that the driving controller answers; until which one others may not know of it; how long they may not.
+        # First cycle answered by the driving controller; last cycle that others may answer unaware of it; this grace period.
         self.first = 0
         self.unaware = -1
         self.grace = math.ceil(self.gate.parameters.command_timeout / self.period)
@@ -184,7 +184,7 @@ class PlantNode(ControlNode):
             self.destroy_publisher(self.clock)
 
     def begin_stamps(self, cycle: int) -> None:
-        """Begin to count cycles: anchor the time stamps to the node's clock; in lockstep cycle 0 is at time 0.
+        """Start counting cycles: anchor the time stamps to the node's clock; in lockstep cycle 0 is at time 0.
 
         Args:
             cycle: the cycle that begins now.
@@ -225,10 +225,10 @@ class PlantNode(ControlNode):
         self.untold = (cycle * self.period, stamp_ns, signals)
 
     def ask_again(self, cycle: int) -> None:
-        """Repeat the present snapshot if an answer to it stays away and either may have been sent too early.
+        """Repeat the present snapshot if its answer is overdue and either may have been sent too early.
 
-        A node with ROS's default profile receives nothing that was sent before it was matched, and what it sends before that
-        is lost: a plant in lockstep would wait for its answer forever.
+        A node with ROS's default profile receives no message sent before it was matched, and messages that it sends earlier are
+        lost: a plant in lockstep would wait for its answer forever.
         """
         if time.perf_counter() - self.asked > PATIENCE:
             self.asked = time.perf_counter()
@@ -238,11 +238,11 @@ class PlantNode(ControlNode):
                 self.state.send(stamp_ns, cycle, *signals)
 
     def tell_telemetry(self) -> None:
-        """Publish telemetry of the cycle if due; called after the answer, so that it delays nothing."""
+        """Publish telemetry of the cycle if due; called after the answer, so that the answer is not delayed."""
         self.telemetry.tell(*self.untold)
 
     def tell_driving(self, driving: bool) -> None:
-        """Tell the controllers when their commands stop or start reaching the valve: in an open loop they would wind up."""
+        """Publish a change in whether commands reach the valve, since controllers in an open loop would wind up."""
         if driving != self.told_driving:
             self.told_driving = driving
             self.driving.tell(Bool(data=driving), driving)
@@ -258,11 +258,11 @@ class PlantNode(ControlNode):
         while (message := self.commands.take()) is not None:
             _, answered, spool, sender = message
             if answered > cycle and self._is_new:
-                # It is kept from a run before: the controller answered another plant's cycle.
+                # Transient-local message of an earlier run: the controller answered another plant's cycle.
                 continue
             if self._came_second(sender, answered):
                 if not self.told_driver:
-                    # It stands by from the next cycle on.
+                    # That controller stands by from the next cycle on.
                     self.standby.hear(sender, answered)
                 continue
             before = self.gate.owner
@@ -283,11 +283,11 @@ class PlantNode(ControlNode):
 
     @property
     def _is_new(self) -> bool:
-        """Whether the first cycle was just now."""
+        """Whether the first cycle was less than :data:`PATIENCE` ago."""
         return time.perf_counter() - self.begun < PATIENCE
 
     def _came_second(self, sender: str, answered: int) -> bool:
-        """Tell whether a command is of one that could not know yet that another was the first to answer, and now drives."""
+        """Return whether a command's sender could not yet know that another controller answered first and now drives."""
         owner = self.gate.owner
         if owner in {None, sender} or self.gate.vacant:
             return False
@@ -299,9 +299,9 @@ class PlantNode(ControlNode):
                 self.standby.hear(message[3], message[1])
 
     def standby_answered(self) -> bool:
-        """Return whether all who stand by have followed the present cycle; wait a little if not.
+        """Return whether all standby controllers have followed the present cycle; wait briefly if not.
 
-        In lockstep the plant waits for them too, so that a run with a hand-over is as deterministic as any.
+        In lockstep the plant waits for them too, so that a run with a hand-over remains deterministic.
         """
         self._hear_shadows()
         if not (behind := self.standby.behind):
@@ -314,19 +314,19 @@ class PlantNode(ControlNode):
         return False
 
     def _succeed(self, owner: str, why: str) -> None:
-        """Let the controller that stands by take over; with none, or several, the gate reacts to the lack of commands."""
+        """Let the standby controller take over; with none, or several, the gate reacts to the lack of commands."""
         ready = [sender for sender in self.standby.ready if sender != owner]
         self.gone = owner
         self.successor = ready[0] if len(ready) == 1 else ""
         if not ready:
-            # So ends every run with one controller.
+            # Every run with one controller ends like this.
             self.get_logger().info(f"{owner} {why}; no other controller stands by")
             return
         takes_over = self.successor or f"nobody takes over: {len(ready)} controllers stand by, one is needed"
         self.get_logger().warning(f"{owner} {why}; {takes_over}{' takes over' if self.successor else ''}")
 
     def _change_driver(self, cycle: int) -> None:
-        """Hand over to the successor, if there is one, and tell which controller the gate obeys from a cycle on."""
+        """Hand over to the successor, if any, and publish which controller the gate obeys from a cycle on."""
         if self.take_over_after > 0.0 and not self.successor and self.gate.driving:
             silence, owner = self.gate.command_age, self.gate.owner
             if owner and silence >= self.take_over_after and self.standby.ready:
@@ -335,13 +335,13 @@ class PlantNode(ControlNode):
             before = self.gate.owner
             self.gate.hand_over(self.successor)
             if before and before != self.gone and cycle > self.standby.cycle:
-                # It stands by from the other's first cycle on, and is waited for like any that does.
+                # The former driver stands by from the other's first cycle on, and is waited for like any standby controller.
                 self.standby.hear(before, cycle - 1)
             self.successor, self.gone, self.first = "", "", cycle
         driver = "" if self.gate.vacant else self.gate.owner
         if driver is not None and driver != self.told_driver:
             if driver and not self.told_driver:
-                # The others answered too until now.
+                # Until now the others answered too.
                 self.unaware = cycle + self.grace
             self.told_driver = driver
             self.standby.forget(driver)
@@ -349,7 +349,7 @@ class PlantNode(ControlNode):
             self._publish_driver()
 
     def _publish_driver(self) -> None:
-        """Publish who drives from which cycle on, and whether that reaches the valve."""
+        """Publish which controller drives from which cycle on, and whether its commands reach the valve."""
         now = self.get_clock().now()
         said = self.drives_from, bool(self.told_driving), self.told_driver or "", self.sender
         message = Driver(cycle=said[0], driving=said[1], sender=said[2], plant=said[3])
@@ -371,7 +371,7 @@ class PlantNode(ControlNode):
         self.report()
 
     def unheard(self, silence: float) -> None:
-        """Tell the gate how long an emergency stop could not have been received; in lockstep the rig's time may stand still."""
+        """Report to the gate how long an emergency stop could not be received; in lockstep the rig's time may stand still."""
         if not self.lockstep:
             self.gate.hear(silence)
 
@@ -381,7 +381,7 @@ class PlantNode(ControlNode):
         gate = self.gate.state, len(self.gate.causes)
         if gate != self.told_gate:
             self.told_gate = gate
-            # The message may be about something else, and be the same as before.
+            # The message may concern something else and be unchanged.
             self.report()
 
     def _on_emergency_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -418,7 +418,7 @@ class PlantNode(ControlNode):
         return None
 
     def advice(self) -> str:
-        """Return the commands that lead on after a trip, for the log."""
+        """Return the commands that resume operation after a trip, for the log."""
         if not self.gate.causes:
             return ""
         call, stop = f"ros2 service call {self.get_namespace().rstrip('/')}", self.gate.stop
@@ -449,7 +449,7 @@ class PlantNode(ControlNode):
         return (WARN, complaint, figures) if complaint else (OK, state, figures)
 
     def _complaint(self) -> str:
-        """Return what is wrong with the answers or the clock; empty if nothing is."""
+        """Return the fault of the answers or the clock; empty if there is none."""
         if self.lockstep and self.count_publishers(CLOCK_TOPIC) > 1:
             return f"another node publishes {CLOCK_TOPIC}: start one of the two graphs with -r {CLOCK_TOPIC}:=/another/name"
         if self.lockstep and time.perf_counter() - self.published > PATIENCE:

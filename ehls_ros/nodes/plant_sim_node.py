@@ -24,10 +24,10 @@ from ehls_ros.recording.topics import DISTURBANCE, SERVO_REFERENCE
 from ehls_ros.schema import quantity
 
 BURST = 0.005
-"""Simulated time that a lockstep run may be ahead of its speed [s]: waking up in every cycle would cost a slow machine time."""
+"""Simulated time by which a lockstep run may lead its speed [s]: waking up in every cycle would slow down a slow machine."""
 
 LATE = 0.1
-"""Simulated time by which a lockstep run may be behind its speed and still catch up [s]."""
+"""Simulated time by which a lockstep run may lag its speed and still catch up [s]."""
 
 
 NOISE_CYCLES = 100
@@ -35,7 +35,7 @@ NOISE_CYCLES = 100
 
 
 class Parameters(NamedTuple):
-    """What the simulated rig has in addition to every plant's."""
+    """Parameters of the simulated rig besides those of every plant."""
 
     speed: Annotated[
         float,
@@ -69,7 +69,7 @@ class PlantSimNode(PlantNode):
         self.disturbances: dict[int, tuple[float, float, float, float]] = {}
         self.open_topics()
         self.enabled = False
-        # A servo's motion is simulated with the loader's, and comes from here.
+        # A servo's motion is simulated with the loader's, and published here.
         moves = self.simulator.servo.size > 0
         self.last_disturbance = (0.0, 0.0, float(self.simulator.servo[X]) if moves else 0.0, 0.0)
         self.motion = Outbox(self, Disturbance, DISTURBANCE.name) if moves else None
@@ -123,22 +123,22 @@ class PlantSimNode(PlantNode):
         self._await_inputs()
         if self._remaining() > 0.0:
             return
-        # What another process has to answer takes its time.
+        # Answers from another process take time.
         prompt = self.links is not None and not self.links.apart
         complete = self._is_complete()
         changed = self.time.end(time.perf_counter(), answered=complete, expected=self.answered >= 0, prompt=prompt)
         self.missed = self.time.missed
         self._advance()
         if self.is_to_run:
-            # What else a turn of the loop does has time once the answer is there.
+            # The remaining work of a turn has time once the answer has arrived.
             self._await_inputs()
         if changed:
             self.report_change()
 
     def _await_inputs(self) -> None:
-        """Wait for what this cycle lacks, or for its end if it lacks nothing, and take what has arrived."""
+        """Wait for the missing inputs of this cycle, or else for its end, and read the messages that have arrived."""
         remaining, complete = self._remaining(), self._is_complete()
-        # A cycle that begins after its end, as the process was held up, can still be answered by those in the same process.
+        # A cycle that begins after its due end because the process was delayed can still be answered within the process.
         if remaining > 0.0 or not complete:
             lacks_disturbance = self.answered == self.cycle and not complete
             (self.anything if lacks_disturbance else self.answer).wait(min(remaining, WAIT))
@@ -150,7 +150,7 @@ class PlantSimNode(PlantNode):
         return self.time.remaining(time.perf_counter(), answered=self._is_complete(), present=present)
 
     def _is_complete(self) -> bool:
-        """Return whether the cycle has its command, and its disturbance if there is any: a held one would push the rig away."""
+        """Return whether the cycle has its command, and its disturbance if any: a held one would drive the rig away."""
         if self.answered != self.cycle:
             return False
         return self.cycle in self.disturbances or self.disturbance.publishers() == 0
@@ -185,7 +185,7 @@ class PlantSimNode(PlantNode):
         return command
 
     def _tell_driving(self) -> None:
-        """Tell the controllers whether they drive the valve; before the first command they do, unless a trip holds the gate."""
+        """Publish whether the controllers drive the valve; before the first command they do, unless a trip holds the gate."""
         self.tell_driving(self.gate.driving or not (self.enabled or self.gate.causes))
 
     def _snapshot(self) -> None:
@@ -200,7 +200,7 @@ class PlantSimNode(PlantNode):
         return {**super().figures(), **own, **self.time.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Report trouble of the simulator, the state of the gate, or a machine too slow for it."""
+        """Report simulator faults, the state of the gate, or a machine too slow for the simulation."""
         level, message, figures = super().health()
         if trouble := self.simulator.trouble():
             return ERROR, trouble, figures
@@ -213,7 +213,7 @@ def _noise(seed: int) -> Iterator[Array]:
     """Yield standard normal numbers for one cycle after another, shape (signals,)."""
     random = np.random.default_rng(seed)
     while True:
-        # The same numbers as one cycle's at a time, in far fewer calls.
+        # The same numbers as from one draw per cycle, in far fewer calls.
         yield from random.standard_normal((NOISE_CYCLES, len(SENSED)))
 
 

@@ -1,4 +1,4 @@
-"""`programme_node`: runs a test programme in place of the reference node, counts its load cycles, stops on limits, resumes."""
+"""`programme_node`: runs a test programme in place of the reference node; counts load cycles, stops on limits, resumes."""
 
 import hashlib
 import math
@@ -33,18 +33,18 @@ from ehls_ros.recording.topics import DEPTH, LOADER_STATE, PROGRAMME_POINT, REFE
 from ehls_ros.schema import quantity, text
 
 MARGIN = 0.05
-"""Time before a programme begins in realtime, so that its first rows are there in time [s]."""
+"""Lead time before a programme begins in realtime, so that its first rows arrive in time [s]."""
 
 QUIET = 0.3
 """Time without a snapshot after which a rig in lockstep counts as waiting for its reference [s]."""
 
 
 ASKED = "on request"
-"""Why a programme stands whose operator stopped it."""
+"""Reason given for a programme that its operator stopped."""
 
 
 class Parameters(NamedTuple):
-    """What is run, where its log goes, and how it begins."""
+    """Programme, log folder and start of the run."""
 
     programme: Annotated[str, text("programme's file; empty: the spec's reference, which is one")] = ""
     folder: Annotated[str, text("folder of log and state; empty: runs/ and the programme's title")] = ""
@@ -66,8 +66,8 @@ class Parameters(NamedTuple):
 class ProgrammeNode(AheadNode):
     """Publishes a programme's reference and points, a pure function of the control cycle between two requests.
 
-    So a node that is killed and started again, while the rig still has reference, goes on without a bump; where the rig ran out
-    of it, or is another process, the programme stands where it was and waits to be resumed.
+    A node that is killed and restarted while the rig still has reference therefore continues without a bump. If the rig ran out
+    of reference or is another process, the programme holds its position and waits to be resumed.
     """
 
     tells_actuator = True
@@ -93,7 +93,7 @@ class ProgrammeNode(AheadNode):
             self.create_service(Trigger, f"programme_{request}", self._answer(request))
 
     def _answer(self, request: str) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        """Return the service's function, which leaves the request to the loop."""
+        """Return the service's handler, which leaves the request to the loop."""
 
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             refusal = self._refusal(request)
@@ -164,7 +164,7 @@ class ProgrammeNode(AheadNode):
 
     def release(self) -> None:
         """Close records and topics."""
-        # The records first: topics that `prepare` did not come to open do not exist.
+        # The records first: topics that `prepare` did not get to open do not exist.
         self.records.close()
         for part in (self.states, self.present, self.points):
             part.destroy()
@@ -172,15 +172,15 @@ class ProgrammeNode(AheadNode):
         super().release()
 
     def start(self) -> None:
-        """Publish nothing yet: the first snapshot says in which control cycle the programme begins.
+        """Publish nothing yet: the first snapshot determines the control cycle in which the programme begins.
 
-        One that has begun publishes again in lockstep what the rig may wait for: it may have been refused before.
+        A programme under way republishes in lockstep the rows that the rig may wait for: they may have been refused before.
         """
         if self.runner is not None and self.lockstep:
             self._send(max(self.last, 0), self.next - 1)
 
     def once(self) -> None:
-        """Count what was measured, and publish ahead of the newest control cycle."""
+        """Count the measured load cycles, and publish ahead of the newest control cycle."""
         self.waiter.wait(WAIT)
         while (progress := self.progress.take()) is not None:
             stamp, cycle = progress[:2]
@@ -206,7 +206,7 @@ class ProgrammeNode(AheadNode):
             self._repeat()
 
     def stop(self) -> None:
-        """Count the last control cycles, and keep the state whatever comes of that."""
+        """Count the last control cycles, and save the state even if that fails."""
         if self.runner is not None:
             try:
                 self._count()
@@ -214,19 +214,19 @@ class ProgrammeNode(AheadNode):
                 self._save(self.next - 1, durable=True)
 
     def _begin(self) -> None:
-        """Find out in which control cycle the rig is now, and begin or go on there.
+        """Determine the rig's present control cycle, and begin or continue there.
 
-        What is kept of earlier control cycles says nothing of that. In lockstep the newest kept one does; in
-        realtime a snapshot that nobody keeps.
+        Stored messages of earlier control cycles do not show it. In lockstep the newest stored snapshot does; in realtime a
+        snapshot that is not stored.
         """
-        # First the owner, as a rig that follows another reference never pauses to say which snapshot is its newest.
+        # First the owner: a rig that follows another reference never pauses to reveal which snapshot is its newest.
         is_owned, now = self._owner_of_reference() is not None, self._present()
         if now is None or is_owned:
             return
         self._ignore_other_references()
         measured, cycle = now[2 + MEASURED[self.follows]], now[1]
         if not math.isfinite(measured):
-            # No place to lead the reference in from.
+            # There is no position to lead the reference in from.
             measured = None
         run = self._run()
         saved = self.saved
@@ -241,7 +241,7 @@ class ProgrammeNode(AheadNode):
             if saved.run != run:
                 self._fall_out(cycle, "the rig is another one since", saved.seen, measured)
             else:
-                # Snapshots from before the node went are still there, as many as the rig keeps.
+                # Snapshots from before the node ended are still available, as many as the rig keeps.
                 since = max(saved.counting, cycle - DEPTH)
                 self._remember(self.runner.rows(since, max(min(cycle, saved.published + 1) - since, 0)), since)
                 # In lockstep the rig waits in the first control cycle without reference.
@@ -253,7 +253,7 @@ class ProgrammeNode(AheadNode):
         self._publish_to(cycle + self.lead)
 
     def _present(self) -> tuple[Any, ...] | None:
-        """Return the rig's newest snapshot once it is known to be that."""
+        """Return the rig's newest snapshot, once it is certain to be the newest."""
         if not self.lockstep:
             newest = None
             while (state := self.present.take()) is not None:
@@ -265,14 +265,14 @@ class ProgrammeNode(AheadNode):
         del self.waiting[:-DEPTH]
         if self.last < 0 or not self.waiting or self.waiting[-1][1] < self.last:
             return None
-        # A rig without reference waits, and what it sent before has come once nothing comes any more.
+        # A rig without reference waits, and its earlier messages have arrived once no more arrive.
         newest = self.waiting[-1]
         return newest if newest[1] == 0 or time.perf_counter() - self.heard > QUIET else None
 
     def _run(self) -> str:
-        """Return what tells the rig's process from another.
+        """Return an identifier of the rig's process.
 
-        One that was killed seems to be there for a while, so this is certain only once there is a single one.
+        A killed process seems to be present for a while, so the result is certain only once there is a single process.
         """
         senders = {bytes(sender.endpoint_gid) for sender in self.get_publishers_info_by_topic(LOADER_STATE.name)}
         self.senders = senders - self.gone or senders
@@ -280,13 +280,13 @@ class ProgrammeNode(AheadNode):
         return hashlib.blake2b(b"".join(sorted(self.senders)), digest_size=16).hexdigest()
 
     def _fall_out(self, cycle: int, reason: str, until: int | None = None, measured: float | None = None) -> None:
-        """Let the programme stand where the rig had its last reference.
+        """Hold the programme at the rig's last reference.
 
         Args:
             cycle: control cycle now.
-            reason: what happened.
+            reason: cause of the interruption.
             until: last control cycle with reference; None: the one counted last.
-            measured: value of the rig; None: the programme's own where it stands.
+            measured: measured value of the rig; None: the programme's value at that point.
         """
         runner = self._running()
         until = self.counting - 1 if until is None else until
@@ -310,7 +310,7 @@ class ProgrammeNode(AheadNode):
         return self.runner
 
     def _follow_requests(self) -> None:
-        """Stop, resume or skip from the first control cycle on that is not published yet."""
+        """Stop, resume or skip from the first unpublished control cycle on."""
         runner = self._running()
         if complaint := self.counter.complaint or self.unwritten:
             if runner.stop(self.next, complaint):
@@ -327,13 +327,13 @@ class ProgrammeNode(AheadNode):
         if cycle < self.next:
             return
         first = self.next
-        # Said before it is done: whoever goes on after a kill sends these again, which changes nothing.
+        # Saved before publishing: a successor after a kill sends these rows again, which changes nothing.
         self._save(cycle)
         self._send(first, cycle)
         self.next = cycle + 1
 
     def _send(self, first: int, last: int) -> None:
-        """Publish control cycles, and keep what their measurements will be compared with."""
+        """Publish control cycles, and keep the reference for comparison with their measurements."""
         rows = self._running().rows(first, last - first + 1)
         for cycle, (point, reference) in enumerate(zip(_entries(rows), rows.reference.tolist(), strict=True), start=first):
             stamp = self.epoch_ns + round(cycle * self.period_ns)
@@ -343,7 +343,7 @@ class ProgrammeNode(AheadNode):
         self._remember(rows, first)
 
     def _remember(self, rows: Rows, first: int) -> None:
-        """Keep what the measurements of control cycles will be compared with."""
+        """Keep the reference of control cycles for comparison with their measurements."""
         for cycle, (point, reference) in enumerate(
             zip(_entries(rows), rows.reference[:, 0].tolist(), strict=True), start=first
         ):
@@ -351,7 +351,7 @@ class ProgrammeNode(AheadNode):
                 self.samples[cycle] = (*point, reference)
 
     def _repeat(self) -> None:
-        """Publish the rows ahead again, to readers that were matched too late for them."""
+        """Publish the rows ahead again, for readers that were matched too late for them."""
         self.moved = time.perf_counter()
         if self.outbox.has_volatile_reader():
             self._send(max(self.last, 0), self.next - 1)
@@ -376,7 +376,7 @@ class ProgrammeNode(AheadNode):
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Let the programme stop where its records cannot be written: what is not on record has not been tested."""
+        """Stop the programme if its records cannot be written: unrecorded load cycles do not count as tested."""
         try:
             yield
         except NotWritten as error:
@@ -385,7 +385,7 @@ class ProgrammeNode(AheadNode):
             self.unwritten = str(error)
 
     def _count(self) -> None:
-        """Take the snapshots that have come, and log the load cycles that they finish."""
+        """Read the new snapshots, and log the load cycles that they complete."""
         logged = False
         for message in self._snapshots():
             stamp, cycle = message[:2]
@@ -409,16 +409,16 @@ class ProgrammeNode(AheadNode):
                 self.log.flush()
 
     def _snapshots(self) -> list[tuple[Any, ...]]:
-        """Return the snapshots of published control cycles that were not counted yet, in their order."""
+        """Return the snapshots of published control cycles that were not counted yet, in order."""
         found, self.waiting = self.waiting, []
         while (message := self.states.take()) is not None:
             found.append(message)
-        # A rig in lockstep opens the control cycle that it waits for reference in.
+        # A rig in lockstep opens the control cycle for which it awaits reference.
         self.waiting = [message for message in found if message[1] >= self.next]
         return [message for message in found if self.counting <= message[1] < self.next]
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Say where the programme is."""
+        """Report the position in the programme."""
         programme = self.programme
         figures: dict[str, Any] = {
             "programme": programme.parameters.title,
@@ -449,7 +449,7 @@ class ProgrammeNode(AheadNode):
         return self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)
 
     def _ignore_other_references(self) -> None:
-        """Read the reference of other nodes no more: it is the programme's."""
+        """Stop reading the reference of other nodes: the programme owns it now."""
         if self.other is not None:
             self.other.destroy()
             self.other = None

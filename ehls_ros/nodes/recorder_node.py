@@ -1,4 +1,4 @@
-"""`recorder_node`: records every topic to a rosbag2 that includes the configuration of the run and what was done to it."""
+"""`recorder_node`: records every topic to a rosbag2, including the configuration of the run and all interventions."""
 
 import time
 from collections import deque
@@ -31,13 +31,13 @@ from ehls_ros.recording.topics import (
 from ehls_ros.schema import quantity, text
 
 REST = 0.02
-"""Time for which messages gather before they are read in bulk [s]; the middleware holds them meanwhile."""
+"""Interval between bulk reads of the messages [s]; the middleware holds them meanwhile."""
 
 FLUSH = 0.5
-"""Time between two flushes to the file, which make the data survive a killed recorder [s]."""
+"""Interval between flushes to the file, by which the data survive a killed recorder [s]."""
 
 LOOK = 0.25
-"""Time between two looks for nodes whose parameters are not in the bag yet [s]."""
+"""Interval between checks for nodes whose parameters are not in the bag yet [s]."""
 
 DISCOVERY = 30.0
 """Longest wait for the expected publishers [s]."""
@@ -46,10 +46,10 @@ QUIET = 0.3
 """Time without messages after which a recording ends [s]."""
 
 SLOW = 3.0
-"""The same while expected messages are missing: on a busy computer they may be under way [s]."""
+"""The same while expected messages are missing [s]: on a busy computer they may be under way."""
 
 LAST = 1.0
-"""Messages sent later than this after the stop are left out; the graph may go on [s]."""
+"""Messages sent later than this after the stop are left out [s]; the graph may continue."""
 
 
 class Parameters(NamedTuple):
@@ -89,7 +89,7 @@ class RecorderNode(ControlNode):
         self.newest: dict[str, int] = {}
         self.newest_ns = 0
         events = [PARAMETER_EVENTS, ROSOUT, *map(transition_topic, node_names())]
-        # Without lockstep, /clock is another's.
+        # Without lockstep, /clock belongs to another publisher.
         events += [CLOCK] if self.lockstep else []
         self.often = [topic.name for topic in (*CYCLE_TOPICS, *TELEMETRY_TOPICS)]
         self.topics = {topic.name: topic for topic in (*CYCLE_TOPICS, *TELEMETRY_TOPICS, *events)}
@@ -133,7 +133,7 @@ class RecorderNode(ControlNode):
         self.flushed = time.perf_counter()
 
     def once(self) -> None:
-        """Write the messages that have gathered."""
+        """Write the gathered messages."""
         time.sleep(REST)
         self._drain(self.often)
         if self.writer is not None and time.perf_counter() - self.flushed > FLUSH:
@@ -145,13 +145,13 @@ class RecorderNode(ControlNode):
                 self.fail(str(error))
 
     def _drain(self, names: Iterable[str]) -> int:
-        """Write all messages received so far on some topics, and the parameters found, and return their number."""
+        """Write all messages received so far on some topics and the parameters found; return the number of messages."""
         before = self.written
         while self.parameters:
             self._write(PARAMETER_EVENTS.name, *self.parameters.popleft())
         for name in names:
             inbox = self.inboxes[name]
-            # Sequence numbers show losses only with a single publisher, which keeps more than the newest message.
+            # Sequence numbers show losses only with a single publisher that keeps more than the newest message.
             numbered = self.topics[name].depth > 1 and inbox.handle.get_publisher_count() == 1
             while (taken := inbox.take_raw()) is not None:
                 message, info = taken
@@ -165,7 +165,7 @@ class RecorderNode(ControlNode):
         return self.written - before
 
     def _count_lost(self, name: str, number: int) -> None:
-        """Count the gaps in a publisher's sequence numbers; a smaller number means it was restarted."""
+        """Count the gaps in a publisher's sequence numbers; a decrease means that it was restarted."""
         last = self.newest.get(name, number - 1)
         self.lost += max(0, number - last - 1)
         self.newest[name] = number
@@ -181,7 +181,7 @@ class RecorderNode(ControlNode):
             self.fail(str(error))
 
     def fail(self, reason: str) -> None:
-        """Stop recording and report why; the graph goes on."""
+        """Stop recording and report the reason; the graph continues."""
         self.writer = None
         self.failure = reason
         self.get_logger().error(reason)
@@ -206,7 +206,7 @@ class RecorderNode(ControlNode):
         self.get_logger().info(f"{self.written} messages in {self.path}")
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Report how much has been written and lost."""
+        """Report the numbers of messages written and lost."""
         cycles = self.taken[LOADER_STATE.name]
         counts = {"written": self.written, "cycles": cycles, "lost": self.lost, "nodes_known": self.stock.known}
         figures = {"bag": self.path} | counts
@@ -220,7 +220,7 @@ class RecorderNode(ControlNode):
 
 
 def _wanted(topic: Topic) -> QoSProfile:
-    """Return the quality of service that the recorder requests: with what was sent before it came, where that is offered."""
+    """Return the QoS profile that the recorder requests, including earlier messages where they are offered."""
     if topic in CYCLE_TOPICS:
         return control_qos(RECORDER_DEPTH)
     durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.transient_local else DurabilityPolicy.VOLATILE
@@ -228,7 +228,7 @@ def _wanted(topic: Topic) -> QoSProfile:
 
 
 def _node_of(event: bytes) -> str:
-    """Return the node that a serialized ParameterEvent is of."""
+    """Return the node that a serialized ParameterEvent concerns."""
     length = int.from_bytes(event[12:16], "little" if event[1:2] == b"\1" else "big")
     return event[16 : 16 + length].rstrip(b"\0").decode(errors="replace")
 

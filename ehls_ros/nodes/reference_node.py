@@ -1,4 +1,4 @@
-"""`reference_node`: the reference force or position and its derivatives, whichever the spec's controller follows."""
+"""`reference_node`: publishes the reference force or position, as the spec's controller requires, and its derivatives."""
 
 import math
 from typing import Annotated, NamedTuple, NoReturn
@@ -16,11 +16,11 @@ from ehls_ros.recording.topics import REFERENCE_TOPICS
 from ehls_ros.schema import quantity
 
 MEASURED = {"force": sensors.FORCE, "position": sensors.POSITION}
-"""Reading of what a controller follows."""
+"""Index of the reading that a controller follows."""
 
 
 class Parameters(NamedTuple):
-    """How the reference begins."""
+    """Start of the reference."""
 
     start_time: Annotated[
         float,
@@ -56,16 +56,16 @@ class ReferenceNode(AheadNode):
         super().release()
 
     def start(self) -> None:
-        """Publish the rows needed before the first snapshot, unless that snapshot says where they begin."""
+        """Publish the rows needed before the first snapshot, unless that snapshot determines where they begin."""
         if self.states is None:
             super().start()
 
     def awaited_inputs(self) -> Waiter:
-        """Return what tells the cycle, and first where the rig is."""
+        """Return the waiter for the newest cycle, preceded by that for the rig's position."""
         return self.waiter if self.states is None else self.beginning
 
     def react(self) -> bool:
-        """Find out where the rig is, then publish ahead of the newest cycle."""
+        """Determine the rig's position, then publish ahead of the newest cycle."""
         if self.states is None:
             return super().react()
         newest = None

@@ -1,4 +1,4 @@
-"""A round trip between two processes, for `ehls doctor`: `python -m ehls_ros.nodes.round_trip answer`, or `ask SECONDS`."""
+"""Round trip between two processes, for `ehls doctor`: `python -m ehls_ros.nodes.round_trip answer`, or `ask SECONDS`."""
 
 import sys
 import time
@@ -7,11 +7,11 @@ import rclpy
 from std_msgs.msg import Float64
 
 TRIPS = 100
-"""Round trips measured."""
+"""Number of round trips measured."""
 
 
 def answer() -> None:
-    """Send back every message until the process is terminated."""
+    """Echo every message until the process is terminated."""
     rclpy.init()
     node = rclpy.create_node("ehls_doctor_echo")
     publisher = node.create_publisher(Float64, "ehls_doctor_back", 10)

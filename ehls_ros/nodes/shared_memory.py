@@ -10,7 +10,7 @@ NAMES = ("fastrtps_*", "sem.fastrtps_*", "fastdds_*", "sem.fastdds_*")
 
 
 def used_by(process: int) -> set[Path]:
-    """Return the shared-memory files a process uses; none if the process is gone or another user's."""
+    """Return the shared-memory files that a process uses; none if the process is gone or another user's."""
     with suppress(OSError):
         # Descriptors before mappings: a file is opened, then mapped, so the other order could miss it.
         files = {descriptor.readlink() for descriptor in Path(f"/proc/{process}/fd").iterdir() if descriptor.is_symlink()}

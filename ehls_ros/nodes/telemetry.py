@@ -27,10 +27,10 @@ MESSAGES: tuple[tuple[Topic, str, float, Callable[[Header, float], Any]], ...] =
     (SUPPLY_PRESSURE, "supply_pressure", 0.0, lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
     (OIL_TEMPERATURE, "oil_temperature", ZERO_CELSIUS, lambda header, value: Temperature(header=header, temperature=value)),
 )
-"""Topics of one signal of ``SENSED`` each, what is subtracted from it, and how the message is made."""
+"""Telemetry topics, each with its signal of ``SENSED``, the offset subtracted from it and the message constructor."""
 
 MARK = 1234.5678
-"""Stands in an example of a message where its value will be."""
+"""Placeholder for the value in an example message."""
 
 JOINT_SIGNALS = {"position": "position", "velocity": "velocity", "effort": "force"}
 """Signals by field of ``joint_states``."""
@@ -46,7 +46,7 @@ class _Signal(NamedTuple):
 
 
 class Telemetry:
-    """Publishes what the rig measures at the telemetry rate; a reading that fails is left out."""
+    """Publishes the rig's readings at the telemetry rate; failed readings are left out."""
 
     def __init__(self, node: Node, rate: float, measured: Collection[str]) -> None:
         """Create the publishers.
@@ -76,12 +76,12 @@ class Telemetry:
         self._next = 0.0 if rate > 0.0 else float("inf")
 
     def tell(self, time_s: float, stamp_ns: int, measured: Sequence[float]) -> None:
-        """Publish if due, what anybody reads: nothing is kept for those that come later.
+        """Publish if due, on topics that have readers; nothing is kept for late joiners.
 
         Args:
             time_s: plant time [s].
             stamp_ns: its stamp [ns].
-            measured: readings in the order of ``SENSED``; NaN where there is none.
+            measured: readings in the order of ``SENSED``; NaN if not available.
         """
         if time_s < self._next:
             return
@@ -97,14 +97,14 @@ class Telemetry:
             self._publish(self._joints, template, stamp_ns, list(known.values()))
 
     def _publish(self, publisher: Any, template: Template, stamp_ns: int, values: Sequence[float]) -> None:
-        """Publish at once, or with what gathers where the node shares its process."""
+        """Publish at once, or with the gathered messages if the node shares its process."""
         if self._links is None:
             publisher.handle.publish_raw(template(stamp_ns, values))
         else:
             self._links.later(publisher.handle.publish_raw, template, (stamp_ns, values))
 
     def _joint_template(self, known: tuple[str, ...]) -> Template:
-        """Return the message of the joint with some of its fields."""
+        """Return the template of the joint message with some of its fields."""
         marks = [MARK + number for number in range(len(known))]
         fields = {field: [mark] for field, mark in zip(known, marks, strict=True)}
         message = JointState(header=self._header, name=[JOINT], **fields)
@@ -112,7 +112,7 @@ class Telemetry:
         return self._joint_templates[known]
 
     def destroy(self) -> None:
-        """Destroy the publishers, after what has gathered is published."""
+        """Destroy the publishers after the gathered messages are published."""
         if self._links is not None:
             self._links.publish()
         for publisher in (self._joints, *(signal.publisher for signal in self._single)):

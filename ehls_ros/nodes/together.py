@@ -1,4 +1,4 @@
-"""Which nodes can be one process, and in which order they become active there; :mod:`ehls_ros.nodes.composed` runs them."""
+"""Assignment of nodes to shared processes and their order of activation; :mod:`ehls_ros.nodes.composed` runs them."""
 
 from collections.abc import Sequence
 
@@ -6,26 +6,26 @@ from ehls_ros.errors import BadInput, one_of
 from ehls_ros.nodes import controller_of, node_names
 
 PLUS = "+"
-"""Stands between the names of nodes that are to be one process."""
+"""Separator between the names of nodes that share a process."""
 
 BEFORE = ("reference_node", "disturbance_node", "friction_estimator_node")
-"""Nodes that a controller's inputs come from, in the order in which they become active; the controller's comes next."""
+"""Nodes that provide a controller's inputs, in order of activation; the controller's comes next."""
 
 HOSTS = ("plant_sim_node", "hardware_bridge_node")
-"""Nodes whose loop the others take part in: one of them is needed, and becomes active last."""
+"""Nodes whose loop runs the others; one of them is required, and is activated last."""
 
 
 def may_be_together(name: str) -> bool:
-    """Tell whether a node can share a process with others."""
+    """Return whether a node can share a process with others."""
     return name in BEFORE or name in HOSTS or controller_of(name) is not None
 
 
 def processes_of(names: Sequence[str], *, compose: bool) -> list[str]:
-    """Return the processes that a graph's nodes are run as.
+    """Return the processes that run a graph's nodes.
 
     Args:
         names: of the nodes, in order of activation; the plant comes last.
-        compose: whether those that can are one process, named ``first+second+…``.
+        compose: whether nodes that can share a process do, named ``first+second+…``.
     """
     together = [name for name in names if compose and may_be_together(name)]
     if not set(together) & set(HOSTS):
@@ -34,7 +34,7 @@ def processes_of(names: Sequence[str], *, compose: bool) -> list[str]:
 
 
 def in_order(names: Sequence[str]) -> list[str]:
-    """Return the names of the nodes of one process in the order in which they become active.
+    """Return the names of the nodes of one process in order of activation.
 
     Raises:
         BadInput: these nodes cannot be one process, or one of them does not exist.

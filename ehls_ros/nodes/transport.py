@@ -1,4 +1,4 @@
-"""The control path on DDS: raw publishers and subscriptions, read by the node's own loop.
+"""The control path on DDS: raw publishers and subscriptions, read by the node's main loop.
 
 An executor callback per message costs more than the control law. So the node's main thread waits on its subscriptions
 and takes the messages itself; lifecycle, parameters and timers are served by an executor in a second thread
@@ -31,11 +31,11 @@ RECORDER_DEPTH = 50_000
 """Queue depth of the recorder, which reads in bulk."""
 
 MOST_KEPT = 10_000
-"""Most messages that a control-path topic keeps."""
+"""Maximum number of messages kept by a control-path topic."""
 
 
 def kept_at(period: float) -> int:
-    """Return how many messages a control-path topic keeps: one second of cycles, so that a busy machine may stop a reader.
+    """Return the history depth of a control-path topic: one second of cycles, so that a busy machine may delay a reader.
 
     Args:
         period: control period [s].
@@ -44,10 +44,10 @@ def kept_at(period: float) -> int:
 
 
 def control_qos(depth: int = DEPTH) -> QoSProfile:
-    """Return the quality of service that every control-path topic offers, and that its readers ask for.
+    """Return the QoS profile that every control-path topic offers and its readers request.
 
-    Reliable and transient local: a node that starts late or restarts receives what it missed, so nodes may start in
-    any order. An :class:`Inbox` does without the latter where a publisher does not offer it.
+    Reliable and transient local: a node that starts late or restarts receives the messages it missed, so nodes may start in
+    any order. An :class:`Inbox` drops the request for transient local where a publisher does not offer it.
     """
     return QoSProfile(
         depth=depth,
@@ -58,12 +58,12 @@ def control_qos(depth: int = DEPTH) -> QoSProfile:
 
 
 def newest_qos() -> QoSProfile:
-    """Return the quality of service of a reader that needs only the newest cycle."""
+    """Return the QoS profile of a reader that needs only the newest cycle."""
     return QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def is_volatile(endpoint: TopicEndpointInfo) -> bool:
-    """Return whether a publisher or reader is reliable, but offers or asks for no messages sent before it was matched."""
+    """Return whether a publisher or reader is reliable but volatile: without messages sent before it was matched."""
     qos = endpoint.qos_profile
     return bool(qos.reliability == ReliabilityPolicy.RELIABLE and qos.durability == DurabilityPolicy.VOLATILE)
 
@@ -75,17 +75,17 @@ def message_class(name: str) -> Any:
 
 
 def links_of(node: Node) -> Links | None:
-    """Return what connects a node to others of its process; None if it is alone there."""
+    """Return the links of a node to the others of its process; None if it is the only one."""
     return getattr(node, "links", None)
 
 
 def _kept_by(node: Node) -> int:
-    """Return how many messages a node's control-path topics keep."""
+    """Return the history depth of a node's control-path topics."""
     return int(getattr(node, "cycles_kept", DEPTH))
 
 
 class Outbox:
-    """Publishes one control-path topic; readers in the same process have a message before it is published.
+    """Publishes one control-path topic; readers in the same process receive a message before it is published.
 
     Attributes:
         topic: its full name.
@@ -113,7 +113,7 @@ class Outbox:
             sender: named in the messages, if their type names one; None: the node's.
             opens: whether its messages are snapshots, each of which opens a cycle.
             answers: whether its messages answer them.
-            together: messages that are published together, if nobody waits for them: each that comes alone wakes up a thread in
+            together: messages that are published together, if no node waits for them: each single message wakes up a thread in
                 every reader. :meth:`flush` publishes those that have gathered.
         """
         self._node = node
@@ -149,11 +149,11 @@ class Outbox:
         self._links.later(self._publish, self._encode, message, answers=self._answers)
 
     def wait_until_heard(self, seconds: float) -> None:
-        """Wait until all readers have received what was published, at most for a time [s]."""
+        """Wait until all readers have received the published messages, at most for a time [s]."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def flush(self) -> None:
-        """Publish the messages that have gathered."""
+        """Publish the gathered messages."""
         for message in self._gathered:
             self._publish(message)
         self._gathered.clear()
@@ -172,7 +172,7 @@ class Outbox:
 
 
 class Notice:
-    """Publishes what is said now and then, at once; readers in the same process have it before that."""
+    """Publishes occasional messages, at once; readers in the same process receive them before that."""
 
     def __init__(self, node: Node, message: Any, topic: str, depth: int) -> None:
         """Create the publisher.
@@ -181,7 +181,7 @@ class Notice:
             node: owner.
             message: message class.
             topic: name below the node's namespace.
-            depth: messages kept for readers that come later.
+            depth: messages kept for late joiners.
         """
         self._node = node
         links = links_of(node)
@@ -194,8 +194,8 @@ class Notice:
         """Publish a message.
 
         Args:
-            message: as ROS has it.
-            decoded: the same as an :class:`Inbox` returns it.
+            message: ROS message.
+            decoded: the same message as an :class:`Inbox` returns it.
         """
         if self._local is not None:
             self._local.hand_over(decoded)
@@ -209,11 +209,11 @@ class Notice:
 
 
 class Inbox:
-    """Receives one topic, in the thread that calls it; what nodes of the same process send comes first, and not over DDS.
+    """Receives one topic in the calling thread; messages from nodes of the same process come first, and not over DDS.
 
-    It asks for the messages sent before it joined as long as all publishers offer them. A publisher with ROS's default
-    profile does not, and would never be matched; once there is one, a second subscription that does not ask takes over. The
-    first one is read until the second has at least as many publishers, so that no message of the others is lost.
+    It requests the messages sent before it joined as long as all publishers offer them. A publisher with ROS's default
+    profile does not, and would never be matched; then a second, volatile subscription takes over. The first one is read until
+    the second has at least as many publishers, so that no message of the others is lost.
     """
 
     def __init__(
@@ -234,8 +234,8 @@ class Inbox:
             topic: name below the node's namespace, or absolute.
             qos: quality of service; that of the control path by default.
             decode: converts the bytes; by default to a tuple of the stamp, the leading numbers and the texts after them.
-            owned: the topic whose owner is the only sender that is accepted, by the last of the texts; None: this topic; empty:
-                all senders are accepted, as where ``decode`` is given and where there are no texts.
+            owned: topic whose owner is the only accepted sender, identified by the last of the texts; None: this topic; empty:
+                accept all senders, as where ``decode`` is given and where there are no texts.
         """
         check_for_type_support(message)
         self._node = node
@@ -274,7 +274,7 @@ class Inbox:
         return outside
 
     def _subscribe(self) -> None:
-        """Subscribe, and look out for publishers that do not offer what is asked for."""
+        """Subscribe, and watch for publishers that do not offer the requested policies."""
         self.handle = self._subscription()
         events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible, use_default_callbacks=False)
         self._handlers = events.create_event_handlers(self._node.default_callback_group, self.handle, self._topic)
@@ -284,8 +284,8 @@ class Inbox:
     def take(self) -> Any:
         """Return the next decoded message of the input's owner, or None.
 
-        Messages that cannot be decoded are skipped and counted. Those of another sender are refused, and returned once that
-        sender is the owner, as rows ahead of the cycles are sent only once.
+        Messages that cannot be decoded are skipped and counted. Those of another sender are refused, but returned once that
+        sender becomes the owner, as rows ahead of the cycles are sent only once.
         """
         if self._owner is None:
             return self._next()
@@ -316,7 +316,7 @@ class Inbox:
                 return decoded
 
     def _came_already(self, message: Any) -> bool:
-        """Return whether a message is of a node of this process, which has handed it over."""
+        """Return whether a message is from a node of this process, which has already handed it over."""
         return isinstance(message, tuple) and message[-1] in self._own
 
     def take_raw(self) -> tuple[bytes, Mapping[str, int]] | None:
@@ -334,13 +334,13 @@ class Inbox:
             return taken
 
     def publishers(self) -> int:
-        """Return how many publishers there are."""
+        """Return the number of publishers."""
         local = 0 if self.links is None else self._local.senders
         return local if self.handle is None else max(local, int(self.handle.get_publisher_count()))
 
     @property
     def volatile(self) -> bool:
-        """Whether it does not receive what was sent before it was matched."""
+        """Whether it does not receive messages sent before it was matched."""
         return bool(self._qos.durability == DurabilityPolicy.VOLATILE)
 
     def destroy(self) -> None:
@@ -361,7 +361,7 @@ class Inbox:
             return rclpy_implementation.Subscription(self._node.handle, self._message, self._topic, profile)
 
     def _on_incompatible(self, _: Any) -> None:
-        """Subscribe without asking for earlier messages if a publisher does not offer them; runs in the service thread."""
+        """Subscribe without requesting earlier messages if a publisher does not offer them; runs in the service thread."""
         volatile = [info for info in self._node.get_publishers_info_by_topic(self._topic) if is_volatile(info)]
         if not volatile or self.volatile:
             return
@@ -390,7 +390,7 @@ class Inbox:
 
 
 class Waiter:
-    """Waits until any of several inboxes has a message; in one process with others, these do their part first."""
+    """Waits until any of several inboxes has a message; the other nodes of the process run first."""
 
     def __init__(self, inboxes: Sequence[Inbox]) -> None:
         """Create a wait set for the inboxes."""

@@ -36,7 +36,7 @@ def piston_mass(share: float, plant: Plant) -> float:
     """Return the mass of a piston separate from the load [kg].
 
     Args:
-        share: fraction of the total moving mass that is the piston's.
-        plant: the rig's coefficients; their moving mass is the load's alone.
+        share: the piston's fraction of the total moving mass.
+        plant: the rig's coefficients; their moving mass is that of the load alone.
     """
     return plant.moving_mass * share / (1.0 - share)

@@ -1,9 +1,9 @@
-"""Composing kernels from chosen parts, compiling them, and caching the machine code between processes.
+"""Compose kernels from chosen parts, compile them, and cache the machine code between processes.
 
-Numba caches machine code per source file and does not distinguish functions passed as arguments. So a small module is
-generated for each choice of parts: it imports them, chains the hooks of the effects, calls a builder of the package, and
-has one entry function for each function built. This file is the only one that generates source text. The module is stored
-in the user's cache folder; its name is a digest of its text and the package's sources, so machine code is never stale.
+Numba caches machine code per source file and does not distinguish functions passed as arguments. Therefore a small module is
+generated for each choice of parts. It imports them, chains the hooks of the effects, calls a builder of the package, and has
+one entry function for each function built. No other file generates source text. The module is stored in the user's cache
+folder; its name is a digest of its text and the package's sources, so machine code is never stale.
 
 A chain of effects is either *fixed*: the effects of one rig in their order, with all parameters in one array as ``p``; or
 *switched*: many effects in the order of their names, each behind a flag, with :class:`Switched` as ``p``, so that another
@@ -41,19 +41,19 @@ KERNEL_SOURCES = ("physics", "control", "identification", "arrays.py", "duals", 
 
 
 def kernel_module(source: str) -> ModuleType:
-    """Import a generated module; a new one is stored first.
+    """Import a generated module, storing it first if it is new.
 
     Args:
         source: text of the module; its compiled entry functions have ``cache=True``.
 
     Returns:
-        The module. Its entry functions are compiled once; later processes load the machine code. If several processes need
+        The module. Its entry functions are compiled once; later processes load the machine code. If several processes request
         the same function at once, one compiles it while the others wait.
 
     Raises:
-        BadInput: others can write the cache folder.
+        BadInput: other users can write to the cache folder.
     """
-    # Everything the machine code depends on.
+    # All dependencies of the machine code.
     made_from = (sys.version, numba.__version__, np.__version__, sources_digest(*KERNEL_SOURCES), source)
     name = PREFIX + hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
     if name in sys.modules:
@@ -90,7 +90,7 @@ def is_compiled(module: ModuleType) -> bool:
 
 
 class _Generated(ExecutionLoader):
-    """Runs a module's text from memory, since the file may have been replaced by the time it is read."""
+    """Loader that runs a module's text from memory, since the file may have been replaced by the time it is read."""
 
     def __init__(self, source: str, path: Path) -> None:
         self._source = source
@@ -107,7 +107,7 @@ class _Generated(ExecutionLoader):
 
 
 def _compile_in_turn(entry: Any, seal: Path, code: Path) -> None:
-    """Let one process at a time compile an entry function; the others then load the result."""
+    """Serialise the compilation of an entry function among processes; the others load the result."""
     compile_or_load = entry.compile
 
     def in_turn(signature: Any) -> Any:
@@ -136,7 +136,7 @@ class Switched(NamedTuple):
 
 
 class Effects(NamedTuple):
-    """A choice of effects to chain.
+    """Choice of effects to chain.
 
     Attributes:
         names: names in the order in which the effects act.
@@ -148,11 +148,11 @@ class Effects(NamedTuple):
 
     @property
     def states(self) -> int:
-        """Number of the effects' own states."""
+        """Number of states of all effects."""
         return sum(_states(name) for name in self.names)
 
     def first_state(self, name: str) -> int:
-        """Return the index of an effect's first own state."""
+        """Return the index of the first state of an effect."""
         return sum(_states(before) for before in self.names[: self.names.index(name)])
 
     def piston_state(self, name: str) -> int:
@@ -161,7 +161,7 @@ class Effects(NamedTuple):
         return self.first_state(name) + int(effect.PISTON)
 
     def parameters(self, uses: Iterable[EffectUse]) -> Any:
-        """Return ``p`` of the chains for effects in use; of an effect used twice, switched chains take the last.
+        """Return ``p`` of the chains for the effects in use; of an effect used twice, switched chains apply the last.
 
         Values of switched chains may be duals.
         """
@@ -190,17 +190,17 @@ def effects_with(*hooks: str) -> Effects:
 
 
 def effects_of(rig: Rig | EffectiveRig) -> Effects:
-    """Return a rig's effects with hooks, as a fixed chain."""
+    """Return a rig's effects that have hooks, as a fixed chain."""
     return Effects(tuple(use.name for use in effects_in_kernel(rig)))
 
 
 def effects_in_kernel(rig: Rig | EffectiveRig) -> tuple[EffectUse, ...]:
-    """Return a rig's effects with hooks; the others only shift parameters."""
+    """Return a rig's effects that have hooks; the others only shift parameters."""
     return tuple(use for use in rig.effects if any(hasattr(EFFECTS.load(use.name), hook) for hook in HOOKS))
 
 
 def rig_elements(rig: Rig | EffectiveRig) -> int:
-    """Return how many forces the rig's friction model integrates."""
+    """Return the number of forces that the rig's friction model integrates."""
     return FRICTION_MODELS.load(rig.friction_model).states(rig.friction)
 
 
@@ -213,13 +213,13 @@ def compiled(
     *,
     threads: bool = False,
 ) -> ModuleType:
-    """Compile or load what a builder makes of chosen parts.
+    """Compile or load the functions that a builder returns for chosen parts.
 
     Args:
         build: builder at the top level of a module. Its keyword arguments are the members, the numbers and, with effects,
             ``chains`` (:class:`~ehls_ros.physics.plant.Chains`). It returns an object with a compiled function per entry.
         entries: arguments of each entry function as text, by name.
-        members: modules by keyword, such as a friction model, and functions at the top level of one.
+        members: modules by keyword, such as a friction model, and functions at the top level of a module.
         numbers: integers by keyword.
         effects: the effects to chain.
         threads: whether the entry functions release the interpreter lock.
@@ -253,12 +253,12 @@ def compiled(
 
 
 def _import(member: Any, name: str) -> str:
-    """Return the line that imports a part; a generated module needs no digest, as its name is one."""
+    """Return the import line of a part; a generated module needs no digest, as its name is one."""
     return f"import {member.__name__} as {name}" if member.__name__.startswith(PREFIX) else import_line(member, name)
 
 
 def _chains(effects: Effects) -> list[str]:
-    """Return the lines that chain the hooks of the effects."""
+    """Return the source lines that chain the hooks of the effects."""
     lines, rates, jumps, states, first = list[str](), list[str](), list[str](), 0, 0
     chains: dict[str, list[str]] = {hook: [] for hook in (*HOOKS, "joint_force", "coupling_force")}
     needed = 0

@@ -1,7 +1,7 @@
-"""From the figures of data sheets to the coefficients of a rig.
+"""Convert data sheet figures to the coefficients of a rig.
 
-A cylinder's data sheet has diameters, a valve's has a flow at a pressure drop, and the model has neither. Each relation stands
-here once. What no data sheet has is assumed, and says which measurement replaces it.
+A cylinder's data sheet gives diameters and a valve's gives a flow at a pressure drop; the model needs neither. Each conversion
+is defined once, here. Figures that no data sheet gives are assumed, with a note of the measurement that replaces them.
 """
 
 import math
@@ -14,19 +14,19 @@ from ehls_ros.schema import Misfit, fitted, notes, parse, quantity, text
 from ehls_ros.units import in_unit, size
 
 DAMPING = 0.7
-"""Damping ratio of a servo valve, by which its frequency at -90° becomes the bandwidth of a first-order lag [1]."""
+"""Damping ratio of a servo valve, to convert its frequency at -90° to the bandwidth of a first-order lag [1]."""
 
 BREAK_AWAY = 1e-4
 """Travel over which static friction builds up: seals yield by about 0.1 mm [m]."""
 
 SEALS, OVER_COULOMB, STRIBECK = 0.03, 1.3, 5e-3
-"""Assumed of seals: friction over the largest force, static over Coulomb friction, Stribeck velocity [m/s]."""
+"""Assumptions on seals: friction over the largest force, static over Coulomb friction, Stribeck velocity [m/s]."""
 
 GRAVITY = 9.81
-"""Of the earth [m/s^2]."""
+"""Gravitational acceleration [m/s^2]."""
 
 SETTLING = 0.3
-"""Assumed time in which sliding friction settles to the Stribeck curve [s]."""
+"""Assumed settling time of sliding friction to the Stribeck curve [s]."""
 
 LEAKING = 0.02
 """Assumed leakage at supply pressure, as a fraction of the rated flow."""
@@ -36,7 +36,7 @@ Figure = float | None
 
 
 class DataSheet(NamedTuple):
-    """What data sheets of cylinder, valve, pump and load say; for what is None, a usual value is assumed."""
+    """Data sheet figures of cylinder, valve, pump and load; a usual value is assumed in place of None."""
 
     bore: Annotated[float, quantity("mm", "piston diameter (cylinder: 'bore' or 'piston Ø')", minimum=1.0, maximum=1e3)]
     rod: Annotated[float, quantity("mm", "rod diameter (cylinder: 'rod Ø')", minimum=0.0, maximum=1e3)]
@@ -99,12 +99,12 @@ Origin = Literal["given", "computed", "assumed"]
 
 
 class Source(NamedTuple):
-    """A value and where it came from.
+    """A value with its origin.
 
     Attributes:
-        value: in the SI unit of the rig file.
-        origin: a figure of the data sheet, a relation between such figures, or neither.
-        told: the figure or the relation; of what is assumed, also what replaces it.
+        value: the value in the SI unit of the rig file.
+        origin: a data sheet figure, computed from such figures, or assumed.
+        told: the figure or the relation; for an assumption, also the measurement that replaces it.
     """
 
     value: Any
@@ -113,7 +113,7 @@ class Source(NamedTuple):
 
 
 def mean_area(bore: float, rod: float, rods: str) -> float:
-    """Return the piston area of the model [m^2]: the ring of a double rod, or the mean of both areas of a single one.
+    """Return the piston area of the model [m^2]: the annulus of a double rod, or the mean of both areas of a single rod.
 
     Args:
         bore: piston diameter [m].
@@ -125,11 +125,11 @@ def mean_area(bore: float, rod: float, rods: str) -> float:
 
 
 def area_gradient(flow: float, drop: float, opening: float, discharge_coefficient: float, oil_density: float) -> float:
-    """Return the valve's area per spool displacement [m] from its rated flow, by the orifice law (1).
+    """Return the valve's area gradient [m], area per spool displacement, from its rated flow by the orifice law (1).
 
     Args:
         flow: rated flow [m^3/s].
-        drop: of both metering edges together at that flow [Pa].
+        drop: pressure drop over both metering edges together at that flow [Pa].
         opening: spool displacement at that flow [m].
         discharge_coefficient: Cd [1].
         oil_density: rho [kg/m^3].
@@ -138,40 +138,40 @@ def area_gradient(flow: float, drop: float, opening: float, discharge_coefficien
 
 
 def lag_bandwidth(frequency: float, at: str) -> float:
-    """Return the bandwidth of a first-order lag [rad/s] that is late like the valve.
+    """Return the bandwidth of a first-order lag [rad/s] with the delay of the valve.
 
     Args:
-        frequency: where the Bode plot has that phase or amplitude [Hz].
-        at: ``-3 dB``, which a first-order lag has at its bandwidth; or ``-90 deg``, the natural frequency of a second-order
-            valve, whose slow commands are late by 2 ζ / ω.
+        frequency: frequency of that phase or amplitude in the Bode plot [Hz].
+        at: ``-3 dB``, the bandwidth of a first-order lag; or ``-90 deg``, the natural frequency of a second-order valve, whose
+            delay for slow commands is 2 ζ / ω.
     """
     natural = 2.0 * math.pi * frequency
     return natural if at == "-3 dB" else natural / (2.0 * DAMPING)
 
 
 def answer(name: str, written: Any) -> Any:
-    """Return the figure that an answer to a question of :class:`DataSheet` means.
+    """Return the figure from an answer to a question of :class:`DataSheet`.
 
     Args:
         name: the field.
-        written: what was written, a text with a unit or a value as a YAML file has it.
+        written: the answer, a text with a unit or a value as in a YAML file.
 
     Raises:
-        Misfit: it is no such figure.
+        Misfit: the answer is not a valid figure.
     """
     unit = notes(DataSheet)[name].unit
     return fitted(HINTS[name], in_unit(written, unit) if unit and isinstance(written, str) else written)
 
 
 def sheet_from_mapping(data: Any, where: str) -> DataSheet:
-    """Check the content of a file of answers.
+    """Return the data sheet from the checked content of a file of answers.
 
     Args:
         data: the parsed file; figures may have units, such as ``210 bar``.
-        where: the file or terminal, for errors.
+        where: the file or terminal, for error messages.
 
     Raises:
-        BadInput: the first answer that is missing, unknown or out of range, or a rod as thick as the bore.
+        BadInput: an answer is missing, unknown or out of range, or the rod is as thick as the bore; the first is reported.
     """
     if not isinstance(data, Mapping):
         raise BadInput(f"it contains {data!r}", where, f"a mapping with {', '.join(DataSheet._fields)}")
@@ -270,7 +270,7 @@ def _plant(sheet: DataSheet) -> dict[str, Source]:
 
 
 def _friction(sheet: DataSheet, largest: float, fastest: float) -> dict[str, Source]:
-    """Return the friction's values; ``largest`` is the largest force [N], ``fastest`` the largest velocity [m/s]."""
+    """Return the friction values; ``largest`` is the largest force [N], ``fastest`` the largest velocity [m/s]."""
     replaced = "slow strokes both ways and `ehls identify` measure it"
     coulomb = Source(SEALS * largest, "assumed", f"{100 * SEALS:g} % of the largest force; {replaced}")
     if sheet.friction is not None:
@@ -292,12 +292,12 @@ def _friction(sheet: DataSheet, largest: float, fastest: float) -> dict[str, Sou
 
 
 def _figure(sheet: DataSheet, name: str, replaced: str = "") -> Source:
-    """Return a figure in its SI unit, or the usual value in its place.
+    """Return a figure in its SI unit, or the usual value if it is missing.
 
     Args:
         sheet: the figures.
-        name: which.
-        replaced: what replaces the usual value.
+        name: name of the figure.
+        replaced: measurement that replaces the usual value.
     """
     note, figure = notes(DataSheet)[name], getattr(sheet, name)
     used = note.typical if figure is None else figure

@@ -2,12 +2,12 @@
 
 A system is two compiled functions of time ``t``, state ``y``, modes ``mode`` and coefficients ``c``:
 
-* ``evaluate(t, y, mode, c, rate)`` writes dy/dt, which is smooth while the modes are constant, and returns the event
-  function: continuous up to an event, and positive once a mode has to change;
+* ``evaluate(t, y, mode, c, rate)`` writes dy/dt, smooth while the modes are constant, and returns the event function,
+  continuous up to an event and positive once a mode must change;
 * ``switch(t, y, mode, c)`` changes the modes (and, at an impact, the state) at the event.
 
-A step that would pass an event is shortened to end on it. No step contains a discontinuity, so the order of the method
-holds through stick and slip. The evaluation that checks for an event at the end of a step is the first stage of the next.
+A step that would pass an event is shortened to end on it. No step contains a discontinuity, so the order of the method is kept
+through stick and slip. The evaluation that checks for an event at the end of a step is also the first stage of the next step.
 """
 
 from collections.abc import Callable
@@ -17,25 +17,25 @@ from ehls_ros.arrays import Array, apart, lean
 from ehls_ros.duals import alike, length_to_event, varies
 
 STEP_ROWS = 8
-"""Rows of workspace that a step needs, each as long as the state."""
+"""Rows of workspace per step, each as long as the state."""
 
 WORK_ROWS = STEP_ROWS + 1
-"""Rows of an integrator's workspace: in the last one it keeps the state after an event that it has not enclosed yet."""
+"""Rows of an integrator's workspace; the last row holds the state after an event that is not yet bracketed."""
 
 MOST_EVENTS = 16
-"""Most events located within one step; further ones are stepped over."""
+"""Most events located within one step; further ones are not located."""
 
 EVENT_TOLERANCE = 1e-9
-"""Tolerance of an event's time, as a fraction of the step."""
+"""Tolerance of the event time, as a fraction of the step."""
 
 HALVINGS = 18
-"""How often a step is halved to foresee an event: each is one evaluation, and later iterations a whole step."""
+"""Bisections of a step to predict an event. Each costs one evaluation; later iterations cost a whole step."""
 
 SLOW = 3
-"""Iterations without halving the bracket after which it is halved."""
+"""Consecutive iterations that do not halve the bracket, after which it is bisected."""
 
 MOST_ITERATIONS = 128
-"""Enough to halve a step down to the tolerance at every fourth iteration."""
+"""Enough iterations to bisect a step down to the tolerance at every fourth one."""
 
 
 class Steps(NamedTuple):
@@ -60,7 +60,7 @@ def steps_of(
     most_events: int = MOST_EVENTS,
     order: Literal[2, 4, 5] = 4,
 ) -> Steps:
-    """Build the compiled steps of one system; arguments as those of :func:`integrator`."""
+    """Build the compiled steps of one system; the arguments are those of :func:`integrator`."""
 
     @lean
     def runge_kutta(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
@@ -121,10 +121,10 @@ def steps_of(
 
     @lean
     def foresee(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> float:
-        """Return about where in a step the event is: where it is on the cubic through both ends and their rates.
+        """Predict the event in a step from the cubic interpolant of both end states and rates.
 
-        Halving needs only the sign of the event function: that is the largest of several conditions in different units, so it
-        bends sharply where another of them becomes the largest.
+        Bisection needs only the sign of the event function. This function is the largest of several conditions in different
+        units, so it has a kink where the largest condition changes.
 
         Args:
             t: time at the start of the step [s].
@@ -153,10 +153,10 @@ def steps_of(
 
     @apart
     def locate(t: float, y: Array, mode: Array, c: Any, step: float, after: float, work: Array) -> float:
-        """Find where in a step the event function crosses zero.
+        """Locate the zero crossing of the event function in a step.
 
-        Two tries enclose where the event is foreseen. What follows is regula falsi in the Illinois variant; where that is slow,
-        as with a flat event function, the bracket is halved.
+        Two trials bracket the predicted event. Regula falsi in the Illinois variant follows; where it converges slowly, as with
+        a flat event function, the bracket is bisected.
 
         Args:
             t: time at the start of the step [s].
@@ -191,7 +191,7 @@ def steps_of(
                 slow = 0
             else:
                 middle = high - after * width / (after - before)
-            # Next to an end that is as good as the event, a step of almost the tolerance closes the bracket.
+            # Next to an end that nearly coincides with the event, a step of almost the tolerance closes the bracket.
             middle = min(max(middle, low + 0.75 * tolerance), high - 0.75 * tolerance)
             take_step(t, y, mode, c, middle, work)
             value = evaluate(t + middle, end, mode, c, work[1])
@@ -248,10 +248,10 @@ def integrator(
     Args:
         evaluate: rates and event function of the system.
         switch: mode changes of the system.
-        size: length of the state if known, so that the compiler unrolls the loops over it; 0: any length.
+        size: length of the state if known, so that the compiler unrolls the loops over it; 0 for any length.
         most_events: most events located within a step; with 0, modes change only at the ends of steps.
-        order: 2, the midpoint rule; 4, the classical method; or 5, that of Dormand and Prince (1980), with six evaluations per
-            step instead of four, but fewer steps for the same error.
+        order: 2 for the midpoint rule; 4 for the classical method; 5 for that of Dormand and Prince (1980), which takes six
+            evaluations per step instead of four, but fewer steps for the same error.
 
     Returns:
         ``advance(t, y, mode, c, step, steps, work)``, see below.

@@ -1,7 +1,7 @@
-"""Which integration step resolves a rig.
+"""Choose the integration step that resolves a rig.
 
-The simulator takes steps of one length, short enough for the fastest part of the rig: oil column, valve, friction, or what an
-effect adds.
+The simulator takes steps of constant length, short enough for the fastest part of the rig: oil column, valve, friction, or an
+effect.
 """
 
 import math
@@ -17,16 +17,16 @@ from ehls_ros.physics.rig import EffectiveRig, Rig
 from ehls_ros.physics.servo import Servo
 
 LONGEST_STEP = 2.5e-4
-"""Default integration step [s] of a rig that needs no shorter one; benchmarks/physics_convergence.py shows why."""
+"""Default integration step [s], unless the rig needs a shorter one; justified by benchmarks/physics_convergence.py."""
 
 SHORTEST_STEP = 5e-5
-"""Shortest default [s]: a rig that needs steps shorter than this more likely has a value in a wrong unit."""
+"""Shortest default step [s]: a rig that needs shorter ones more likely has a value in a wrong unit."""
 
 DECAY = 2.0
-"""Largest product of integration step and rate of what decays; the scheme is stable up to 3.3."""
+"""Largest product of integration step and decay rate; the scheme is stable up to 3.3."""
 
 OSCILLATION = 1.0
-"""The same of what oscillates, even undamped: its amplitude then changes by 2e-6 a step."""
+"""Largest product of integration step and natural frequency, even undamped: the amplitude error is then 2e-6 per step."""
 
 _RATES: Mapping[str, tuple[Callable[[float, float], float], float]] = MappingProxyType(
     {
@@ -36,18 +36,18 @@ _RATES: Mapping[str, tuple[Callable[[float, float], float], float]] = MappingPro
         "Hz": (lambda value, mass: 2.0 * math.pi * value, OSCILLATION),
     }
 )
-"""Rate that a coefficient of an effect makes on a mass [kg], and the largest product of it with the step, by the unit."""
+"""By unit of a coefficient: its natural rate on a mass [kg], and the largest product of this rate and the step."""
 
 
 class Rate(NamedTuple):
     """Natural rate of a part of the plant.
 
     Attributes:
-        what: the part.
+        what: name of the part.
         rate: inverse time constant or natural frequency [1/s].
         most: largest product of integration step and rate.
-        keys: coefficients of plant and friction that it depends on.
-        further: what else it depends on, in words.
+        keys: coefficients of plant and friction that the rate depends on.
+        further: its other dependencies, as text.
     """
 
     what: str
@@ -66,12 +66,12 @@ def rates(rig: Rig, servo: Servo | None = None) -> Iterator[Rate]:
     """Yield the natural rate of each part of a plant.
 
     Args:
-        rig: the rig with its effects; stiffness and damping of an effect count as if they always acted.
-        servo: position servo that is simulated with it.
+        rig: the rig with its effects; stiffness and damping of an effect count as if always active.
+        servo: position servo that is simulated with the rig.
 
     Yields:
-        The rates; springs and dampers act on the smaller of piston and load, and those of the coupling to the servo on the mass
-        with which both pistons swing against each other.
+        The rates. Springs and dampers act on the smaller of piston and load; those of the coupling to the servo act on the
+        reduced mass of both pistons.
     """
     far = math.inf if servo is None else servo.rig.plant.moving_mass
     effective = rig.effective()
@@ -114,14 +114,14 @@ def rates(rig: Rig, servo: Servo | None = None) -> Iterator[Rate]:
 
 
 def steps_per_period(rig: Rig, period: float, step: float | None = None, servo: Servo | None = None) -> int:
-    """Return the number of equal integration steps that a control period is divided into.
+    """Return the number of equal integration steps in a control period.
 
     Args:
         rig: the rig.
         period: control period [s].
-        step: largest integration step [s]; by default :data:`LONGEST_STEP`, or a shorter one that the rig needs, down to
+        step: largest integration step [s]; by default :data:`LONGEST_STEP`, or a shorter one if the rig needs it, down to
             :data:`SHORTEST_STEP`.
-        servo: position servo that is simulated with it.
+        servo: position servo that is simulated with the rig.
     """
     if step is None:
         step = min(LONGEST_STEP, max(min(part.step for part in rates(rig, servo)), SHORTEST_STEP))
@@ -134,8 +134,8 @@ def check_step(rig: Rig, step: float, where: str, servo: Servo | None = None) ->
     Args:
         rig: the rig.
         step: integration step [s].
-        where: the file, for errors.
-        servo: position servo that is simulated with it.
+        where: the file, for error messages.
+        servo: position servo that is simulated with the rig.
 
     Raises:
         BadInput: the fastest part is too fast for the step.

@@ -1,8 +1,8 @@
-"""The cache folder of compiled kernels, and why its contents are safe to run.
+"""Cache folder of compiled kernels, with safeguards for running its contents.
 
-Machine code is cached as pickles, and loading a pickle can run any code. So only the user can write the folder; a kernel's
-text is run from memory, and its file only lets numba find the machine code; and machine code is loaded only if it is
-unchanged since it was compiled. What is damaged is compiled again.
+Machine code is cached as pickles, and loading a pickle can run any code. Therefore only the user can write to the folder. A
+kernel's text is run from memory; its file serves only for numba to find the machine code. Machine code is loaded only if it is
+unchanged since it was compiled; damaged code is compiled again.
 """
 
 import fcntl
@@ -40,13 +40,13 @@ def cache_folder() -> Path:
 
 
 def make_private(folder: Path) -> None:
-    """Create a folder for kernels that only the user can write; one that others could write is emptied first.
+    """Create a folder for kernels that only the user can write; one writable by others is emptied first.
 
     Args:
         folder: the folder; if missing, it is created with mode 700.
 
     Raises:
-        BadInput: it belongs to another user, or others may write it and it holds more than kernels.
+        BadInput: it belongs to another user, or others may write it and it contains more than kernels.
         OSError: it cannot be created.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -64,7 +64,7 @@ def make_private(folder: Path) -> None:
 
 
 def _take_over(folder: Path) -> None:
-    """Revoke others' write permission and delete what they may have put there."""
+    """Revoke others' write permission and delete all content that they may have placed there."""
     strangers = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith((PREFIX, CODE, "tmp")))
     if strangers:
         what = f"others may write the folder of compiled kernels, which holds '{strangers[0]}' too"
@@ -80,13 +80,13 @@ def store_source(name: str, source: str) -> Path:
 
     Args:
         name: name of the kernel's module.
-        source: its text.
+        source: text of the module.
 
     Returns:
         The file, in a temporary folder if the cache folder cannot be written.
 
     Raises:
-        BadInput: others can write the cache folder.
+        BadInput: other users can write to the cache folder.
     """
     try:
         make_private(cache_folder())
@@ -108,7 +108,7 @@ def _written(folder: Path, name: str, source: str) -> Path:
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(text)
-        # Several nodes may start at once: each writes its own file, and all rename the same text.
+        # Several nodes may start at once: each writes a separate file, and all rename the same text.
         Path(scratch).replace(path)
     except OSError:
         Path(scratch).unlink(missing_ok=True)
@@ -122,9 +122,9 @@ def sealed(seal: Path, code: Path, pattern: str) -> Iterator[None]:
 
     Args:
         seal: file with the digest of the machine code, which is also the lock file. The operating system releases the lock
-            when its process ends, however it ends.
+            when its process ends, even by a crash.
         code: folder of the machine code.
-        pattern: glob pattern of its files.
+        pattern: glob pattern of the machine code files.
     """
     with _locked(seal) as file:
         found = file.read() if file else b""
@@ -133,7 +133,7 @@ def sealed(seal: Path, code: Path, pattern: str) -> Iterator[None]:
                 damaged.unlink()
         yield
         left = _digest(code, pattern)
-        # On a full disk the seal matches nothing, and the code is compiled again.
+        # On a full disk the seal matches no code, and the code is compiled again.
         with suppress(OSError):
             if file and left != found:
                 file.seek(0)
@@ -158,7 +158,7 @@ def _digest(code: Path, pattern: str) -> bytes:
 
 @contextmanager
 def _locked(file: Path) -> Iterator[BinaryIO | None]:
-    """Lock out other processes; if no lock file can be created, compiling twice does no harm."""
+    """Lock out other processes; without a lock file, code is compiled twice at worst."""
     try:
         handle = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError:

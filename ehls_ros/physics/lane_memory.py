@@ -1,13 +1,13 @@
-"""The memory of lanes: trajectories side by side, that a compiler can advance by vector instructions.
+"""Memory layout of lanes: parallel trajectories that a compiler can advance by vector instructions.
 
-A *block* holds the numbers of :data:`LANES` lanes in a flat array: row after row, a number of each lane in each. A loop over
-the lanes that loads a lane's numbers, computes, and stores what changed is one that LLVM turns into vector instructions, if
+A *block* holds the numbers of :data:`LANES` lanes in a flat array: row after row, each with one number per lane. LLVM
+vectorises a loop over the lanes that loads a lane's numbers, computes, and stores the changed ones, if
 
-* the block is one array and its rows are known when the loop is compiled, so that no two lanes can touch the same number;
-* small arrays within the loop live on the stack (:func:`stack`), where LLVM makes registers of their elements;
-* what is computed has neither calls nor loops of unknown length (:mod:`ehls_ros.physics.vector_math`).
+* the block is one array and its rows are known when the loop is compiled, so that no two lanes can access the same number;
+* small arrays within the loop are on the stack (:func:`stack`), where LLVM turns their elements into registers;
+* the computation has neither calls nor loops of unknown length (:mod:`ehls_ros.physics.vector_math`).
 
-Otherwise the loop goes lane by lane, with the same result.
+Otherwise the loop is executed lane by lane, with the same result.
 """
 
 import math
@@ -22,14 +22,14 @@ from numba.np.arrayobj import make_array, populate_array
 from ehls_ros.arrays import Array, compiler_function
 
 LANES = 16
-"""Lanes of a block: some vectors' worth, so that their latencies overlap, in a block that stays in the fastest cache."""
+"""Lanes of a block: several vectors, so that their latencies overlap, in a block that fits the fastest cache."""
 
 _WORD = 8
-"""Bytes of a number."""
+"""Size of a number [bytes]."""
 
 
 def _array(context: Any, builder: Any, kind: Any, data: Any, shape: tuple[int, ...], apart: int) -> Any:
-    """Return an array of a shape from ``data`` on, whose elements are ``apart`` bytes apart."""
+    """Return an array of a shape at ``data``, with a spacing of ``apart`` bytes between elements."""
     made = make_array(kind)(context, builder)
     strides = [apart * math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
 
@@ -42,9 +42,9 @@ def _array(context: Any, builder: Any, kind: Any, data: Any, shape: tuple[int, .
 
 
 def stack(*shape: int) -> Callable[[], Array]:
-    """Return a compiled function that returns an array of a shape on the stack of the function that calls it.
+    """Return a compiled function that returns an array of a shape on the stack of its caller.
 
-    Its content is undefined, and the same array serves every iteration of a loop.
+    Its content is undefined, and the same array is reused in every iteration of a loop.
     """
     kind = types.Array(types.float64, len(shape), "C")
 
@@ -75,7 +75,7 @@ def column(*shape: int) -> Callable[[Array, int, int], Array]:
 
 
 def _place(context: Any, builder: Any, block: Any, arguments: Any) -> Any:
-    """Return the place of a lane's number in a row of a block; the last arguments are block, row, and lane."""
+    """Return the address of a lane's number in a row of a block; the last arguments are block, row, and lane."""
     memory, row, lane = arguments[-3:]
     index = builder.add(builder.mul(row, ir.Constant(ir.IntType(64), LANES)), lane)
     return builder.gep(make_array(block)(context, builder, memory).data, [index])
@@ -83,38 +83,38 @@ def _place(context: Any, builder: Any, block: Any, arguments: Any) -> Any:
 
 @compiler_function
 def wide_vectors(typing: Any) -> Any:
-    """Let the compiled function that calls this use the widest vectors there are; it is not inlined.
+    """Make the calling compiled function use the widest available vectors; it is not inlined.
 
-    LLVM would keep to half the width of AVX-512, as programs with few vector instructions are faster with it.
+    By default LLVM uses half the width of AVX-512, since programs with few vector instructions are faster with it.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         builder.function.attributes.add("noinline")
-        # The set's own method refuses attributes that are no keywords.
+        # The set's ``add`` method rejects attributes that are no keywords.
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
 
     return types.none(), generate
 
 
 def numbers_in(like: Any) -> int:
-    """Return how many numbers a number, or a named tuple of such, has: the rows that :func:`numbers` reads."""
+    """Return the number of scalars in a number or a nested named tuple, equal to the rows that :func:`numbers` reads."""
     return sum(map(numbers_in, like)) if isinstance(like, tuple) else 1
 
 
 def flat(like: Any) -> list[float]:
-    """Return the numbers of a number, or a named tuple of such, in their order."""
+    """Return the scalars of a number or a nested named tuple as a list, in their order."""
     return [value for field in like for value in flat(field)] if isinstance(like, tuple) else [float(like)]
 
 
 @compiler_function
 def numbers(typing: Any, like: Any, block: Any, row: Any, lane: Any) -> Any:
-    """Return a named tuple of numbers, or of such tuples, from the rows of a block.
+    """Return a nested named tuple of numbers from the rows of a block.
 
     Args:
-        typing: numba's.
-        like: a value of the same type; only its type counts.
+        typing: numba's typing context.
+        like: a value of the same type; only its type is used.
         block: the block.
-        row: its first row.
+        row: the first row.
         lane: the lane.
     """
 
@@ -136,14 +136,14 @@ def numbers(typing: Any, like: Any, block: Any, row: Any, lane: Any) -> Any:
 
 
 class Rows:
-    """Hands out the rows of a block."""
+    """Allocates the rows of a block."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Start without rows."""
         self.count = 0
 
     def take(self, number: int = 1) -> int:
-        """Return the first of a number of new rows."""
+        """Allocate a number of rows and return the first."""
         first = self.count
         self.count += number
         return first

@@ -1,8 +1,8 @@
-"""The integrator for lanes: many trajectories of one system, a step of all of them at a time.
+"""Integrator for lanes: step many trajectories of one system together.
 
-The step is that of :mod:`ehls_ros.physics.integration`, compiled into a loop over the lanes. A lane in which the event
-function turns positive takes the step again by itself, from its start and with events located. So each lane has the numbers
-it has alone, to the last bit.
+The step is that of :mod:`ehls_ros.physics.integration`, compiled into a loop over the lanes. A lane whose event function turns
+positive repeats the step separately, from its start and with events located. Thus each lane gives bitwise the same numbers as
+alone.
 """
 
 from collections.abc import Callable
@@ -15,20 +15,20 @@ from ehls_ros.physics.integration import MOST_EVENTS, STEP_ROWS, steps_of
 from ehls_ros.physics.lane_memory import LANES, Rows, column, stack, wide_vectors
 
 RATE = 2
-"""Row of the integrator's workspace with the rates at the start of a step, and after it at its end."""
+"""Row of the integrator's workspace with the rates: at the start of a step before it, at the end after it."""
 
 
 class LaneRows(NamedTuple):
-    """First rows of what the integrator keeps in a block.
+    """First rows of the integrator's data in a block.
 
     Attributes:
         mode: modes.
         y: state.
         rate: rates at the start of the next step.
-        changed: event function there, positive where a mode has to change.
+        changed: event function at the start of the next step, positive where a mode must change.
         end: state after the step.
-        end_rate: rates there.
-        after: event function there.
+        end_rate: rates after the step.
+        after: event function after the step.
     """
 
     mode: int
@@ -41,7 +41,7 @@ class LaneRows(NamedTuple):
 
     @classmethod
     def of(cls, rows: Rows, size: int, modes: int) -> "LaneRows":
-        """Take the rows for a number of states and modes."""
+        """Allocate the rows for a number of states and modes."""
         return cls(*(rows.take(n) for n in (modes, size, size, 1, size, size, 1)))
 
 
@@ -60,17 +60,17 @@ def lanes_integrator(
     Args:
         evaluate: rates and event function of the system.
         switch: mode changes of the system.
-        coefficients: compiled ``coefficients(block, like, lane)``, which returns ``c`` of a lane; ``like`` is what it needs to
-            know their types.
-        rows: where the block has state and modes.
+        coefficients: compiled ``coefficients(block, like, lane)``, which returns ``c`` of a lane; ``like`` provides its
+            types.
+        rows: rows of state and modes in the block.
         size: length of the state.
         modes: number of modes.
         most_events: see :func:`~ehls_ros.physics.integration.integrator`.
-        order: see there.
+        order: see :func:`~ehls_ros.physics.integration.integrator`.
 
     Returns:
-        ``advance(t, block, like, step, steps)``, which does for every lane what that of
-        :func:`~ehls_ros.physics.integration.integrator` does for one.
+        ``advance(t, block, like, step, steps, work)``, which advances every lane as that of
+        :func:`~ehls_ros.physics.integration.integrator` advances one system.
     """
     take_step, located_step = steps_of(evaluate, switch, size, most_events, order)
     w0, w1, w2, w3, w4, w5, w6, w7 = (stack(size) for _ in range(STEP_ROWS))
@@ -94,7 +94,7 @@ def lanes_integrator(
 
     @lean
     def step_all(t: float, block: Array, like: Any, step: float) -> None:
-        """Take a step of all lanes as if there were no events."""
+        """Step all lanes without event location."""
         for lane in range(LANES):
             work = (w0(), w1(), w2(), w3(), w4(), w5(), w6(), w7())
             mode, c = modes_of(block, MODE, lane), coefficients(block, like, lane)
@@ -106,7 +106,7 @@ def lanes_integrator(
 
     @njit(error_model="numpy", forceinline=False)
     def step_one(t: float, block: Array, like: Any, step: float, lane: int, work: Array) -> int:
-        """Take a step of one lane, with its events located."""
+        """Step one lane with event location."""
         y, mode = w0(), modes_of(block, MODE, lane)
         copy(states(block, Y, lane), y)
         copy(states(block, RATE_ROW, lane), work[RATE])
@@ -130,7 +130,7 @@ def lanes_integrator(
             work: workspace of one lane, shape (:data:`~ehls_ros.physics.integration.WORK_ROWS`, size).
 
         Returns:
-            Number of steps with more events than were located, of all lanes.
+            Number of steps with more events than were located, summed over all lanes.
         """
         wide_vectors()
         dense = 0

@@ -1,4 +1,4 @@
-"""The rig's coefficients, each declared once with unit, range and help; friction models declare their own."""
+"""Coefficients of the rig, each declared once with unit, range and help; friction models declare their own."""
 
 from typing import Annotated, NamedTuple
 
@@ -33,7 +33,7 @@ class Plant(NamedTuple):
 
 
 class Sensor(NamedTuple):
-    """Imperfections of one sensor; by default it is perfect."""
+    """Imperfections of one sensor; none by default."""
 
     noise_std: Annotated[float, quantity("signal", "standard deviation of white noise per sample", minimum=0.0)] = 0.0
     resolution: Annotated[float, quantity("signal", "step of the converter; 0: none", minimum=0.0)] = 0.0

@@ -1,7 +1,8 @@
 """The plant: equations (1)-(4) and a friction model, as one hybrid system for the integrator.
 
 State ``y``: position and velocity of the moving mass (the piston's, unless an effect separates load and piston), load
-pressure, spool displacement (x1..x4 of (24)), then the forces of the friction model, then the effects' own states.
+pressure, spool displacement (x1..x4 of (24)), then the forces of the friction model, then the states of the effects.
+
 Modes: sign of the valve opening, then those of the friction model.
 
 :func:`relations` builds the equations with the effects' hooks; :func:`system` builds the simulator's plant from these
@@ -30,7 +31,7 @@ command."""
 
 
 class Coefficients(NamedTuple):
-    """What the equations depend on besides time and state.
+    """Arguments of the equations besides time and state.
 
     Attributes:
         plant: the effective rig's coefficients.
@@ -50,16 +51,16 @@ class Coefficients(NamedTuple):
 
 @kernel
 def hold(w: Array, start: float, command: float, force: float, force_rate: float, displacement: float, velocity: float) -> None:
-    """Set the inputs of a new cycle; past commands move back by one.
+    """Set the inputs of a new cycle; past commands shift back by one.
 
     Args:
         w: inputs, updated in place.
         start: time at which the cycle begins [s].
         command: spool command, held over the cycle [m].
         force: disturbance force at the start [N].
-        force_rate: its rate [N/s].
+        force_rate: rate of the disturbance force [N/s].
         displacement: displacement of the position servo at the start [m].
-        velocity: its velocity [m/s].
+        velocity: velocity of the position servo [m/s].
     """
     for i in range(w.size - 1, INPUTS, -1):
         w[i] = w[i - 1]
@@ -70,13 +71,13 @@ def hold(w: Array, start: float, command: float, force: float, force_rate: float
 
 @kernel
 def follow_servo(w: Array, t: float, displacement: float, velocity: float) -> None:
-    """Set the motion of the position servo at t, where it is simulated and not an input: the line that touches it there.
+    """Set the motion of a simulated position servo to its tangent at t, in place of the input.
 
     Args:
         w: inputs, updated in place.
         t: time [s].
         displacement: displacement of the servo [m].
-        velocity: its velocity [m/s].
+        velocity: velocity of the servo [m/s].
     """
     w[XD], w[VD] = displacement - velocity * (t - w[START]), velocity
 
@@ -111,7 +112,7 @@ class Chains(NamedTuple):
         jump: ``jump(t, w, p)``, the time of the next jump of ``received`` after t [s]; None if no effect delays the command.
         joint_force: ``force`` of only those effects that can separate the load from the piston.
         coupling_force: ``force`` of only those effects that couple the loader to the position servo.
-        rates: ``rates(command, t, y, w, z, p, plant, dz)`` writes the rates of the effects' own states.
+        rates: ``rates(command, t, y, w, z, p, plant, dz)`` writes the rates of the effects' states.
     """
 
     received: Callable[..., float] | None
@@ -133,15 +134,15 @@ class Chains(NamedTuple):
 class Relations(NamedTuple):
     """The equations with the effects applied, as compiled functions of ``t, y, z, c``.
 
-    ``t`` is the time [s], ``y`` the plant's state, ``z`` the effects' own states, ``c`` the :class:`Coefficients`.
+    ``t`` is the time [s], ``y`` the plant's state, ``z`` the effects' states, ``c`` the :class:`Coefficients`.
 
     Attributes:
-        effective_opening: spool displacement that the orifice sees [m].
+        effective_opening: spool displacement effective at the orifice [m].
         volume: ``volume(opening, direction, t, y, z, c)``, the terms of (2): load flow (1) through an orifice with this sign
             of the opening (1 or -1), leakage beyond Ctc pL [m^3/s], bulk modulus and supply pressure [Pa].
         spool: rate of the spool (4) [m/s].
         extra: force of the effects beyond (3) [N].
-        effect_rates: ``effect_rates(t, y, z, c, dz)`` writes the rates of the effects' own states.
+        effect_rates: ``effect_rates(t, y, z, c, dz)`` writes the rates of the effects' states.
     """
 
     effective_opening: Callable[..., float]
@@ -212,13 +213,13 @@ def motion(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
 
     Args:
         friction: module of the friction model.
-        elements: number of its forces.
+        elements: number of the model's forces.
         chains: hooks of the effects.
 
     Returns:
-        Compiled ``evaluate(extra, t, y, z, mode, c, rate)``, which writes the rates of position, velocity and friction forces
-        and returns the friction model's event function, and ``switch(extra, t, y, z, mode, c)``, which changes the modes and
-        the velocity at its event. ``extra`` is the force beyond (3) [N], ``mode`` the friction model's modes.
+        Compiled ``evaluate(extra, t, y, z, mode, c, rate)`` and ``switch(extra, t, y, z, mode, c)``. The first writes the rates
+        of position, velocity and friction forces, and returns the friction model's event function. The second changes the
+        modes and the velocity at its event. ``extra`` is the force beyond (3) [N], ``mode`` the friction model's modes.
     """
     end = FRICTION + elements
     friction_rates, friction_force = friction.rates, friction.force
@@ -247,7 +248,7 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
 
     Args:
         friction: module of the friction model.
-        elements: number of its forces.
+        elements: number of the model's forces.
         chains: hooks of the effects.
 
     Returns:
@@ -263,7 +264,7 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
         """Write dy/dt of (24) with the effects applied.
 
         Returns:
-            Event function: positive once the opening has changed sign or a friction mode has to change.
+            Event function: positive once the opening has changed sign or a friction mode must change.
         """
         plant, z = c.plant, y[end:]
         orifice = effective_opening(t, y, z, c)
@@ -287,7 +288,7 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
 
 
 JUMP_TOLERANCE = 1e-6
-"""Two jumps of the command closer than this are one, as a fraction of the step."""
+"""Distance below which two jumps of the command count as one, as a fraction of the step."""
 
 
 def cycle_stepper(run: Callable[..., int], chains: Chains, end: int) -> Callable[..., int]:
@@ -296,10 +297,10 @@ def cycle_stepper(run: Callable[..., int], chains: Chains, end: int) -> Callable
     Args:
         run: ``run(t, y, mode, c, command, step, steps, work) -> int`` integrates with a constant command.
         chains: hooks of the effects.
-        end: index of the effects' first own state in ``y``.
+        end: index of the effects' first state in ``y``.
 
     Returns:
-        ``step_cycle(t, y, mode, c, step, steps, work)``, which returns the sum of what ``run`` returns; ``c`` has the fields
+        ``step_cycle(t, y, mode, c, step, steps, work)``, which returns the sum of the results of ``run``; ``c`` has the fields
         ``inputs``, ``effects`` and ``plant``. If commands are delayed, it integrates from jump to jump, in steps of at most
         ``step``.
     """
@@ -318,7 +319,7 @@ def cycle_stepper(run: Callable[..., int], chains: Chains, end: int) -> Callable
         last, tolerance = t + whole, JUMP_TOLERANCE * step
         while last - now > tolerance:
             until = min(jump(now + tolerance, c.inputs, c.effects), last)
-            # Evaluated mid-interval, clear of rounding errors at the jumps.
+            # Evaluated mid-interval, away from rounding errors at the jumps.
             command = received(c.inputs[U], 0.5 * (now + until), y, c.inputs, y[end:], c.effects, c.plant)
             length = until - now
             pieces = math.ceil(length / step - JUMP_TOLERANCE)

@@ -1,8 +1,8 @@
 """Plausibility of a rig's parameters and of a run's results.
 
 Parameters that are each in range may still describe no real rig: a pressure in bar instead of pascals, an area in mm².
-:data:`RANGES` and :data:`RELATIONS` check a rig before a run, :mod:`ehls_ros.physics.integration_step` that a step resolves it;
-:data:`WARNING_FACTOR` and :data:`ABORT_FACTOR` say how far a run may exceed the rig's limits.
+:data:`RANGES` and :data:`RELATIONS` check a rig before a run, :mod:`ehls_ros.physics.integration_step` checks that a step
+resolves it. :data:`WARNING_FACTOR` and :data:`ABORT_FACTOR` define how far a run may exceed the rig's limits.
 """
 
 import math
@@ -53,11 +53,11 @@ MISTAKEN = (
     "bar", "MPa", "kPa", "psi", "mm", "cm", "in", "cm^2", "mm^2", "l", "cm^3", "l/min", "mm/s",
     "t", "g", "g/cm^3", "kN", "N/mm", "kN/m", "N s/mm", "Hz", "kHz",
 )  # fmt: skip
-"""Units that a value is often given in although its SI unit is asked for; of equally likely ones the first is named."""
+"""Units in which values are often given although the SI unit is required; of equally likely ones the first is reported."""
 
 
 def mistaken_for(unit: str) -> Mapping[str, float]:
-    """Return which of these units an SI unit is mistaken for, and their sizes in it."""
+    """Return the units commonly confused with an SI unit, and their sizes in it."""
     quantity = QUANTITIES.get(unit)
     return {other: size(other) for other in MISTAKEN if UNITS[other].quantity == quantity}
 
@@ -69,8 +69,8 @@ class Relation(NamedTuple):
         value: function that computes it.
         low: smallest plausible value.
         high: largest plausible value.
-        what: its name, with the keys it depends on.
-        advice: what to check.
+        what: name of the quantity, with the keys it depends on.
+        advice: advice on the values to check.
     """
 
     value: Callable[[Rig], float]
@@ -158,7 +158,7 @@ SCALES: dict[str, Callable[[Rig], float]] = {
     "supply_pressure": lambda rig: rig.plant.supply_pressure,
     "oil_temperature": lambda rig: 450.0,
 }
-"""Largest value of each signal; noise, resolution and bias of its sensor may not be larger."""
+"""Largest value of each signal, the bound on noise, resolution and bias of its sensor."""
 
 GAINS = (0.01, 100.0)
 """Smallest and largest plausible gain of a sensor."""
@@ -169,10 +169,10 @@ def check_rig(rig: Rig, where: str) -> None:
 
     Args:
         rig: a rig whose parameters are each in range.
-        where: the file, for errors.
+        where: the file, for error messages.
 
     Raises:
-        BadInput: the first implausible parameter or relation, or an effect with nothing to act on.
+        BadInput: the first implausible parameter or relation, or an effect without a coefficient to act on.
     """
     for section in ("plant", "friction", "limits"):
         check_ranges(getattr(rig, section), section, f"{where}: {section}")
@@ -200,7 +200,7 @@ def check_ranges(parameters: Any, section: str, where: str) -> None:
     Args:
         parameters: a section of a rig, or other parameters whose fields have the same names and meaning.
         section: name of the section.
-        where: file and section, for errors.
+        where: file and section, for error messages.
 
     Raises:
         BadInput: the first parameter out of range.
@@ -217,7 +217,7 @@ def check_ranges(parameters: Any, section: str, where: str) -> None:
 
 
 def _likely(value: float, unit: str, low: float, high: float) -> str:
-    """Return which other unit may have been meant; empty if none fits."""
+    """Return the other units that may have been meant, as text; empty if none fits."""
     meant = [
         f"{value:g} {name} is {value * factor:g} {unit}"
         for name, factor in mistaken_for(unit).items()
@@ -251,7 +251,7 @@ SIGNAL_RANGES: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]],
     ("disturbance", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
 }
 """By role and kind of a signal: function for the rig's range, largest plausible multiple of the range about its middle, and the
-range in words. A signal beyond the range but within the multiple only causes a warning."""
+range as text. A signal beyond the range but within the multiple only causes a warning."""
 
 
 def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, where: str) -> None:
@@ -263,7 +263,7 @@ def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, whe
         kind: ``force`` or ``position``.
         rig: the rig.
         period: control period [s].
-        where: the file and section, for errors.
+        where: the file and section, for error messages.
 
     Raises:
         BadInput: the signal is not finite, too large or too fast.
@@ -304,7 +304,7 @@ LIMIT_UNITS = {"position": "m", "velocity": "m/s", "load_pressure": "Pa", "force
 
 
 def within(limits: Limits, signal: str) -> tuple[float, float]:
-    """Return the limits of a signal of :data:`LIMIT_UNITS`, smallest and largest value."""
+    """Return the smallest and largest permitted value of a signal of :data:`LIMIT_UNITS`."""
     limit = getattr(limits, signal)
     return (limit[0], limit[1]) if signal == "position" else (-limit, limit)
 
@@ -355,15 +355,15 @@ ADVICE = (
     "try a smaller integration_step; otherwise check the units of rig, reference and disturbance, and the controller's "
     "parameters"
 )
-"""What to do after a state has diverged."""
+"""Advice for a state that has diverged."""
 
 
 def possible_range(limits: Limits, columns: int) -> tuple[Array, Array]:
-    """Return the middle of the range that each reading must be in to be possible, and half of that range.
+    """Return the middle and half the width of the range in which each reading is possible.
 
     Args:
         limits: the rig's limits.
-        columns: number of readings; those after ``SENSED`` must be finite only.
+        columns: number of readings; those after ``SENSED`` must only be finite.
     """
     middle, farthest = np.zeros(columns), np.full(columns, np.finfo(np.float64).max)
     for signal in LIMIT_UNITS:
@@ -377,11 +377,11 @@ def implausible(readings: Array, limits: Limits) -> Exceedance | None:
     """Return the first impossible reading of a run: not finite, or :data:`ABORT_FACTOR` times beyond its limits.
 
     Args:
-        readings: in the order of ``SENSED``, shape (n, signals); further columns are checked for finite numbers only.
+        readings: in the order of ``SENSED``, shape (n, signals); further columns are only checked for finite numbers.
         limits: the rig's limits.
 
     Returns:
-        Its row and what is wrong, with advice; of several signals the one farthest out. None if all are possible.
+        Its row and the fault as text, with advice; of several signals the farthest out. None if all are possible.
     """
     middle, farthest = possible_range(limits, readings.shape[1])
     possible = np.abs(readings - middle) <= farthest

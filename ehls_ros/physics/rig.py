@@ -38,7 +38,7 @@ class Rig(NamedTuple):
     Attributes:
         plant: coefficients of hydraulics, valve and beam load.
         friction_model: name of the friction model.
-        friction: its ``Parameters``.
+        friction: ``Parameters`` of the friction model.
         effects: effects beyond the paper's model; empty for the paper's rig.
         sensors: sensors by signal; a missing one is perfect.
         limits: limits of the rig.
@@ -81,14 +81,14 @@ class Rig(NamedTuple):
         return self._replace(sensors=quiet)
 
     def with_effects(self, more: tuple[EffectUse, ...]) -> "Rig":
-        """Return the rig with further effects after its own."""
+        """Return the rig with further effects appended."""
         return self._replace(effects=self.effects + more)
 
 
 class EffectiveRig(NamedTuple):
-    """A rig with the shifts of its effects applied to its parameters, as the equations need it.
+    """A rig with the shifts of its effects applied to its parameters, as the equations require it.
 
-    It comes from :meth:`Rig.effective`. Its type differs from :class:`Rig` so that no shift is applied twice. The hooks of
+    It is returned by :meth:`Rig.effective`. Its type differs from :class:`Rig` so that no shift is applied twice. The hooks of
     ``effects`` still act.
     """
 
@@ -114,23 +114,23 @@ class EffectiveRig(NamedTuple):
         return in_python(piston_mass)(share, self.plant)
 
     def without_effects(self) -> Rig:
-        """Return the rig with these parameters and no effects, as a controller knows it."""
+        """Return the rig with these parameters and no effects, as modelled by a controller."""
         return Rig(*self)._replace(effects=())
 
 
 UNKNOWN = math.nan
-"""The value of a coefficient that the rig file does not have."""
+"""Value of a coefficient that the rig file lacks."""
 
 ABSENT: Mapping[type, Mapping[str, Any]] = {
     Plant: dict.fromkeys(Plant._fields, UNKNOWN),
     Limits: {**dict.fromkeys(Limits._fields, UNKNOWN), "position": (UNKNOWN, UNKNOWN)},
 }
-"""What stands for missing keys of a rig file."""
+"""Placeholders of keys missing in a rig file."""
 
 SECTIONS = ("plant", "friction", "effects", "sensors", "limits")
 
 MOST_EFFECTS = 64
-"""Most effects of a rig, those of an experiment included; the time to compile its equations grows faster than their number."""
+"""Most effects of a rig, including those of an experiment; the compile time of its equations grows more than linearly."""
 
 DEFAULT_FRICTION = "gms"
 """The default friction model of a rig file."""
@@ -141,13 +141,13 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
 
     Args:
         data: the parsed file, with the sections of :data:`SECTIONS`.
-        where: the file, for errors.
+        where: the file, for error messages.
 
     Returns:
-        The rig; a key of plant or limits that is missing is :data:`UNKNOWN` in it, see :func:`check_known`.
+        The rig; missing keys of plant or limits are :data:`UNKNOWN` in it, see :func:`check_known`.
 
     Raises:
-        BadInput: the first key that is unknown or out of range, or of the friction missing.
+        BadInput: a key is unknown or out of range, or a friction key is missing; the first one is reported.
     """
     if not isinstance(data, Mapping):
         raise BadInput(f"a rig is {type(data).__name__}", where, f"a mapping with the sections {', '.join(SECTIONS)}")
@@ -178,7 +178,7 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
 
 
 def unknown_keys(rig: Rig) -> tuple[str, ...]:
-    """Return the keys of plant and limits that the rig file does not have, such as ``plant.bulk_modulus``."""
+    """Return the keys of plant and limits that the rig file lacks, such as ``plant.bulk_modulus``."""
     values: dict[str, Any] = {
         f"{section}.{key}": v for section in ("plant", "limits") for key, v in getattr(rig, section)._asdict().items()
     }
@@ -186,15 +186,15 @@ def unknown_keys(rig: Rig) -> tuple[str, ...]:
 
 
 def check_known(rig: Rig, where: str, needed: Collection[str] = ()) -> None:
-    """Check that a rig has what is needed of it.
+    """Check that a rig has the needed keys.
 
     Args:
         rig: the rig.
-        where: the file, for errors.
-        needed: keys such as ``plant.bulk_modulus``; none: all, as for a simulation.
+        where: the file, for error messages.
+        needed: keys such as ``plant.bulk_modulus``; if empty, all keys, as for a simulation.
 
     Raises:
-        BadInput: the first one that is missing, with its unit and a typical value.
+        BadInput: the first missing key, with its unit and a typical value.
     """
     for path in unknown_keys(rig):
         if not needed or path in needed:
@@ -205,11 +205,11 @@ def check_known(rig: Rig, where: str, needed: Collection[str] = ()) -> None:
 def _friction_from_mapping(data: Mapping[str, Any], where: str) -> tuple[str, Any, dict[str, Any]]:
     """Check the friction section.
 
-    Every key must belong to some friction model, with a value in its range. Missing keys of the rig's own model are derived
-    from those of other models if possible. The keys of other models are kept.
+    Every key must belong to some friction model, with a value in its range. Missing keys of the rig's model are derived from
+    those of other models if possible. The keys of other models are kept.
 
     Returns:
-        Name of the model, its parameters, the other models' keys.
+        Name of the model, its parameters, and the other models' keys.
     """
     model = data.get("model", DEFAULT_FRICTION)
     law = FRICTION_MODELS.load(model, f"{where}: model")
@@ -227,14 +227,14 @@ def _friction_from_mapping(data: Mapping[str, Any], where: str) -> tuple[str, An
 
 
 def _derived(law: FrictionModel, others: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those keys of a model that follow from other models' keys."""
+    """Return the keys of a model that follow from other models' keys."""
     derived: Callable[[Mapping[str, Any]], dict[str, Any]] | None = getattr(law, "derived", None)
     return {} if derived is None else derived(others)
 
 
 @cache
 def _keys_of(models: tuple[str, ...]) -> dict[str, Any]:
-    """Return the keys of friction models, each as a parameter set of its own."""
+    """Return the keys of friction models, each as a separate parameter set."""
     hints: dict[str, Any] = {}
     for name in models:
         hints |= get_type_hints(FRICTION_MODELS.load(name).Parameters, include_extras=True)
@@ -242,11 +242,11 @@ def _keys_of(models: tuple[str, ...]) -> dict[str, Any]:
 
 
 def check_friction_effects(rig: Rig, where: str) -> None:
-    """Check that a rig's effects suit its friction model.
+    """Check that a rig's effects are compatible with its friction model.
 
     Args:
         rig: the rig.
-        where: file and section of the effects, for errors.
+        where: file and section of the effects, for error messages.
 
     Raises:
         BadInput: the model has none of the coefficients that an effect shifts, or the shifted values contradict each other.
@@ -292,10 +292,10 @@ def check_effect_count(count: int, where: str) -> None:
 
     Args:
         count: number of effects.
-        where: file and section of the effects, for errors.
+        where: file and section of the effects, for error messages.
 
     Raises:
-        BadInput: it has.
+        BadInput: there are more.
     """
     if count > MOST_EFFECTS:
         raise BadInput(f"{count} effects", where, f"at most {MOST_EFFECTS}, those of rig and experiment together")
@@ -315,7 +315,7 @@ def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:
 def rig_to_mapping(rig: Rig) -> dict[str, Any]:
     """Return the content of a rig file, the inverse of :func:`rig_from_mapping`.
 
-    Friction coefficients that are derived from others are left out, and so is what is :data:`UNKNOWN`.
+    Friction coefficients derived from others are omitted, and so are those that are :data:`UNKNOWN`.
     """
 
     def plain(parameters: Any) -> dict[str, Any]:

@@ -1,13 +1,13 @@
-"""How a simulated trajectory changes with the rig's coefficients: its forward sensitivities, exact to rounding.
+"""Forward sensitivities of a simulated trajectory to the rig's coefficients, exact to rounding.
 
-The simulator's own functions are compiled for duals (:mod:`ehls_ros.duals`) instead of floats, so there is no second model:
-the readings are those of :class:`~ehls_ros.physics.simulator.Simulator` to the bit, with the derivatives beside them. Events
-are located, and what their times change is counted (saltation): where friction breaks away or reverses, where the valve changes
-sides, at impacts, and as delayed commands arrive.
+The simulator's functions are compiled for duals (:mod:`ehls_ros.duals`) instead of floats, so there is no second model: the
+readings are bitwise those of :class:`~ehls_ros.physics.simulator.Simulator`, with their derivatives. Events are located, and
+the effect of changes in their times is included (saltation): at break-away and reversal of friction, at sign changes of the
+valve opening, at impacts, and as delayed commands arrive.
 
-A trajectory is not differentiable where an event touches its threshold without crossing it; a coefficient at a corner of its
-model, such as a play of zero, has the derivative to one side. Corners that are no located events, such as those of a play, are
-stepped over, and so the derivatives by its width scatter by about a thousandth from step to step. Readings have no derivative
+A trajectory is not differentiable where an event touches its threshold without crossing it. A coefficient at a corner of its
+model, such as a play of zero, has a one-sided derivative. Corners without located events, such as those of a play, are stepped
+over; the derivatives by the play's width therefore scatter by about a thousandth between steps. Readings have no derivative
 through a converter of finite resolution.
 """
 
@@ -30,10 +30,10 @@ from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Constants, Simulated, State, at_rest, parts_of
 
 MOST_AT_ONCE = 22
-"""Most coefficients in one run; more are divided among several. Each run has a cost of its own, and so has each coefficient."""
+"""Most coefficients in one run; more are divided among several. Both a run and a coefficient have a fixed cost."""
 
 STARTS = {"start.position": X, "start.velocity": V, "start.load_pressure": PL, "start.spool": XV}
-"""What of the initial state can be chosen, with its index in the state."""
+"""Initial states that can be chosen, with their indices in the state."""
 
 WHERE = "sensitivities"
 
@@ -44,9 +44,9 @@ class Inputs(NamedTuple):
     Attributes:
         command: spool command, held over the cycle [m].
         force: disturbance force at the start of the cycle [N].
-        force_rate: its rate [N/s].
+        force_rate: rate of the disturbance force [N/s].
         displacement: displacement of the position servo at the start of the cycle [m].
-        velocity: its velocity [m/s].
+        velocity: velocity of the position servo [m/s].
         temperature: oil temperature [K].
     """
 
@@ -63,8 +63,8 @@ class Sensitivities(NamedTuple):
 
     Attributes:
         readings: noise-free readings at the start of each cycle, in the order of ``SENSED``, shape (n, signals).
-        derivatives: of the readings by the coefficients, each in its unit, shape (n, signals, coefficients).
-        dense: number of integration steps with more events than could be located, normally 0; there derivatives may be wrong.
+        derivatives: derivatives of the readings by the coefficients, each in its unit, shape (n, signals, coefficients).
+        dense: number of integration steps with more events than were located, normally 0; derivatives may be wrong there.
     """
 
     readings: Array
@@ -84,7 +84,7 @@ def sensitivities(
     """Simulate a rig from rest, with the derivatives of its readings by chosen coefficients.
 
     Args:
-        rig: the rig; its sensors' noise is left out.
+        rig: the rig; the noise of its sensors is ignored.
         coefficients: paths in the rig file: ``plant.moving_mass``, ``friction.coulomb_force``,
             ``friction.element_stiffness_1`` for the first of a list, ``effects.end_stop.upper``, ``sensors.force.gain``; or one
             of :data:`STARTS`.
@@ -97,7 +97,7 @@ def sensitivities(
         Readings and derivatives.
 
     Raises:
-        BadInput: a coefficient is unknown or given twice; or something has no derivative, with its name.
+        BadInput: a coefficient is unknown or given twice, or a named part has no derivative.
     """
     at_once = max(1, math.ceil(len(coefficients) / MOST_AT_ONCE))
     readings, derivatives, dense = np.empty(0), list[Array](), 0
@@ -111,7 +111,7 @@ def sensitivities(
 
 
 def _check(path: str, rig: Rig, start: Mapping[str, float], coefficients: Sequence[str]) -> None:
-    """Refuse a path that is unknown, or given twice."""
+    """Reject a path that is unknown or given twice."""
     possible = (*_numbers(rig), *STARTS)
     if path not in possible or (path in start and path not in STARTS):
         raise BadInput(f"coefficient {path!r} is unknown", WHERE, one_of(path, possible))
@@ -133,7 +133,7 @@ def _numbers(rig: Rig) -> dict[str, float]:
 
 
 def _varied(rig: Rig, coefficients: Sequence[str]) -> Rig:
-    """Return a rig whose chosen numbers are duals."""
+    """Return a rig whose chosen coefficients are duals."""
 
     def part(section: str, parameters: Any) -> Any:
         def number(name: str, value: Any) -> Any:
@@ -153,7 +153,7 @@ def _varied(rig: Rig, coefficients: Sequence[str]) -> Rig:
 
 
 def _check_differentiable(rig: Rig, coefficients: Sequence[str], period: float, readers: Mapping[str, Any]) -> None:
-    """Refuse what has no derivative."""
+    """Reject effects and sensors without derivatives."""
     for use in rig.effects:
         corner: Callable[[Any, float, bool], str] | None = getattr(EFFECTS.load(use.name), "corner", None)
         if corner is not None:
@@ -174,10 +174,10 @@ class Given(NamedTuple):
     """Constants of a run; duals as rows, shape (…, width).
 
     Attributes:
-        plant, friction: the parameters, for their names.
+        plant, friction: the parameters, which provide the names.
         plant_rows, friction_rows, effect_rows: the parameters as duals.
-        sensors: the sensors, for their table.
-        period, step, steps: of :class:`~ehls_ros.physics.simulator.Constants`.
+        sensors: table of the sensors.
+        period, step, steps: those of :class:`~ehls_ros.physics.simulator.Constants`.
     """
 
     plant: Any
@@ -205,16 +205,16 @@ class Start(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A run with derivatives, ready to start once.
+    """A prepared run with derivatives, to be started once.
 
     Attributes:
         compiled: the compiled run.
-        given, start: its constants and its state.
+        given, start: constants and state of the run.
         rows: the inputs, shape (n, 6).
-        out: the readings as duals, as the sensors' own coefficients leave them, shape (n, signals, width).
-        sensors: the sensors, with duals for what was chosen of them.
+        out: the readings as duals, without the derivatives by the sensors' coefficients, shape (n, signals, width).
+        sensors: the sensors, with duals for their chosen coefficients.
         chosen: number of coefficients.
-        members: names of the models and effects in it, for errors.
+        members: names of the models and effects in the run, for error messages.
     """
 
     compiled: Callable[..., int]
@@ -227,10 +227,10 @@ class Prepared(NamedTuple):
     members: tuple[str, ...]
 
     def run(self) -> int:
-        """Run it, and return the number of steps with more events than could be located.
+        """Run the simulation and return the number of steps with more events than were located.
 
         Raises:
-            BadInput: a compiled function does what has no derivative.
+            BadInput: a compiled function performs an operation without derivative.
         """
         try:
             return self.compiled(self.given, self.start, self.rows, self.out)
@@ -243,7 +243,7 @@ class Prepared(NamedTuple):
         """Return the readings and their derivatives after the run, shape (n, signals, 1 + coefficients)."""
         found = self.out[:, :, : 1 + self.chosen].copy()
         for column, signal in enumerate(SENSED):
-            # The kernel's sensors hold no duals: a reading is gain (what was seen) + bias.
+            # The kernel's sensors hold no duals: a reading is gain · (sensed value) + bias.
             sensor = self.sensors[signal]
             seen = (found[:, column, 0] - value_of(sensor.bias)) / value_of(sensor.gain)
             for part, factor in ((sensor.gain, seen), (sensor.bias, np.ones(len(seen)))):
@@ -260,7 +260,7 @@ def prepared(
     step: float | None = None,
     start: Mapping[str, float] | None = None,
 ) -> Prepared:
-    """Return a run with the derivatives by some coefficients; arguments and errors are those of :func:`sensitivities`."""
+    """Prepare a run with the derivatives by some coefficients; arguments and errors are those of :func:`sensitivities`."""
     for path in (*coefficients, *(start or {})):
         _check(path, rig, start or {}, coefficients)
     varied = _varied(rig, coefficients).effective()
@@ -317,10 +317,10 @@ def build(friction: Any, elements: int, states: int, chains: Chains, width: int)
 
     Args:
         friction: module of the friction model.
-        elements: number of its forces.
-        states: number of the effects' own states.
+        elements: number of the model's forces.
+        states: number of the effects' states.
         chains: hooks of the effects.
-        width: of a dual.
+        width: width of a dual.
     """
     plant = simulator.build(friction, elements, states, chains)
     advance, sense = plant.advance, plant.sense

@@ -20,7 +20,7 @@ class SensorState(NamedTuple):
     Attributes:
         table: columns smoothing factor of the lag, delay [cycles], gain, bias, noise_std, resolution.
         lagged: output of the first-order lag.
-        past: ring buffer of ``lagged``, shape (signals, cycles of the longest delay + 2); without delays, the last one alone.
+        past: ring buffer of ``lagged``, shape (signals, cycles of the longest delay + 2); without delays, only the last value.
     """
 
     table: Array
@@ -36,7 +36,7 @@ def prepare(sensors: Mapping[str, Sensor], period: float) -> SensorState:
         period: sampling period [s].
 
     Returns:
-        Their state before the first sample.
+        State of the sensors before the first sample.
     """
     table = np.zeros((len(SENSED), 6))
     for row, signal in enumerate(SENSED):

@@ -1,9 +1,9 @@
-"""The actuator under test as a position servo: a second piston with its own valve and position loop, joined to the loader.
+"""Actuator under test as a position servo: a second piston with valve and position loop, coupled to the loader.
 
 Both pistons are one system of equations. The state is the loader's, as in :mod:`ehls_ros.physics.plant`, followed by the
-servo's: position, velocity, load pressure, spool displacement, friction forces. The modes are arranged alike. The force of the
-coupling between the pistons acts on both, in opposite directions. The position loop is sampled once per control period, and its
-command is held.
+servo's: position, velocity, load pressure, spool displacement, friction forces. The modes are arranged in the same order. The
+force of the coupling between the pistons acts on both, in opposite directions. The position loop is sampled once per control
+period, and its command is held.
 """
 
 import math
@@ -17,12 +17,12 @@ from ehls_ros.physics.rig import Rig
 
 
 class Servo(NamedTuple):
-    """A position servo.
+    """Position servo.
 
     Attributes:
-        rig: its coefficients, friction and limits; it has neither effects nor sensors.
-        gain: of its position loop, velocity per position error [1/s].
-        start: its position at the start [m].
+        rig: coefficients, friction and limits of the servo; without effects and sensors.
+        gain: gain of the position loop, velocity per position error [1/s].
+        start: initial position [m].
     """
 
     rig: Rig
@@ -34,10 +34,10 @@ class ServoConstants(NamedTuple):
     """Constants of a simulated servo.
 
     Attributes:
-        plant: its coefficients.
-        friction: its friction parameters.
-        gain: of its position loop [1/s].
-        spool_limit: its largest spool command [m].
+        plant: coefficients of the servo.
+        friction: friction parameters of the servo.
+        gain: gain of the position loop [1/s].
+        spool_limit: largest spool command of the servo [m].
     """
 
     plant: Plant
@@ -51,7 +51,7 @@ class CoupledCoefficients(NamedTuple):
 
     Attributes:
         plant, friction, inputs, effects, command: the loader's.
-        servo: the servo's; its disturbance force is the force of the coupling on the loader.
+        servo: coefficients of the servo; its disturbance force is the coupling force on the loader.
     """
 
     plant: Plant
@@ -64,13 +64,13 @@ class CoupledCoefficients(NamedTuple):
 
 @lean
 def _unchanged(value: Any, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> Any:
-    """Return the model's value, as a hook of no effect."""
+    """Return the model's value unchanged, in place of a hook."""
     return value
 
 
 @lean
 def _no_rates(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant, dz: Array) -> None:
-    """Write nothing: there are no states."""
+    """Write nothing, as there are no states."""
 
 
 _HOOKS: dict[str, Any] = dict.fromkeys(Chains._fields, _unchanged) | {"received": None, "jump": None, "rates": _no_rates}
@@ -83,16 +83,16 @@ NO_EFFECTS = Chains(**_HOOKS)
 def servo_command(
     wanted: float, wanted_velocity: float, x: float, load_pressure: float, gain: float, plant: Plant, limit: float
 ) -> float:
-    """Return the spool command of the position loop [m]: proportional, with the motion's flow fed forward.
+    """Return the spool command of the position loop [m]: proportional, with feedforward of the flow for the motion.
 
     Args:
-        wanted: position wanted [m].
-        wanted_velocity: its rate [m/s].
-        x: the servo's position [m].
-        load_pressure: its load pressure [Pa].
+        wanted: position setpoint [m].
+        wanted_velocity: rate of the setpoint [m/s].
+        x: position of the servo [m].
+        load_pressure: load pressure of the servo [Pa].
         gain: velocity per position error [1/s].
-        plant: its coefficients.
-        limit: its largest spool command [m].
+        plant: coefficients of the servo.
+        limit: largest spool command of the servo [m].
     """
     velocity = wanted_velocity + gain * (wanted - x)
     drop = plant.supply_pressure - math.copysign(1.0, velocity) * load_pressure
@@ -105,12 +105,12 @@ def servo_command(
 def coupled_system(
     friction: Any, elements: int, states: int, chains: Chains
 ) -> tuple[Callable[..., float], Callable[..., None]]:
-    """Build the loader's plant joined to a servo of the same friction model.
+    """Build the loader's plant coupled to a servo with the same friction model.
 
     Args:
         friction: module of the friction model.
-        elements: number of its forces.
-        states: number of the effects' own states.
+        elements: number of the model's forces.
+        states: number of the effects' states.
         chains: hooks of the loader's effects.
 
     Returns:
@@ -125,7 +125,7 @@ def coupled_system(
 
     @lean
     def join(t: float, y: Array, c: CoupledCoefficients) -> None:
-        """Let each piston act on the other as they are at t."""
+        """Update the coupling inputs of both pistons to the state at t."""
         follow_servo(c.inputs, t, y[size + X], y[size + V])
         loader = y[:size]
         c.servo.inputs[FD] = coupling_force(0.0, t, loader, c.inputs, y[end:size], c.effects, c.plant)

@@ -1,6 +1,6 @@
 """The simulated rig: plant, sensors and their state, advanced one control period at a time.
 
-If the actuator under test is a position servo, the plant is the loader joined to it (:mod:`ehls_ros.physics.servo`).
+If the actuator under test is a position servo, the plant is the loader coupled to it (:mod:`ehls_ros.physics.servo`).
 """
 
 import math
@@ -38,7 +38,7 @@ from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
 from ehls_ros.physics.servo import CoupledCoefficients, Servo, ServoConstants, coupled_system, servo_command
 
 ORDER: Literal[2, 4, 5] = 5
-"""Order of the integration; benchmarks/physics_convergence.py shows why."""
+"""Order of the integration; justified by benchmarks/physics_convergence.py."""
 
 OIL_TEMPERATURE = 313.15
 """Default oil temperature [K]."""
@@ -73,8 +73,8 @@ class State(NamedTuple):
 
     Attributes:
         y: state of the plant, followed by that of the simulated position servo.
-        mode: their modes, likewise.
-        inputs: their inputs, likewise.
+        mode: modes of the plant, followed by those of the servo.
+        inputs: inputs of the plant, followed by those of the servo.
         work: workspace of the integrator.
         sensors: state of the sensors.
         truth: true values at the last sample, shape (signals,).
@@ -91,18 +91,18 @@ class State(NamedTuple):
 
 
 class Compiled(NamedTuple):
-    """A plant's compiled functions.
+    """Compiled functions of a plant.
 
     Attributes:
-        evaluate: from :func:`~ehls_ros.physics.plant.system`, or of the joint system.
-        switch: likewise.
+        evaluate: from :func:`~ehls_ros.physics.plant.system`, or that of the coupled system.
+        switch: from the same function as ``evaluate``.
         advance: ``advance(cycle, constants, state)`` integrates over one control period with the inputs held; returns the
-            number of steps with more events than could be located.
+            number of steps with more events than were located.
         sense: ``sense(cycle, constants, state, noise)`` writes the sensor readings to ``state.measured``.
-        cycle: ``cycle(number, constants, state, command, row)`` sets the inputs of a control period and advances over it. They
-            are the loader's spool command [m] and what the actuator under test does: force [N], its rate [N/s], displacement
-            [m] and velocity [m/s]. If the servo is simulated, the row has the displacement and velocity that it is to follow,
-            and is given those that it has at the start of the period.
+        cycle: ``cycle(number, constants, state, command, row)`` sets the inputs of a control period and advances over it. The
+            inputs are the loader's spool command [m] and, in ``row``, force [N], force rate [N/s], displacement [m] and
+            velocity [m/s] of the actuator under test. If the servo is simulated, the row has the setpoints of displacement and
+            velocity; they are overwritten by the actual values at the start of the period.
     """
 
     evaluate: Callable[..., float]
@@ -117,8 +117,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
 
     Args:
         friction: module of the friction model.
-        elements: number of its forces.
-        states: number of the effects' own states.
+        elements: number of the model's forces.
+        states: number of the effects' states.
         chains: hooks of the effects.
         most_events: see :func:`~ehls_ros.physics.integration.integrator`.
     """
@@ -147,7 +147,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
 
 
 def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> Compiled:
-    """Build the loader's plant joined to a position servo; arguments as those of :func:`build`."""
+    """Build the loader's plant coupled to a position servo; the arguments are those of :func:`build`."""
     end = FRICTION + elements
     size = end + states
     evaluate, switch = coupled_system(friction, elements, states, chains)
@@ -185,7 +185,7 @@ def sensing(chains: Chains, end: int) -> Callable[..., None]:
 
     Args:
         chains: hooks of the effects.
-        end: index of the effects' first own state in ``y``.
+        end: index of the effects' first state in ``y``.
     """
     supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
 
@@ -203,11 +203,11 @@ def sensing(chains: Chains, end: int) -> Callable[..., None]:
 
 
 ENTRIES = {"sense": "cycle, constants, state, noise", "cycle": "number, constants, state, command, row"}
-"""Functions of a compiled plant that Python calls, with their arguments."""
+"""Functions of a compiled plant that are called from Python, with their arguments."""
 
 
 class PlantParts(NamedTuple):
-    """What a plant is compiled from: keyword arguments of :func:`~ehls_ros.physics.composition.compiled`."""
+    """Keyword arguments of :func:`~ehls_ros.physics.composition.compiled` for a plant."""
 
     members: dict[str, Any]
     numbers: dict[str, int]
@@ -215,18 +215,18 @@ class PlantParts(NamedTuple):
 
 
 def parts_of(rig: Rig | EffectiveRig) -> PlantParts:
-    """Return what a rig's plant is compiled from."""
+    """Return the parts from which a rig's plant is compiled."""
     effects = effects_of(rig)
     model = FRICTION_MODELS.load(rig.friction_model)
     return PlantParts({"friction": model}, {"elements": rig_elements(rig), "states": effects.states}, effects)
 
 
 def plant_kernel(parts: PlantParts, *, coupled: bool = False) -> ModuleType:
-    """Return a compiled plant: a module with those functions of :class:`Compiled` that :data:`ENTRIES` names.
+    """Return a compiled plant: a module with the functions of :class:`Compiled` named in :data:`ENTRIES`.
 
     Args:
-        parts: what it is compiled from.
-        coupled: whether the loader is joined to a position servo.
+        parts: parts from which it is compiled.
+        coupled: whether the loader is coupled to a position servo.
     """
     return compiled(build_coupled if coupled else build, ENTRIES, **parts._asdict())
 
@@ -247,7 +247,7 @@ class Simulated(NamedTuple):
 
     Attributes:
         rig: the effective rig.
-        parts: what its plant is compiled from.
+        parts: parts from which its plant is compiled.
         constants: constants of the run.
         state: state of the run.
     """
@@ -276,7 +276,7 @@ def at_rest(
         position: initial piston position [m].
         temperature: initial oil temperature [K].
         warming: rate of the oil temperature [K/s].
-        servo: position servo to simulate with the rig, of the same friction model; None: its motion is an input.
+        servo: position servo to simulate with the rig, of the same friction model; None if its motion is an input.
     """
     effective = rig.effective()
     parts = parts_of(rig)
@@ -327,7 +327,7 @@ class Simulator:
         state: state of the run.
         period: control period [s].
         y: state of the plant, see :mod:`ehls_ros.physics.plant`.
-        servo: state of the simulated position servo, arranged likewise; empty if there is none.
+        servo: state of the simulated position servo, in the same order; empty if there is none.
         mode: modes of the plant, then those of the servo.
         inputs: inputs of the plant, then those of the servo.
         truth: true values at the last sample, in the order of ``SENSED``.
@@ -343,7 +343,7 @@ class Simulator:
             rig: rig to simulate.
             period: control period [s].
             step: largest integration step [s], see :func:`~ehls_ros.physics.integration_step.steps_per_period`.
-            servo: position servo to simulate with it, see :func:`at_rest`.
+            servo: position servo to simulate with the rig, see :func:`at_rest`.
             **start: ``position``, ``temperature`` and ``warming`` of :func:`at_rest`.
         """
         self.rig, parts, self.constants, self.state = at_rest(rig, period, step, servo=servo, **start)
@@ -375,7 +375,7 @@ class Simulator:
         return self.state.measured
 
     def trouble(self) -> str:
-        """Return what is impossible in the true values last sampled, with advice; empty if nothing is."""
+        """Return the impossible reading among the last true values as text with advice; empty if there is none."""
         found = implausible(self.truth[np.newaxis], self.rig.limits)
         return "" if found is None else f"{found.what} (at {self.cycle * self.period:g} s)"
 
@@ -385,13 +385,13 @@ class Simulator:
         Args:
             command: spool command, held over the period [m].
             force: disturbance force at the start of the period [N].
-            force_rate: its rate [N/s].
-            displacement: displacement of the position servo at the start of the period [m]; where the servo is simulated, the
-                displacement that it is to follow.
-            velocity: likewise its velocity [m/s].
+            force_rate: rate of the disturbance force [N/s].
+            displacement: displacement of the position servo at the start of the period [m]; if the servo is simulated, its
+                position setpoint.
+            velocity: velocity of the position servo, or the rate of its setpoint [m/s].
 
         Returns:
-            Number of integration steps with more events than could be located.
+            Number of integration steps with more events than were located.
         """
         row = self._row
         row[0], row[1], row[2], row[3] = force, force_rate, displacement, velocity

@@ -1,8 +1,8 @@
 """Exponentials and logarithms that compile to plain arithmetic.
 
-A call of the C library cannot be made for several numbers at once, so a loop that contains one runs number by number. These
-functions have neither calls nor branches: the compiler turns a loop over them into vector instructions. Every operation is
-rounded by itself, in a loop and out of it, so that both give the same bits, on every processor.
+A C library call processes one number at a time, so it prevents the vectorisation of a loop. These functions have neither calls
+nor branches, so the compiler can vectorise a loop over them. Every operation is rounded separately, inside and outside of
+loops, so the results are bitwise equal on every processor.
 
 Each number is split into a power of two, which is read from or written to its bits, and a remainder for a minimax polynomial.
 """
@@ -18,7 +18,7 @@ from ehls_ros.arrays import compiler_function, kernel
 from ehls_ros.duals import sloped, value_alone
 
 ROUNDER = 6755399441055744.0
-"""1.5 2^52: the sum of it and a number below 2^51 has no fraction, and the last bits of the sum are the rounded number."""
+"""1.5 2^52: its sum with a number below 2^51 has no fraction, and the last bits of the sum are the rounded number."""
 
 SMALLEST_EXPONENT, LARGEST_EXPONENT = -1022.0, 1023.0
 """Exponents of normal numbers."""
@@ -32,7 +32,7 @@ HALF_ROOT_BITS = int(np.sqrt(0.5).view(np.int64))
 ROUNDER_BITS = int(np.float64(ROUNDER).view(np.int64))
 
 LOG2_E, LOG2_E_REST = 1.4426950408889634, 2.0355273740931033e-17
-"""Logarithm of e to base 2, and what its rounding leaves."""
+"""Logarithm of e to base 2, and the remainder of its rounding."""
 
 
 @partial(compiler_function, python=lambda a, b, c: a * b + c)
@@ -67,8 +67,8 @@ def float_of(typing: Any, bits: Any) -> Any:
 
 @kernel
 def _power(shifted: float, f: float) -> float:
-    """Return 2^(n + f) of |f| <= 1/2, where ``shifted`` is n + ROUNDER."""
-    # The minimax polynomial of degree 11, which is off by 3e-18; in Estrin's order, for short chains.
+    """Return 2^(n + f) for |f| <= 1/2, where ``shifted`` is n + ROUNDER."""
+    # Minimax polynomial of degree 11 with an error of 3e-18; in Estrin's order, for short dependency chains.
     f2 = f * f
     f4 = f2 * f2
     first = fma(fma(0.05550410866482162, f, 0.24022650695910158), f2, fma(0.6931471805599453, f, 1.0))
@@ -98,7 +98,7 @@ def exp2(x: float) -> float:
 
 @kernel
 def exp(x: float) -> float:
-    """Return e^x, within 2 units in the last place, for x clipped to where that is a normal number."""
+    """Return e^x, within 2 units in the last place, for x clipped to the range of normal results."""
     clipped = _clipped(value_alone(x), SMALLEST_EXPONENT / LOG2_E, LARGEST_EXPONENT / LOG2_E)
     shifted = fma(clipped, LOG2_E, ROUNDER)
     power = _power(shifted, fma(clipped, LOG2_E_REST, fma(clipped, LOG2_E, ROUNDER - shifted)))
@@ -109,14 +109,14 @@ def exp(x: float) -> float:
 def log2(x: float) -> float:
     """Return the logarithm of a number to base 2, within 3 units in the last place.
 
-    Of 0 it is negative infinity, of infinity and NaN themselves. Of numbers below the normal ones it is about -1023; negative
-    ones have none.
+    For 0 it is negative infinity; infinity and NaN are returned unchanged. For subnormal numbers it is about -1023; for
+    negative numbers it is undefined.
     """
     shifted = bits_of(x) - HALF_ROOT_BITS
     exponent = shifted >> MANTISSA_BITS
     mantissa = float_of(bits_of(x) - (exponent << MANTISSA_BITS))
     s = (mantissa - 1.0) / (mantissa + 1.0)
-    # 2 atanh(s)/ln 2 = s (2.885... + z Q(z)) with the minimax polynomial Q of degree 6, off by 1.4e-17.
+    # 2 atanh(s)/ln 2 = s (2.885... + z Q(z)) with the minimax polynomial Q of degree 6, error 1.4e-17.
     z = s * s
     z2 = z * z
     high = fma(fma(0.2108903788890639, z, 0.2211884020024386), z2, fma(0.26232368741438405, z, 0.3205987373623553))
@@ -128,14 +128,14 @@ def log2(x: float) -> float:
 
 
 def _stretched_decay_by_numpy(x: float, exponent: float) -> float:
-    # Each process that reads a rig asks for a friction level or two, which is not worth half a second of compiling.
+    # Each process that reads a rig needs only a friction level or two, not worth half a second of compilation.
     with np.errstate(over="ignore"):
         return float(np.exp(-np.power(x, exponent)))
 
 
 @partial(kernel, python=_stretched_decay_by_numpy)
 def stretched_decay(x: float, exponent: float) -> float:
-    """Return exp(-x^exponent) of a number x >= 0, within 2e-16 of it; an infinite slope at 0 counts as zero."""
+    """Return exp(-x^exponent) of a number x >= 0, within 2e-16; an infinite slope at 0 is replaced by zero."""
     base, power = value_alone(x), value_alone(exponent)
     bits = log2(base)
     raised = exp2(power * bits)

@@ -1,1 +1,1 @@
-"""Reads and writes bags and CSV, MAT and Parquet files as one Trajectory type."""
+"""Read bags and tables (CSV, Excel, MAT, TDMS, Parquet) as a Trajectory, write bags, and recover damaged ones."""

@@ -1,4 +1,4 @@
-"""Aligns the recorded messages of all topics by control cycle."""
+"""Alignment of the recorded messages of all topics by control cycle."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +15,8 @@ NANOSECONDS = "header.stamp.nanosec"
 SENT = "sent_ns"
 
 UNIX_TIME_NS = 10**18
-"""Later stamps are wall-clock times, made relative since seconds since 1970 have a resolution of only 0.2 µs as a float."""
+"""Stamp from which times are wall-clock times; these are made relative, as the time since 1970 has a resolution of only 0.2 µs
+as a float in seconds."""
 
 MessageColumns = Mapping[str, NDArray[Any]]
 """The messages of one topic in order of arrival: their fields, and their times of sending as :data:`SENT` [ns]."""
@@ -55,7 +56,7 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
                 signals[signal] = _scatter(columns[field][source], target, len(cycles))
         if topic is VALVE_COMMAND:
             response_ns = columns[SENT][source] - loader[SENT][first][target]
-            # A node in one process with the plant has answered before either is sent, and its command is sent first.
+            # A node in the plant's process has answered before either is sent, and its command is sent first.
             told = response_ns >= 0
             if told.any() or not told.size:
                 signals[RESPONSE] = _scatter(np.where(told, response_ns / 1e9, np.nan), target, len(cycles))
@@ -69,7 +70,7 @@ def _first_of_each_cycle(columns: MessageColumns) -> tuple[NDArray[np.uint64], N
 
 
 def _check_duplicates(loader: MessageColumns, original: NDArray[np.intp], where: str) -> None:
-    """Refuse differing snapshots of one cycle, since they are from different runs."""
+    """Reject differing snapshots of one cycle, since they are from different runs."""
     repeated = np.flatnonzero(original != np.arange(len(original)))
     for field, values in loader.items():
         same = np.array_equal(values[repeated], values[original[repeated]], equal_nan=True)

@@ -1,4 +1,4 @@
-"""Reading of rosbag2, from our recorder or ROS's: completely or not at all."""
+"""Reading of rosbag2 from the recorder of this package or of ROS: completely or not at all."""
 
 import shlex
 from collections import defaultdict
@@ -36,20 +36,20 @@ def read_bag(path: Path, wanted: Collection[str] = SIGNALS) -> Trajectory:
     """Read a rosbag2 made by the recorder node, by ``ros2 bag record`` or from a trajectory.
 
     The samples are the cycles of ``loader_state``, in any namespace. Messages on the other topics belong to the sample of their
-    cycle; of several for one cycle the first to arrive counts. A signal is NaN where its cycle has no message, and absent if
-    the bag has no value of it at all.
+    cycle; of several for one cycle, the first to arrive is used. A signal is NaN where its cycle has no message, and absent if
+    the bag has no value of it.
 
     Args:
         path: folder of the bag, or one storage file (``.mcap``, ``.db3``).
-        wanted: names of the signals to read; topics that have none of them are left out.
+        wanted: names of the signals to read; topics without any of them are skipped.
 
     Returns:
         The trajectory. Its times are the header stamps of the snapshots, relative to the first if they are wall-clock times.
         For a realtime run the metadata contain ``wall_s``, the time from the first snapshot to the last.
 
     Raises:
-        BadInput: the bag is missing, truncated, damaged, unclosed, without ``loader_state``, of several runs, or expands to too
-            much.
+        BadInput: the bag is missing, truncated, damaged, unclosed, without ``loader_state``, of several runs, or too large when
+            expanded.
     """
     where = str(path)
     with opened(path) as bag:
@@ -65,14 +65,14 @@ def read_bag(path: Path, wanted: Collection[str] = SIGNALS) -> Trajectory:
 
 
 class OpenBag(NamedTuple):
-    """A bag whose files are complete and expand to no more than they may.
+    """An open bag whose files are complete and within the size limits when expanded.
 
     Attributes:
         where: its path, for errors.
         reader: the reader of its messages.
-        provenance: what its recorder wrote about it; None for another recorder.
-        deadline: of the reading.
-        expand: expands a message; None if messages are not compressed.
+        provenance: the provenance written by its recorder; None for another recorder.
+        deadline: time limit of the reading.
+        expand: function that expands a message; None if messages are not compressed.
     """
 
     where: str
@@ -99,7 +99,7 @@ class OpenBag(NamedTuple):
         return self.provenance.seals.get(topic) if self.provenance else None
 
     def read(self, sinks: Mapping[int, BagTopic]) -> None:
-        """Pass each message to the sink of its connection's number; those without one are left out.
+        """Pass each message to the sink of its connection's number; those without a sink are skipped.
 
         Raises:
             BadInput: the bag is damaged, or a message is not of its type.
@@ -133,7 +133,7 @@ def opened(path: Path) -> Iterator[OpenBag]:
         The bag.
 
     Raises:
-        BadInput: it is missing, truncated, damaged, unclosed, or expands to too much.
+        BadInput: the bag is missing, truncated, damaged, unclosed, or too large when expanded.
     """
     where = str(path)
     with ExitStack() as stack:
@@ -152,7 +152,7 @@ def opened(path: Path) -> Iterator[OpenBag]:
 
 
 def is_closed(folder: Path) -> bool:
-    """Tell whether the recorder closed a bag."""
+    """Return whether the recorder closed a bag."""
     return (folder / METADATA_FILE).exists() and not (folder / NOTE).exists()
 
 
@@ -192,7 +192,7 @@ def _size(path: Path, metadata: Any) -> int:
 
 
 def _checked(file: Path, allowance: Allowance, deadline: Deadline) -> Mapping[str, str]:
-    """Check that a storage file is complete and does not expand to too much, and return its custom data."""
+    """Check that a storage file is complete and within the size limits when expanded, and return its custom data."""
     check_regular(file, limits.BAG, CLOSED_BAG)
     custom_data = custom_data_in(file, deadline)
     if file.suffix == ".mcap":
@@ -219,7 +219,7 @@ def _open(path: Path) -> Reader:
 
 
 def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provenance | None:
-    """Return the provenance on which all copies of the metadata agree."""
+    """Return the provenance after a check that all copies of the metadata agree."""
     found = [provenance for entries in custom_data if (provenance := provenance_in(entries, where))]
     if any(provenance != found[0] for provenance in found):
         raise BadInput("its metadata are those of another bag", where, "an unaltered bag")
@@ -227,7 +227,7 @@ def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provena
 
 
 def read_topics(bag: OpenBag, wanted: Collection[str]) -> dict[str, MessageColumns]:
-    """Return the messages on the bag's cycle topics that have wanted signals, and on ``loader_state``, by the topic's name."""
+    """Read ``loader_state`` and the cycle topics with wanted signals, by topic name."""
     by_path, namespace = bag.by_topic(), namespace_of(bag)
     topics: dict[str, BagTopic] = {}
     sinks: dict[int, BagTopic] = {}
@@ -244,10 +244,10 @@ def read_topics(bag: OpenBag, wanted: Collection[str]) -> dict[str, MessageColum
 
 
 def namespace_of(bag: OpenBag) -> str:
-    """Return the one namespace that has a ``loader_state``.
+    """Return the only namespace with a ``loader_state``.
 
     Raises:
-        BadInput: none has, or several have.
+        BadInput: there is none, or there are several.
     """
     by_path, where = bag.by_topic(), bag.where
     ending = f"/{LOADER_STATE.name}"

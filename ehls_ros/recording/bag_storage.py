@@ -1,7 +1,7 @@
-"""rosbags' storages with protection against damage: a ledger in the file, and checksums of mcap's chunks.
+"""Storages of rosbags with protection against damage: a ledger in the file, and checksums of mcap's chunks.
 
-The caller enters topics and messages into the ledger; the storage writes its blocks.
-Any reader can read the bags: the ledger is a private record of mcap, or a table of its own in SQLite, which others skip.
+The caller enters topics and messages into the ledger; the storage writes its blocks. Any reader can read the bags: the ledger
+is a private record of mcap, or a separate table of SQLite, which others skip.
 """
 
 import struct
@@ -33,7 +33,7 @@ class McapStorage(McapWriter):
             self.bio.write(MCAP_RECORD.pack(MCAP_LEDGER, len(block)) + block)
 
     def close_chunk(self) -> None:
-        """Write the chunk, after its ledger, which then also covers the messages of a truncated chunk."""
+        """Write the ledger, then the chunk, so that the ledger also covers the messages of a truncated chunk."""
         self.write_blocks(self.ledger.take())
         start, checksum = self.bio.tell(), crc32(self.chunk.bio.getbuffer())
         super().close_chunk()
@@ -74,7 +74,7 @@ class SqliteStorage(Sqlite3Writer):
 
 
 class StorageWriter(Writer):
-    """rosbags' writer with these storages."""
+    """Writer of rosbags with these storages."""
 
     STORAGE_PLUGINS: Mapping[StoragePlugin, type[McapStorage | SqliteStorage]] = MappingProxyType(
         {StoragePlugin.MCAP: McapStorage, StoragePlugin.SQLITE3: SqliteStorage}

@@ -22,7 +22,7 @@ from ehls_ros.recording.typestore import typestore, typestore_of
 EARLIER_UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {CONTROLLER_STATUS.name: {"e3": 1e6, "s": 1e6, "u1": 1e9, "u2": 1e9, "u3": 1e9}}
 )
-"""SI value of the unit of fields of a topic in bags from before its messages named their sender: MPa, MPa/s and t MPa/s^2."""
+"""SI value of a field's unit in old bags, whose messages do not name their sender: MPa, MPa/s and t MPa/s^2."""
 
 BLOCK = 16384
 """Messages decoded together: enough to amortize the overhead, few enough for a small memory footprint."""
@@ -48,7 +48,7 @@ class BagTopic:
             wanted: names of the fields to read.
             seal: state of the topic when the bag was closed, if known.
             where: bag and full name of the topic, for errors.
-            units: by field, the SI value of its unit, where it is not 1.
+            units: SI values of units other than 1, by field.
 
         Raises:
             BadInput: the topic has too many messages.
@@ -141,7 +141,7 @@ def cycle_topic(topic: Topic, connections: Sequence[Connection], seal: Seal | No
 
 
 def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str) -> list[Field]:
-    """Return the fields of a topic's messages by the bag's own definition."""
+    """Return the fields of a topic's messages as defined in the bag."""
     if connection.msgtype != topic.type:
         raise BadInput(f"its messages are {connection.msgtype}", where, topic.type)
     own = typestore()

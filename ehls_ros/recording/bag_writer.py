@@ -31,8 +31,8 @@ NEW_FOLDER = "a new folder in a writable place"
 class BagWriter:
     """A rosbag2 being written.
 
-    As a context manager it is closed on exit, also after an exception, and keeps what was recorded so far. Use it only in the
-    thread that made it.
+    As a context manager it is closed on exit, also after an exception, and keeps the messages recorded so far. Use it only in
+    the thread that made it.
     """
 
     def __init__(self, writer: StorageWriter, topics: Sequence[Topic], namespace: str, provenance: Provenance) -> None:
@@ -65,8 +65,8 @@ class BagWriter:
             path: folder to create, with its parents.
             storage: rosbag2 storage plugin.
             metadata: configuration of the run, stored in the bag as JSON.
-            namespace: of the topics.
-            topics: to be written.
+            namespace: namespace of the topics.
+            topics: topics to be written.
             signals: signals of the trajectory that is written; None for a recording.
 
         Returns:
@@ -93,7 +93,7 @@ class BagWriter:
         return cls(writer, topics, namespace, provenance)
 
     def add_topic(self, topic: Topic) -> None:
-        """Add a topic to those that can be written; again for one that is there does nothing."""
+        """Add a topic to those that can be written; no effect if it is already present."""
         if topic.name in self._connections:
             return
         connection = self._writer.add_connection(
@@ -127,7 +127,7 @@ class BagWriter:
             self._abandon(error)
 
     def set_recovery(self, recovery: Mapping[str, Any]) -> None:
-        """Record in the metadata what was lost from the damaged bag.
+        """Record the losses of the damaged bag in the metadata.
 
         Args:
             recovery: JSON values.
@@ -135,9 +135,9 @@ class BagWriter:
         self._provenance = self._provenance._replace(recovery=as_json(recovery))
 
     def flush(self) -> None:
-        """Make what was written survive a crash of this process, and update the note beside the bag.
+        """Secure the written messages against a crash of this process, and update the note beside the bag.
 
-        :func:`ehls_ros.recording.recovery.recover` can then restore it.
+        :func:`ehls_ros.recording.recovery.recover` can then restore the bag.
 
         Raises:
             OSError: the disk is full or fails; the bag has been abandoned and can be recovered up to the previous flush.
@@ -173,12 +173,12 @@ class BagWriter:
         self._open = False
 
     def abort(self) -> None:
-        """Stop without metadata, so that the rest is not mistaken for a bag; closing then does nothing."""
+        """Stop without metadata, so that the remains are not mistaken for a bag; closing then has no effect."""
         self._open = False
         try:
             self._writer.abort()
         except (OSError, sqlite3.Error):
-            return  # the original error says more
+            return  # the original error is more informative
 
     def __enter__(self) -> Self:
         """Return the writer itself."""
@@ -197,7 +197,7 @@ class BagWriter:
 
 
 def _offered(topic: Topic) -> Qos:
-    """Return what the topic's publishers offer, so that `ros2 bag play` offers it again."""
+    """Return the QoS of the topic's publishers, for `ros2 bag play` to offer."""
     none = QosTime(0, 0)
     durability = QosDurability.TRANSIENT_LOCAL if topic.transient_local else QosDurability.VOLATILE
     return Qos(
@@ -214,14 +214,14 @@ def _offered(topic: Topic) -> Qos:
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, storage: Storage = "mcap") -> None:
-    """Write a trajectory as the bag that a recording of the same run would give.
+    """Write a trajectory as a bag, in the form of a recording of the same run.
 
     Header stamps are the sample times rounded to nanoseconds; cycles count from 0. A message whose signals are all NaN is
     omitted.
 
     Args:
         path: folder to create.
-        trajectory: to be written.
+        trajectory: trajectory to be written.
         storage: rosbag2 storage plugin.
 
     Raises:

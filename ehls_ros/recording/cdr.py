@@ -1,8 +1,8 @@
-"""Converts messages of one type to arrays and back, thousands at a time.
+"""Conversion of messages of one type to arrays and back, thousands at a time.
 
-ROS 2 serializes messages as CDR: an encapsulation of four bytes, then the fields in order, each aligned to its own size,
-strings and sequences preceded by their length. Messages of one type whose strings and sequences have equal lengths share a
-layout, so each field of all of them is one slice of bytes.
+ROS 2 serializes messages as CDR: an encapsulation of four bytes, then the fields in order, each aligned to its size, strings
+and sequences preceded by their length. Messages of one type whose strings and sequences have equal lengths share a layout, so
+each field of all these messages is one slice of bytes.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -21,7 +21,7 @@ ENCAPSULATION = 4
 LITTLE_ENDIAN = b"\x00\x01"
 BYTE_ORDERS = {LITTLE_ENDIAN: "<", b"\x00\x00": ">"}
 PADDING = 8
-"""A message may exceed its fields by less than this: senders round up to the largest alignment [B]."""
+"""Bound on the excess of a message over its fields [B]: senders round up to the largest alignment."""
 
 NUMPY_TYPES = {
     "bool": "u1",
@@ -52,8 +52,8 @@ class Field(NamedTuple):
         name: dotted path from the message, such as ``header.stamp.sec``.
         kind: ROS name of the primitive type.
         many: a sequence or an array of that type.
-        length: of an array; None for a sequence, whose messages say it.
-        parts: of a sequence of texts or of messages, the fields of one of them; its values are not read.
+        length: length of an array; None for a sequence, whose length is in the message.
+        parts: fields of one entry of a sequence of texts or messages; its values are not read.
     """
 
     name: str
@@ -131,7 +131,7 @@ def decode(messages: Sequence[bytes], fields: Sequence[Field], wanted: Collectio
         wanted: names of the fields to return, none of them a string.
 
     Returns:
-        Arrays of shape (n,) in the field's own type, by name; for a sequence floats of shape (n, longest), padded with NaN.
+        Arrays of shape (n,) in the type of the field, by name; for a sequence, floats of shape (n, longest), padded with NaN.
 
     Raises:
         CdrError: a message is truncated, too long, or not plain CDR, or the lengths of strings and sequences vary too much.
@@ -237,12 +237,12 @@ def _length_at(message: bytes, order: str, _: Field, offset: int) -> int:
 
 
 def _layout(fields: Sequence[Field], length_at: Callable[[Field, int], int]) -> _Layout:
-    """Place the fields; ``length_at`` gives the length of a string or sequence from its field and its length word's offset."""
+    """Place the fields; ``length_at`` returns a string's or sequence's length from its field and its length word's offset."""
     places: list[_Place] = []
     lengths: dict[int, int] = {}
 
     def placed(fields: Sequence[Field], end: int, kept: bool) -> int:
-        """Place fields from an offset on, of which some are only passed over; return where they end."""
+        """Place fields from an offset on, or skip them if not kept; return the end offset."""
         for field in fields:
             length = 1 if field.length is None else field.length
             if field.length is None and (field.many or field.kind == "string"):
@@ -252,7 +252,7 @@ def _layout(fields: Sequence[Field], length_at: Callable[[Field, int], int]) -> 
             if field.parts:
                 for _ in range(length):
                     begin, end = end, placed(field.parts, end, kept=False)
-                    # Entries without content could be any number.
+                    # The number of empty entries is not bounded by the size.
                     if end > MESSAGE or end == begin:
                         raise CdrError(f"field {field.name} has {length} entries, which no message of {MESSAGE} bytes holds")
                 continue

@@ -1,4 +1,4 @@
-"""Maps the user's own column names and units to the names of the data contract."""
+"""Map of foreign column names and units to the names of the data contract."""
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -18,14 +18,14 @@ ELEMENT_SIGNALS = ("friction_elements_n", "friction_slipping")
 """Signals with one column per friction element: ``friction_elements_n_1``, ``friction_elements_n_2`` and so on."""
 
 TABLES, BASE, CYLINDER, ROTARY = "tables", "base", "cylinder", "rotary"
-"""Keys of a map that are not names of signals."""
+"""Keys of a map other than names of signals."""
 
 EXPECTED_MAP = "a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'"
 EXPECTED_TABLES = "a list of files, or a mapping like 'fast.csv: {name: t, unit: ms}' of each file's time"
 
 
 class Column(NamedTuple):
-    """What a file has for a signal, which is ``gain`` · ``scale`` · the value in SI units of ``unit``, plus ``offset``."""
+    """Source of a signal in a file: signal = ``gain`` · ``scale`` · value in SI units of ``unit`` + ``offset``."""
 
     name: Annotated[str, text("name of the column in the file; of a bag, of the message's field, such as position[0]")] = ""
     scale: Annotated[float, quantity("1", "factor; without a unit, SI units per unit of the column")] = 1.0
@@ -53,35 +53,35 @@ class Column(NamedTuple):
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Names of the columns it is made of; none for times that are counted."""
+        """Names of the source columns; none for times derived from a rate."""
         if self.expression:
             return expression(self.expression).names
         return (self.name,) if self.name else ()
 
     def sources_in(self, names: Collection[str]) -> bool:
-        """Tell whether all columns it is made of are among these names."""
+        """Return whether all source columns are among the given names."""
         return set(self.sources) <= set(names)
 
     @property
     def shown(self) -> str:
-        """What it is called in messages."""
+        """Name in messages."""
         return self.expression or self.name
 
 
 class Cylinder(NamedTuple):
-    """Areas of a cylinder whose chambers differ."""
+    """Areas of a differential cylinder."""
 
     area_a: Annotated[float, quantity("m^2", "area on which pressure A pushes towards +x", above=0.0)]
     area_b: Annotated[float, quantity("m^2", "area on which pressure B pushes towards -x", above=0.0)]
 
     @property
     def mean(self) -> float:
-        """Area of the symmetric cylinder that stands for this one [m^2]."""
+        """Area of the equivalent symmetric cylinder [m^2]."""
         return 0.5 * (self.area_a + self.area_b)
 
 
 class Rotary(NamedTuple):
-    """The arm that turns angle and torque into position and force."""
+    """Lever arm that converts angle and torque to position and force."""
 
     radius: Annotated[float, quantity("m", "arm: position = radius · angle, force = torque / radius", above=0.0)]
 
@@ -91,15 +91,15 @@ Columns = Mapping[str, Column]
 
 
 class ColumnMap(NamedTuple):
-    """How the user's tables give the signals of the data contract.
+    """Map of the user's tables to the signals of the data contract.
 
     Attributes:
         columns: by contract name.
-        tables: the files of one recording, or topics of a bag, each with its column of time; None: as the map has it. Empty:
-            one file, or a bag.
-        base: the file or topic whose clock the signals are brought to; the empty text: chosen from the rates.
-        cylinder: areas of both chambers; None where they are equal.
-        rotary: the arm of a rotary actuator; None for a linear one.
+        tables: the files of one recording, or topics of a bag, each with its time column; None: that of the map. Empty: one
+            file, or a bag.
+        base: file or topic to whose clock the signals are resampled; empty: chosen by rate.
+        cylinder: areas of both chambers; None if equal.
+        rotary: lever arm of a rotary actuator; None for a linear one.
     """
 
     columns: Mapping[str, Column] = {}
@@ -109,7 +109,7 @@ class ColumnMap(NamedTuple):
     rotary: Rotary | None = None
 
     def plain(self) -> Columns:
-        """Return the columns with their units in scale and offset, as the readers of single tables take them."""
+        """Return the columns with units folded into scale and offset, for the readers of single tables."""
         return {name: column.plain() for name, column in self.columns.items()}
 
 
@@ -117,8 +117,8 @@ def read_columns(path: Path) -> ColumnMap:
     """Read a map of columns.
 
     Args:
-        path: YAML file with an entry ``contract_name: {name: ..., unit: mm}`` for each mapped column, and the keys
-            ``tables``, ``base``, ``cylinder`` and ``rotary`` where they are needed.
+        path: YAML file with an entry ``contract_name: {name: ..., unit: mm}`` for each mapped column, and the keys ``tables``,
+            ``base``, ``cylinder`` and ``rotary`` where needed.
 
     Returns:
         The map.
@@ -134,14 +134,14 @@ def columns_from_mapping(data: Any, path: Path) -> ColumnMap:
 
     Args:
         data: the parsed file.
-        path: where it stands, for errors.
+        path: its path, for errors.
 
     Raises:
         BadInput: an entry is wrong.
     """
     if data is not None and not isinstance(data, Mapping):
         raise BadInput(f"it contains {data!r}", str(path), EXPECTED_MAP)
-    content = dict(data or {})  # a file may be of comments alone
+    content = dict(data or {})  # a file may contain only comments
     others = {key: content.pop(key, None) for key in (TABLES, BASE, CYLINDER, ROTARY)}
     columns = {str(name): _column(str(name), entry, path) for name, entry in content.items()}
     for name, column in columns.items():
@@ -212,7 +212,7 @@ def _entry(name: str, entry: object, where: str, expected: str) -> Column:
 
 
 def _check_source(name: str, column: Column, entry: Mapping[str, object], where: str) -> None:
-    """Refuse a column that says not at all, or twice, where its values come from."""
+    """Reject a column whose source is missing or ambiguous."""
     if "rate" in entry and (name != TIME or column.rate <= 0.0 or entry.keys() & {"unit", "scale", "expression"}):
         raise BadInput(f"rate is {column.rate:g}", where, f"a positive rate in Hz, only for {TIME} and without unit or scale")
     if column.expression:
@@ -229,7 +229,7 @@ def _check_source(name: str, column: Column, entry: Mapping[str, object], where:
 
 
 def _with_range(column: Column, entry: Mapping[str, object], where: str) -> Column:
-    """Check two values of a column and what they mean."""
+    """Check two values of a column and their meaning."""
     for key, ends in (("range", column.range), ("means", column.means)):
         if len(ends) != 2 or ends[0] == ends[1]:
             expected = "two different numbers in both, such as range: [4, 20] and means: [-1.0e-3, 1.0e-3]"
@@ -244,7 +244,7 @@ def _with_range(column: Column, entry: Mapping[str, object], where: str) -> Colu
 
 
 def _with_unit(name: str, column: Column, entry: Mapping[str, object], where: str) -> Column:
-    """Return the column with its unit in the known spelling, and refuse a unit of another quantity."""
+    """Return the column with its unit in the standard spelling; reject a unit of another quantity."""
     spelling = unit_of(column.unit)
     if spelling is None:
         raise BadInput(f"unit is {column.unit!r}", where, f"one of {', '.join(RECORDED)}; or scale, in SI units per unit")
@@ -269,11 +269,11 @@ FITTED: Mapping[str, str] = {
     "force_n": "load_pressure_pa",
     "load_pressure_pa": "force_n",
 }
-"""The signal that fixes the scale of another: its derivative or integral, or the same force."""
+"""Signals that determine the scale of another: its derivative or integral, or the same force."""
 
 
 def _check_fit(name: str, column: Column, columns: Columns, path: Path) -> None:
-    """Refuse to fit a scale to a signal that does not fix it."""
+    """Reject fitting a scale to a signal that does not determine it."""
     if not column.fit_to:
         return
     where = f"{path}, {name}"
@@ -288,12 +288,12 @@ def _check_fit(name: str, column: Column, columns: Columns, path: Path) -> None:
 
 
 def is_topic(table: str) -> bool:
-    """Tell whether a table is a topic of a bag: the full names of topics begin with a slash, and files have no folder."""
+    """Return whether a table is a topic of a bag: full topic names begin with a slash, and files have no folder."""
     return table.startswith("/")
 
 
 def is_contract_name(name: str) -> bool:
-    """Tell whether a column name belongs to the data contract."""
+    """Return whether a column name belongs to the data contract."""
     return name == TIME or name in READABLE or element_of(name) is not None
 
 

@@ -1,7 +1,7 @@
-"""Reads files with libraries that trust their input, in a separate process with bounded memory and time.
+"""Reading of files with libraries that trust their input, in a separate process with bounded memory and time.
 
 A few kilobytes of a MAT, Parquet or Excel file can expand to terabytes, or be nested until the stack overflows. The libraries
-allocate whatever a file asks for, and their calls cannot be interrupted; so the reading process ends instead of ours.
+allocate any size that a file states, and their calls cannot be interrupted; so the reading process ends instead of this one.
 """
 
 import os
@@ -40,16 +40,16 @@ def contained(
     Args:
         read: the reader, a function at the top level of a module.
         path: the file.
-        argument: what else the reader takes; it can be pickled.
-        expected: what the file should be, for errors.
+        argument: further argument of the reader, picklable.
+        expected: description of a valid file, for errors.
         kind: type of the result.
-        libraries: modules that the reader imports; memory and threads that they take themselves do not count as the file's.
+        libraries: modules imported by the reader; the limits do not count their memory and threads.
 
     Returns:
         The result of ``read``.
 
     Raises:
-        BadInput: the file is refused, takes too much memory or time for its size, or crashes the reader.
+        BadInput: the file is rejected, takes too much memory or time for its size, or crashes the reader.
         WorkFailed: the process could not be started.
     """
     size = check_regular(path, limits.TABLE, expected, larger=limits.TABLE_LARGER)
@@ -76,7 +76,7 @@ def _run_reader(request: bytes, path: Path, deadline: Deadline) -> subprocess.Co
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH")))),
-        "ARROW_DEFAULT_MEMORY_POOL": "system",  # the other pools reserve more than they use
+        "ARROW_DEFAULT_MEMORY_POOL": "system",  # the other pools reserve more memory than they use
         "MALLOC_ARENA_MAX": "1",  # a second arena reserves 64 MB
         "OPENBLAS_NUM_THREADS": "1",
     }
@@ -121,7 +121,7 @@ def _serve() -> None:
 
 
 def limit(kind: int, value: int) -> None:
-    """Lower a resource limit of this process; a lower one stays."""
+    """Lower a resource limit of this process; an existing lower limit is kept."""
     soft, hard = resource.getrlimit(kind)
     known = [bound for bound in (value, soft, hard) if bound != resource.RLIM_INFINITY]
     resource.setrlimit(kind, (min(known), hard))

@@ -1,4 +1,4 @@
-"""Turns what rigs measure into the signals of the data contract: chamber pressures, load cell, angle and torque, raw counts."""
+"""Conversion of measurements to the data contract: chamber pressures, load cell, angle and torque, raw counts."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
@@ -16,19 +16,21 @@ from ehls_ros.trajectory import READABLE, Own, Preparation, Trajectory
 Signal = NDArray[np.float64]
 
 EQUAL_AREAS = 0.01
-"""Relative difference of both areas up to which the flow of a symmetric cylinder holds: as little as a coefficient is known."""
+"""Relative area difference up to which the flow of a symmetric cylinder holds; as small as the error of a coefficient."""
 
 SAME = 0.98
-"""Smallest correlation of a fitted signal with the one that fixes its scale; below it the two show different things."""
+"""Minimum correlation of a fitted signal with the one that determines its scale; below it the two measure different
+quantities."""
 
 FEWEST = 100
-"""Fewest samples that fix a scale."""
+"""Minimum number of samples to determine a scale."""
 
 MOST_INTERVALS, FEWEST_IN_INTERVAL, FEWEST_INTERVALS = 200, 5, 10
-"""Intervals over which both signals are compared, so that their errors are independent: most, least samples in one, fewest."""
+"""Intervals over which both signals are compared, for independent errors: maximum number, minimum samples in one, minimum
+number."""
 
 NOTHING = 1e-9
-"""Change of a signal, relative to its size, that is none."""
+"""Change of a signal, relative to its size, that is taken as zero."""
 
 TURNED: Mapping[str, tuple[str, int]] = {
     "angle_rad": ("position_m", 1),
@@ -36,16 +38,16 @@ TURNED: Mapping[str, tuple[str, int]] = {
     "torque_n_m": ("force_n", -1),
     "load_torque_n_m": ("disturbance_force_n", -1),
 }
-"""The linear signal that stands for a rotary one, and the power of the arm that it is multiplied by."""
+"""Linear signal equivalent to a rotary one, and the exponent of the lever arm in the conversion."""
 
 FLOW_OF_UNEQUAL_AREAS = (
     "the volume balance is that of a symmetric cylinder; with unequal areas the valve's pressure drop differs by direction"
 )
-"""Why the flow is not judged."""
+"""Reason why the flow is not judged."""
 
 
 def given_by(signals: Collection[str]) -> set[str]:
-    """Return the names of the signals that there are once those of a rig are converted."""
+    """Return the names of the signals available after conversion."""
     out = {*signals, *(linear for rotary, (linear, _) in TURNED.items() if rotary in signals)}
     if {"pressure_a_pa", "pressure_b_pa"} <= out:
         out.add("load_pressure_pa")
@@ -60,21 +62,22 @@ class _State(NamedTuple):
 
 
 def converted(trajectory: Trajectory, given: ColumnMap, where: str) -> Trajectory:
-    """Add the signals that follow from what a rig measured.
+    """Add the signals derived from a rig's measurements.
 
     Args:
-        trajectory: as read.
-        given: the user's map, with areas and arm.
+        trajectory: trajectory as read.
+        given: the user's map, with areas and lever arm.
         where: the recording, for errors.
 
     Returns:
-        The trajectory with the measured and the derived signals, and remarks on what was derived how.
+        The trajectory with the measured and the derived signals, and remarks on the derivations.
 
     Raises:
-        BadInput: an area or arm is missing, a signal is given twice, or a scale cannot be fitted.
+        BadInput: an area or lever arm is missing, a signal is given twice, or a scale cannot be fitted.
     """
     state = _State(dict(trajectory.signals), trajectory.preparation)
-    # Counts of a rotary sensor are fitted before they are turned into a path, all others after the chambers gave a pressure.
+    # Counts of a rotary sensor are fitted before their conversion to a position, all others after that of the chamber
+    # pressures.
     rotary = [name for name, column in given.columns.items() if column.fit_to and name in TURNED]
     others = [name for name, column in given.columns.items() if column.fit_to and name not in TURNED]
     for name in rotary:
@@ -87,7 +90,7 @@ def converted(trajectory: Trajectory, given: ColumnMap, where: str) -> Trajector
 
 
 def _added(state: _State, name: str, terms: Mapping[str, float], where: str, remark: str) -> _State:
-    """Add a signal that is a sum of others, each times a factor; its noise is theirs, squared and summed."""
+    """Add a signal that is a weighted sum of others; their noise adds in squares."""
     if name in state.signals:
         what = f"{name} is given, and follows from {' and '.join(terms)} as well"
         raise BadInput(what, where, "one of the two; leave the other out")
@@ -109,7 +112,7 @@ def _measured(state: _State, name: str) -> _State:
 
 
 def _linear(state: _State, given: ColumnMap, where: str) -> _State:
-    """Turn angles and torques into positions and forces at the arm."""
+    """Convert angles and torques to positions and forces at the lever arm."""
     for rotary, (linear, power) in TURNED.items():
         if rotary not in state.signals:
             continue
@@ -124,14 +127,14 @@ def _linear(state: _State, given: ColumnMap, where: str) -> _State:
 
 
 def _chambers(state: _State, given: ColumnMap, where: str) -> _State:
-    """Turn the pressures of both chambers into the load pressure of a symmetric cylinder with the same force."""
+    """Convert the pressures of both chambers to the load pressure of a symmetric cylinder with the same force."""
     a, b = "pressure_a_pa", "pressure_b_pa"
     present = [name for name in (a, b) if name in state.signals]
     if not present:
         return state
     if len(present) == 1:
         if given.cylinder is None:
-            # One chamber alone is read and shown; what pushes against it is not known.
+            # A single chamber is read and shown; the opposing pressure is unknown.
             return state._replace(preparation=state.preparation.adding(f"{present[0]} alone gives no load pressure"))
         raise BadInput(f"{present[0]} is there without the other chamber's pressure", where, f"both {a} and {b}")
     areas = given.cylinder or Cylinder(1.0, 1.0)
@@ -153,7 +156,7 @@ def _chambers(state: _State, given: ColumnMap, where: str) -> _State:
 
 
 def _supply(state: _State, given: ColumnMap, where: str) -> _State:
-    """Take the supply pressure above that of the tank, as the valve's flow does."""
+    """Refer the supply pressure to the tank pressure, as in the flow equation of the valve."""
     tank, supply = "tank_pressure_pa", "supply_pressure_pa"
     if tank not in state.signals or supply not in state.signals:
         return state
@@ -167,7 +170,7 @@ def _supply(state: _State, given: ColumnMap, where: str) -> _State:
 
 
 def _cell(state: _State, given: ColumnMap, where: str) -> _State:
-    """Take a load cell between piston and load for the force from outside."""
+    """Use a load cell between piston and load as the external force."""
     if "load_cell_n" not in state.signals:
         return state
     remark = "disturbance_force_n is what the load cell between piston and load shows; the moving mass is that before the cell"
@@ -181,13 +184,13 @@ _STEPS: tuple[Callable[[_State, ColumnMap, str], _State], ...] = (_linear, _cham
 
 
 class Scale(NamedTuple):
-    """A straight line from raw counts to a signal, with standard errors.
+    """Linear calibration from raw counts to a signal, with standard error.
 
     Attributes:
         factor: signal per count.
         error: its standard error.
-        offset: signal at zero; None where the second signal does not tell it.
-        correlation: of the line with the data.
+        offset: signal at zero counts; None if the second signal does not determine it.
+        correlation: correlation of the line with the data.
     """
 
     factor: float
@@ -206,7 +209,7 @@ def fitted_scale(counts: Signal, other: Signal, time: Signal, kind: str) -> Scal
         kind: ``same`` quantity, ``integral`` if the counts are the other's integral, ``derivative`` if they are its derivative.
 
     Returns:
-        The scale; None if fewer than :data:`FEWEST` samples show both, or one does not move.
+        The scale; None if fewer than :data:`FEWEST` samples have both, or one does not vary.
     """
     both = np.isfinite(counts) & np.isfinite(other)
     if np.count_nonzero(both) < FEWEST:
@@ -214,7 +217,7 @@ def fitted_scale(counts: Signal, other: Signal, time: Signal, kind: str) -> Scal
     edges = np.unique(np.linspace(0, len(time) - 1, min(MOST_INTERVALS, len(time) // FEWEST_IN_INTERVAL) + 1).astype(np.intp))
     whole = np.add.reduceat(~both, edges[:-1]) == 0
     lasts = np.diff(time[edges])
-    # What happens within an interval: the change of one signal, and the integral of the other.
+    # Per interval: the change of one signal and the integral of the other.
     change = {"same": _integral, "integral": _change, "derivative": _integral}[kind](counts, time, edges)
     wanted = {"same": _integral, "integral": _integral, "derivative": _change}[kind](other, time, edges)
     rate, target = (change / lasts)[whole], (wanted / lasts)[whole]
@@ -227,7 +230,7 @@ def fitted_scale(counts: Signal, other: Signal, time: Signal, kind: str) -> Scal
     residual = target - factor * rate - offset
     error = math.sqrt(float(residual @ residual) / (rate.size - 2) / size)
     correlation = abs(float(np.corrcoef(rate, target)[0, 1]))
-    # The rate of a path has lost its zero.
+    # The rate of a position does not contain its zero.
     return Scale(factor, error, None if kind == "integral" else offset, correlation)
 
 

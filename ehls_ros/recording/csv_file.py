@@ -1,4 +1,4 @@
-"""Text files with a table, read by pandas; and CSV files in the format of the data contract, written."""
+"""Reading of text tables with pandas, and writing of CSV files in the format of the data contract."""
 
 import io
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,21 +24,21 @@ from ehls_ros.recording.times import seconds_of_clock
 from ehls_ros.trajectory import Trajectory
 
 BLOCK = 2**20
-"""Text read between two checks of the limits [characters]."""
+"""Length of text read between two checks of the limits [characters]."""
 
 ROWS_WRITTEN = 16384
-"""Rows written together."""
+"""Number of rows written together."""
 
 EXPECTED_FILE = "a CSV file"
 
 
 def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
-    """Read a table from a text file: CSV in any of the layouts that :mod:`text_layout` knows.
+    """Read a table from a text file: CSV in any of the layouts of :mod:`text_layout`.
 
     Args:
         path: the file.
-        pick: returns the names of the columns to read, of which every cell has to be a number, a time or empty; None for
-            all, where a column with anything else is None.
+        pick: returns the names of the columns to read, whose cells must be numbers, times or empty; None: all columns, where
+            one with any other cell becomes None.
 
     Returns:
         The table. An empty cell is NaN.
@@ -55,7 +55,7 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
         wanted = list(names) if pick is None else list(pick(names))
         with path.open(encoding=layout.encoding, errors="replace") as stream:
             lines = _Lines(stream, layout, deadline, where)
-            # The first of two columns of one name; those who want it have been told by `pick`.
+            # The first of two columns of one name; `pick` reports duplicates to users who want it.
             places = sorted({names.index(name) for name in wanted})
             columns = _Columns(layout, places, pick is None, deadline, where)
             values = columns.read(lines) if places else {}
@@ -75,14 +75,14 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
 
 
 class _Block(NamedTuple):
-    """Whole lines of a file, with the number of the first."""
+    """Complete lines of a file, with the number of the first."""
 
     lines: list[str]
     first: int
 
 
 class _Lines:
-    """The lines of values, in blocks; a line with another number of cells is refused, and a long one before it is read."""
+    """Lines of values in blocks; rejects lines with another number of cells, and overlong lines during reading."""
 
     def __init__(self, stream: TextIO, layout: Layout, deadline: Deadline, where: str) -> None:
         self._stream, self._layout, self._deadline, self._where = stream, layout, deadline, where
@@ -105,7 +105,7 @@ class _Lines:
             yield from self._checked(block)
 
     def _checked(self, block: _Block) -> Iterator[_Block]:
-        """Yield a block whose lines all have as many cells as there are names; white space may end the file."""
+        """Yield a block whose lines all have one cell per name; trailing white space of the file is dropped."""
         wrong = self._wrong(block.lines)
         if wrong is None:
             if block.lines:
@@ -136,17 +136,17 @@ class _Lines:
 
 
 class _Columns:
-    """The columns of blocks of lines, as pandas reads them."""
+    """Columns of blocks of lines, parsed by pandas."""
 
     def __init__(self, layout: Layout, places: Iterable[int], lenient: bool, deadline: Deadline, where: str) -> None:
         self._layout, self._where, self._lenient, self._deadline = layout, where, lenient, deadline
-        # Where every cell has to be a number, the first that is none will be named.
+        # If every cell has to be a number, the first that is not will be reported.
         kinds = {place: layout.header.kinds[place] for place in places}
         self.kinds = {place: "number" if kind == "text" and not lenient else kind for place, kind in kinds.items()}
         self.wrong: dict[int, str] = {}
 
     def read(self, blocks: Iterable[_Block]) -> dict[int, NDArray[np.float64] | None]:
-        """Return the columns by their places."""
+        """Return the columns by their positions."""
         parts: dict[int, list[NDArray[Any]]] = {place: [] for place in self.kinds}
         rows = 0
         for block in blocks:
@@ -186,7 +186,7 @@ class _Columns:
             self.wrong[place] = f"line {block.first + line} is {cell[:40]!r}"
 
     def _first_wrong(self, lines: Sequence[str], places: Sequence[int]) -> tuple[int, int]:
-        """Return place and index of line of the first cell that is no number, by halving."""
+        """Return column and line index of the first non-numeric cell, by bisection."""
         begin, end = 0, len(lines)
         while end - begin > 1:
             middle = (begin + end) // 2
@@ -220,7 +220,7 @@ class _Columns:
 
 
 def _exactly(version: str) -> dict[str, str]:
-    """Return what has pandas read numbers to the last bit: from 3.1 on it does so, and no longer wants to be told."""
+    """Return the option for exact parsing of numbers by pandas; none from 3.1 on, where this is the default."""
     return {} if tuple(map(int, version.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
 
 
@@ -231,7 +231,7 @@ def write_csv(path: Path, trajectory: Trajectory) -> None:
 
     Args:
         path: the file; an existing one is replaced.
-        trajectory: to be written.
+        trajectory: trajectory to be written.
 
     Raises:
         BadInput: the file cannot be created.

@@ -1,4 +1,4 @@
-"""The remains of a damaged or unclosed bag: its messages and its provenance."""
+"""Salvage of messages and provenance from a damaged or unclosed bag."""
 
 import json
 import shutil
@@ -26,7 +26,7 @@ from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
 from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
 
 JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
-"""Beginning of a rollback journal of SQLite, and the end of one that names another file."""
+"""Magic bytes at the beginning of a rollback journal of SQLite, and at the end of one that names another file."""
 
 SMALLEST_PAGE = 512
 """Smallest page of a SQLite database [B]."""
@@ -34,7 +34,7 @@ SMALLEST_PAGE = 512
 RECOVERABLE = "a bag of ROS 2, its folder or its storage file"
 
 LONGEST_PROVENANCE = TEXT * 3 // 4
-"""Longest provenance that is copied to the new bag's metadata, which are limited when read [characters]."""
+"""Maximum length of a provenance that is copied to the new bag's metadata, which are limited when read [characters]."""
 
 
 class DamagedBag(NamedTuple):
@@ -42,11 +42,11 @@ class DamagedBag(NamedTuple):
 
     Attributes:
         storage: rosbag2 storage plugin.
-        content: of the file.
+        content: content of the file.
         names: full names of the topics by their number in the file.
-        provenance: of the bag; None if it is lost.
+        provenance: provenance of the bag; None if it is lost.
         expected: messages written on each topic, by full name, according to the files beside the storage file.
-        remarks: in words.
+        remarks: remarks on the state of the file.
     """
 
     storage: Storage
@@ -140,7 +140,7 @@ def _rolled_back(file: Path, folder: Path) -> Path:
     most = copy.stat().st_size + journal.stat().st_size
     if journal.name.endswith("-journal"):
         _bound_journal(journal, most)
-    # If this fails, the copy is salvaged as it is.
+    # If this fails, the copy is salvaged unchanged.
     with suppress(sqlite3.Error), closing(sqlite3.connect(copy)) as database:
         database.execute("PRAGMA user_version").fetchone()
         database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
@@ -148,10 +148,10 @@ def _rolled_back(file: Path, folder: Path) -> Path:
 
 
 def _bound_journal(journal: Path, most: int) -> None:
-    """Change a rollback journal so that SQLite neither extends the database beyond all that is there nor deletes another file.
+    """Patch a rollback journal so that SQLite neither extends the database beyond the available data nor deletes another file.
 
-    SQLite sets the database to the number of pages that the journal's header claims, and then deletes the super-journal of
-    which the journal's end has the path, if none of the databases listed in that file is there.
+    SQLite sets the database to the number of pages in the journal's header. It then deletes the super-journal named at the
+    journal's end if none of the databases listed there exists.
 
     Args:
         journal: a copy of the journal.
@@ -159,7 +159,7 @@ def _bound_journal(journal: Path, most: int) -> None:
     """
     with journal.open("r+b") as stream:
         magic, pages, page_size = struct.unpack(">8s8xI4xI", stream.read(28).ljust(28, b"\0"))
-        # A size of 0 stands for that of the database, which is at least the smallest.
+        # A size of 0 denotes that of the database, which is at least the smallest.
         there = most // max(page_size, SMALLEST_PAGE)
         if magic == JOURNAL_MAGIC and pages > there:
             stream.seek(16)

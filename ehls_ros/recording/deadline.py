@@ -7,13 +7,13 @@ from ehls_ros.recording import limits
 
 
 class Deadline:
-    """The time by which a file must be read."""
+    """Deadline for reading a file."""
 
     def __init__(self, size: int, where: str) -> None:
         """Start the clock.
 
         Args:
-            size: of the file [B].
+            size: size of the file [B].
             where: the file, for the error.
         """
         self.seconds = limits.SECONDS + size / limits.SLOWEST
@@ -21,18 +21,18 @@ class Deadline:
         self._end = time.monotonic() + self.seconds
 
     def passed(self) -> bool:
-        """Tell whether the time is over."""
+        """Return whether the deadline has passed."""
         return time.monotonic() > self._end
 
     def check(self) -> None:
-        """Raise if the time is over.
+        """Raise if the deadline has passed.
 
         Raises:
-            BadInput: the time is over.
+            BadInput: the deadline has passed.
         """
         if self.passed():
             raise self.error()
 
     def error(self) -> BadInput:
-        """Return the error for an expired time."""
+        """Return the error for a passed deadline."""
         return BadInput(f"reading it takes more than {self.seconds:.0f} s", self._where, "the recording in smaller files")

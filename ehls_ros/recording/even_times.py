@@ -1,4 +1,4 @@
-"""The times at which messages were sent evenly, from the scattered times at which they were received."""
+"""Reconstruction of evenly spaced sending times of messages from scattered times of reception."""
 
 import numpy as np
 import scipy
@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 Times = NDArray[np.float64]
 
 SMOOTHED = 2.0
-"""Time over which the delay of messages is averaged; the clocks of sender and recorder drift apart more slowly [s]."""
+"""Time over which the delay of messages is averaged [s]; the clock drift between sender and recorder is slower."""
 
 AROUND = 20
-"""Messages before and after one whose delays tell whether messages were lost there, or only late."""
+"""Number of messages before and after one whose delays distinguish lost messages from late ones."""
 
 LOST = 0.5
 """Change of the delay, in periods, above which messages were lost."""
@@ -20,20 +20,20 @@ EVEN = 0.5
 
 
 def sent_evenly(received: Times) -> Times | None:
-    """Return the times of messages that were sent evenly, plus their mean delay.
+    """Return the sending times of evenly sent messages, plus their mean delay.
 
     Args:
-        received: when they were received, increasing, shape (n,) [s].
+        received: times of reception, increasing, shape (n,) [s].
 
     Returns:
         Their times, shape (n,) [s]; None if they were not sent evenly.
     """
     if len(received) <= 4 * AROUND:
         return None
-    # Over many messages the delays hardly count, and seldom is one of them lost.
+    # Over many messages the delays hardly matter, and losses are rare.
     period = float(np.median(received[2 * AROUND :] - received[: -2 * AROUND])) / (2 * AROUND)
     late = received - period * np.arange(len(received))
-    # A message that is late delays no other for long; one that is lost brings all later ones forward.
+    # A late message does not delay others for long; a lost one shifts all later ones forward.
     usual = np.pad(scipy.ndimage.median_filter(late, AROUND), AROUND // 2, mode="edge")
     change = (usual[AROUND:] - usual[:-AROUND]) / period
     steps, lost = np.diff(received, prepend=received[0]), np.zeros(len(received))

@@ -1,4 +1,4 @@
-"""What was done to a run, from its bag: parameters set, transitions of nodes, trips and other changes of the safety gate."""
+"""Events of a run, from its bag: parameter changes, node transitions, trips and other changes of the safety gate."""
 
 import math
 import re
@@ -39,19 +39,19 @@ VALUES: Mapping[int, str] = MappingProxyType(
         9: "string_array_value",
     }
 )
-"""Field of a ParameterValue by its type, as rcl_interfaces numbers them."""
+"""Field of a ParameterValue by its type, as numbered in rcl_interfaces."""
 
 PRIMARY_STATES = range(1, 5)
-"""Lifecycle states in which a node stays, as lifecycle_msgs numbers them; the others are transitions under way."""
+"""Primary lifecycle states, as numbered in lifecycle_msgs; the others are transitions in progress."""
 
 
 class Event(NamedTuple):
-    """Something that was done to a run or happened to it.
+    """An intervention in a run, or an incident.
 
     Attributes:
-        time_s: on the time base of the bag's trajectory, that of the last snapshot sent before; None before the first [s].
-        node: node that it was done to, without the run's namespace.
-        what: in words.
+        time_s: time of the preceding snapshot on the time base of the bag's trajectory [s]; None before the first.
+        node: affected node, without the run's namespace.
+        what: description.
     """
 
     time_s: float | None
@@ -60,14 +60,14 @@ class Event(NamedTuple):
 
 
 def read_events(path: Path) -> list[Event]:
-    """Read what was done to the run of a bag.
+    """Read the events of the run in a bag.
 
     Args:
         path: folder of the bag, or one storage file.
 
     Returns:
-        In the order of sending: parameters that were changed, with their value before; transitions of lifecycle nodes; each
-        change of the gate's state; warnings and errors of the nodes when they came up.
+        The events in the order of sending: parameter changes with the previous value; transitions of lifecycle nodes; each
+        change of the gate's state; new warnings and errors of the nodes.
 
     Raises:
         BadInput: the bag cannot be read, or has no ``loader_state``.
@@ -86,11 +86,11 @@ def read_events(path: Path) -> list[Event]:
 
 
 class Pause(NamedTuple):
-    """A time in which no command reached the valve, on the time base of the bag's trajectory.
+    """An interval in which no command reached the valve, on the time base of the bag's trajectory.
 
     Attributes:
-        begin: time of the last snapshot before [s].
-        end: the same of the first command that reaches it again; infinite where none did [s].
+        begin: time of the last snapshot before it [s].
+        end: time of the last snapshot before the first command that reaches the valve again [s]; infinite if none does.
     """
 
     begin: float
@@ -98,7 +98,7 @@ class Pause(NamedTuple):
 
 
 def read_pauses(path: Path) -> list[Pause]:
-    """Read when commands did not reach the valve: the gate was closed, whatever the controller commanded.
+    """Read the intervals in which the gate was closed and no command reached the valve.
 
     Args:
         path: folder of the bag, or one storage file.
@@ -125,7 +125,7 @@ def read_pauses(path: Path) -> list[Pause]:
 
 
 def _contents(bag: OpenBag, types: Mapping[str, str]) -> Iterator[tuple[int, str, Any]]:
-    """Return time of sending [ns], topic and content of each message on the topics that have these types."""
+    """Yield time of sending [ns], topic and content of each message on the topics of these types."""
     connections = [connection for connection in bag.reader.connections if types.get(connection.topic) == connection.msgtype]
     for connection, stamp_ns, message in bag.messages(connections):
         if len(message) > limits.MESSAGE:
@@ -139,7 +139,7 @@ def _contents(bag: OpenBag, types: Mapping[str, str]) -> Iterator[tuple[int, str
 
 
 def _times(snapshots: MessageColumns, stamps_ns: NDArray[np.int64]) -> list[float | None]:
-    """Return the run's time at which messages were sent."""
+    """Return the sending times of messages on the run's time base."""
     order = np.argsort(snapshots[SENT], kind="stable")
     taken_ns = (snapshots[SECONDS].astype(np.int64) * 10**9 + snapshots[NANOSECONDS])[order]
     times = (taken_ns - (taken_ns.min() if taken_ns.min() >= UNIX_TIME_NS else 0)) / 1e9
@@ -148,7 +148,7 @@ def _times(snapshots: MessageColumns, stamps_ns: NDArray[np.int64]) -> list[floa
 
 
 class _Tellers:
-    """Puts messages into words, and knows what was said before."""
+    """Conversion of messages to event texts, with a memory of earlier values."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace
@@ -162,13 +162,13 @@ class _Tellers:
         self._types: dict[str, str] = {}
 
     def by_topic(self, bag: OpenBag) -> Mapping[str, str]:
-        """Return the types of the bag's topics that can be told."""
+        """Return the types of the bag's topics that can be converted."""
         known = {name: known_topic(name, self._namespace) for name in bag.by_topic()}
         self._types = {name: topic.type for name, topic in known.items() if topic and topic.type in self._by_type}
         return self._types
 
     def tell(self, topic: str, content: Any) -> Iterator[tuple[str, str]]:
-        """Return node and words for each thing that a message tells."""
+        """Yield node and text for each event in a message."""
         yield from self._by_type[self._types[topic]](topic, content)
 
     def _parameters(self, _: str, event: Any) -> Iterator[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Excel files, read by python-calamine: the first sheet that has anything, with names in a row above the values."""
+"""Reading of Excel files with python-calamine: the first non-empty sheet, with names in a row above the values."""
 
 import datetime as dt
 from importlib import import_module
@@ -18,12 +18,12 @@ from ehls_ros.recording.text_layout import is_number
 from ehls_ros.recording.times import seconds_of_moments
 
 LIBRARY = "python_calamine"
-"""Module that reads it."""
+"""Module that reads the files."""
 
 EXPECTED_FILE = "an Excel file, or the data as CSV"
 
 LOOKED_AT = 1000
-"""First rows among which the names are looked for."""
+"""Number of first rows that are searched for the names."""
 
 
 def read_excel(path: Path, pick: Pick | None = None) -> RawTable:
@@ -31,8 +31,8 @@ def read_excel(path: Path, pick: Pick | None = None) -> RawTable:
 
     Args:
         path: the file, ``.xlsx`` or ``.xls``; an empty cell is NaN.
-        pick: returns the names of the columns to read, of which every cell has to be a number, a time or empty; None for
-            all, where a column with anything else is None.
+        pick: returns the names of the columns to read, whose cells must be numbers, times or empty; None: all columns, where
+            one with any other cell becomes None.
 
     Returns:
         The table.
@@ -88,7 +88,7 @@ def _text(cell: object) -> str:
 
 
 def _seconds(cell: Any) -> float | np.datetime64 | None:
-    """Return a cell as a number, a time of day in seconds, or a date; None for what is none of these."""
+    """Return a cell as a number, a time of day in seconds, or a date; None for any other content."""
     match cell:
         case "":
             return np.nan

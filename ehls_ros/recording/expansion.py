@@ -1,8 +1,8 @@
 """Bounded decompression of bags.
 
 A few bytes of zstd or LZ4 can expand to gigabytes, and an index can list one chunk a million times; rosbags follows both. So
-the chunks of an mcap file are checked before rosbags opens it, and compressed messages and files are expanded here. All of it
-counts against one allowance, a multiple of the bag's size on disk.
+the chunks of an mcap file are checked before rosbags opens it, and compressed messages and files are expanded here. All
+expanded bytes count against one allowance, a multiple of the bag's size on disk.
 """
 
 import struct
@@ -41,7 +41,7 @@ PIECE = 1 << 20
 """Bytes expanded at a time."""
 
 STREAMS: Mapping[str, Callable[[BinaryIO], Any]] = {"zstd": zstd.open, "lz4": lz4.frame.open}
-"""Readers by the name of the compression."""
+"""Readers by compression name."""
 
 MCAP_SKIPPED = (0x09, 0x0C)
 """Attachments and metadata, whose content rosbags skips."""
@@ -57,7 +57,7 @@ class Allowance:
         """Start with the full allowance.
 
         Args:
-            size: of the bag on disk [B].
+            size: size of the bag on disk [B].
         """
         self._size = size
         self.left = EXPANDED + EXPANSION * size
@@ -66,7 +66,7 @@ class Allowance:
         """Deduct expanded bytes.
 
         Args:
-            count: how many.
+            count: number of bytes.
             where: source of the bytes, for the error.
 
         Raises:
@@ -80,7 +80,7 @@ class Allowance:
 
 
 class _Chunk(NamedTuple):
-    """A chunk as described by itself and by the index; sizes in bytes."""
+    """Description of a chunk in its header and in the index; sizes in bytes."""
 
     compression: str
     compressed: int
@@ -91,12 +91,12 @@ def check_chunks(file: Path, allowance: Allowance, deadline: Deadline) -> None:
     """Check the expanded sizes of an mcap file's chunks, and that the index lists each of them at most once.
 
     Args:
-        file: with an intact end, as checked by :func:`~ehls_ros.recording.storage_file.custom_data_in`.
-        allowance: of the bag.
-        deadline: of the reading.
+        file: file with an intact end, as checked by :func:`~ehls_ros.recording.storage_file.custom_data_in`.
+        allowance: allowance of the bag.
+        deadline: deadline of the reading.
 
     Raises:
-        BadInput: a chunk expands to another size than it states, or to too much; the index does not match the chunks; or
+        BadInput: a chunk expands to another size than stated, or beyond the allowance; the index does not match the chunks; or
             rosbags would have to hold too many chunks at once.
         OSError: the file cannot be read.
         ValueError: a record is invalid.
@@ -129,7 +129,7 @@ def check_chunks(file: Path, allowance: Allowance, deadline: Deadline) -> None:
 
 
 def _largest_overlap(spans: Sequence[tuple[int, int, int]]) -> int:
-    """Return the largest total size of chunks, given by first time, last time and size, that overlap in time."""
+    """Return the largest total size of chunks that overlap in time; each is given by first time, last time and size."""
     # At equal times, starts come before ends.
     begins = [(first, 0, size) for first, _, size in spans]
     ends = [(max(first, last), 1, -size) for first, last, size in spans]
@@ -194,11 +194,11 @@ def expanded_message(message: bytes, allowance: Allowance, where: str) -> bytes:
 
     Args:
         message: one zstd frame.
-        allowance: of the bag.
+        allowance: allowance of the bag.
         where: the bag, for the error.
 
     Raises:
-        BadInput: the message expands to too much, or is not exactly one frame.
+        BadInput: the message expands beyond the allowance, or is not exactly one frame.
     """
     decompressor = zstd.ZstdDecompressor()
     content: bytes = decompressor.decompress(message, allowance.left + 1)
@@ -215,15 +215,15 @@ def uncompressed_bag(folder: Path, metadata: Any, allowance: Allowance) -> Itera
     Compressed files are expanded there. Compressed messages are left to :func:`expanded_message`.
 
     Args:
-        folder: of the bag.
+        folder: folder of the bag.
         metadata: content of its metadata.yaml.
-        allowance: of the bag.
+        allowance: allowance of the bag.
 
     Yields:
         The folder to read; the given one if nothing is compressed.
 
     Raises:
-        BadInput: the files expand to too much, or their compression is not zstd.
+        BadInput: the files expand beyond the allowance, or their compression is not zstd.
     """
     information = metadata["rosbag2_bagfile_information"]
     mode = compression_mode(metadata)
@@ -251,10 +251,10 @@ def uncompressed_bag(folder: Path, metadata: Any, allowance: Allowance) -> Itera
         try:
             yield Path(temporary)
         except BadInput as error:
-            # The user does not know the temporary folder.
+            # The temporary folder is of no use to the user.
             raise BadInput(error.what, error.where.replace(temporary, str(folder)), error.expected) from None
 
 
 def compression_mode(metadata: Any) -> str:
-    """Return what is compressed according to a metadata.yaml: ``file``, ``message``, ``storage`` or an empty string."""
+    """Return the compression mode in a metadata.yaml: ``file``, ``message``, ``storage`` or an empty string."""
     return str(metadata["rosbag2_bagfile_information"].get("compression_mode") or "").lower()

@@ -1,4 +1,4 @@
-"""Signals computed from several columns, such as ``pA - pB``: arithmetic and nothing else."""
+"""Signals computed from several columns, such as ``pA - pB``: arithmetic only."""
 
 import ast
 import operator
@@ -33,23 +33,23 @@ class Expression(NamedTuple):
     """A checked expression.
 
     Attributes:
-        names: the columns it uses, in order of appearance.
-        tree: its operations, with the columns by number: ``_0``, ``_1`` and so on.
+        names: source columns, in order of appearance.
+        tree: syntax tree, with the columns by number: ``_0``, ``_1`` and so on.
     """
 
     names: tuple[str, ...]
     tree: ast.expr
 
     def of(self, columns: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return its values, from those of the columns by name, each of shape (n,)."""
+        """Evaluate the expression on columns by name, each of shape (n,)."""
         values = [np.asarray(columns[name], dtype=np.float64) for name in self.names]
-        with np.errstate(all="ignore"):  # what is not finite will be refused with its place
+        with np.errstate(all="ignore"):  # non-finite values are rejected later, with their place
             out: NDArray[np.float64] = _value(self.tree, values)
         return out
 
 
 def expression(text: str) -> Expression:
-    """Read an expression.
+    """Parse an expression.
 
     Raises:
         ValueError: it is too long, uses no column, or is more than arithmetic; the message says which.
@@ -95,6 +95,6 @@ def _value(node: ast.expr, values: list[NDArray[np.float64]]) -> Any:
         case ast.Name():
             return values[int(node.id[1:])]
         case ast.Constant(value=int() | float() as value):
-            return np.float64(value)  # of Python's own, a large power would take forever
+            return np.float64(value)  # a large power of Python integers would take forever
         case _:
             raise AssertionError(node)

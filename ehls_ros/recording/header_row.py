@@ -1,4 +1,4 @@
-"""Finds the names of a table's columns among its first rows: below keys and comments, above or below a row of units."""
+"""Search for the names of a table's columns in its first rows: below keys and comments, above or below a row of units."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -13,28 +13,28 @@ CLOCK = re.compile(r"(?:(?:\d{4}-\d\d-\d\d|\d{1,2}\.\d{1,2}\.\d{4})(?:[T ]|\Z))?
 """A date, a time of day or both."""
 
 TAIL = 30
-"""Last rows that tell how a table's rows look."""
+"""Number of last rows from which the format of a table's rows is determined."""
 
 NO_UNIT = ("", "-", "1", "–")
-"""Cells of a row of units below a column without one."""
+"""Cells that denote a missing unit in a row of units."""
 
 Item = TypeVar("Item")
 Row = Sequence[str]
 
 Kind = Literal["number", "clock", "text"]
-"""What the cells of a column are."""
+"""Kind of the cells of a column."""
 
 
 class Header(NamedTuple):
-    """Where the parts of a table stand.
+    """Positions of the parts of a table.
 
     Attributes:
-        names: of the columns; ``column 1`` and so on where no row has names.
-        units: by name, as written, of a row of units.
+        names: column names; ``column 1`` and so on without a row of names.
+        units: units by name, as written in a row of units.
         row: index of the row of names; None without one.
         units_row: index of the row of units; None without one.
         first: index of the first row of values.
-        kinds: what the columns' values are, as far as looked at.
+        kinds: kinds of the columns' values, as far as examined.
     """
 
     names: tuple[str, ...]
@@ -46,12 +46,12 @@ class Header(NamedTuple):
 
 
 def is_clock(cell: str) -> bool:
-    """Tell whether a cell is a date, a time of day or both."""
+    """Return whether a cell is a date, a time of day or both."""
     return bool(cell) and CLOCK.fullmatch(cell) is not None
 
 
 def tail_of(items: Sequence[Item]) -> Sequence[Item]:
-    """Return the last rows, of few the last half and at least two: rows of values, as far as there are any."""
+    """Return the last rows, which are rows of values if there are any; for few rows, the last half, but at least two."""
     return items[max(0, min(len(items) // 2, len(items) - 2)) :][-TAIL:]
 
 
@@ -61,10 +61,10 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     Args:
         rows: its first rows, stripped cells; an empty one for a blank line, and the hash or percent sign of a comment in its
             first cell.
-        is_number: tells whether a cell is a number.
+        is_number: returns whether a cell is a number.
 
     Returns:
-        What was found. A damaged row of values is not taken for names.
+        The header. A damaged row of values is not taken for names.
     """
 
     def told(cell: str) -> bool:
@@ -103,11 +103,11 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
 
 
 def _named(texts: Sequence[int], rows: Sequence[Row]) -> tuple[int | None, int | None]:
-    """Return which of the last rows of text above the values has the names, and which the units."""
+    """Return the indices of the row of names and of the row of units among the last rows of text above the values."""
     alike = [k for k in texts if len(rows[k]) == len(rows[texts[-1]])]
     units_row = next((k for k in alike[-2:] if len(alike) > 1 and _are_units(_uncommented(rows[k]))), None)
     if units_row is not None and units_row - 1 in alike:
-        return units_row - 1, units_row  # what stands below the units is a comment of each channel
+        return units_row - 1, units_row  # a row below the units holds a comment for each channel
     return next((k for k in reversed(texts) if k != units_row), None), units_row
 
 
@@ -119,7 +119,7 @@ def _kind(cells: Sequence[str], is_number: Callable[[str], bool]) -> Kind:
 
 
 def _uncommented(row: Row) -> list[str]:
-    """Return the cells of a row without the sign of a comment."""
+    """Return the cells of a row without the comment sign."""
     if not row or not COMMENT.match(row[0]):
         return list(row)
     head = COMMENT.sub("", row[0], count=1)

@@ -1,7 +1,7 @@
-"""Recognises columns of measured data by what their headers say: a word for the quantity, and its unit.
+"""Recognition of measured signals by their column headers: a word for the quantity, and its unit.
 
-Only a header that says both, without contradiction, is taken for a signal. Anything less is shown with what is missing, and
-left to the user.
+Only a header that states both without contradiction is assigned to a signal. Others are listed with the missing information,
+for the user to decide.
 """
 
 import re
@@ -18,14 +18,14 @@ Sureness = Literal["contract", "stated", "unsure", "unknown"]
 
 
 class Recognised(NamedTuple):
-    """What a header says.
+    """Interpretation of a header.
 
     Attributes:
         column: the header.
-        signal: name in the data contract; the best candidate where it is unsure, empty where there is none.
-        unit: unit in its known spelling; empty where none is said.
-        sureness: ``contract`` needs no map; ``stated`` says quantity and unit; ``unsure`` leaves something open.
-        open: what is left open; empty for the first two, or a remark.
+        signal: name in the data contract; the best candidate if unsure, empty if there is none.
+        unit: unit in its standard spelling; empty if none is stated.
+        sureness: ``contract`` needs no map; ``stated`` has quantity and unit; ``unsure`` is ambiguous.
+        open: the ambiguity; empty for the first two, or a remark.
     """
 
     column: str
@@ -69,7 +69,7 @@ WORDS: Mapping[str, str] = {
         "command",
     ),
 }
-"""Words for quantities, English and German. A single letter, and one with a capital inside, count with their case."""
+"""Words for quantities, English and German. Single letters and words with a capital inside are case-sensitive."""
 
 QUALIFIERS: Mapping[str, str] = {
     "a": "A",
@@ -85,16 +85,16 @@ QUALIFIERS: Mapping[str, str] = {
     **dict.fromkeys(("valve", "ventil", "servo"), "valve"),
     **dict.fromkeys(("min", "max", "mean", "avg", "std", "rms", "filtered", "filt", "raw", "err", "error"), "worked on"),
 }
-"""Words that tell which of several signals of a quantity it is."""
+"""Words that distinguish several signals of a quantity."""
 
 UNIT_LIKE_WORDS = ("min", "in", "h", "C", "K")
-"""Suffixes that are words as often as units."""
+"""Suffixes that may be words or units."""
 
 LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "k": "K", "v": "V", "ma": "mA", "degc": "°C"}
-"""Units as names in lower case write them."""
+"""Units by their spelling in lower-case names."""
 
 TWO_UNITS = ("mpa", "mn")
-"""What lower case makes of two units each."""
+"""Lower-case spellings that each denote two units."""
 
 FIELD = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)+")
 BRACKETS = re.compile(r"\s*(?P<label>.*?)\s*[\[({<]\s*(?P<unit>[^\])}>]*?)\s*[\])}>]\s*\Z")
@@ -103,11 +103,11 @@ PIECES = re.compile(r"[A-ZÄÖÜ]?[a-zäöüßµ]+|[A-ZÄÖÜ]+(?![a-zäöü])|[
 
 
 def recognised(header: Sequence[str], units: Mapping[str, str] = MappingProxyType({})) -> list[Recognised]:
-    """Tell what the headers of a table say, in their order.
+    """Interpret the headers of a table, in their order.
 
     Args:
         header: the names of its columns.
-        units: by name, where the file says them apart from it, such as in a row of units.
+        units: units by name, if stated separately in the file, such as in a row of units.
     """
     found = [_recognised(column, units.get(column, "")) for column in header]
     stated = [r.signal for r in found if r.sureness in ("contract", "stated")]
@@ -122,7 +122,7 @@ def recognised(header: Sequence[str], units: Mapping[str, str] = MappingProxyTyp
 def _recognised(column: str, apart: str) -> Recognised:
     if is_contract_name(column):
         return Recognised(column, column, "", "contract", "")
-    # Of a field of a structure, its own name tells.
+    # For a field of a structure, only the last part of the name is used.
     label, unit, doubt = _parted(column.rpartition(".")[2] if FIELD.fullmatch(column) else column)
     if apart:
         known = unit_of(apart)
@@ -150,7 +150,7 @@ def _recognised(column: str, apart: str) -> Recognised:
 
 
 def _parted(column: str) -> tuple[str, str, str]:
-    """Return label, unit and doubt: a unit in brackets, after a slash or ``in``, or behind the last underscore or space."""
+    """Split a header into label, unit and doubt: the unit is in brackets or after a slash, ``in``, underscore or space."""
     for pattern in (BRACKETS, BETWEEN):
         match = pattern.match(column)
         unit = unit_of(match["unit"]) if match else None
@@ -169,9 +169,9 @@ def _parted(column: str) -> tuple[str, str, str]:
 
 
 def _suffix(label: str, written: str) -> tuple[str, str] | None:
-    """Return unit and doubt of what stands behind a label; None where it is no unit but a part of the name.
+    """Return unit and doubt of the suffix of a label; None if it is part of the name.
 
-    In ``p_A`` it is a chamber, not amperes: a unit that contradicts the label is none.
+    In ``p_A`` the suffix is a chamber, not amperes: a suffix that contradicts the label is not a unit.
     """
     unit = unit_of(written) or LOWER_CASE.get(written)
     if unit is None:
@@ -186,7 +186,7 @@ def _suffix(label: str, written: str) -> tuple[str, str] | None:
 
 
 def _words(label: str) -> tuple[str, set[str]]:
-    """Return the quantity that a label names, and what tells which signal of it; the empty text for none or for two."""
+    """Return the quantity named by a label, empty for none or for several, and the qualifiers of its signal."""
     pieces = PIECES.findall(label)
     whole = "".join(pieces)
     if whole in WORDS or (whole.lower() in WORDS and len(whole) > 2):
@@ -221,11 +221,11 @@ _SILENT = (
     "chamber",
     "kammer",
 )
-"""Words that change nothing."""
+"""Words without influence on the signal."""
 
 
 def _signal(quantity: str, qualifiers: set[str]) -> tuple[str, str]:
-    """Return the signal of a quantity with its qualifiers, and what they leave open."""
+    """Return the signal of a quantity with its qualifiers, and the remaining ambiguity."""
     if quantity == "pressure" and not qualifiers & _DOUBTS.keys():
         return _pressure(qualifiers)
     doubt = next((text for word, text in _DOUBTS.items() if word in qualifiers), "")
@@ -243,7 +243,7 @@ _DOUBTS: Mapping[str, str] = {
     "worked on": "a statistic, a filtered or a raw signal?",
     "unknown": "a word of the name is not known",
 }
-"""Qualifiers that leave every quantity open."""
+"""Qualifiers that make every quantity ambiguous."""
 
 _QUALIFIED: Mapping[tuple[str, str], str] = {
     ("temperature", "oil"): "oil_temperature_k",
@@ -299,6 +299,6 @@ def _plain(quantity: str) -> str:
 
 
 def _only_signal(quantity: str) -> str:
-    """Return the signal of a quantity that has no other; the empty text where there are several."""
+    """Return the only signal of a quantity; empty if there are several."""
     signals = [name for name in (TIME, *READABLE) if quantity_of(name) == quantity]
     return signals[0] if len(signals) == 1 else ""

@@ -1,8 +1,8 @@
-"""Brings tables of one recording, each with its own rate and time stamps, to one clock.
+"""Resampling of the tables of one recording, each with its own rate and time stamps, to one clock.
 
-A faster signal is averaged over each period of that clock: an integral of the straight lines between its samples, centred, so
-that it keeps its phase. A slower one follows a cubic spline through its samples, which adds no content of its own; its rate and
-noise are kept, for what is judged by them. A held command is averaged over the period that follows, in which it acts.
+A faster signal is interpolated linearly and averaged over each period of that clock, centred so that it keeps its phase. A
+slower one is interpolated by a cubic spline, which adds no content; its rate and noise are kept for later judgement. A held
+command is averaged over the following period, in which it acts.
 """
 
 from collections.abc import Mapping
@@ -20,20 +20,20 @@ from ehls_ros.trajectory import Own, Preparation, Trajectory
 Signal = NDArray[np.float64]
 
 FASTEST = 4e-4
-"""Shortest period of a clock that is chosen without being asked for: faster tables are averaged [s]."""
+"""Shortest period of an automatically chosen clock [s]: faster tables are averaged."""
 
 SAME_RATE = 0.02
-"""Relative difference of periods up to which a table is neither faster nor slower than the clock."""
+"""Relative difference of periods up to which a table counts as neither faster nor slower than the clock."""
 
 LONGEST_GAP = 3.5
-"""Time between two samples above which nothing is known in between, in the table's own periods; to an average over a period of
+"""Gap between two samples above which the signal in between is unknown, in periods of the table. For averages over a period of
 the clock, gaps up to that period do not matter."""
 
 LEAST_COMMON = 0.5
-"""Least part of the shortest table that all tables must have in common."""
+"""Minimum fraction of the shortest table that all tables must have in common."""
 
 FEWEST = 4
-"""Fewest samples of a signal that is interpolated."""
+"""Minimum number of samples for interpolation."""
 
 HELD = ("valve_command_m",)
 """Signals that hold their value until the next sample."""
@@ -48,8 +48,8 @@ def join(tables: Mapping[str, Trajectory], base: str, where: str) -> Trajectory:
     """Bring the tables of one recording to one clock.
 
     Args:
-        tables: by file name, each with times on a common axis.
-        base: the table whose clock is used; the empty text: the fastest that is not above 2.5 kHz.
+        tables: tables by file name, each with times on a common axis.
+        base: the table whose clock is used; empty: the fastest one up to 2.5 kHz.
         where: the recording, for errors.
 
     Returns:
@@ -115,7 +115,7 @@ def _said(ratio: float, period: float) -> str:
 
 
 def _at(clock: _Clock, time: Signal, values: Signal, period: float, ratio: float, held: bool) -> Signal:
-    """Return a signal at the times of a clock, NaN where nothing is known of it."""
+    """Return a signal at the times of a clock, NaN where unknown."""
     # A spline or an average would spread an outlier over its neighbours.
     right = np.isfinite(values) if held or len(values) < 2 * FEWEST else inliers(values)
     t, known = time[right], values[right]
@@ -144,13 +144,13 @@ def _latest(time: Signal, at: Signal) -> NDArray[np.intp]:
 
 
 def centred_mean(time: Signal, values: Signal, at: Signal, width: float) -> Signal:
-    """Return the mean of a signal, straight between its samples, over a width centred on each time.
+    """Return the mean of a linearly interpolated signal over an interval centred on each time.
 
     Args:
         time: sample times, increasing, shape (m,) [s].
         values: samples, shape (m,).
-        at: times wanted, shape (n,) [s].
-        width: of the average [s].
+        at: requested times, shape (n,) [s].
+        width: averaging interval [s].
     """
     begin, end = np.clip(at - 0.5 * width, time[0], time[-1]), np.clip(at + 0.5 * width, time[0], time[-1])
     areas = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
@@ -166,7 +166,7 @@ def centred_mean(time: Signal, values: Signal, at: Signal, width: float) -> Sign
 
 
 def held_mean(time: Signal, values: Signal, at: Signal, width: float) -> Signal:
-    """Return the mean of a held signal over a width that begins at each time; arguments as of :func:`centred_mean`."""
+    """Return the mean of a held signal over an interval from each time on; arguments as of :func:`centred_mean`."""
     areas = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])
 
     def integral(to: Signal) -> Signal:

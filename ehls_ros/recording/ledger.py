@@ -2,7 +2,7 @@
 
 rosbag2 has no message checksums, and its files are readable only while their structure is intact. The blocks of the ledger are
 spread between the messages; each starts with a mark and fits a page of SQLite, so that it can be found in any fragment of a
-file. A message that matches an entry is as it was written, wherever it is found; an entry without a message is a loss.
+file. A message that matches an entry is unaltered, regardless of its place; an entry without a message is a loss.
 """
 
 import json
@@ -22,16 +22,16 @@ from ehls_ros.recording.provenance import checksum_of, checksum_sum, message_che
 from ehls_ros.schema import from_json, quantity
 
 MOST_PARTS = 255
-"""Most blocks of a bag's provenance."""
+"""Maximum number of blocks of a bag's provenance."""
 
 MARK = b"\x9dLEDGER\x1a"
 _MARK = re.compile(re.escape(MARK))
 
 ROOM = 4000
-"""Largest block [B]: fits a SQLite page of 4096 B with its overhead."""
+"""Maximum size of a block [B]: fits a SQLite page of 4096 B with its overhead."""
 
 LONGEST_HEAD, LONGEST_TEXT = 1 << 17, 1 << 24
-"""Sizes to which the head of a block and a bag's provenance may expand [B]."""
+"""Maximum expanded sizes of the head of a block and of a bag's provenance [B]."""
 
 ENTRY = Struct("<BQ8s")
 ENTRIES = np.dtype([("topic", "u1"), ("stamp_ns", "<u8"), ("checksum", "<u8")])
@@ -131,7 +131,7 @@ def provenance_blocks(text: str) -> list[bytes]:
     """Return the blocks that hold a bag's provenance; none if it is too long.
 
     Args:
-        text: as read by :func:`~ehls_ros.recording.provenance.provenance_in`.
+        text: provenance as read by :func:`~ehls_ros.recording.provenance.provenance_in`.
     """
     packed = compress(text.encode(), 9)
     size = ROOM - _FRAME.size
@@ -164,8 +164,8 @@ class Range(NamedTuple):
 class _Block(NamedTuple):
     """A block found in a file.
 
-    ``sound`` tells whether its checksum is right. ``number`` counts the entries; for provenance it packs the number of blocks
-    and this one's index.
+    ``sound``: whether its checksum is correct. ``number`` counts the entries; for provenance it packs the number of blocks and
+    this one's index.
     """
 
     sound: bool
@@ -191,18 +191,18 @@ def _blocks_in(content: bytes | mmap) -> Iterator[_Block]:
 
 
 class Ledger:
-    """The ledger of a file, as far as its blocks survive; it also tracks which messages have been found."""
+    """Ledger of a file, as far as its blocks survive; it also tracks the messages found."""
 
     def __init__(self, content: bytes | mmap) -> None:
         """Find the blocks.
 
         Args:
-            content: of the storage file.
+            content: content of the storage file.
         """
         self.names: dict[int, str] = {}
         """Full names of the topics by their number in the file."""
         self.counts: dict[str, int] = {}
-        """Number of messages written, by the topic's full name, as far as sound blocks show."""
+        """Number of messages written, by the topic's full name, according to the sound blocks."""
         self.damaged_blocks = 0
         spans: list[tuple[int, int]] = []
         entries: list[NDArray[Any]] = []
@@ -250,7 +250,7 @@ class Ledger:
         return not self.empty and not self.damaged_blocks and bool((self._spans[:, 0] == ends[:-1]).all())
 
     def verify(self, messages: Sequence[tuple[str, int, bytes]]) -> list[bool]:
-        """Tell for each message whether it is as it was written; each entry matches only once.
+        """Return for each message whether it is unaltered; each entry matches only once.
 
         Args:
             messages: full name of the topic, time of sending [ns], and the message as CDR.
@@ -266,7 +266,7 @@ class Ledger:
         return found
 
     def covers(self, ordinal: int) -> bool:
-        """Tell whether a sound block lists the message with a number, counted from 0 over all topics."""
+        """Return whether a sound block lists the message with a number, counted from 0 over all topics."""
         place = int(np.searchsorted(self._spans[:, 0], ordinal, side="right")) - 1
         return place >= 0 and ordinal < self._spans[place, 1]
 

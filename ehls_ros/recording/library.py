@@ -1,4 +1,4 @@
-"""Libraries for formats that not everybody has."""
+"""Check for optional libraries of file formats."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -7,15 +7,15 @@ from ehls_ros.extras import missing
 
 
 def check_library(module: str, package: str, path: Path) -> None:
-    """Refuse a file whose library is not installed, without importing it: that takes as long as reading a file.
+    """Reject a file whose library is not installed, without importing it, which would take as long as reading a file.
 
     Args:
-        module: dotted name of the module that reads it.
-        package: what installs it.
+        module: dotted name of the module that reads the format.
+        package: name of the package to install.
         path: the file.
 
     Raises:
-        BadInput: it is not installed.
+        BadInput: the library is not installed.
     """
     try:
         found = find_spec(module) is not None

@@ -1,4 +1,4 @@
-"""Loads recorded or measured data in any format of the data contract."""
+"""Loading of recorded or measured data in any format of the data contract."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
@@ -29,7 +29,7 @@ READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
 """Readers of files with named columns, by suffix."""
 
 OTHERS_HAVE = (".txt", ".dat", ".asc")
-"""Suffixes that files without a table have as well: such a file in a folder is a table only if a map lists it."""
+"""Suffixes also used by files other than tables: such a file in a folder is a table only if a map lists it."""
 
 
 def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] = SIGNALS) -> Trajectory:
@@ -38,8 +38,8 @@ def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] =
     Args:
         path: folder of a rosbag2; a file ``.mcap``, ``.db3`` or one of :data:`READERS`; a folder with several of the latter,
             which are the tables of one recording; or one of the tables that the map lists.
-        columns: the user's own names, units and tables; of a bag, its topics. None: those of the data contract.
-        wanted: names of the signals that are needed of a bag of ours; its other topics are not read.
+        columns: names, units and tables of foreign data, or topics of a bag. None: those of the data contract.
+        wanted: names of the signals needed from a bag of this package; its other topics are not read.
 
     Returns:
         The trajectory.
@@ -59,7 +59,7 @@ def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] =
 
 
 def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
-    """Return one path for each recording of a command line: the files that the map lists as tables of one count once.
+    """Return one path per recording of a command line; all files that the map lists as tables count as one recording.
 
     Raises:
         BadInput: tables of several recordings are given, or some of a recording's are missing.
@@ -77,7 +77,7 @@ def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
 
 
 def is_table(path: Path) -> bool:
-    """Tell whether a file has named columns; else it is a bag.
+    """Return whether a file has named columns; otherwise it is a bag.
 
     Raises:
         BadInput: it is a file of another format.
@@ -90,12 +90,12 @@ def is_table(path: Path) -> bool:
 
 
 def holds_tables(path: Path) -> bool:
-    """Tell whether a recording consists of files with named columns; else it is a bag."""
+    """Return whether a recording consists of files with named columns; otherwise it is a bag."""
     return bool(_tables(path, ColumnMap())) or is_table(path)
 
 
 def raw(path: Path, pick: Pick | None = None) -> RawTable:
-    """Return one table as its file has it.
+    """Return one table unconverted.
 
     Args:
         path: the file, of one of :data:`READERS`.
@@ -113,7 +113,7 @@ def _read(path: Path, columns: Columns) -> Trajectory:
 
 
 def _tables(path: Path, given: ColumnMap) -> list[Path]:
-    """Return the tables that make one recording; none where the path is a recording by itself."""
+    """Return the tables that form one recording; none if the path itself is a recording."""
     folder = path if _is_folder(path) else path.parent
     if given.tables and not any(map(is_topic, given.tables)):
         if folder != path and path.name not in given.tables:
@@ -132,11 +132,11 @@ def _files(folder: Path) -> list[Path]:
     try:
         return sorted(folder.iterdir())
     except OSError:
-        return []  # reading it as a bag will say why
+        return []  # reading it as a bag reports the reason
 
 
 def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
-    """Read the tables of one recording, each with the columns it has, and bring them to one clock."""
+    """Read the tables of one recording, and resample them to one clock."""
     for path in paths:
         if path.suffix.lower() not in READERS:
             raise BadInput(f"table {path.name} is no file of named columns", where, f"files {', '.join(READERS)}")
@@ -155,7 +155,7 @@ def _on_one_clock(tables: Mapping[str, Trajectory], given: ColumnMap, where: str
 
 
 def _columns_of(table: str, names: Mapping[str, Sequence[str]], given: ColumnMap, where: str) -> dict[str, Column]:
-    """Return the columns of the map that a table has."""
+    """Return the columns of the map that are in a table."""
     out = {}
     for name, column in given.columns.items():
         if not column.sources_in(names[table]) or (column.table and column.table != table):
@@ -179,7 +179,7 @@ def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
     except OSError:
-        return False  # reading it will say why
+        return False  # reading it reports the reason
 
 
 def _is_folder(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""MATLAB files: one variable per signal; version 4 to 7 by scipy, version 7.3 by h5py."""
+"""Reading of MATLAB files with one variable per signal: version 4 to 7 by scipy, version 7.3 by h5py."""
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
@@ -18,10 +18,10 @@ from ehls_ros.recording.table import Pick, RawTable, check_length
 EXPECTED_FILE = "a MAT file as written by MATLAB's save"
 
 DEEPEST = 20
-"""Deepest nesting of structures in version 7.3, whose links can form circles [1]."""
+"""Deepest nesting of structures in version 7.3, whose links can form cycles [1]."""
 
 MOST_VARIABLES = 10_000
-"""Most variables of a file of version 7.3 [1]."""
+"""Maximum number of variables of a file of version 7.3 [1]."""
 
 
 def read_mat(path: Path, pick: Pick | None = None) -> RawTable:
@@ -70,11 +70,11 @@ def _table(variables: Mapping[str, Any], pick: Pick | None, where: str) -> RawTa
 
 
 def _signal(variable: Any, lenient: bool) -> NDArray[Any] | None:
-    """Return the values of a variable; None for what is no signal, where that is no error."""
+    """Return the values of a variable; None for text and cell arrays and, if lenient, for other non-signals."""
     of_newest = hasattr(variable, "attrs")
     values = np.atleast_1d(np.asarray(variable[()] if of_newest else variable))
     if of_newest:
-        # MATLAB's vectors have two dimensions, and its arrays are stored in the other order.
+        # MATLAB vectors have two dimensions, and arrays are stored in column-major order.
         values = values.T.squeeze() if values.size > 1 else values.ravel()
         if variable.attrs.get("MATLAB_class", b"double") in (b"char", b"cell"):
             return None
@@ -92,7 +92,7 @@ def _flatten(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
 
 
 def _datasets(group: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Yield the variables of version 7.3; those of other files, to which links may lead, are left out."""
+    """Yield the variables of version 7.3; links to other files are skipped."""
     h5py: Any = import_module("h5py")
     if depth > DEEPEST or len(group) > MOST_VARIABLES:
         what = f"its structures are nested {depth} deep with {len(group)} fields"

@@ -1,8 +1,8 @@
-"""Finds the messages in the remains of an mcap file.
+"""Search for messages in the remains of an mcap file.
 
-Chunks are found by their headers, which contain the length twice, not by walking from record to record, where one wrong length
-would mislead. A chunk with a correct checksum is used as it is. Everywhere else each byte sequence that looks like a message is
-tried and checked against the ledger, if the file has one.
+Chunks are found by their headers, which contain the length twice, and not by walking from record to record, where one wrong
+length would mislead the search. A chunk with a correct checksum is used unchanged. Elsewhere, each byte sequence in the form of
+a message is tried and checked against the ledger, if the file has one.
 """
 
 import re
@@ -22,7 +22,7 @@ MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 CHANNEL_HEAD = struct.Struct("<BQHHI")
 
 LONGEST_COMPRESSION = 8
-"""Longest name of a compression [characters]."""
+"""Longest compression name [characters]."""
 
 # A record's kind and a length below 16 MiB; the rest is checked in code.
 _CHUNK = re.compile(rb"\x06[\s\S]{5}\x00{3}")
@@ -117,7 +117,7 @@ def _from_sound_chunk(records: bytes, names: Names, ledger: Ledger) -> Iterator[
 
 
 def _searched(content: mmap, start: int, end: int, names: Names, ledger: Ledger, budget: Budget) -> Iterator[Found]:
-    """Try every offset of a part of the file that looks like a message."""
+    """Try every offset in a part of the file with the form of a message."""
     while (match := first_match(_MESSAGE, content, start, end, MCAP_RECORD.size)) is not None:
         head = match.start()
         start = head + 1

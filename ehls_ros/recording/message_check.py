@@ -1,4 +1,4 @@
-"""Plausibility of messages without a checksum: they decode, and were sent at about the same time as their neighbours."""
+"""Plausibility of messages without a checksum: they decode, and their sending times agree with their neighbours'."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -19,18 +19,18 @@ OUTLYING_NS = 10 * 10**9
 
 
 def well_formed(topic: Topic, messages: Sequence[bytes]) -> list[bool]:
-    """Tell for each message whether it decodes as the topic's type.
+    """Return for each message whether it decodes as the topic's type.
 
     Args:
-        topic: the topic they are stored under.
-        messages: as CDR.
+        topic: topic under which they are stored.
+        messages: messages as CDR.
     """
     decodes = _decodes_in_bulk if topic in CYCLE_TOPICS else _decodes_one_by_one
     return [True] * len(messages) if decodes(topic.type, messages) else [decodes(topic.type, [message]) for message in messages]
 
 
 def timely(stamps_ns: Sequence[int]) -> NDArray[np.bool_]:
-    """Tell for each message whether its time agrees with its neighbours'; a lasting step of the clock is plausible.
+    """Return for each message whether its time agrees with its neighbours'; a lasting step of the clock is plausible.
 
     Args:
         stamps_ns: times of sending of n messages, in storage order [ns].

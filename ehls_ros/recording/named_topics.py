@@ -1,4 +1,4 @@
-"""Reading of the topics that a map of columns names in a bag: each a table of its own, with its own rate and time stamps."""
+"""Reading of the topics of a bag that a map of columns names, each as a table with its own rate and time stamps."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -22,13 +22,13 @@ from ehls_ros.recording.typestore import typestore_of
 from ehls_ros.trajectory import Preparation, Trajectory
 
 STAMP, RECEIVED = "header.stamp", "received"
-"""The times of a topic: what the sender wrote into the header, and when the recorder received the message."""
+"""Sources of a topic's times: the stamp in the header, or the time of reception by the recorder."""
 
 LEAST_DISTINCT = 0.5
-"""Least part of a topic's messages that have a time of their own; below it, the stamps are not set."""
+"""Minimum fraction of a topic's messages with distinct times; below it, the stamps are not set."""
 
 SHOWN = 16
-"""Most entries of a sequence that are shown."""
+"""Maximum number of entries of a sequence that are shown."""
 
 ENTRY = re.compile(r"(?P<field>.+)\[(?P<number>[0-9]{1,6})\]\Z")
 """One entry of a sequence, such as ``position[0]``."""
@@ -59,12 +59,12 @@ def read_named_topics(path: Path, given: ColumnMap) -> dict[str, Trajectory]:
 
 
 class Found(NamedTuple):
-    """The messages of a topic as they are.
+    """Messages of a topic, unconverted.
 
     Attributes:
-        type: of the messages.
-        time: of each message, by its stamp if it has one, from the bag's beginning, shape (n,) [s].
-        fields: numbers by the name that a map gives them.
+        type: message type.
+        time: time of each message, by its stamp if there is one, from the bag's beginning, shape (n,) [s].
+        fields: values by the field's name in a map.
     """
 
     type: str
@@ -73,7 +73,7 @@ class Found(NamedTuple):
 
 
 def every_topic(path: Path) -> dict[str, Found]:
-    """Read all topics of a bag that have numbers.
+    """Read all numeric topics of a bag.
 
     Args:
         path: folder of the bag, or one storage file.
@@ -99,7 +99,7 @@ def every_topic(path: Path) -> dict[str, Found]:
 
 
 class _Lenient(BagTopic):
-    """A topic that is left out if its messages are not to be read, such as pictures."""
+    """Topic that is skipped if its messages cannot be read, such as images."""
 
     def __init__(self, connections: Sequence[Connection], *others: Any) -> None:
         super().__init__(connections, *others)
@@ -115,7 +115,7 @@ class _Lenient(BagTopic):
 
 
 def _numbers(read: MessageColumns) -> dict[str, NDArray[np.float64]]:
-    """Return the fields of a topic without its stamps, each entry of a sequence by itself."""
+    """Return the fields of a topic without its stamps, each entry of a sequence separately."""
     out = {}
     for name, values in read.items():
         if name in (SECONDS, NANOSECONDS, SENT):
@@ -135,7 +135,7 @@ def _stamps(read: MessageColumns, stamped: bool) -> NDArray[np.int64]:
 
 
 def numbers_in(connection: Connection, where: str) -> list[Field]:
-    """Return the fields of a topic's messages by the bag's own definition.
+    """Return the fields of a topic's messages as defined in the bag.
 
     Raises:
         BadInput: the definition is invalid, or has fields of a kind that is not read.
@@ -189,7 +189,7 @@ class _Topic:
         self.sink = BagTopic(self.connections, fields, {*used.values(), *own, *stamp}, bag.seal(name), self.where)
 
     def _field(self, signal: str, column: Column) -> str:
-        """Return the field that a column is an entry of."""
+        """Return the field that contains a column."""
         match = ENTRY.match(column.name)
         name = match["field"] if match else column.name
         field = self._known.get(name)
@@ -200,7 +200,7 @@ class _Topic:
         return name
 
     def stamps(self, read: MessageColumns) -> NDArray[np.int64]:
-        """Return the time of each message, in order of arrival [ns]; that of receiving where the map names a field."""
+        """Return the time of each message, in order of arrival [ns]; that of reception if the map names a field."""
         if not len(read[SENT]):
             raise BadInput("there is no message", self.where, "a topic with messages")
         return _stamps(read, self._time.name == STAMP)

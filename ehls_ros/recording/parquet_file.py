@@ -1,4 +1,4 @@
-"""Parquet files, read by pyarrow: one column per signal."""
+"""Reading of Parquet files with pyarrow: one column per signal."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,10 +14,10 @@ from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.times import seconds_of_moments
 
 OLDEST = (14, 0, 1)
-"""The first pyarrow that does not run code from a file."""
+"""First pyarrow version that does not run code from a file."""
 
 LIBRARY = "pyarrow.parquet"
-"""Module that reads it."""
+"""Module that reads the files."""
 
 EXPECTED_FILE = "a Parquet file"
 
@@ -27,7 +27,7 @@ def read_parquet(path: Path, pick: Pick | None = None) -> RawTable:
 
     Args:
         path: the file; a null is NaN.
-        pick: returns the names of the columns to read, which have to be of numbers or times; None for all.
+        pick: returns the names of the columns to read, which must hold numbers or times; None for all.
 
     Returns:
         The table.

@@ -1,4 +1,4 @@
-"""Search of large files piece by piece, as Python answers no signal while a regular expression searches."""
+"""Search of large files in pieces, as Python handles no signals during a regular expression search."""
 
 import re
 from mmap import mmap
@@ -10,11 +10,11 @@ PIECE = 1 << 20
 def first_match(
     pattern: re.Pattern[bytes], content: bytes | mmap, start: int, end: int, longest: int
 ) -> re.Match[bytes] | None:
-    """Return the first match of a pattern, searching piece by piece so that Ctrl-C is answered.
+    """Return the first match of a pattern, searching in pieces so that Ctrl-C is handled.
 
     Args:
         pattern: the pattern.
-        content: of the file.
+        content: content of the file.
         start: offset to begin at.
         end: offset behind the last byte that may belong to the match.
         longest: length of the longest match.

@@ -1,4 +1,4 @@
-"""Proposes a map of columns from headers and data: what is understood, for the user to confirm."""
+"""Proposal of a map of columns from headers and data, for the user to confirm."""
 
 import json
 import re
@@ -28,22 +28,22 @@ UNITS_OF_FIELDS: Mapping[str, str] = {
     **{f"force.{axis}": "N" for axis in "xyz"},
     **{f"torque.{axis}": "N m" for axis in "xyz"},
 }
-"""Units that ROS's own messages have by definition, by the end of type and field."""
+"""Units that standard ROS messages have by definition, by the end of type and field."""
 
 PLAIN = ("data", "fluid_pressure", "temperature")
-"""Fields whose name adds nothing to that of their topic."""
+"""Fields whose names add no information to that of their topic."""
 
 
 class Seen(NamedTuple):
-    """A column as it was understood.
+    """Interpretation of a column.
 
     Attributes:
-        header: what its header says.
-        smallest: least value, in the column's own unit; NaN if it is not of numbers.
+        header: interpretation of its header.
+        smallest: least value, in the column's unit; NaN if it is not numeric.
         largest: greatest value.
-        missing: fraction of values that are missing.
-        entry: what the map says of it beside name and unit.
-        wrong: a cell that keeps it from being of numbers, where one is known.
+        missing: fraction of missing values.
+        entry: further content of its entry in the map, beside name and unit.
+        wrong: a non-numeric cell, if known.
     """
 
     header: Recognised
@@ -55,20 +55,20 @@ class Seen(NamedTuple):
 
     @property
     def numeric(self) -> bool:
-        """Whether the column is of numbers."""
+        """Whether the column is numeric."""
         return not np.isnan(self.smallest)
 
 
 class Table(NamedTuple):
-    """A file, or a topic of a bag, as it was understood.
+    """Interpretation of a file or of a topic of a bag.
 
     Attributes:
-        name: of the file or topic.
+        name: name of the file or topic.
         columns: its columns, in order.
-        rows: number of rows looked at.
-        rate: samples per second; NaN if no column of time is sure.
-        unevenness: largest deviation of a time step from the usual one, relative to it.
-        remarks: how the file was read, and times that do not increase; one sentence each.
+        rows: number of rows examined.
+        rate: samples per second; NaN if no time column is certain.
+        unevenness: largest relative deviation of a time step from the usual one.
+        remarks: layout of the file, and times that do not increase; one sentence each.
     """
 
     name: str
@@ -80,12 +80,12 @@ class Table(NamedTuple):
 
 
 class Valve(NamedTuple):
-    """A valve's rated data: the signal of full stroke, or both ends of its range, and the stroke.
+    """Rated data of a valve: signal at full stroke, or both ends of its range, and stroke.
 
     Attributes:
         ends: the signal at both ends of the stroke, in its unit.
-        unit: of the signal.
-        stroke: spool displacement at the upper end [m]; at the lower one it is the opposite.
+        unit: unit of the signal.
+        stroke: spool displacement at the upper end [m]; that at the lower end is the opposite.
     """
 
     ends: tuple[float, float]
@@ -100,10 +100,10 @@ EXPECTED_VALVE = "the signal of full stroke and the stroke, such as '10 V = 1 mm
 
 
 def valve_data(text: str) -> Valve:
-    """Read a valve's rated data: ``10 V = 1 mm``, where the opposite signal gives the opposite stroke, or ``4..20 mA = 1 mm``.
+    """Parse a valve's rated data: ``10 V = 1 mm``, with the opposite stroke at the opposite signal, or ``4..20 mA = 1 mm``.
 
     Raises:
-        BadInput: it says something else.
+        BadInput: the text has another form.
     """
     match = VALVE.fullmatch(text)
     unit, length = (unit_of(match[key]) for key in ("unit", "length")) if match else (None, None)
@@ -119,7 +119,7 @@ def valve_data(text: str) -> Valve:
 
 
 def with_valve(tables: Sequence[Table], valve: Valve) -> list[Table]:
-    """Return the tables with the columns of the valve's command and spool known by its rated data."""
+    """Return the tables with the valve's command and spool columns resolved by its rated data."""
 
     def known(column: Seen) -> Seen:
         header = column.header
@@ -137,7 +137,7 @@ def with_valve(tables: Sequence[Table], valve: Valve) -> list[Table]:
 
 
 def look(path: Path) -> list[Table]:
-    """Look at the columns of a file, or at the topics of a bag.
+    """Interpret the columns of a file, or the topics of a bag.
 
     Raises:
         BadInput: it cannot be read, or has no columns.
@@ -164,7 +164,7 @@ def look(path: Path) -> list[Table]:
 
 
 def _topic(name: str, found: Found) -> Table:
-    """Return a topic as it was understood: by its own name, and by the unit that its type stands for."""
+    """Interpret a topic by its name and by the unit that its type implies."""
     last = name.rpartition("/")[2]
     labels = [last if field in PLAIN else f"{last}_{field}" for field in found.fields]
     units = [_unit(f"{found.type}.{field}") for field in found.fields]
@@ -199,13 +199,13 @@ def _rate(times: NDArray[np.float64] | None) -> tuple[float, float]:
 
 
 class Proposal(NamedTuple):
-    """A map of columns, proposed.
+    """Proposed map of columns.
 
     Attributes:
-        text: what is certain as entries, what is not as comments to be completed.
-        signals: those in the data contract that it gives, with columns that need no entry.
+        text: YAML with certain columns as entries, and others as comments to be completed.
+        signals: signals of the data contract that it provides, including columns that need no entry.
         certain: number of columns that are certain.
-        unsure: number of columns that want a look.
+        unsure: number of columns to be checked.
     """
 
     text: str
@@ -214,7 +214,7 @@ class Proposal(NamedTuple):
     unsure: int
 
     def unjudged(self) -> dict[str, str]:
-        """Return the stages that a diagnosis cannot judge from it, with what each needs; a spring is taken to be there."""
+        """Return the stages that a diagnosis cannot judge, with their required signals; a spring is assumed."""
         channels = formable(given_by(self.signals), springless=False)
         return {stage: NEEDED_SIGNALS[stage] for stage in STAGES if stage not in {CHANNELS[channel] for channel in channels}}
 
@@ -223,7 +223,7 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
     """Propose a map of columns.
 
     Args:
-        tables: what was understood of the files of one recording, or of a bag's topics.
+        tables: interpretation of the files of one recording, or of a bag's topics.
     """
     lines = ["# Columns as `ehls columns` understood them. Check every line; a line with # is not used until it is completed."]
     several = len(tables) > 1 or any(is_topic(table.name) for table in tables)

@@ -41,11 +41,11 @@ class Provenance(NamedTuple):
     """Origin of a bag.
 
     Attributes:
-        configuration: of the run: rig, spec, controller, versions; JSON values.
-        seals: of the topics, by full name.
-        signals: the trajectory's signals, if the bag was written from one; its messages have all fields even if the trajectory
-            did not have all signals. None for a recording.
-        recovery: what was lost, if the bag was recovered from a damaged one; JSON values.
+        configuration: configuration of the run: rig, spec, controller, versions; JSON values.
+        seals: seals of the topics, by full name.
+        signals: signals of the trajectory from which the bag was written; the messages have all fields, also those without a
+            signal. None for a recording.
+        recovery: losses, if the bag was recovered from a damaged one; JSON values.
     """
 
     configuration: Mapping[str, Any]

@@ -9,7 +9,7 @@ def reason(error: Exception) -> str:
     """Return the message of the operating system or library, on one line.
 
     Args:
-        error: raised while a file was opened, read or written.
+        error: exception raised while a file was opened, read or written.
     """
     words = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return shorten(str(words), LONGEST, placeholder=" …")

@@ -1,7 +1,7 @@
-"""The note beside a bag being written: how much of it is safely on disk.
+"""Note beside a bag being written: the number of messages safely on disk.
 
-Closing the bag removes the note. From the note of a killed recorder :mod:`ehls_ros.recording.recovery` knows how much is
-missing.
+Closing the bag removes the note. From the note of a killed recorder, :mod:`ehls_ros.recording.recovery` determines the number
+of missing messages.
 """
 
 import json

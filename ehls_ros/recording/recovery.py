@@ -42,7 +42,7 @@ class TopicRecovery(NamedTuple):
         unverified: recovered messages without a checksum.
         lost: messages that were written but are not in the new bag, as far as known.
         malformed: lost messages that were found but are not plausible messages of the topic.
-        lost_between: when the lost messages were sent, as far as known.
+        lost_between: ranges of the sending times of lost messages, as far as known.
     """
 
     recovered: int
@@ -59,8 +59,8 @@ class Recovery(NamedTuple):
         recovered: messages in the new bag.
         unverified: recovered messages without a checksum.
         lost: messages that were written but are not in the new bag, as far as known.
-        topics: by full name.
-        remarks: in words.
+        topics: recovery of each topic, by full name.
+        remarks: remarks on damage and omissions.
     """
 
     recovered: int
@@ -91,10 +91,10 @@ def recover(source: Path, out: Path, progress: Callable[[int, int], None] = lamb
         progress: called with the number of messages done and the total.
 
     Returns:
-        What was recovered and what was lost.
+        The recovered and the lost messages.
 
     Raises:
-        BadInput: not enough is left for a bag, or the new bag cannot be created.
+        BadInput: the remains do not suffice for a bag, or the new bag cannot be created.
         OSError: the disk is full or fails.
     """
     file = storage_file(source)
@@ -122,7 +122,7 @@ def _moved_on_success(out: Path) -> Iterator[Path]:
         try:
             yield Path(unfinished) / out.name
         except BadInput as error:
-            # The user does not know the temporary folder.
+            # The temporary folder is of no use to the user.
             raise BadInput(error.what, error.where.replace(unfinished, str(out.parent)), error.expected) from None
         out.parent.mkdir(parents=True, exist_ok=True)
         (Path(unfinished) / out.name).rename(out)
@@ -234,7 +234,7 @@ def _account(bag: DamagedBag, ledger: Ledger, loss: Loss, counts: Mapping[str, _
         written = max(ledger.counts.get(path, 0), expected.messages if expected else 0)
         dropped = loss.damaged.get(path, 0) + count.malformed
         missing = max(0, written - count.tally.messages)
-        # Damage may have moved a dropped message to this topic, so a known number of messages takes precedence.
+        # Damage may have assigned a dropped message to this topic, so a known number of messages takes precedence.
         lost = missing if expected or ledger.complete else max(missing, dropped)
         between = known_lost.get(path, [])
         rest = lost - count.malformed - sum(part.messages for part in between)
@@ -251,7 +251,7 @@ def _account(bag: DamagedBag, ledger: Ledger, loss: Loss, counts: Mapping[str, _
 
 
 def _read_back(bag: Path, written: Mapping[str, Tally]) -> None:
-    """Read a bag and compare its messages with what was written.
+    """Read a bag and compare its messages with those written.
 
     Raises:
         BadInput: the bag cannot be read, or its messages differ.

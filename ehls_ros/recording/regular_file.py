@@ -24,7 +24,7 @@ def check_regular(path: Path, largest: int, expected: str, what: str = "the file
     Args:
         path: the file.
         largest: largest permitted size [B].
-        expected: what the file should be, for the error.
+        expected: description of a valid file, for the error.
         what: name of the file in the error.
         larger: advice for a larger file, appended to the error.
 
@@ -52,7 +52,7 @@ def read_text(path: Path, largest: int, expected: str, what: str = "the file") -
     Args:
         path: the file, in UTF-8.
         largest: largest permitted length [characters].
-        expected: what the file should be, for the error.
+        expected: description of a valid file, for the error.
         what: name of the file in the error.
 
     Raises:

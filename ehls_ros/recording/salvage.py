@@ -1,4 +1,4 @@
-"""The interface of the salvagers of both storages: messages as they are found, verified or not; and bounds of their work."""
+"""Interface of the salvage functions of both storages: found messages, verified or not, and a bound on the work."""
 
 from collections.abc import Callable, Iterator, Mapping
 from mmap import mmap
@@ -10,14 +10,14 @@ LONGEST_NAME = 1024
 """Longest name of a topic [characters]; ROS 2 permits 255."""
 
 MOST_WORK = 16
-"""Bytes copied and compared with the ledger, over the size of the file.
+"""Maximum number of bytes copied and compared with the ledger, relative to the size of the file.
 
-Each byte belongs to one message, so a damaged file needs about one; in a file made for it, messages that begin inside each
-other would take the square of its size.
+Each byte belongs to one message, so a damaged file needs about one. In a malicious file, messages that begin inside each other
+would take the square of its size.
 """
 
 SPENT = "messages begin inside each other in too many places: the rest is not searched for more"
-"""Remark on a file that takes more work."""
+"""Remark on a file that exceeds the bound."""
 
 
 class Found(NamedTuple):
@@ -26,7 +26,7 @@ class Found(NamedTuple):
     Attributes:
         topic: full name.
         stamp_ns: time of sending [ns].
-        serialized: as CDR.
+        serialized: message as CDR.
         verified: whether a checksum confirms it; if not, there is no checksum for it.
     """
 
@@ -44,7 +44,7 @@ class Loss:
         self.damaged: dict[str, int] = {}
         """Number of altered messages, by the topic's full name."""
         self.places: list[str] = []
-        """Unusable parts of the file, in words."""
+        """Descriptions of unusable parts of the file."""
         self.foreign: set[str] = set()
         """Topics that ehls_ros does not record."""
 
@@ -54,23 +54,23 @@ class Loss:
 
 
 class Budget:
-    """Bounds the bytes that are copied and compared in search of messages by the size of the file."""
+    """Bound on the bytes copied and compared in the search for messages, by the size of the file."""
 
     def __init__(self, content: mmap, loss: Loss) -> None:
         """Start with :data:`MOST_WORK` times the size of a file.
 
         Args:
-            content: of the file.
-            loss: gets a remark when the budget is spent.
+            content: content of the file.
+            loss: receives a remark when the budget is exhausted.
         """
         self._left = MOST_WORK * len(content)
         self._loss = loss
 
     def covers(self, size: int) -> bool:
-        """Return whether another candidate may be looked at, and take its size off; once spent, the budget stays so.
+        """Deduct the size of another candidate, and return whether it may be examined; once exhausted, the budget stays so.
 
         Args:
-            size: of the candidate [B].
+            size: size of the candidate [B].
         """
         if self._left >= 0:
             self._left -= size
@@ -83,7 +83,7 @@ Names = Mapping[int, str]
 """Full names of topics by their number in a file."""
 
 Salvage = Callable[[mmap, Names, Ledger, Loss], Iterator[Found]]
-"""Finds the messages in a storage file, in file order.
+"""Function that finds the messages in a storage file, in file order.
 
 The arguments are the file's content, its topics, the ledger that verifies messages, and the record of damage, which is filled.
 """

@@ -1,8 +1,8 @@
-"""Finds the messages in the remains of a SQLite file.
+"""Search for messages in the remains of a SQLite file.
 
 Every page is read separately, so that neither a damaged tree nor a truncated file hides the others. The rows listed by a page
-are read first; unless all of them are sound messages, each offset in the page that looks like a row is tried and checked
-against the ledger, if the file has one. Nothing in the file is executed.
+are read first. Unless all of them are sound messages, each offset in the page with the form of a row is tried and checked
+against the ledger, if the file has one. No code in the file is executed.
 """
 
 import re
@@ -87,7 +87,7 @@ def _page_size(content: mmap) -> int:
 
 
 def _rows(page: bytes, start: int, content: mmap, size: int, budget: Budget) -> tuple[list[_Row], bool]:
-    """Return the messages that a page lists, and whether everything it lists is a message."""
+    """Return the messages listed by a page, and whether all its rows are messages."""
     if page[start : start + 1] != bytes([LEAF]):
         return [], False
     count = int.from_bytes(page[start + 3 : start + 5], "big")
@@ -121,7 +121,7 @@ def _row(page: bytes, cell: int, content: mmap, size: int, budget: Budget) -> _R
 
 
 def _stored_in_page(length: int, size: int) -> int:
-    """Return how many bytes of a row are stored in its page, by SQLite's file format."""
+    """Return the number of bytes of a row stored in its page, by SQLite's file format."""
     most, least = size - 35, (size - 12) * 32 // 255 - 23
     if length <= most:
         return length
@@ -153,7 +153,7 @@ def _unpacked(payload: bytes, start: int) -> _Row | None:
 
 
 def _searched(page: bytes, names: Names, ledger: Ledger, budget: Budget) -> Iterator[Found]:
-    """Try every offset that looks like a row."""
+    """Try every offset with the form of a row."""
     offset = 0
     while (match := _ROW.search(page, offset)) is not None:
         offset = match.start() + 1

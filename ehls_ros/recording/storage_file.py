@@ -1,7 +1,7 @@
-"""Checks of a single storage file of a bag, and the metadata inside it.
+"""Checks of a single storage file of a bag, and reading of the metadata inside it.
 
-A closed bag has its metadata twice: in metadata.yaml and inside the storage file, where rosbags does not look. The second copy
-gives the provenance of a storage file that was taken out of its folder.
+A closed bag has its metadata twice: in metadata.yaml and inside the storage file, where rosbags does not read them. The second
+copy holds the provenance of a storage file that was taken out of its folder.
 """
 
 import sqlite3
@@ -39,7 +39,7 @@ def custom_data_in(file: Path, deadline: Deadline) -> Mapping[str, str]:
 
     Args:
         file: a ``.mcap`` or ``.db3`` file.
-        deadline: of the reading.
+        deadline: deadline of the reading.
 
     Returns:
         The entries; none if the recorder stored no metadata in the file.
@@ -80,13 +80,13 @@ def parse_metadata(text: str, where: str) -> Any:
 
 
 def check_database(database: sqlite3.Connection) -> None:
-    """Refuse a database that could make a query run forever: with damaged pages, views, triggers or computed columns.
+    """Reject a database on which a query could run forever: with damaged pages, views, triggers or computed columns.
 
     Args:
-        database: of a bag.
+        database: database of a bag.
 
     Raises:
-        ValueError: the database is refused.
+        ValueError: the database is rejected.
         sqlite3.Error: it is not a database.
     """
     for name, definition in database.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall():
@@ -99,7 +99,7 @@ def check_database(database: sqlite3.Connection) -> None:
 
 
 def _check_contents(database: sqlite3.Connection, file: Path) -> None:
-    """Refuse a database with too many or too large topics, or too large messages on the topics that are read."""
+    """Reject a database with too many or too large topics, or too large messages on the topics that are read."""
     names = {topic.name for topic in CYCLE_TOPICS}
     tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     read, rows, size = list[int](), 0, 0

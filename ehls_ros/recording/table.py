@@ -1,4 +1,4 @@
-"""Converts named columns of any file format to a trajectory, by the data contract."""
+"""Conversion of named columns of any file format to a trajectory, by the data contract."""
 
 import shlex
 from collections import Counter
@@ -17,20 +17,20 @@ from ehls_ros.recording.expression import expression
 from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Trajectory
 
 Pick = Callable[[Sequence[str]], Sequence[str]]
-"""Returns the names of the columns to read, of those there are."""
+"""Function that returns the names of the columns to read from those available."""
 
 
 class RawTable(NamedTuple):
-    """A table as its file has it.
+    """Table as read from its file.
 
     Attributes:
-        names: of all its columns, in order.
-        values: of the columns that were read, by name, with times in seconds; None for one that is not of numbers.
-        row: what a row is called.
+        names: names of all columns, in order.
+        values: values of the columns read, by name, with times in seconds; None for a non-numeric column.
+        row: term for a row, such as ``line``.
         first: number of the first row.
-        units: by name, as written, where the file says them apart from the name.
-        remarks: how the file was read, one sentence each.
-        wrong: by name, a cell that keeps a column from being of numbers, such as ``line 12 is 'abc'``.
+        units: units by name, as written, if stated separately from the name.
+        remarks: remarks on the reading of the file, one sentence each.
+        wrong: a non-numeric cell of a column, by name, such as ``line 12 is 'abc'``.
     """
 
     names: tuple[str, ...]
@@ -52,7 +52,7 @@ def sources(available: Sequence[str], columns: Columns, where: str) -> list[str]
 
 
 def no_names(available: Sequence[str]) -> list[str]:
-    """Return no name, to read none."""
+    """Select no columns."""
     return []
 
 
@@ -99,7 +99,7 @@ def _how_to_map(where: str) -> str:
 
 
 def check_length(rows: int, columns: int, where: str) -> None:
-    """Refuse a table that is too long.
+    """Reject a table that is too long.
 
     Args:
         rows: number of rows.
@@ -124,7 +124,7 @@ def trajectory_of(table: RawTable, columns: Columns, where: str) -> Trajectory:
     """Build a trajectory from a table.
 
     Args:
-        table: with the columns that :func:`sources` names.
+        table: table with the columns named by :func:`sources`.
         columns: the user's map.
         where: the file, for errors.
 
@@ -142,7 +142,7 @@ def trajectory_of(table: RawTable, columns: Columns, where: str) -> Trajectory:
 
 
 def _made(table: RawTable, column: Column, name: str, rows: int, where: str) -> NDArray[Any]:
-    """Return the values of a column of the map before scaling."""
+    """Return the unscaled values of a column of the map."""
     values = {source: table.values[source] for source in column.sources}
     known = {source: found for source, found in values.items() if found is not None}
     if len(known) < len(values):
@@ -165,7 +165,7 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
         values: raw values by contract name: shape (n,), or (n, elements) for a signal of the friction elements.
         chosen: the columns by contract name, with scale and offset.
         where: the file, for errors.
-        row_name: the user's name for the row with an index, such as ``line 12``.
+        row_name: returns the user's name for the row at an index, such as ``line 12``.
 
     Returns:
         The trajectory, without metadata.

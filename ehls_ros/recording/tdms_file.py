@@ -1,4 +1,4 @@
-"""TDMS files of LabVIEW, read by npTDMS: one channel per signal."""
+"""Reading of LabVIEW's TDMS files with npTDMS: one channel per signal."""
 
 from importlib import import_module
 from pathlib import Path
@@ -15,26 +15,26 @@ from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.times import seconds_of_moments
 
 LIBRARY = "nptdms"
-"""Module that reads it."""
+"""Module that reads the files."""
 
 EXPECTED_FILE = "a TDMS file"
 
 UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
-"""Properties in which programs write a channel's unit."""
+"""Properties in which programs store a channel's unit."""
 
 INCREMENT = "wf_increment"
 """Property with the sampling period of a waveform [s]."""
 
 WAVEFORM_TIME = "time"
-"""Name of the column of time that the waveforms' sampling period gives."""
+"""Name of the time column derived from the waveforms' sampling period."""
 
 
 def read_tdms(path: Path, pick: Pick | None = None) -> RawTable:
     """Read a TDMS file.
 
     Args:
-        path: the file. A channel is a column by its name; where several groups have one of that name, as ``group/channel``.
-            Waveforms of one sampling period have a column of time besides.
+        path: the file. A channel is a column by its name, or as ``group/channel`` if several groups have one of that name.
+            Waveforms of one sampling period also have a time column.
         pick: returns the names of the columns to read; None for all.
 
     Returns:

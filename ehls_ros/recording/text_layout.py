@@ -1,4 +1,4 @@
-"""How a text file writes its table: encoding, delimiter, decimal sign, and the lines of names, units and first values."""
+"""Layout of a table in a text file: encoding, delimiter, decimal sign, and the lines of names, units and first values."""
 
 import codecs
 import csv
@@ -11,30 +11,30 @@ from typing import NamedTuple
 from ehls_ros.recording.header_row import COMMENT, Header, header_of, is_clock, tail_of
 
 BEGINNING = 2**19
-"""Part of a file that tells its layout [B]."""
+"""Part of a file from which its layout is determined [B]."""
 
 TAIL_CHARACTERS = 2**16
-"""Most text compared to find the delimiter [characters]."""
+"""Maximum length of text used to find the delimiter [characters]."""
 
 LINES_OF_CELL = 4
-"""Most lines of a name in quotes [1]."""
+"""Maximum number of lines of a quoted name [1]."""
 
 SPACES = r"\s+"
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", SPACES: "spaces"}
-"""Delimiters by what they are called; of two that fit as well, the first."""
+"""Delimiters with their names; of two that fit equally well, the first is chosen."""
 
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-"""Encodings by the mark that begins a file."""
+"""Encodings by byte order mark."""
 
 
 class Layout(NamedTuple):
     """The layout of a text file with a table.
 
     Attributes:
-        encoding: Python's name of it.
-        delimiter: between cells; :data:`SPACES` for any white space.
+        encoding: Python's name of the encoding.
+        delimiter: delimiter of cells; :data:`SPACES` for any white space.
         decimal: point or comma.
-        header: of the table; its rows are lines, numbered from 0.
+        header: header of the table; its rows are lines, numbered from 0.
     """
 
     encoding: str
@@ -43,7 +43,7 @@ class Layout(NamedTuple):
     header: Header
 
     def sentence(self) -> str:
-        """Return what was understood, in one sentence; the empty text for the plain form of the data contract."""
+        """Describe the layout in one sentence; empty for the plain layout of the data contract."""
         names = "no line of names" if self.header.row is None else f"names in line {self.header.row + 1}"
         units = "" if self.header.units_row is None else f", units in line {self.header.units_row + 1}"
         point = "comma" if self.decimal == "," else "point"
@@ -54,7 +54,7 @@ class Layout(NamedTuple):
 
 
 PLAIN = "utf-8, commas between cells, decimal point, names in line 1"
-"""What the data contract asks for."""
+"""Layout required by the data contract."""
 
 
 def layout_of(path: Path) -> Layout:
@@ -78,7 +78,7 @@ def layout_of(path: Path) -> Layout:
         tail.append(line)
         if size > TAIL_CHARACTERS:
             break
-    # Between tabs or semicolons, spaces are parts of names.
+    # With tabs or semicolons as delimiters, spaces are parts of names.
     others = 2 * sum("\t" in line or ";" in line for line in tail) > len(tail)
     delimiters = [delimiter for delimiter in DELIMITERS if not (others and delimiter == SPACES)]
     ranked = [(*_fit(tail, delimiter, decimal), delimiter, decimal) for delimiter in delimiters for decimal in ".,"]
@@ -88,7 +88,7 @@ def layout_of(path: Path) -> Layout:
 
 
 def _with_cells_whole(lines: Sequence[str]) -> list[str]:
-    """Return as many lines, where one in which a quoted cell of a few lines ends has all of it, and those before are empty."""
+    """Join quoted cells of a few lines into the line in which they end; the lines before become empty, so the count is kept."""
     out, k = list[str](), 0
     while k < len(lines):
         more = next((n for n in range(LINES_OF_CELL) if " ".join(lines[k : k + n + 1]).count('"') % 2 == 0), 0)
@@ -110,21 +110,21 @@ def split(line: str, delimiter: str) -> list[str]:
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Tell whether a cell is a number with this decimal sign; thousands have no separator."""
+    """Return whether a cell is a number with this decimal sign; thousands have no separator."""
     if decimal != ".":
         cell = cell.replace(".", "x").replace(decimal, ".")
     try:
         float(cell)
     except ValueError:
         return False
-    return "_" not in cell  # Python's own
+    return "_" not in cell  # a separator of digits in Python only
 
 
 def _encoding(content: bytes, whole: bool) -> str:
     for mark, encoding in MARKS.items():
         if content.startswith(mark):
             return encoding
-    # Of text in western letters, every second byte of UTF-16 is zero.
+    # In UTF-16, every second byte of text in Latin letters is zero.
     zeros = [content[k::2].count(0) for k in (0, 1)]
     for other, encoding in ((0, "utf-16-le"), (1, "utf-16-be")):
         if zeros[other] == 0 and zeros[1 - other] > len(content) // 4:
@@ -139,7 +139,7 @@ def _encoding(content: bytes, whole: bool) -> str:
 
 
 def _fit(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[bool, float, int]:
-    """Return how well a delimiter and a decimal sign fit: whether there are columns, the share of numbers, and the columns."""
+    """Rate a delimiter and a decimal sign: whether there are columns, the share of numbers, and the number of columns."""
     number: Callable[[str], bool] = partial(is_number, decimal=decimal)
     rows = [[cell.strip() for cell in split(line, delimiter)] for line in lines]
     widths = [len(row) for row in rows]

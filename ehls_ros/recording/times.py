@@ -17,7 +17,7 @@ def seconds_of_clock(cells: NDArray[Any]) -> NDArray[np.float64]:
         cells: texts such as ``12:03:04,125``, ``2026-05-01T12:03:04.125`` or ``1.5.2026 12:03:04``, shape (n,).
 
     Returns:
-        Their times, shape (n,) [s]; NaN for what is none. A time of day that falls by over half a day is of the next day.
+        Their times, shape (n,) [s]; NaN for invalid cells. A time of day that falls by over half a day belongs to the next day.
     """
     pandas: Any = import_module("pandas")
     text = pandas.Series(cells, dtype=str).str.replace(",", ".", regex=False).str.removesuffix("Z")
@@ -33,7 +33,7 @@ def seconds_of_clock(cells: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def seconds_of_moments(moments: NDArray[Any]) -> NDArray[np.float64]:
-    """Return durations, or dates since midnight of the first of them, in seconds; NaN for a missing one, shape (n,)."""
+    """Return durations, or dates relative to midnight of the first one, shape (n,) [s]; NaN where missing."""
     if moments.dtype.kind == "M":
         known = moments[~np.isnat(moments)]
         moments = moments - (known[0].astype("datetime64[D]") if known.size else np.datetime64(0, "D"))

@@ -8,13 +8,13 @@ NAMESPACE = "/ehls"
 """Default namespace of the graph."""
 
 DEPTH = 1000
-"""Messages that a control-path topic keeps at least: one second of cycles at 1 kHz."""
+"""Minimum queue depth of a control-path topic [messages]: one second of cycles at 1 kHz."""
 
 LOADER_FRAME = "loader"
 """Frame of every message about the loading cylinder: fixed to its piston, x along the piston's positive direction."""
 
 SENDER = "sender"
-"""Field of the cycles' messages that names who sent them; absent in bags of earlier versions."""
+"""Field of cycle messages with the name of the sender; absent in bags of earlier versions."""
 
 
 class Topic(NamedTuple):
@@ -24,8 +24,8 @@ class Topic(NamedTuple):
         name: name below the namespace, or an absolute name.
         type: ROS message type.
         signals: names in :data:`ehls_ros.trajectory.SIGNALS` by message field, in the same units.
-        depth: messages that a publisher keeps; all publishers are reliable.
-        transient_local: whether it also keeps them for readers that join later.
+        depth: history depth of a publisher; all publishers are reliable.
+        transient_local: whether the history is kept for late-joining readers.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Topic(NamedTuple):
     transient_local: bool = False
 
     def resolve(self, namespace: str = NAMESPACE) -> str:
-        """Return the full name, as ROS resolves it in a namespace."""
+        """Return the full name, resolved in a namespace as in ROS."""
         return self.name if self.name.startswith("/") else f"{namespace.rstrip('/')}/{self.name}"
 
 
@@ -69,12 +69,12 @@ LOADER_STATE = _cycle_topic(
 FORCE_REFERENCE = _force_topic("force_reference")
 POSITION_REFERENCE = _position_topic("position_reference")
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
-"""The reference topic by the quantity that the controller follows; a run has one of them."""
+"""Reference topic by the controlled quantity; a run has one of them."""
 
 ACTUATOR_TOPICS: Mapping[str, Topic] = MappingProxyType(
     {"force": _force_topic("actuator_force_reference"), "position": _position_topic("actuator_position_reference")}
 )
-"""The command of the actuator under test, ahead of the cycles, by what it is; a run whose companions use it has one of them."""
+"""Topic of the actuator's setpoint, ahead of the cycles, by its quantity; a run whose companions use it has one of them."""
 
 PROGRAMME_POINT = _cycle_topic(
     "programme_point",
@@ -99,8 +99,8 @@ DISTURBANCE = _cycle_topic(
     },
 )
 SERVO_REFERENCE = Topic("servo_reference", "ehls_msgs/msg/Disturbance", depth=DEPTH, transient_local=True)
-"""Displacement and velocity that a simulated position servo is to follow, ahead of the cycles; not recorded, as the experiment
-has them and ``disturbance`` has the motion itself."""
+"""Displacement and velocity setpoints of a simulated position servo, ahead of the cycles; not recorded, as the experiment
+defines them and ``disturbance`` contains the motion."""
 
 FRICTION_ESTIMATE = _cycle_topic(
     "friction_estimate",
@@ -144,35 +144,36 @@ CYCLE_TOPICS = (
     VALVE_COMMAND,
     CONTROLLER_STATUS,
 )
-"""The topics that make up a trajectory, in the order of a control cycle; every message has a header and a cycle."""
+"""Topics of a trajectory, in the order of a control cycle; every message has a header and a cycle."""
 
 DRIVING = Topic("driving", "std_msgs/msg/Bool", depth=1, transient_local=True)
 """Whether commands reach the valve; published on change."""
 
 DRIVER = Topic("driver", "ehls_msgs/msg/Driver", transient_local=True)
-"""Which controller the gate obeys; published on change."""
+"""Controller whose commands the gate passes on; published on change."""
 
 STANDBY_COMMAND = Topic("standby_command", "ehls_msgs/msg/ValveCommand")
-"""What each controller that stands by would command; each command in a bag names who drove."""
+"""Command of each standby controller; the commands in a bag name the active one."""
 
 LEAVING = Topic("leaving", "std_msgs/msg/String")
-"""Sender of a node whose loop ends."""
+"""Announcement of a node whose loop ends: its sender name."""
 
 REFUSED = Topic("refused", "ehls_msgs/msg/Refusal", transient_local=True)
-"""Senders that a reader refuses, since another sender owns the input."""
+"""Senders rejected by a reader, since another sender owns the input."""
 
 ACCEPTED_RIG = Topic("accepted_rig", "std_msgs/msg/String", depth=1, transient_local=True)
-"""The rig file with the changes that an operator has accepted, for controllers that are told of it (``accept_rig``)."""
+"""Rig file with the changes accepted by an operator, for controllers that subscribe to it (``accept_rig``)."""
 
 HANDOVER_TOPICS = (DRIVER, STANDBY_COMMAND, LEAVING, REFUSED, ACCEPTED_RIG)
-"""Between the nodes, for a change of the one that drives, of an input's owner, or of the accepted rig; not recorded."""
+"""Topics between the nodes for a change of the active controller, of an input's owner, or of the accepted rig; not recorded."""
 
 MODEL_HEALTH = Topic("model_health", "ehls_msgs/msg/ModelHealth", depth=1, transient_local=True)
-"""What the monitor knows of the rig; published on change and once in a while; not recorded, as a bag can be watched again."""
+"""Findings of the monitor on the rig; published on change and periodically; not recorded, as a bag can be replayed."""
 
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 OF_GATE, TRIPPED_BY = "owner", "cause_1"
-"""Keys in the diagnostics of the node with the safety gate: only it has the first, and the second while it is tripped."""
+"""Keys in the diagnostics of the node with the safety gate: the first is always present, only there; the second while
+tripped."""
 
 FORCE = Topic("force", "std_msgs/msg/Float64")
 WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped")
@@ -191,7 +192,7 @@ TELEMETRY_TOPICS = (
     JOINT_STATES,
     DIAGNOSTICS,
 )
-"""Recorded for standard tools; the cycle topics contain the same data."""
+"""Topics recorded for standard tools; the cycle topics contain the same data."""
 
 PARAMETER_EVENTS = Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent", depth=1000)
 ROSOUT = Topic("/rosout", "rcl_interfaces/msg/Log", depth=1000, transient_local=True)
@@ -202,20 +203,20 @@ CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", depth=1, transient_local=True
 """The time of a run in lockstep."""
 
 TRANSITION_EVENT = "transition_event"
-"""Last part of the name of the topic on which a lifecycle node tells its transitions."""
+"""Last part of the name of the topic on which a lifecycle node publishes its transitions."""
 
 
 def transition_topic(node: str) -> Topic:
-    """Return the topic on which a lifecycle node of the namespace tells its transitions."""
+    """Return the topic on which a lifecycle node of the namespace publishes its transitions."""
     return Topic(f"{node}/{TRANSITION_EVENT}", "lifecycle_msgs/msg/TransitionEvent")
 
 
 def known_topic(path: str, namespace: str) -> Topic | None:
-    """Return the topic that our recorder stores under a full name; None if it stores none under it.
+    """Return the topic that the recorder of this package stores under a full name; None if there is none.
 
     Args:
         path: full name.
-        namespace: of the run.
+        namespace: namespace of the run.
     """
     parent, _, last = path.rpartition("/")
     if last == TRANSITION_EVENT and parent.startswith(f"{namespace}/"):
@@ -224,4 +225,4 @@ def known_topic(path: str, namespace: str) -> Topic | None:
 
 
 RESPONSE = "response_s"
-"""The one signal that is not a message field: time from sending a cycle's snapshot to sending its valve command [s]."""
+"""The only signal that is not a message field: time from sending a cycle's snapshot to sending its valve command [s]."""

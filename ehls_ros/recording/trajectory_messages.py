@@ -1,4 +1,4 @@
-"""Converts a trajectory to messages."""
+"""Conversion of a trajectory to messages."""
 
 from typing import Any, NamedTuple
 
@@ -86,7 +86,7 @@ def _stream(topic: Topic, trajectory: Trajectory, stamps_ns: NDArray[np.int64], 
 
 
 def _present(topic: Topic, signals: list[NDArray[np.float64]], samples: int) -> NDArray[np.bool_]:
-    """Tell which samples have a message of the topic: all for a snapshot, otherwise those with a known signal."""
+    """Return which samples have a message of the topic: all for a snapshot, otherwise those with a known signal."""
     if topic is LOADER_STATE:
         return np.ones(samples, np.bool_)
     present = np.zeros(samples, np.bool_)

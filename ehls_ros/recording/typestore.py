@@ -25,9 +25,9 @@ def typestore() -> Typestore:
 
 @cache
 def definition(message_type: str) -> str:
-    """Return a type's definition and those of the types it uses, as ROS's own recorder stores them.
+    """Return the definitions of a type and of the types it uses, in the form stored by the ROS recorder.
 
-    Of ``ehls_msgs`` that is the file itself, whose comments have the fields' units and meaning.
+    For ``ehls_msgs`` this is the file itself, whose comments state the fields' units and meaning.
     """
     generated: str = typestore().generate_msgdef(message_type, ros_version=2)[0]
     package, _, name = message_type.split("/")
@@ -38,10 +38,10 @@ def definition(message_type: str) -> str:
 
 
 def typestore_of(definition: MessageDefinition, message_type: str) -> Typestore:
-    """Return the types as the bag itself defines them, perhaps by another version of ``ehls_msgs``.
+    """Return the types as defined in the bag, possibly by another version of ``ehls_msgs``.
 
     Args:
-        definition: of the type and the types nested in it, from the bag.
+        definition: definition of the type and its nested types, from the bag.
         message_type: name of the type.
 
     Returns:

@@ -1,7 +1,7 @@
 """Safe reading of untrusted YAML: plain data in bounded time and memory, or an error with the line.
 
-PyYAML alone keeps the last of several equal keys, expands aliases to any size, overflows the stack on deep nesting, and lets
-Python's exceptions through on a wrong date or number.
+PyYAML alone keeps the last of several equal keys, expands aliases to any size, overflows the stack on deep nesting, and raises
+Python exceptions on an invalid date or number.
 """
 
 import re
@@ -41,7 +41,7 @@ def read_yaml(path: Path, what: str) -> Any:
         Mappings, lists and scalars.
 
     Raises:
-        BadInput: the file cannot be read, or :func:`parse_yaml` refuses it.
+        BadInput: the file cannot be read, or :func:`parse_yaml` rejects it.
     """
     return parse_yaml(read_text(path, limits.TEXT, "a YAML file", what), str(path), what)
 
@@ -73,7 +73,7 @@ def parse_yaml(text: str, where: str, what: str) -> Any:
 
 
 def _check_structure(text: str) -> None:
-    """Refuse deep nesting and aliases before anything is constructed."""
+    """Reject deep nesting and aliases before any value is constructed."""
     depth = 0
     for event in yaml.parse(text, SafeLoader):
         if isinstance(event, yaml.CollectionStartEvent):

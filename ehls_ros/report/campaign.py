@@ -1,4 +1,4 @@
-"""The report of a campaign: the distribution of the errors of its runs, and what they depend on."""
+"""Report of a campaign: the distribution of its runs' errors, and the parameters on which they depend."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,10 +14,10 @@ from ehls_ros.report.campaign_findings import Group
 from ehls_ros.report.page import MISSING_NUMBER, Configuration, Entry, Row, number
 
 MOST_GROUPS, MOST_ROWS, MOST_COLUMNS = 8, 10, 6
-"""Largest number of groups in a figure, of rows in a table of single runs, and of varied columns in it."""
+"""Maximum numbers of groups in a figure, of rows in a table of single runs, and of varied columns in it."""
 
 SEED = "seed"
-"""A column that is drawn without being a parameter."""
+"""Drawn column that is not a parameter."""
 
 
 def write_campaign_report(
@@ -28,7 +28,7 @@ def write_campaign_report(
     Args:
         results: the results.
         campaign: the campaign file with its base written out.
-        making: label and value of each fact on how the results were made.
+        making: label and value of each fact on the origin of the results.
         path: file to write; its folder must exist.
     """
     groups = findings.groups(results)
@@ -63,7 +63,7 @@ def _group_table(results: CampaignResults, groups: Sequence[Group]) -> str:
 
 
 def _in(value: float, unit: str) -> str:
-    """Write a value with its unit, a dash without one."""
+    """Write a value with its unit, or a dash if it is not finite."""
     return f"{number(value)} {unit}" if np.isfinite(value) else MISSING_NUMBER
 
 
@@ -125,7 +125,7 @@ def _values(results: CampaignResults, columns: Sequence[Column], row: int) -> li
 
 
 def _told(columns: Sequence[Column]) -> list[Column]:
-    """Return the columns that fit into a table of single runs: those of the grid, or of the draws without a grid."""
+    """Return the columns for a table of single runs: those of the grid, or those of the draws if there is no grid."""
     return ([column for column in columns if not column.drawn] or list(columns))[:MOST_COLUMNS]
 
 

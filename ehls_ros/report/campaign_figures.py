@@ -1,4 +1,4 @@
-"""The figures of a campaign's report: each function takes the results and gives a panel."""
+"""Figures of a campaign's report: each function takes the results and returns a panel."""
 
 from collections.abc import Sequence
 
@@ -28,7 +28,7 @@ def _error_axis(errors: Array) -> Axis:
 
 
 def _value_axis(column: Column, values: Array) -> Axis:
-    """Return the axis of a parameter, logarithmic where it varies over about a decade or more."""
+    """Return the axis of a parameter, logarithmic if it varies over about a decade or more."""
     unit = Unit(column.unit or plot.PURE_NUMBER.symbol)
     known = values[np.isfinite(values)]
     if known.size and known.min() > 0 and known.max() > 8 * known.min():
@@ -42,7 +42,7 @@ def distribution(results: CampaignResults, groups: Sequence[Group]) -> Panel:
     traces: list[Trace] = []
     for index, group in enumerate(groups):
         known = np.sort(errors[group.rows][np.isfinite(errors[group.rows])])
-        # Runs without an error count as well: the line then ends below 100 %.
+        # Runs without an error count as well, so that the line ends below 100 %.
         share = np.arange(1, known.size + 1) / group.rows.size
         if known.size:
             traces.append(

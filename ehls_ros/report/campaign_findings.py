@@ -1,4 +1,4 @@
-"""Statistics of a campaign: groups of runs, and what the error correlates with."""
+"""Statistics of a campaign: groups of runs, and correlations of the error."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,11 +13,11 @@ from ehls_ros.report.page import number
 from ehls_ros.report.plot import NEWTON
 
 LARGE_CORRELATION = 0.3
-"""Smallest rank correlation for which a parameter is named as related to the error."""
+"""Smallest rank correlation for which a parameter is named as correlated with the error."""
 
 
 class Group(NamedTuple):
-    """Runs that share all values that are not numbers.
+    """Runs that share all non-numeric values.
 
     Attributes:
         name: the shared values.
@@ -29,7 +29,7 @@ class Group(NamedTuple):
 
 
 def groups(results: CampaignResults) -> list[Group]:
-    """Divide the runs by the varied values that are not numbers, in the order of the table."""
+    """Group the runs by their varied non-numeric values, in the order of the table."""
     differing = [values for values in results.words.values() if len(set(values)) > 1]
     rows: dict[tuple[str, ...], list[int]] = {}
     for row in range(len(results)):
@@ -44,7 +44,7 @@ def worst(results: CampaignResults, count: int) -> list[int]:
 
 
 def rank_correlation(x: Array, y: Array) -> float:
-    """Return Spearman's coefficient of the finite pairs, NaN where it is not defined."""
+    """Return Spearman's coefficient of the finite pairs, NaN if it is not defined."""
     known = np.isfinite(x) & np.isfinite(y)
     if known.sum() < 3 or np.ptp(x[known]) == 0.0 or np.ptp(y[known]) == 0.0:
         return float("nan")
@@ -63,7 +63,7 @@ def verdict_sentence(results: CampaignResults) -> tuple[str, bool | None]:
     """Summarise the campaign.
 
     Returns:
-        The sentence, and whether every run ended and converged, the worst included; None where no run has a force error.
+        The sentence, and False if a run failed or never converged, else None if a run has no force error, else True.
     """
     errors, lost, open_ended = results.max_error_n, len(results.failed), len(results.not_converged)
     untold = int(np.isnan(errors).sum()) - lost
@@ -86,12 +86,12 @@ def verdict_sentence(results: CampaignResults) -> tuple[str, bool | None]:
 
 
 def _worst_of(results: CampaignResults) -> str:
-    """Say whether the run with the largest error is one that never converged."""
+    """Return a remark if the run with the largest error never converged."""
     return ", the worst among them" if worst(results, 1)[0] in results.not_converged else ""
 
 
 def influence_remark(results: CampaignResults, columns: Sequence[Column], within: Sequence[Group]) -> str:
-    """Name the parameters that the largest error correlates with most in each group."""
+    """Return a remark on the parameters most strongly correlated with the largest error in each group."""
     said = []
     for group in within:
         found = correlations(results, columns, group)

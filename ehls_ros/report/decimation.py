@@ -1,19 +1,19 @@
-"""Reduction of a series to the samples that a figure can show."""
+"""Decimation of a series to the samples that a figure can show."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 BUCKETS = 4000
-"""Number of intervals a long series is reduced to: about three per pixel, which leaves detail to zoom into."""
+"""Number of intervals to which a long series is reduced: about three per pixel, which leaves detail for zooming."""
 
 
 def kept_samples(values: NDArray[np.float64], buckets: int = BUCKETS) -> NDArray[np.intp]:
-    """Choose the samples that draw the same line as all of them.
+    """Select the samples that draw the same line as the complete series.
 
     A series of up to three samples per bucket is kept complete. Of a longer one, the lowest and the highest sample of every
-    bucket are kept, so that no peak is lost, and one missing sample wherever half a bucket or more is missing, so that gaps
-    remain. Shorter gaps are bridged: a break at every missed cycle would leave little of the line. Samples within a run of
-    equal values are dropped.
+    bucket are kept, so that no peak is lost. One missing sample is kept in each bucket of which half or more is missing, so
+    that gaps remain. Shorter gaps are bridged: a break at every missed cycle would leave little of the line. Samples within a
+    run of equal values are dropped.
 
     Args:
         values: one signal, shape (n,), with NaN where a sample is missing.

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: what is wrong in the simulation, the evidence, the gain of mending it, and what remains open."""
+"""Report of a diagnosis: errors of the simulation, the evidence, the gain from correcting them, and open questions."""
 
 from pathlib import Path
 from typing import get_args
@@ -35,11 +35,11 @@ SINCE = {
     "consistent": "Nothing has changed",
     "insufficient": "The data are insufficient",
 }
-"""The same of a recording judged against baselines."""
+"""Heading of the page by verdict, for a recording judged against baselines."""
 
 
 def answer(found: Diagnosis) -> tuple[str, bool | None]:
-    """Return the result in a sentence, and whether all is well; None where the data do not tell."""
+    """Return the result in a sentence, and whether all is well; None if the data are insufficient."""
     sentence, good = findings.verdict_sentence(found)
     return (sentence if found.baseline is None else since_sentence(found)), good
 
@@ -50,8 +50,8 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     Args:
         found: the diagnosis.
         path: file to write; its folder must exist.
-        follows: what follows from it; a result that is None is not shown.
-        source: what was diagnosed, for the line below the heading.
+        follows: consequences of the diagnosis; a result that is None is not shown.
+        source: name of the diagnosed recording, for the line below the heading.
     """
     sentence, good = answer(found)
     rest = unexplained(found)
@@ -207,7 +207,7 @@ def _sensitivity(found: Diagnosis) -> list[str]:
                 " were not named. For effects with a threshold, such as play or a stop, no such size can be predicted."
             )
         )
-        # An effect that can be fitted in several ways says the same of a parameter that they share.
+        # Several forms of an effect give the same result for a parameter they share.
         rows: list[Row] = [
             [
                 Entry(name, words(name).noun),
@@ -239,4 +239,4 @@ _METHOD = (
     " beside it: those that still matter are named, the verdict is 'partial'. Where none does, it is 'unknown'. The signals"
     " that predict what remains are named."
 )
-"""How the verdict is reached."""
+"""Description of the method."""

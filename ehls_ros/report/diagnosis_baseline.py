@@ -1,4 +1,4 @@
-"""What a diagnosis against baselines says and shows: the sentence, old and new side by side, and what the baselines tell."""
+"""Sections of a diagnosis against baselines: the verdict, old and new side by side, and the learnt coefficients."""
 
 import numpy as np
 
@@ -14,14 +14,14 @@ from ehls_ros.report.page import Entry, Row, listed, number
 from ehls_ros.report.plot import GREY, VERMILION
 
 EXPECTED = "expected"
-"""Name of the curve that a recording without a change would follow."""
+"""Name of the curve expected without a change."""
 
 ONE_VIEW = "velocity_m_s"
-"""Signal of the picture where nothing has changed."""
+"""Signal of the figure if nothing has changed."""
 
 
 def since_sentence(found: Diagnosis) -> str:
-    """Say in a sentence what has changed since the baselines."""
+    """Return a sentence on the change since the baselines."""
     since = _since(found.baseline)
     judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged] or ["nothing"])
     if found.verdict == "consistent":
@@ -44,7 +44,7 @@ def _since(baseline: BaselineSummary | None) -> str:
 
 
 def old_and_new(found: Diagnosis) -> list[str]:
-    """Show what the fitted model leaves in the baseline and in the new recording, side by side."""
+    """Show the residuals of the fitted model in the baseline and in the new recording, side by side."""
     baseline = found.baseline
     channel = None if baseline is None else _main_channel(found, baseline)
     if baseline is None or channel is None:
@@ -72,13 +72,13 @@ def old_and_new(found: Diagnosis) -> list[str]:
 
 
 def learnt(found: Diagnosis) -> list[str]:
-    """Show what the baselines told of the rig, and how far they cover the recording."""
+    """Show the coefficients and remainders learnt from the baselines, and their coverage of the recording."""
     baseline = found.baseline
     return [] if baseline is None else [*_channels(baseline), *_coefficients(baseline), *_coverage(baseline)]
 
 
 def _main_channel(found: Diagnosis, baseline: BaselineSummary) -> Channel | None:
-    """Return the channel that shows the change best; without one, that of the force balance or the first."""
+    """Return the channel that shows the change best; without a change, the force balance or the first channel."""
     both = [c for c in baseline.new if c in baseline.old and c in found.traces]
     stage = found.causes[0].stage if found.causes else found.unknown_stage
     stages = [c for c in both if CHANNELS[c] == stage] or ([] if stage is None else both)
@@ -88,7 +88,7 @@ def _main_channel(found: Diagnosis, baseline: BaselineSummary) -> Channel | None
 
 
 def _signal(found: Diagnosis, channel: Channel, old: ChannelTrace, new: ChannelTrace) -> str:
-    """Return the signal that explains most of what has changed."""
+    """Return the signal that explains most of the change."""
     shared = [s for s, values in new.against.items() if s in old.against and float(np.ptp(values)) > 0.0]
     if not (found.causes or found.unknown_stage) and ONE_VIEW in shared:
         return ONE_VIEW

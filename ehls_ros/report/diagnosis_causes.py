@@ -1,4 +1,4 @@
-"""The parts of a diagnosis' report on its causes: named ones with their rivals, an unknown one, data that are insufficient."""
+"""Sections of a diagnosis report on causes: named ones with their rivals, an unknown one, or insufficient data."""
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.physics.effects import EFFECTS
@@ -16,7 +16,7 @@ RIVALS = 4
 
 
 def measured_and_simulated(found: Diagnosis) -> list[str]:
-    """Show over time what is measured and what the models make of it, where the error is; else the force balance."""
+    """Show measured and simulated signals over time in the channels with an error, otherwise in the force balance."""
     channels = [cause.channel for cause in found.causes if cause.channel in found.traces]
     channels += [view.channel for view in views_of_rest(found)]
     channels = channels or [channel for channel in ("force", *found.traces) if channel in found.traces][:1]
@@ -25,7 +25,7 @@ def measured_and_simulated(found: Diagnosis) -> list[str]:
 
 
 def what_to_do(found: Diagnosis) -> list[str]:
-    """Show what to do next: for each cause from its own file, for an unknown one by the signals it depends on."""
+    """Show the next steps: for each cause from its file, for an unknown one by the signals it depends on."""
     blocks = []
     if found.causes:
         rows: list[Row] = [
@@ -43,7 +43,7 @@ def what_to_do(found: Diagnosis) -> list[str]:
 
 
 def shares(found: Diagnosis) -> list[str]:
-    """Show what the causes close, each one's share and size, and what remains."""
+    """Show the error closed by the causes, the share and size of each, and the remainder."""
     bars = share_bars(found)
     blocks = [] if bars is None else [page.figures([bars]), page.paragraph(findings.gain_sentence(found))]
     if found.causes:
@@ -91,7 +91,7 @@ def _parameters(cause: Cause) -> list[Row]:
 
 
 def rivals(found: Diagnosis) -> list[str]:
-    """Show which other effects were fitted instead of each cause, and why they were not named."""
+    """Show the other effects fitted instead of each cause, and why they were not named."""
     blocks = []
     for cause in found.causes:
         if not cause.rivals:
@@ -119,7 +119,7 @@ def rivals(found: Diagnosis) -> list[str]:
 
 
 def unexplained(found: Diagnosis) -> list[str]:
-    """Show an error that no effect explains, and what it depends on."""
+    """Show an error that no effect explains, and the signals on which it depends."""
     if found.verdict not in ("partial", "unknown") or found.unknown_stage is None:
         return []
     blocks = [page.figures(remaining(found, views_of_rest(found)), columns=2)]

@@ -1,4 +1,4 @@
-"""The other figures of the diagnosis report: all stages, a channel's residual over every signal, the free run."""
+"""Further figures of the diagnosis report: all stages, a channel's residual over every signal, the free run."""
 
 from collections.abc import Mapping, Sequence
 
@@ -39,13 +39,13 @@ from ehls_ros.report.plot import (
 )
 
 ROW_HEIGHT, COLUMN_WIDTH, MOST_COLUMNS = 190, 190, 4
-"""Height and least width of the small pictures in pixels, and most of them side by side."""
+"""Height and least width of the small plots in pixels, and maximum number of them side by side."""
 
 ROW_OF_STAGE = 76
 """Height of a stage's bars in pixels."""
 
 LINES = 600
-"""Number of intervals a line of a free run is reduced to."""
+"""Number of intervals to which a line of a free run is reduced."""
 
 SMALL: tuple[tuple[str, ...], ...] = (
     ("time_s",),
@@ -55,10 +55,10 @@ SMALL: tuple[tuple[str, ...], ...] = (
     ("spool_m", "valve_command_m"),
     ("oil_temperature_k",),
 )
-"""Signals of the small pictures; of each group the first that was recorded."""
+"""Signals of the small plots; of each group the first that was recorded."""
 
 LAST: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_pressure_rate_pa_s"}
-"""Last signal of a channel's small pictures; the acceleration for all others."""
+"""Last signal of a channel's small plots; the acceleration for all others."""
 
 
 # --- the stages ----------------------------------------------------------------------------------
@@ -100,7 +100,7 @@ def stage_bars(found: Diagnosis) -> Panel | LeftOut:
     return Panel(title, traces, layout, height=110 + ROW_OF_STAGE * len(names), over_time=False)
 
 
-# --- small pictures ---------------------------------------------------------------------------
+# --- small plots ------------------------------------------------------------------------------
 
 
 def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
@@ -212,7 +212,7 @@ def spectrum(time: Array, residual: Array) -> tuple[Array, Array]:
 
 
 def _place(layout: Layout, place: int, grid: tuple[int, int], x: Axis, y: Axis) -> None:
-    """Add the axes of a small picture to the common layout; ``grid`` is rows and columns."""
+    """Add the axes of a small plot to the common layout; ``grid`` is rows and columns."""
     rows, columns = grid
     plane = plane_layout(x, y)
     suffix = "" if place == 0 else str(place + 1)

@@ -1,4 +1,4 @@
-"""The sentences of a diagnosis' report."""
+"""Sentences of a diagnosis report."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,19 +17,19 @@ from ehls_ros.report.page import listed, number
 from ehls_ros.schema import declarations
 
 AT_NOISE = 1.5
-"""Ratio of residual to noise up to which a balance is said to close to the noise, or to hold only noise."""
+"""Ratio of residual to noise up to which a balance counts as closed to the noise."""
 
 IN_A_SENTENCE = 2
-"""Largest number of causes, or of signals, that the sentence of the verdict lists."""
+"""Maximum number of causes, or of signals, listed in the sentence of the verdict."""
 
 SURE = 0.95
 """Probability above which a cause is named without a "probably"."""
 
 LIKELY = 0.5
-"""Probability from which the sentence of a partial answer names a cause among those that the error comes from."""
+"""Probability from which the sentence of a partial answer names a cause as likely."""
 
 HOPELESS = 1e6
-"""Odds above which a rival is out of the question, however large they are."""
+"""Odds above which a rival is excluded, and the exact figure is not shown."""
 
 STAGE_NAMES: Mapping[Stage, str] = {
     "force_balance": "force balance",
@@ -64,7 +64,7 @@ MEASURED: Mapping[Channel, str] = {
     "cell": "force",
     "velocity": "velocity",
 }
-"""What is measured in each channel, as the axis of its figure names it."""
+"""Measured quantity of each channel, as labelled on the axis of its figure."""
 
 COMPARED: Mapping[Stage, str] = {
     "force_balance": "force balance (3), with friction simulated along the recorded motion",
@@ -75,12 +75,12 @@ COMPARED: Mapping[Stage, str] = {
 
 
 def words(name: str) -> Words:
-    """Return how the report speaks of an effect."""
+    """Return the terms used for an effect in the report."""
     return EFFECTS.load(name).WORDS
 
 
 def meaning(name: str) -> str:
-    """Return what an effect is: the first sentence of its file."""
+    """Return the definition of an effect: the first paragraph of its file's docstring."""
     text = (EFFECTS.load(name).__doc__ or "").strip().split("\n\n", maxsplit=1)[0]
     return " ".join(text.split())
 
@@ -91,12 +91,12 @@ def parameter_meaning(effect: str, parameter: str) -> str:
 
 
 def parameters_text(effect: str, parameters: Mapping[str, Estimate], digits: int = 1) -> str:
-    """Write the parameters of an effect within a sentence."""
+    """Write the parameters of an effect for use within a sentence."""
     return ", ".join(f"{name.replace('_', ' ')} {fitted(effect, name, e, digits)}" for name, e in parameters.items())
 
 
 def fitted(effect: str, parameter: str, e: Estimate, digits: int = 2) -> str:
-    """Write a fitted parameter with its standard error, unless the data do not tell it.
+    """Write a fitted parameter with its standard error, or a note that it is not determined or at the end of its range.
 
     Args:
         effect: name of the effect.
@@ -124,7 +124,7 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
         found: the diagnosis.
 
     Returns:
-        A sentence, and whether the simulation is right; None where the data do not tell.
+        A sentence, and whether the simulation is right; None if the data are insufficient.
     """
     if found.verdict == "effect":
         return f"The simulation {_probably(found.causes)}{_wrong(found)}{_closed_part(found)}.", False
@@ -150,7 +150,7 @@ def _wrong(found: Diagnosis) -> str:
 
 
 def comes_from(found: Diagnosis) -> str:
-    """Say which causes an error has, the first ones first, and apart from them those that are less likely than not."""
+    """Return a clause on the likely causes of an error, followed by those less likely than not."""
     likely = [cause for cause in found.causes if cause.probability >= LIKELY] or found.causes[:1]
     text = f"{_probably(likely)}comes from {_in_short(found, likely)}"
     possible = [cause for cause in found.causes if cause not in likely]
@@ -158,14 +158,14 @@ def comes_from(found: Diagnosis) -> str:
 
 
 def _in_short(found: Diagnosis, causes: Sequence[Cause]) -> str:
-    """List causes within a sentence, in which there is no room for more than two."""
+    """List causes within a sentence, at most two of them by name."""
     said = [named(found, cause) for cause in causes[:IN_A_SENTENCE]]
     more = len(causes) - len(said)
     return listed([*said, *([f"{more} more" if more > 1 else "one more"] if more else [])])
 
 
 def named(found: Diagnosis, cause: Cause) -> str:
-    """Name a cause within a sentence; if it is the only one, with its size and what the data cannot distinguish from it."""
+    """Name a cause within a sentence; a single one with its size and the effects indistinguishable from it."""
     noun = words(cause.name).noun
     if len(found.causes) > 1:
         return noun
@@ -187,13 +187,13 @@ def _closed_part(found: Diagnosis) -> str:
 
 
 def rest(found: Diagnosis) -> str:
-    """Say what the error that no effect explains depends on."""
+    """Return a clause on the signals on which the unexplained error depends, with its stage."""
     where = "" if found.unknown_stage is None else f" in the {STAGE_NAMES[found.unknown_stage]}"
     return f"the rest{where} {depends(found)}"
 
 
 def depends(found: Diagnosis) -> str:
-    """Say on which signals an unexplained error depends."""
+    """Return a clause on the signals on which an unexplained error depends."""
     signals = (
         listed([quantity(s) for s in found.depends_on[:IN_A_SENTENCE]]) if found.depends_on else "no recorded signal alone"
     )
@@ -222,7 +222,7 @@ def _consistent_sentence(found: Diagnosis) -> str:
 
 
 def at_noise(result: StageResult) -> bool:
-    """Tell whether a stage holds no more than noise when all that is named is in the model."""
+    """Return whether only noise remains in a stage with all named causes in the model."""
     return (result.nrmse_after or 0.0) <= AT_NOISE * (result.noise_floor or 0.0)
 
 
@@ -231,7 +231,7 @@ def _size(result: StageResult) -> str:
 
 
 def noise_meaning(found: Diagnosis) -> str:
-    """Say what noise is, in every figure, table and sentence of the page."""
+    """Return the definition of noise in all figures, tables and sentences of the page."""
     spread = ", and the natural spread that the baselines show" if found.baseline is not None else ""
     return (
         "Noise, everywhere on this page, is how far a right model may be off: by what the sensors' noise does to the balance,"
@@ -243,7 +243,7 @@ def noise_meaning(found: Diagnosis) -> str:
 
 
 def gain_sentence(found: Diagnosis) -> str:
-    """Say in figures what the causes close on held-out data; empty without causes."""
+    """Return a sentence with the error closed by the causes on held-out data; empty without causes."""
     gain = found.gain
     if gain is None:
         return ""
@@ -260,14 +260,14 @@ def gain_sentence(found: Diagnosis) -> str:
 
 
 def odds(rival: Rival) -> str:
-    """Write the odds for a cause against a rival on held-out data; where there is no question, only their order."""
+    """Write the odds for a cause against a rival on held-out data, as a lower bound if very large."""
     if rival.behind > math.log(HOPELESS):
         return f">\u202f{number(int(HOPELESS))}\u202f:\u202f1"
     return f"{number(math.exp(max(rival.behind, 0.0)), 2)}\u202f:\u202f1"
 
 
 def runner_up_sentences(found: Diagnosis) -> list[str]:
-    """Return for each cause which effect in its place comes next, and which cannot be told from it."""
+    """Return, for each cause, the next best effect in its place and the effects indistinguishable from it."""
     out = []
     for cause in found.causes:
         noun, runner, text = words(cause.name).noun, runner_up(cause), ""
@@ -284,7 +284,7 @@ def runner_up_sentences(found: Diagnosis) -> list[str]:
 
 
 def why_lost(cause: Cause, rival: Rival) -> str:
-    """Say why another effect was not named instead of a cause."""
+    """Return the reason why another effect was not named instead of a cause."""
     if rival.name in cause.equivalent_to:
         return "cannot be distinguished from it with these data"
     if rival.closed_fraction < 0.0:
@@ -295,7 +295,7 @@ def why_lost(cause: Cause, rival: Rival) -> str:
 
 
 def left_over(result: StageResult) -> str:
-    """Say in a few words what remains of a stage."""
+    """Return a short description of a stage's remainder."""
     if not result.judged:
         return "not evaluated"
     if result.unexplained:
@@ -309,7 +309,7 @@ def left_over(result: StageResult) -> str:
 
 
 def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
-    """Return what limits the conclusions, a sentence or two each."""
+    """Return the limits of the conclusions, a sentence or two each."""
     out = []
     for stage, result in found.stages.items():
         if not found.names_causes or not result.judged or result.nrmse_after is None or not result.noise_floor:
@@ -354,7 +354,7 @@ def caveats(found: Diagnosis, remarks: Sequence[str] = ()) -> list[str]:
 
 
 def capital(text: str) -> str:
-    """Begin a sentence, without its full stop; the name of a signal stays as it is."""
+    """Capitalise a sentence and drop its full stop; the name of a signal is not changed."""
     text = text.rstrip(".")
     return text if text[:1].isupper() or "_" in text.split(" ", maxsplit=1)[0] else text[:1].upper() + text[1:]
 
@@ -395,7 +395,7 @@ _LOOK_ALWAYS: Mapping[Stage, str] = {
 
 
 def next_steps(found: Diagnosis) -> list[str]:
-    """Return what to do where no cause, or not all of the error, is known, a sentence each."""
+    """Return the next steps if no cause, or not all of the error, is known, a sentence each."""
     if found.verdict in ("unknown", "partial") and found.unknown_stage is not None:
         stage = STAGE_NAMES[found.unknown_stage]
         return [
@@ -414,7 +414,7 @@ def next_steps(found: Diagnosis) -> list[str]:
 
 
 def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:
-    """Return what to inspect on the rig for an unknown cause, each with the signal that points to it, strongest first."""
+    """Return the parts of the rig to inspect for an unknown cause, each with the signal that points to it, strongest first."""
     stage = found.unknown_stage
     if stage is None:
         return []
@@ -423,7 +423,7 @@ def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:
 
 
 def to_record(found: Diagnosis) -> list[tuple[str, str, str]]:
-    """Return what each stage that was not evaluated lacks: stage, signals it needs, what they have to do."""
+    """Return the stages that were not evaluated, each with the signals and the excitation it needs."""
     lacking = [stage for stage, result in found.stages.items() if not result.judged]
     return [(STAGE_NAMES[stage], NEEDED_SIGNALS[stage], NEEDED_MOTION[stage]) for stage in lacking]
 
@@ -439,23 +439,23 @@ def runner_up(cause: Cause) -> Rival | None:
 
 
 def before_name(found: Diagnosis) -> str:
-    """Name the model without the causes."""
+    """Return the name of the model without the causes."""
     return "given model" if found.baseline is None else "no change assumed"
 
 
 def after_name(found: Diagnosis) -> str:
-    """Name the model with the causes."""
+    """Return the name of the model with the causes."""
     extended = "extended model" if found.baseline is None else "with the change"
     return f"{extended if found.causes else 'with effects that explain a part'}, held-out data"
 
 
 def compares(found: Diagnosis) -> bool:
-    """Tell whether there is a second model to compare with the given one."""
+    """Return whether there is a second model to compare with the given one."""
     return bool(found.causes or found.partial)
 
 
 def largest_first(found: Diagnosis) -> list[Channel]:
-    """Return the channels, the largest residual first."""
+    """Return the channels in order of decreasing residual."""
 
     def changed(channel: Channel) -> float:
         trace = found.traces[channel]

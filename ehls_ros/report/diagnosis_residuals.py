@@ -1,4 +1,4 @@
-"""The pictures of a diagnosis' residuals: over time, and over a signal, without and with the causes."""
+"""Figures of a diagnosis' residuals over time and over a signal, without and with the causes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -30,26 +30,26 @@ from ehls_ros.report.plot import (
 )
 
 POINTS = 2000
-"""Largest number of dots of one residual in the main picture."""
+"""Maximum number of dots of one residual in the main figure."""
 
 SMALL_BINS = 24
-"""Classes of the band of noise, and of the small pictures."""
+"""Number of classes of the noise band, and of the small plots."""
 
 GAP = 3.0
-"""Time between two windows over which no line is drawn, as a multiple of the usual one."""
+"""Interval between two windows, as a multiple of the usual one, above which the line is interrupted."""
 
 FLOOR, SPREAD = "noise, 95 %", 2.0
-"""Name of the band of noise, and its half width in standard deviations."""
+"""Name of the noise band, and its half width in standard deviations."""
 
 BESIDE = ((BLACK, "dash"), (GREEN, "dot"))
-"""Colour and pattern of further means in a picture."""
+"""Colour and pattern of further means in a figure."""
 
 
 class Cloud(NamedTuple):
-    """The residuals of one model along one recording, for a picture over a signal.
+    """Residuals of one model along one recording, for a scatter plot over a signal.
 
     Attributes:
-        title: heading of the picture.
+        title: heading of the figure.
         color: of the dots and their mean.
         signal: the signal over the windows, in SI, shape (n,).
         residual: the residual, in the unit of its channel, shape (n,).
@@ -66,7 +66,7 @@ class Cloud(NamedTuple):
 
 
 def over_time(found: Diagnosis, channel: Channel) -> Panel:
-    """Draw what a channel measures and what the models make of it over time, and below the residuals in the band of noise."""
+    """Draw a channel's measured and simulated quantity over time, and below it the residuals with the noise band."""
     trace = found.traces[channel]
     above, below = (unit_for(trace.unit, float(np.quantile(np.abs(v), 0.98))) for v in (trace.measured, trace.before))
     gaps = np.flatnonzero(np.diff(trace.time) > GAP * np.median(np.diff(trace.time))) + 1
@@ -104,7 +104,7 @@ def over_signal(found: Diagnosis, view: View) -> list[Panel]:
 
 
 def remaining(found: Diagnosis, views: Sequence[View]) -> list[Panel]:
-    """Draw what remains of a channel's residual over each signal."""
+    """Draw the remainder of a channel's residual over each signal."""
     drawn = []
     for view in views:
         trace = found.traces[view.channel]
@@ -119,14 +119,14 @@ def _cloud_of(trace: ChannelTrace, view: View, title: str, color: str, residual:
 
 
 def planes(channel: Channel, signal: str, unit: str, clouds: Sequence[Cloud], *, along: bool = False) -> list[Panel]:
-    """Draw residuals over a signal, a picture each, all with the same axes.
+    """Draw residuals over a signal, one figure each, all with the same axes.
 
     Args:
         channel: channel of the residuals.
         signal: name of the signal.
         unit: unit of the residuals.
-        clouds: what to draw.
-        along: the residuals are counted along the motion.
+        clouds: the residuals to draw.
+        along: whether the residuals are taken along the motion.
     """
     y_unit = unit_for(unit, max(float(np.quantile(np.abs(cloud.residual), 0.98)) for cloud in clouds))
     largest = max(float(np.max(np.abs(cloud.signal))) for cloud in clouds)
@@ -163,14 +163,14 @@ def _thinned(count: int) -> slice:
 
 
 def whole(values: Array) -> tuple[float, float]:
-    """Return the ends of an axis that shows all values, with some air."""
+    """Return the limits of an axis that shows all values, with a margin."""
     low, high = float(np.min(values)), float(np.max(values))
     air = 0.02 * (high - low) or 1.0
     return low - air, high + air
 
 
 def span(residuals: Sequence[Array], part: float = 0.002) -> tuple[float, float]:
-    """Return the ends of an axis for residuals, without the fraction ``part`` at either end that lies farthest out."""
+    """Return the limits of an axis for residuals, without the outermost fraction ``part`` at either end."""
     low = min(float(np.quantile(r, part)) for r in residuals)
     high = max(float(np.quantile(r, 1.0 - part)) for r in residuals)
     air = 0.12 * (high - low) or 1.0

@@ -1,4 +1,4 @@
-"""The bars of a diagnosis: what the causes close of the removable error, each one's share, and what remains."""
+"""Bar chart of a diagnosis: the removable error closed by the causes, each one's share, and the remainder."""
 
 from collections.abc import Mapping
 from html import escape
@@ -12,7 +12,7 @@ from ehls_ros.report.page import Panel
 from ehls_ros.report.plot import BLUE, PURE_NUMBER, SKY, VERMILION, Axis, Trace, Unit, plane_layout
 
 ROW_OF_BAR, BAR_WIDTH = 52, 0.5
-"""Height of a bar of shares with its label in pixels, and the fraction of it that the bar takes."""
+"""Height of a bar of shares with its label in pixels, and the fraction of it taken by the bar."""
 
 
 class _Bar(NamedTuple):
@@ -27,7 +27,7 @@ _PARTS = ((CLOSED, BLUE), (RETURNS, SKY), (REMAINS, VERMILION))
 
 
 def share_bars(found: Diagnosis) -> Panel | None:
-    """Draw what the causes close of each channel's removable error, what remains, and the share of each cause."""
+    """Draw each channel's removable error closed by the causes, its remainder, and the share of each cause."""
     gains = {} if found.gain is None else found.gain.channels
     bars = [bar for channel, closed in gains.items() for bar in _bars(found, channel, closed)]
     if not bars:

@@ -1,4 +1,4 @@
-"""Units of practice, µm, bar or mm/s in place of SI, chosen by the SI unit and the magnitude of the value."""
+"""Practical units, such as µm, bar or mm/s, chosen by the SI unit and the magnitude of the value."""
 
 import math
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ _UNITS: Mapping[str, tuple[tuple[float, Unit], ...]] = {
     "N/Pa": ((math.inf, Unit("N/bar", 1e5)),),
 }
 ALMOST = 0.9995
-"""Probability above which one decimal would round to 100 %."""
+"""Probability above which rounding to one decimal gives 100 %."""
 
 
 def unit_for(unit: str, size: float) -> Unit:
@@ -62,23 +62,23 @@ def estimate(found: Estimate, digits: int = 2) -> str:
 
 
 def value(size: float, unit: str, digits: int = 3) -> str:
-    """Write a value in a unit of practice."""
+    """Write a value in a practical unit."""
     shown = unit_for(unit, abs(size))
     return f"{as_shown(float(f'{shown.factor * size:.{digits}g}'))}{after(shown)}"
 
 
 def change(size: float, unit: str) -> str:
-    """Write a change; that of a pure number in per cent."""
+    """Write a change, in per cent for a pure number."""
     return f"{number(100.0 * size, 2)} %" if unit == "1" else value(size, unit, 2)
 
 
 def after(unit: Unit) -> str:
-    """Return a unit as written after a number."""
+    """Return the text of a unit after a number."""
     return "" if unit.symbol == "–" else f" {unit.symbol}"
 
 
 def percent(share: float | None) -> str:
-    """Write a fraction in per cent; close to 100 % with one decimal."""
+    """Write a fraction in per cent, with one decimal close to 100 %."""
     if share is None or not math.isfinite(share):
         return MISSING_NUMBER
     if 0.0 < share < 1e-5:
@@ -130,12 +130,12 @@ def quantity(signal: str) -> str:
 
 
 def shown_signal(signal: str, values: Array, largest: float | None = None) -> Shown:
-    """Return a signal in the unit of its axis.
+    """Return a signal in the practical unit of its axis.
 
     Args:
-        signal: name in the data contract, or one derived from it.
+        signal: name in the data contract, or of a derived signal.
         values: in SI, shape (n,).
-        largest: magnitude that decides the unit, where several recordings share an axis; by default that of the values.
+        largest: magnitude that selects the unit if several recordings share an axis; by default that of the values.
     """
     declared = READABLE[signal].unit if signal in READABLE else "1"
     name, unit = _QUANTITIES.get(signal, (signal.replace("_", " "), declared))

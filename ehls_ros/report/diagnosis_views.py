@@ -1,4 +1,4 @@
-"""Which view shows an error best: a residual, and the signal to draw it against."""
+"""Selection of the best view of an error: a residual, and the signal to draw it against."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -13,16 +13,16 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Group
 
 BINS, LEAST_IN_BIN = 40, 12
-"""Number of classes of a signal for which means are drawn, and smallest number of windows in a class."""
+"""Largest number of classes of a signal for which means are drawn, and smallest number of windows in a class."""
 
 MOST_SIGNALS = 4
-"""Largest number of signals over which a remainder is drawn."""
+"""Largest number of signals against which a remainder is drawn."""
 
 TIMES = 8
 """Number of classes of time in which a residual is checked for drift."""
 
 NEAR = 0.05
-"""A natural signal of an effect is preferred if it explains at most this fraction of the power less than the best signal."""
+"""Shortfall in explained power, relative to the best signal, up to which a typical signal of an effect is preferred."""
 
 NATURAL: Mapping[Group, tuple[str, ...]] = {
     "valve": ("spool_m", "valve_command_m"),
@@ -41,7 +41,7 @@ class View(NamedTuple):
     Attributes:
         channel: channel of the residual.
         signal: signal on the horizontal axis.
-        along: the residual is counted along the motion: multiplied by the sign of the velocity.
+        along: whether the residual is taken along the motion, multiplied by the sign of the velocity.
         explained: fraction of the residual's power in its class means over the signal.
     """
 
@@ -59,7 +59,7 @@ def view_of_cause(found: Diagnosis, cause: Cause) -> View | None:
 
 
 def views_of_rest(found: Diagnosis) -> list[View]:
-    """Return the views that show what remains unexplained over the signals it depends on; over the best one without such."""
+    """Return the views of the unexplained remainder over the signals it depends on, otherwise over the best signal."""
     channels = [c for c in found.traces if CHANNELS[c] == found.unknown_stage]
     if not channels:
         return []
@@ -102,7 +102,7 @@ def _best_view(found: Diagnosis, channel: Channel, natural: Sequence[str], *, af
 
 
 def signals_of(trace: ChannelTrace) -> dict[str, Array]:
-    """Return the signals a residual may depend on, those that change, by name."""
+    """Return the varying signals on which a residual may depend, by name."""
     found = {"time_s": trace.time, **trace.against}
     return {name: values for name, values in found.items() if float(np.ptp(values)) > 0.0} or {"time_s": trace.time}
 
@@ -124,7 +124,7 @@ def _class_of(values: Array, edges: Array) -> Array:
 
 
 def members(values: Array, bins: int) -> list[NDArray[np.intp]]:
-    """Return the indices of the windows in each class of a signal, empty classes left out."""
+    """Return the indices of the windows in each non-empty class of a signal."""
     edges = _edges(values, bins)
     index = _class_of(values, edges)
     found = [np.flatnonzero(index == i) for i in range(max(len(edges) - 1, 1))]

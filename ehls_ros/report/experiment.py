@@ -1,4 +1,4 @@
-"""The report of one run."""
+"""Report of one run."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from ehls_ros.report.run_statistics import sampling_sentence, statistics
 from ehls_ros.trajectory import Trajectory, steady_error
 
 MOST_EVENTS = 200
-"""Most lines of what was done to a run."""
+"""Maximum number of events listed."""
 
 
 def write_experiment_report(
@@ -28,12 +28,12 @@ def write_experiment_report(
     """Write one self-contained HTML file that shows a run.
 
     Args:
-        trajectory: the run, with any subset of the signals; a figure whose signals are missing is named as left out. The
-            followed quantity comes first: the position where the run has a position reference, else the force. Of the
+        trajectory: the run, with any subset of the signals; a figure with missing signals is listed as left out. The
+            controlled quantity comes first: the position if the run has a position reference, else the force. Of the
             metadata the report shows ``title``, ``timing``, ``wall_s``, ``rig``, ``spec`` and ``versions``.
         metrics: metrics of the run; None for a recording without a reference.
         path: file to write; its folder must exist.
-        events: what was done to the run.
+        events: events during the run.
         name: heading of a recording without a title, such as its file's name.
     """
     sentence, good = summary(trajectory, metrics)
@@ -82,7 +82,7 @@ def write_experiment_report(
 
 
 def _done_to(events: Sequence[Event]) -> list[str]:
-    """Return the table of what was done to the run."""
+    """Return the table of the run's events."""
     if not events:
         return []
     rows = [("before" if event.time_s is None else f"{event.time_s:.3f}", event.node, event.what) for event in events]
@@ -95,7 +95,7 @@ COUNTED = {
     "at_bound": "Estimate at its bound",
     "friction_fallback": "Steady friction in use",
 }
-"""Facts of which the cycles are counted, by signal."""
+"""Conditions whose cycles are counted, by signal."""
 
 
 def summary(trajectory: Trajectory, metrics: Metrics | None) -> tuple[str, bool | None]:
@@ -107,7 +107,7 @@ def summary(trajectory: Trajectory, metrics: Metrics | None) -> tuple[str, bool 
 
     Returns:
         The sentence, and whether the error converged and stayed inside its bound without a missed cycle or a warning, and in
-        real time where that was required; None if there is no bound to compare with.
+        real time if required; None if there is no bound to compare with.
     """
     if metrics is None:
         return f"{sampling_sentence(trajectory)} There is no reference, so no tracking error can be evaluated.", None

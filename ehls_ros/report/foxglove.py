@@ -1,7 +1,7 @@
-"""A stream of trajectories to Foxglove, or any client of its WebSocket protocol, without ROS.
+"""Streaming of trajectories to Foxglove, or any client of its WebSocket protocol, without ROS.
 
-The messages are those of the node graph, with the same topics and schemas as a bag: one layout shows both. All sources share
-one clock, that of the samples, so that a recording and a simulation can be overlaid.
+The messages are those of the node graph, with the same topics and schemas as a bag, so that one layout shows both. All sources
+share the clock of the samples, so that a recording and a simulation can be overlaid.
 """
 
 import heapq
@@ -26,13 +26,13 @@ TICK = 0.02
 """Interval over which due messages are collected before they are sent [s]."""
 
 SETTLED = 0.2
-"""A viewer's subscriptions are complete when none has come for this long [s]."""
+"""Time without a new subscription after which a viewer's subscriptions count as complete [s]."""
 
 BACKLOG = 100_000
-"""Messages kept for a slow viewer; beyond that the oldest are dropped."""
+"""Maximum number of messages queued for a slow viewer; beyond that the oldest are dropped."""
 
 STRETCH = 2000
-"""Samples converted to messages at a time."""
+"""Number of samples converted to messages at a time."""
 
 Message = tuple[int, str, bytes]
 """Time [ns], topic with its namespace, and content as CDR."""
@@ -43,8 +43,8 @@ class Source(NamedTuple):
 
     Attributes:
         namespace: namespace of its topics, such as ``/ehls``.
-        start_s: time of the clock at which it begins [s].
-        stretches: starts from the beginning and returns the trajectory piece by piece; its times may start anywhere.
+        start_s: clock time at which it begins [s].
+        stretches: restarts from the beginning and returns the trajectory piece by piece; its times may start anywhere.
     """
 
     namespace: str
@@ -53,24 +53,24 @@ class Source(NamedTuple):
 
 
 def in_stretches(trajectory: Trajectory) -> Iterator[Trajectory]:
-    """Cut a trajectory into pieces that convert to messages quickly."""
+    """Divide a trajectory into pieces that convert to messages quickly."""
     for first in range(0, len(trajectory), STRETCH):
         rows = slice(first, first + STRETCH)
         yield Trajectory(trajectory.time_s[rows], {name: values[rows] for name, values in trajectory.signals.items()})
 
 
 def messages_of(source: Source) -> Iterator[Message]:
-    """Yield a source's messages in the order of their times.
+    """Yield a source's messages in order of time.
 
     Raises:
-        BadInput: the source holds what messages cannot express.
+        BadInput: the source has values that messages cannot express.
     """
     first = 0
     offset = 0.0
     for stretch in source.stretches():
         if first == 0:
             offset = source.start_s - stretch.time_s[0]
-        # The time a command was sent is not shown; it appears at its sample, like all other signals.
+        # The send time of a command is not used; the command appears at its sample, like all other signals.
         signals = {name: values for name, values in stretch.signals.items() if name != RESPONSE}
         time_s = stretch.time_s + offset if offset else stretch.time_s
         due: list[Message] = []
@@ -96,11 +96,11 @@ def play(
     """Publish messages when they are due, never earlier and at most :data:`TICK` later.
 
     Args:
-        messages: messages in the order of their times.
+        messages: messages in order of time.
         rate: seconds of the messages' clock per second of wall clock.
-        publish: takes one message.
-        tell_time: takes the time of the clock [ns].
-        stopping: ends the play once it is set.
+        publish: called with each message.
+        tell_time: called with the clock time [ns].
+        stopping: ends playback once it is set.
     """
     began = time.perf_counter()
     first_ns: int | None = None
@@ -127,46 +127,46 @@ class Viewers(ServerListener):
         self._since = 0.0
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Note a subscription."""
+        """Register a subscription."""
         with self._changed:
             self._asked.add((client.id, channel.id))
             self._since = time.monotonic()
             self._changed.notify_all()
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """Note that a subscription was withdrawn, or its viewer has left."""
+        """Remove a subscription that was withdrawn, or whose viewer has disconnected."""
         with self._changed:
             self._asked.discard((client.id, channel.id))
             self._changed.notify_all()
 
     def present(self) -> bool:
-        """Tell whether a viewer has subscribed to all it needs."""
+        """Return whether a viewer is connected and its subscriptions are complete."""
         with self._changed:
             return bool(self._asked) and time.monotonic() - self._since > SETTLED
 
     def wait(self, *, present: bool, stopping: Stopping) -> None:
-        """Wait until a viewer is present, or none is; or until told to stop."""
+        """Wait until a viewer is present, or none is, or until a stop is requested."""
         while self.present() != present and not stopping.is_set():
             with self._changed:
                 self._changed.wait(TICK)
 
 
 class FoxgloveServer:
-    """A server for any viewer, read only: it accepts no messages, parameters or services."""
+    """Read-only server for any viewer: it accepts no messages, parameters or services."""
 
     def __init__(self, host: str, port: int, topics: Mapping[str, Sequence[Topic]]) -> None:
-        """Listen, and advertise the topics.
+        """Start listening and advertise the topics.
 
         Args:
-            host: address to listen at.
-            port: port to listen at; 0: any free one.
+            host: address to listen on.
+            port: port to listen on; 0: any free one.
             topics: topics by namespace.
 
         Raises:
             BadInput: it cannot listen there.
         """
         self.viewers = Viewers()
-        # Kept: a context without a reference advertises nothing.
+        # Keep a reference: a garbage-collected context advertises nothing.
         self._context = foxglove.Context()
         self._channels = {
             topic.resolve(namespace): foxglove.Channel(
@@ -196,12 +196,12 @@ class FoxgloveServer:
         return self._server.port
 
     def publish(self, message: Message) -> None:
-        """Send one message."""
+        """Send a message."""
         time_ns, topic, data = message
         self._channels[topic].log(data, log_time=time_ns)
 
     def tell_time(self, time_ns: int) -> None:
-        """Send the time of the clock."""
+        """Send the clock time."""
         self._server.broadcast_time(time_ns)
 
     def __enter__(self) -> Self:
@@ -216,7 +216,7 @@ class FoxgloveServer:
 
 
 def serve(server: FoxgloveServer, sources: Sequence[Source], rate: float, stopping: Stopping) -> None:
-    """Play while a viewer is present, and again for the next one after all have left, until told to stop.
+    """Play back while a viewer is present, and again for the next one after all have disconnected, until stopped.
 
     Args:
         server: the server.

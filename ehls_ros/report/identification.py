@@ -1,4 +1,4 @@
-"""The report of an identification: the coefficients, their uncertainty, and the data beside the fit."""
+"""Report of an identification: the coefficients, their uncertainty, and the data beside the fit."""
 
 import math
 from collections.abc import Callable
@@ -31,13 +31,13 @@ from ehls_ros.report.page import (
 )
 
 RECORDINGS = 6
-"""Most recordings that the joint fit is drawn for."""
+"""Maximum number of recordings for which the joint fit is drawn."""
 
 NO_CORRELATION, ALMOST_ONE = 5e-3, 0.995
-"""Correlations below and above which two decimals would show 0 and 1."""
+"""Correlations below and above which two decimals would round to 0 and 1."""
 
 NAMED = 4
-"""Most recordings named in the line below the heading."""
+"""Maximum number of recordings named in the line below the heading."""
 
 
 def write_identification_report(found: Identification, path: Path, *, before: Rig | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The figures of the identification report: each function returns a panel, or why it is left out."""
+"""Figures of the identification report: each function returns a panel, or the reason for its omission."""
 
 import math
 from collections.abc import Sequence
@@ -43,19 +43,19 @@ from ehls_ros.report.plot import (
 from ehls_ros.samples import Mask
 
 CURVE_POINTS = 400
-"""Points of a curve on each side of standstill."""
+"""Number of points of a curve on each side of standstill."""
 
 FLAT = 0.02
-"""Fraction of the Stribeck curve's rise that remains where its low speeds end."""
+"""Remaining fraction of the Stribeck curve's rise at the end of the low-speed range."""
 
 LOOP_BLOCKS = 4000
-"""Most blocks of a recording drawn as a hysteresis loop."""
+"""Maximum number of blocks of a recording drawn as a hysteresis loop."""
 
 EXCERPT = 1500
-"""Blocks of a recording for which the joint fit is shown."""
+"""Number of blocks of a recording for which the joint fit is shown."""
 
 POINTS = 3000
-"""Most residuals of a recording drawn as a cloud."""
+"""Maximum number of residuals of a recording drawn as a scatter plot."""
 
 COST, ITERATION = Unit("–"), Unit("–")
 WAYS = ((1.0, "forwards", BLUE, "circle"), (-1.0, "backwards", PURPLE, "diamond-open"))
@@ -96,7 +96,7 @@ def stribeck(found: Identification) -> Panel | LeftOut:
 
 
 def stribeck_slow(found: Identification) -> Panel | LeftOut:
-    """Draw the same at low speed, both directions on top of each other."""
+    """Draw the Stribeck curve at low speed, both directions on top of each other."""
     title = "Stribeck curve at low speed"
     static = found.static
     if static is None:
@@ -148,7 +148,7 @@ def _classes(velocity: Array, force: Array, name: str, color: str, symbol: str =
 
 
 def _low_end(friction: StaticFriction, speed: Array) -> float:
-    """Return the speed at which the Stribeck curve has come down [m/s], with some of the data below it."""
+    """Return the speed up to which the Stribeck curve has decayed, with some of the data below it [m/s]."""
     slowest, fastest = float(speed.min()), float(speed.max())
     try:
         down = friction.stribeck_velocity * (-math.log(FLAT)) ** (1.0 / friction.stribeck_exponent)
@@ -209,7 +209,7 @@ def branch(found: Identification) -> Panel | LeftOut:
 
 
 def element_stiffness(found: Identification) -> Array:
-    """Return the stiffness of the element that gives way at each node, by (22), shape (nodes,) [N/m]."""
+    """Return the stiffness of the element that starts to slip at each node, by (22), shape (nodes,) [N/m]."""
     slope = np.array([node.slope for node in found.nodes])
     stiffness: Array = slope - np.append(slope[1:], 0.0)
     return stiffness
@@ -234,7 +234,7 @@ def excerpt(motion: Motion, residual: Array, noise: float) -> Panel | LeftOut:
 
     Args:
         motion: the recording.
-        residual: measured less fitted force, NaN where a block did not count, shape (n,) [N].
+        residual: measured less fitted force, NaN for blocks not fitted, shape (n,) [N].
         noise: its standard deviation [N].
     """
     title = f"Joint fit: {motion.name}"
@@ -256,12 +256,12 @@ def excerpt(motion: Motion, residual: Array, noise: float) -> Panel | LeftOut:
 
 
 def _small_dots(trace: Trace) -> Trace:
-    """Keep the dots of isolated samples from hiding the lines below."""
+    """Return a trace with small dots, so that isolated samples do not hide the lines below."""
     return trace | {"marker": trace["marker"] | {"size": 2}}
 
 
 def _excerpt(counted: Mask) -> slice:
-    """Return the stretch closest to the middle with about as many counted blocks as any."""
+    """Return the stretch closest to the middle with about as many fitted blocks as any."""
     length = min(EXCERPT, len(counted))
     total = np.concatenate([[0], np.cumsum(counted)])
     inside = total[length:] - total[:-length]
@@ -310,7 +310,7 @@ def residual_over_velocity(motion: Motion, residual: Array) -> Panel | LeftOut:
 
 
 def _thinned(residual: Array) -> tuple[NDArray[np.intp], str]:
-    """Return which residuals are drawn, and a sentence where they are not all."""
+    """Return the indices of the drawn residuals, and a note if some are omitted."""
     counted = np.flatnonzero(np.isfinite(residual))
     stride = -(-counted.size // POINTS)
     return counted[::stride], "" if stride == 1 else f"One block in {stride}."

@@ -1,4 +1,4 @@
-"""What an identification says, in words and in numbers with the digits that their errors leave."""
+"""Findings of an identification, in words and in numbers rounded to their standard errors."""
 
 import math
 import re
@@ -25,13 +25,13 @@ NORMAL_95 = 1.96
 """Half of the 95 % interval of a normal distribution, in standard errors."""
 
 TOGETHER = 1.2
-"""Ratio of the travels at which elements give way, below which they act as one."""
+"""Ratio of the travels at which elements start to slip, below which they act as one."""
 
 STRONG = 0.9
-"""Correlation above which a pair is worth naming."""
+"""Correlation above which a pair is named."""
 
 NOISY = 3.0
-"""Residuals, as a multiple of the sensor's noise, that noise no longer explains."""
+"""Ratio of residuals to the sensor's noise above which noise does not explain them."""
 
 EXACT = 1e-12
 """Standard error, as a fraction of the value, below which it counts as zero."""
@@ -53,14 +53,14 @@ SYMBOLS = {
     "gravity": "g",
 }
 READABLE = {"m/s": Unit("mm/s", 1e3), "N s/m": Unit("N s/mm", 1e-3), "N/m": Unit("N/mm", 1e-3)}
-"""Units of the paper and the figures, by the rig file's SI units."""
+"""Units of the paper and the figures, by the SI units of the rig file."""
 
 
 class Written(NamedTuple):
     """An estimate as text.
 
     Attributes:
-        value: to the last digit that the standard error leaves.
+        value: rounded to the last significant digit of the standard error.
         error: the standard error, with as many decimals.
         low: lower end of the 95 % interval.
         high: upper end.
@@ -73,7 +73,7 @@ class Written(NamedTuple):
 
 
 class NotTold(NamedTuple):
-    """A coefficient that the data do not tell.
+    """A coefficient that the data do not identify.
 
     Attributes:
         name: its name in the rig file.
@@ -91,7 +91,7 @@ def written(value: float, std: float, digits: int = 2) -> Written:
 
     Args:
         value: the value.
-        std: its standard error; a dash stands for what is not finite.
+        std: its standard error; numbers that are not finite are written as a dash.
         digits: significant digits of the standard error.
     """
     if not math.isfinite(value):
@@ -112,7 +112,7 @@ def _fixed(value: float, decimals: int) -> str:
 
 
 def as_given(value: float) -> str:
-    """Write a number that was given, not measured: all its digits and no more."""
+    """Write a given, not measured, number with exactly its digits."""
     if not math.isfinite(value):
         return MISSING_NUMBER
     text = f"{value:,.10g}" if value == 0 or 1e-6 <= abs(value) < 1e10 else f"{value:.6g}"
@@ -122,7 +122,7 @@ def as_given(value: float) -> str:
 
 
 def percent(part: float) -> str:
-    """Write a fraction as a percentage; below a thousandth of a percent only that it is."""
+    """Write a fraction as a percentage, "< 0.001 %" if smaller than that."""
     if not math.isfinite(part):
         return MISSING_NUMBER
     return f"{number(100 * part, 2)} %" if abs(part) >= 1e-5 or part == 0 else "< 0.001 %"
@@ -135,17 +135,17 @@ def split(name: str) -> tuple[str, str]:
 
 
 def symbol(name: str) -> str:
-    """Return the symbol of a coefficient, or its name where there is none."""
+    """Return the symbol of a coefficient, or its name if there is none."""
     base, index = split(name)
     return SYMBOLS[base] + index if base in SYMBOLS else name
 
 
 def meaning(rig: Rig, name: str) -> str:
-    """Say what a coefficient of a rig is, from its declaration."""
+    """Return the description of a rig's coefficient from its declaration."""
     base, index = split(name)
     declared = {d.name: d.description for group in (Plant, type(rig.friction)) for d in declarations(group)}
     text = declared.get(base, "").split(";", maxsplit=1)[0]
-    # The symbol stands in a column of its own.
+    # The symbol has a separate column.
     return re.sub(r" \w+_i\b", "", text).replace("each element", f"element {index}") if index else text
 
 
@@ -163,7 +163,7 @@ def readable(estimate: Estimate, digits: int = 1) -> str:
 
 
 def value_in(rig: Rig, name: str) -> float | tuple[float, ...] | None:
-    """Return a coefficient of a rig; None where it has none of that name or number."""
+    """Return a coefficient of a rig; None if it has none of that name or number."""
     base, index = split(name)
     for group in (rig.friction, rig.plant):
         if base in group._fields:
@@ -175,7 +175,7 @@ def value_in(rig: Rig, name: str) -> float | tuple[float, ...] | None:
 
 
 def not_told(found: Identification) -> list[NotTold]:
-    """List the coefficients that the data do not tell, with the reason for each."""
+    """List the coefficients that are not identifiable, with the reason for each."""
     return [NotTold(name, _kept(found, name), _reason(found, name)) for name in found.not_identifiable]
 
 
@@ -205,21 +205,21 @@ def _reason(found: Identification, name: str) -> str:
 
 
 def other_remarks(found: Identification) -> list[str]:
-    """Return the remarks that give no reason for something not identifiable, without that on the number of elements."""
+    """Return the remarks except reasons for unidentifiable coefficients and the one on the number of elements."""
     named = [re.compile(rf"\b{re.escape(name)}\b") for name in found.not_identifiable]
     left = [remark for remark in found.remarks if not any(name.search(remark) for name in named)]
     return [remark for remark in left if found.branch is None or "Bayesian" not in remark]
 
 
 def verdict_sentence(found: Identification) -> tuple[str, bool | None]:
-    """Sum an identification up.
+    """Summarise an identification.
 
     Args:
         found: the result.
 
     Returns:
-        One sentence, and whether all coefficients are identified; None if an experiment is missing, False if the data are
-        vague or a search has not converged.
+        One sentence, and whether all coefficients are identified; None if an experiment is missing, False if estimates are
+        too uncertain or a search has not converged.
     """
     scalars = [name for name in found.rig.friction._fields if name in found.estimates]
     told = [f"{symbol(name)} {readable(found.estimates[name])}" for name in scalars]
@@ -248,13 +248,13 @@ def _acts_alike(found: Identification, name: str) -> bool:
 
 
 def _is_vague(found: Identification, name: str) -> bool:
-    """Tell whether a coefficient was searched for in vain, not left out for want of a recording."""
+    """Return whether a coefficient was fitted without success, not left out for lack of a recording."""
     said = [remark for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
     return any("standard error" in remark or "told apart" in remark or "limit" in remark for remark in said)
 
 
 def elements_remark(found: Identification) -> str:
-    """Say how many friction elements explain the loop."""
+    """Return a remark on the number of friction elements that explain the loop."""
     count = len(found.fit.friction.element_stiffness)
     if found.branch is None:
         return "the hysteresis loop is not identified"
@@ -268,7 +268,7 @@ _COUNTS = {1: "one", 2: "two", 3: "three", 4: "four"}
 
 
 def criteria_remark(found: Identification) -> str:
-    """Say how the Bayesian information criterion changes with other numbers of elements."""
+    """Return a remark on the Bayesian information criterion for other numbers of elements."""
     chosen = len(found.fit.friction.element_stiffness)
     ours = found.criteria.get(chosen, math.nan)
     others = [(count, value - ours) for count, value in sorted(found.criteria.items()) if count != chosen]
@@ -293,7 +293,7 @@ def _change(value: float) -> str:
 
 
 def correlation_remark(found: Identification) -> str:
-    """Name the most strongly correlated pairs."""
+    """Return a remark on the most strongly correlated pairs."""
     names = list(found.estimates)
     pairs = [
         (abs(float(found.correlations[i, j])), names[j], names[i], float(found.correlations[i, j]))
@@ -312,7 +312,7 @@ def correlation_remark(found: Identification) -> str:
 
 
 def noise_remark(found: Identification) -> str:
-    """Compare the residuals with the noise of the force sensor."""
+    """Return a remark that compares the residuals with the noise of the force sensor."""
     ratios: Mapping[str, float] = {
         motion.name: left / motion.force_noise
         for motion, left in zip(found.motions, found.fit.noise, strict=True)

@@ -1,4 +1,4 @@
-"""The report of a monitor: the rig's health, what happened, how each coefficient went, and what is not told."""
+"""Report of a monitor: the rig's health, events, trends of the coefficients, and those not identifiable."""
 
 from collections.abc import Sequence
 from datetime import date, datetime, timedelta
@@ -55,14 +55,14 @@ from ehls_ros.report.plot import (
 DAY_SECONDS = 86400.0
 
 MOST_LISTED = 12
-"""Most events that are listed without a click."""
+"""Maximum number of events listed without a click."""
 
 
 class _Scale:
-    """The time axis of all figures."""
+    """Time axis of all figures."""
 
     def __init__(self, watched: Watched, clock: Clock) -> None:
-        """Choose unit and span."""
+        """Choose unit and span of the axis."""
         times = [watched.health.time, *(event.time for event in watched.events), *(past.time for past in watched.history)]
         self.end = max((time for time in times if np.isfinite(time)), default=1.0)
         if clock.zero is None:
@@ -82,7 +82,7 @@ class _Scale:
         )
 
     def at(self, seconds: Array | float) -> Array:
-        """Return times as shown."""
+        """Return times in the unit of the axis."""
         return np.asarray((np.asarray(seconds, dtype=np.float64) - self.begin) * self.unit.factor)
 
     def layout(self, rows: Sequence[Axis]) -> Layout:
@@ -95,10 +95,10 @@ class _Scale:
 
 
 def daily_report(watched: Watched, folder: Path, day: date, clock: Clock, out: Path | None = None) -> Path:
-    """Write the report of one day, and return its path.
+    """Write the report of one day and return its path.
 
     Args:
-        watched: what the monitor knows at the day's end; of history and events, what lies in the day is shown.
+        watched: state of the monitor at the end of the day; history and events are limited to the day.
         folder: folder of the reports; it must exist.
         day: the day, in the clock's time zone.
         clock: the wall time at which the monitor's axis is 0.
@@ -126,7 +126,7 @@ def daily_report(watched: Watched, folder: Path, day: date, clock: Clock, out: P
 
 
 def _moved(change: FoundChange, by: float) -> FoundChange:
-    """Return a change on an axis on which all times are later by some seconds."""
+    """Return a change with all times shifted by some seconds."""
     return change._replace(
         since=change.since + by,
         earliest=change.earliest + by,
@@ -138,13 +138,13 @@ def _moved(change: FoundChange, by: float) -> FoundChange:
 
 
 def write_monitor_report(watched: Watched, path: Path, source: str = "", clock: Clock = FROM_ZERO) -> None:
-    """Write one self-contained HTML file that shows a rig's health and how it came about.
+    """Write one self-contained HTML file on a rig's health and its history.
 
     Args:
-        watched: what the monitor knows.
+        watched: state of the monitor.
         path: file to write; its folder must exist.
-        source: what was watched, for the line below the heading.
-        clock: how times are said; with a wall time the figures show its day.
+        source: name of the monitored recordings, for the line below the heading.
+        clock: format of times; with a wall time the figures show its day.
     """
     sentence, good = answer(watched, clock)
     scale = _Scale(watched, clock)
@@ -224,7 +224,7 @@ def _time_line(events: Sequence[Event], kinds: Sequence[str], watched: Watched, 
 
 
 def _trend(reading: Reading, watched: Watched, scale: _Scale) -> Panel | LeftOut:
-    """Draw a coefficient over time; grey where the programme did not tell it."""
+    """Draw a coefficient over time; grey where it was not identifiable from the programme."""
     title = capital(COEFFICIENTS[reading.name].words)
     past = [(time, one) for time, one in _past(reading, watched) if time <= scale.end]
     told = np.array([one.told for _, one in past], dtype=np.bool_)
@@ -237,7 +237,7 @@ def _trend(reading: Reading, watched: Watched, scale: _Scale) -> Panel | LeftOut
     limit = watched.limits.get(reading.name)
     shown = [given, *([limit.limit] if limit else [])]
     unit = unit_for(past[int(np.argmax(told))][1].unit, float(np.nanmax(np.abs([*values[told], *shown]))))
-    # A reading holds for the time over which it is averaged.
+    # A reading covers the time over which it is averaged.
     starts = times - watched.parameters.reading_time
     traces: list[Trace] = []
     for first, last in _runs(told):
@@ -274,7 +274,7 @@ def _past(reading: Reading, watched: Watched) -> list[tuple[float, Reading]]:
 
 
 def _runs(chosen: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[tuple[int, int]]:
-    """Return where each run of chosen places begins, and the place after its end."""
+    """Return the beginning and the end, exclusive, of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
@@ -294,13 +294,13 @@ def _band(x: Array, low: Array, high: Array) -> Trace:
 
 
 def _grey(begin: float, end: float) -> Layout:
-    """Return the shape of a time in which a coefficient was not told."""
+    """Return the shape of an interval in which a coefficient was not identifiable."""
     place = {"type": "rect", "xref": "x", "yref": "paper", "x0": begin, "x1": end, "y0": 0.0, "y1": 1.0}
     return place | {"fillcolor": "rgba(118, 118, 118, 0.18)", "line": {"width": 0}, "layer": "below"}
 
 
 def _trend_note(reading: Reading, watched: Watched, *, grey: bool) -> str:
-    """Say how a coefficient changes, when it reaches its limit, and why it is not told, if so."""
+    """Return a note on a coefficient's change, the time to its limit and, if so, why it is not identifiable."""
     _, _, _, change, _ = table_row(reading, watched)
     limit = watched.limits.get(reading.name)
     said = [f"In an hour {change}." if reading.told and change[:1].strip("–") else ""]
@@ -332,4 +332,4 @@ _METHOD = (
     " rig on the samples since its onset. The coefficients are fitted together, linearly around the model, to the last blocks;"
     " their intervals come from the same scatter and contain no error that the whole model has."
 )
-"""How the result is reached."""
+"""Description of the method."""

@@ -1,4 +1,4 @@
-"""The sentences of a monitor's report."""
+"""Sentences of a monitor's report."""
 
 import math
 from collections.abc import Mapping
@@ -21,20 +21,20 @@ from ehls_ros.report.page import MISSING_NUMBER, listed, number, signed
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 8766.0 * 3600.0
 
 IN_SECONDS, IN_MINUTES = 10.0 * MINUTE, 2.0 * HOUR
-"""Longest times that are shown in seconds and in minutes [s]."""
+"""Longest times shown in seconds and in minutes [s]."""
 
 NOT_SEEN, NOT_YET = "nothing that is recorded depends on it", "nothing is judged yet"
-"""Why a coefficient has no reading at all."""
+"""Reasons why a coefficient has no reading."""
 
 MOST_SAID = 2
-"""Most changes that the head line has in full."""
+"""Maximum number of changes described in the headline."""
 
 
 class Clock(NamedTuple):
-    """How times on the monitor's axis are said.
+    """Format of times on the monitor's axis.
 
     Attributes:
-        zero: the wall time at which the axis is 0; None: times are said from there.
+        zero: the wall time at which the axis is 0; None: times are written relative to it.
     """
 
     zero: datetime | None = None
@@ -47,7 +47,7 @@ class Clock(NamedTuple):
 
 
 FROM_ZERO = Clock()
-"""Times are said from the beginning."""
+"""Format of times relative to the beginning."""
 
 
 def duration(seconds: float) -> str:
@@ -59,7 +59,7 @@ def duration(seconds: float) -> str:
 
 
 def answer(watched: Watched, clock: Clock = FROM_ZERO) -> tuple[str, bool | None]:
-    """Return the rig's health in a sentence, and whether no change shows; None where nothing was judged."""
+    """Return the rig's health in a sentence, and whether no change shows; None if nothing was judged."""
     health = watched.health
     if health.active:
         said = [change_sentence(change, watched.rig, clock) for change in health.active[:MOST_SAID]]
@@ -74,12 +74,12 @@ def answer(watched: Watched, clock: Clock = FROM_ZERO) -> tuple[str, bool | None
 
 
 def change_sentence(change: FoundChange, rig: Rig, clock: Clock) -> str:
-    """Say what changed, by how much, since when and how sure that is.
+    """Return a sentence on a change: cause, size, onset and probability.
 
     Args:
         change: the change.
-        rig: the healthy rig, whose values sizes are measured by.
-        clock: how times are said.
+        rig: the healthy rig, to whose values sizes are relative.
+        clock: format of times.
     """
     since = f"since {clock.said(change.since)}"
     if math.isfinite(change.earliest) and change.latest > change.earliest:
@@ -97,7 +97,7 @@ def change_sentence(change: FoundChange, rig: Rig, clock: Clock) -> str:
 
 
 def _size(effect: str, parameter: str, e: Estimate, rig: Rig) -> str:
-    """Write a parameter with its 95 % interval, and where it adds to a coefficient, to how many times its value that leads."""
+    """Write a parameter with its 95 % interval and, if it adds to a coefficient, the resulting multiple of its value."""
     text = f"{parameter} {fitted_parameter(effect, parameter, e._replace(std=NORMAL_95 * e.std))}"
     added = (c for c in COEFFICIENTS.values() if (c.effect, c.parameter) == (effect, parameter) and c.coefficient)
     found = next((c for c in added if not c.relative), None)
@@ -109,7 +109,7 @@ def _size(effect: str, parameter: str, e: Estimate, rig: Rig) -> str:
 
 
 def false_alarms(hours: float) -> str:
-    """Say what the rate of false alarms means."""
+    """Return an explanation of the false-alarm rate."""
     a_year = YEAR / HOUR / hours
     often = f"{number(a_year, 2)} a year" if a_year >= 1.0 else f"one in {number(1.0 / a_year, 2)} years"
     return (
@@ -119,16 +119,16 @@ def false_alarms(hours: float) -> str:
 
 
 def covers_all(baseline: str) -> bool:
-    """Tell whether nothing can lie outside a baseline: the rig file's model holds everywhere."""
+    """Return whether a baseline covers every operating point, as the rig file's model does."""
     return baseline == RIG_FILE
 
 
 def outside(share: float, baseline: str) -> str:
-    """Say what lies outside the baseline.
+    """Return a sentence on the time outside the baseline.
 
     Args:
         share: fraction of the last minute.
-        baseline: what a change is measured from.
+        baseline: name of the baseline.
     """
     if covers_all(baseline):
         return "The baseline is the rig file, whose model holds at every load and speed: nothing lies outside it."
@@ -141,7 +141,7 @@ def outside(share: float, baseline: str) -> str:
 
 
 def known(watched: Watched) -> list[Reading]:
-    """Return the coefficients at the end, those that have no reading at all with that reason."""
+    """Return the final readings of all coefficients; one without a reading states the reason."""
     there = {reading.name: reading for reading in watched.health.readings}
     why_not = NOT_SEEN if there else NOT_YET
     return [
@@ -177,7 +177,7 @@ def table_row(reading: Reading, watched: Watched) -> list[str]:
 
 
 def limit_words(found: Reach, unit: str) -> str:
-    """Say when a limit is reached."""
+    """Return a phrase on the time at which a limit is reached."""
     limit = value(found.limit, unit)
     if found.why_not:
         return f"{limit}: time not told, {found.why_not}"
@@ -188,7 +188,7 @@ def limit_words(found: Reach, unit: str) -> str:
 
 
 def offered(watched: Watched) -> str:
-    """Say which experiment tells what is not told; empty where all is told, or nothing was judged."""
+    """Return a sentence on the experiment that would identify the missing coefficients; empty if there are none."""
     offer = watched.offer
     if offer is None:
         grey = [COEFFICIENTS[name].words for name in watched.missing]

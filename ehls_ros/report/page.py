@@ -1,4 +1,4 @@
-"""A self-contained HTML page: blocks of text, tables and figures, with plotly.js embedded.
+"""Self-contained HTML page: blocks of text, tables and figures, with plotly.js embedded.
 
 Every report consists of these blocks. All text is escaped here.
 """
@@ -21,10 +21,10 @@ from ehls_ros.report.plot import FONT, Layout, Trace
 MISSING_NUMBER = "–"
 
 PLOTLY = "pip install plotly (Ubuntu's python3-plotly comes without what draws)"
-"""What brings the figures."""
+"""How to install the library that draws the figures."""
 
 Configuration = Mapping[str, object]
-"""What a configuration file holds: nested mappings, sequences, scalars and arrays under free names."""
+"""Content of a configuration file: nested mappings, sequences, scalars and arrays under free names."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Panel:
         title: heading.
         traces: plotly traces.
         layout: plotly layout.
-        note: how to read the figure, in one or two sentences.
+        note: explanation of the figure, in one or two sentences.
         height: height of the figure in pixels.
-        over_time: the horizontal axis is the time of the run; all such figures zoom together.
-        least_width: width in pixels below which a figure of several pictures has fewer of them side by side.
+        over_time: whether the horizontal axis is the time of the run; all such figures zoom together.
+        least_width: width in pixels below which a figure of several subplots has fewer of them side by side.
     """
 
     title: str
@@ -56,7 +56,7 @@ class LeftOut:
 
     Attributes:
         title: its heading.
-        reason: what is missing.
+        reason: reason, such as the missing signals.
     """
 
     title: str
@@ -65,7 +65,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Entry:
-    """A cell of a table with more than a text.
+    """A table cell with more than a single text.
 
     Attributes:
         text: first line.
@@ -79,11 +79,11 @@ class Entry:
 
 
 def number(value: object, digits: int = 3) -> str:
-    """Write a number for reading: fixed point, thousands separated, a dash for what is not a finite number.
+    """Write a number in fixed point with thousands separators, or a dash if it is not a finite number.
 
     Args:
         value: the number.
-        digits: significant digits; digits before the point are never cut.
+        digits: significant digits; digits before the point are never dropped.
     """
     if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not math.isfinite(value):
         return MISSING_NUMBER
@@ -96,7 +96,7 @@ def number(value: object, digits: int = 3) -> str:
 
 
 def limit_text(limit: float) -> str:
-    """Return a causal limit [N] for a table: to a tenth of a newton, as no sensor tells less; "unknown" if NaN."""
+    """Return a causal limit [N] for a table, to 0.1 N, the resolution of force sensors; "unknown" if NaN."""
     if math.isnan(limit):
         return "unknown"
     return f"{limit:.1f} N" if limit >= LEAST_LIMIT else f"<{LEAST_LIMIT:g} N"
@@ -113,23 +113,23 @@ def listed(parts: Sequence[str]) -> str:
 
 
 def verdict(text: str, *, good: bool | None) -> str:
-    """Make the sentence that summarises the page.
+    """Return the sentence that summarises the page.
 
     Args:
         text: the sentence.
-        good: True if all is well, False if something needs attention, None if the data do not tell.
+        good: True if all is well, False if something needs attention, None if the data are insufficient.
     """
     kind = {True: "good", False: "look", None: "open"}[good]
     return f'<p class="verdict {kind}">{escape(text)}</p>'
 
 
 def heading(text: str) -> str:
-    """Make the heading of a part of the page."""
+    """Return the heading of a section."""
     return f'<h2 class="part" id="{_anchor(text)}">{escape(text)}</h2>'
 
 
 def contents(headings: Iterable[str]) -> str:
-    """Make a line of links to the headings."""
+    """Return a line of links to the headings."""
     links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
     return f'<nav class="contents">{links}</nav>'
 
@@ -139,10 +139,10 @@ def _anchor(text: str) -> str:
 
 
 def sections(parts: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
-    """Make the parts of a page below a line of links to them.
+    """Return the sections of a page below a line of links to them.
 
     Args:
-        parts: heading and blocks of each; a part without blocks is left out.
+        parts: heading and blocks of each; a section without blocks is left out.
 
     Returns:
         The blocks of the page.
@@ -152,17 +152,17 @@ def sections(parts: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
 
 
 def paragraph(text: str) -> str:
-    """Make a paragraph."""
+    """Return a paragraph."""
     return f"<p>{_said(text)}</p>"
 
 
 def bullets(texts: Iterable[str]) -> str:
-    """Make a list of short texts."""
+    """Return a bulleted list of short texts."""
     return f"<ul>{''.join(f'<li>{_said(text)}</li>' for text in texts)}</ul>"
 
 
 def facts(items: Iterable[tuple[str, str]]) -> str:
-    """Make a compact grid of key figures.
+    """Return a compact grid of key figures.
 
     Args:
         items: label and value of each.
@@ -172,20 +172,20 @@ def facts(items: Iterable[tuple[str, str]]) -> str:
 
 
 LEAST_LIMIT = 0.1
-"""Causal limits below this are shown as such [N]."""
+"""Smallest causal limit shown as a number [N]."""
 
 Row = Sequence[str | Entry]
-"""A row of a table: one text or entry a cell."""
+"""A row of a table: one text or entry per cell."""
 
 
 def table(header: Sequence[str], rows: Sequence[Row]) -> str:
-    """Make a table whose first column names the row: words stand on the left of their column, figures on the right.
+    """Return a table whose first column names the row; words are aligned to the left, figures to the right.
 
-    On a narrow screen a table that is wider becomes a list.
+    A table too wide for a narrow screen becomes a list there.
 
     Args:
-        header: one title a column.
-        rows: one text or entry a cell.
+        header: one title per column.
+        rows: one text or entry per cell.
     """
     columns = list(zip(*[[_text(cell) for cell in row] for row in rows], strict=True)) or [()] * len(header)
     kinds = [' class="words"' if place and not _figures(texts) else "" for place, texts in enumerate(columns)]
@@ -218,13 +218,13 @@ def _text(cell: str | Entry) -> str:
 
 
 def _figures(texts: Sequence[str]) -> bool:
-    """Tell whether a column holds figures: most of its cells begin with one."""
+    """Return whether a column contains figures, with which most of its cells begin."""
     filled = [text for text in texts if text]
     return 2 * sum(bool(_FIGURE.match(text)) for text in filled) > len(filled)
 
 
 def _width(header: Sequence[str], columns: Sequence[Sequence[str]]) -> float:
-    """Return about how many pixels a table is wide whose figures stay in one line and whose titles break between words."""
+    """Estimate the width of a table in pixels, with unbroken figures and titles broken between words."""
     longest = [max([0, *map(len, texts), *map(len, title.split())]) for title, texts in zip(header, columns, strict=True)]
     return sum(CHARACTER * count + PADDING for count in longest)
 
@@ -242,12 +242,12 @@ def _inner(cell: str | Entry) -> str:
 
 
 def _said(text: str) -> str:
-    """Return a text as HTML; what stands between backticks is code."""
+    """Return a text as HTML; text between backticks is marked as code."""
     return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
-    """Make the figures that could be drawn.
+    """Return the figures that could be drawn.
 
     Args:
         panels: the figures, in this order.
@@ -262,7 +262,7 @@ def figures(panels: Iterable[Panel | LeftOut], *, columns: int = 1) -> str:
 
 
 def left_out(panels: Iterable[Panel | LeftOut]) -> str:
-    """Name the figures that could not be drawn, one per line; more than a few open on a click."""
+    """Return the list of figures that could not be drawn, one per line; more than a few are collapsed."""
     missing = [panel for panel in panels if isinstance(panel, LeftOut)]
     lines = "".join(
         f'<p class="left-out"><b>{escape(panel.title)}</b> is left out: {escape(panel.reason)}.</p>' for panel in missing
@@ -273,7 +273,7 @@ def left_out(panels: Iterable[Panel | LeftOut]) -> str:
 
 
 A_FEW = 3
-"""Most figures left out that are named without a click."""
+"""Maximum number of omitted figures named without a click."""
 
 
 def _figure(panel: Panel) -> str:
@@ -288,7 +288,7 @@ def _figure(panel: Panel) -> str:
 
 
 def collapsed(title: str, text: str) -> str:
-    """Make a block of preformatted text that opens on a click.
+    """Return a block of preformatted text that opens on a click.
 
     Args:
         title: its heading.
@@ -316,7 +316,7 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
         path: file to write; its folder must exist.
         title: heading.
         subtitle: one line below it.
-        blocks: results of the other functions of this module.
+        blocks: blocks returned by the other functions of this module.
     """
     plotly = plotly_js()
     if plotly is None:
@@ -349,7 +349,7 @@ def write_page(path: Path, title: str, subtitle: str, blocks: Iterable[str]) -> 
 
 
 def plotly_js() -> str | None:
-    """Return the program that draws the figures; None where it is not installed: Ubuntu's python3-plotly comes without it."""
+    """Return the source of plotly.js; None if it is not installed, as with Ubuntu's python3-plotly, which lacks it."""
     try:
         text: str = import_module("plotly.offline").get_plotlyjs()
     except (ImportError, OSError):
@@ -358,7 +358,7 @@ def plotly_js() -> str | None:
 
 
 def _beside(name: str) -> str:
-    """Return the text of a file beside this one."""
+    """Return the text of a file in this module's folder."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""The vocabulary of the figures: units, colours, lines and axes as plotly's plain dictionaries.
+"""Elements of the figures: units, colours, lines and axes as plain plotly dictionaries.
 
 Plotly's Python objects are not used: building and checking them would take longer than the rest of a report.
 """
@@ -17,20 +17,20 @@ Layout = dict[str, Any]
 
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE = "#0072B2", "#D55E00", "#009E73", "#B85C92", "#56B4E9", "#E69F00"
 BLACK, GREY, LIGHT_GREY = "#1a1a1a", "#767676", "#dcdcdc"
-"""After Okabe and Ito, distinguishable to colour-blind readers."""
+"""Colours of Okabe and Ito, distinguishable by colour-blind readers."""
 
 ELEMENT_LINES = ((BLUE, "solid"), (ORANGE, "solid"), (GREEN, "dash"), (SKY, "solid"), (PURPLE, "dash"))
 """Colour and pattern of each friction element's line."""
 
 FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', 'DejaVu Sans', sans-serif"
 BACKDROP = "y9"
-"""Axis from 0 to 1 behind the first row, for marks that belong to a time rather than a value."""
+"""Axis from 0 to 1 behind the first row, for marks of a time instead of a value."""
 
 _SILENT = {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}
 
 
 class Unit(NamedTuple):
-    """A unit quantities are shown in.
+    """Unit in which quantities are shown.
 
     Attributes:
         symbol: as printed.
@@ -57,8 +57,8 @@ class Axis(NamedTuple):
         unit: unit shown.
         span: lowest and highest value shown, in that unit; None to fit the data.
         share: height relative to the other rows of the figure.
-        logarithmic: decades instead of equal steps; needs a span.
-        names: labels of 1, 2, 3, … on an axis that counts; it shows no unit.
+        logarithmic: whether the axis is logarithmic; needs a span.
+        names: labels of 1, 2, 3, … on a categorical axis, which shows no unit.
     """
 
     quantity: str
@@ -70,7 +70,7 @@ class Axis(NamedTuple):
 
 
 def packed(values: NDArray[Any]) -> dict[str, str]:
-    """Encode numbers as plotly.js reads them fastest: base64 of single precision, NaN for a gap.
+    """Encode numbers in the fastest format for plotly.js: base64 of single precision, NaN for a gap.
 
     Args:
         values: shape (n,) or (rows, columns).
@@ -100,7 +100,7 @@ def line(
 
     Args:
         x: abscissa as shown, shape (n,).
-        y: ordinate in the trajectory's unit, shape (n,), NaN where the line is to break.
+        y: ordinate in the trajectory's unit, shape (n,), NaN where the line is interrupted.
         name: entry in the legend.
         unit: unit to show y in.
         color: colour of the line.
@@ -109,7 +109,7 @@ def line(
         dash: plotly's name of the pattern.
 
     Returns:
-        A plotly trace. It shows dots as well if there are samples without neighbours, which a line cannot show.
+        A plotly trace, with dots as well if there are isolated samples, which a line cannot show.
     """
     known = np.concatenate([[False], np.isfinite(y), [False]])
     alone = bool(np.any(known[1:-1] & ~known[:-2] & ~known[2:]))
@@ -142,14 +142,14 @@ def time_line(
 
     Args:
         time: time since the start, shape (n,) [s].
-        values: the signal in the trajectory's unit, shape (n,), NaN where it has gaps.
+        values: the signal in the trajectory's unit, shape (n,), NaN in gaps.
         name: entry in the legend.
         unit: unit to show it in.
         color: colour of the line.
         row: row of the figure, 1 on top.
         width: line width in pixels.
         dash: plotly's name of the pattern.
-        buckets: number of intervals a long series is reduced to; fewer on a page with many small figures.
+        buckets: number of intervals to which a long series is reduced; fewer on a page with many small figures.
 
     Returns:
         A plotly trace.
@@ -277,7 +277,7 @@ def dots(
 
     Args:
         x: abscissa as shown, shape (n,).
-        y: ordinate in its own unit, shape (n,); values that are not finite are not drawn.
+        y: ordinate before conversion, shape (n,); values that are not finite are not drawn.
         name: entry in the legend.
         unit: unit to show y in.
         color: colour of the marks.
@@ -300,7 +300,7 @@ def dots(
 
 
 def time_layout(duration: float, rows: Sequence[Axis]) -> Layout:
-    """Arrange rows over one time axis.
+    """Return the layout of rows over one time axis.
 
     Args:
         duration: length of the run [s].
@@ -320,7 +320,7 @@ def time_layout(duration: float, rows: Sequence[Axis]) -> Layout:
 
 
 def stacked_layout(x: Axis, rows: Sequence[Axis]) -> Layout:
-    """Arrange rows over one horizontal axis.
+    """Return the layout of rows over one horizontal axis.
 
     Args:
         x: horizontal axis.
@@ -342,7 +342,7 @@ def stacked_layout(x: Axis, rows: Sequence[Axis]) -> Layout:
 
 
 def plane_layout(x: Axis, y: Axis) -> Layout:
-    """Arrange one signal against another.
+    """Return the layout of one signal against another.
 
     Args:
         x: horizontal axis.
@@ -355,7 +355,7 @@ def plane_layout(x: Axis, y: Axis) -> Layout:
 
 
 def decades(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
-    """Give the ends of a logarithmic axis, with some air around what is finite and above zero.
+    """Return the limits of a logarithmic axis, with a margin around the finite positive values.
 
     Args:
         values: as shown, shape (n,).

@@ -1,4 +1,4 @@
-"""The picture of a test programme: its course, its blocks, and its rainflow counts."""
+"""Report of a test programme: its course, its blocks, and its rainflow counts."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,13 +13,13 @@ from ehls_ros.report.page import Panel, Row, number
 from ehls_ros.report.plot import Axis
 
 MOST = 400
-"""Most passes of blocks that are drawn, from the programme's beginning on."""
+"""Maximum number of block passes drawn, from the beginning of the programme."""
 
 SHOWN = 4
-"""Load cycles of a block that are drawn; the rest of it is a line along peaks and valleys."""
+"""Number of load cycles of a block drawn in detail; the rest of it is a line along peaks and valleys."""
 
 SAMPLES = 50
-"""Samples of a drawn load cycle."""
+"""Number of samples of a drawn load cycle."""
 
 
 def write_programme_report(programme: Programme, summary: Summary, path: Path) -> None:
@@ -27,7 +27,7 @@ def write_programme_report(programme: Programme, summary: Summary, path: Path) -
 
     Args:
         programme: the programme.
-        summary: what it holds.
+        summary: summary of its content.
         path: file to write; its folder must exist.
     """
     header = ["block", "kind", "passes", "load cycles", "time [s]", "peak [N]", "valley [N]", "largest rate [N/s]"]
@@ -71,7 +71,7 @@ def _drawn(programme: Programme) -> Iterator[tuple[Array, Array]]:
         first = cycles * course.cycle if cycles else course.duration
         local = np.linspace(0.0, first, SAMPLES * max(cycles, 1) + 1)
         if cycles < course.count:
-            # Peaks lie at half of the load cycles.
+            # Peaks lie at half load cycles.
             rest = np.linspace(first, course.duration, min(2 * (course.count - cycles), 200) + 1)
             local = np.append(local, np.round(2.0 * rest[1:] / course.cycle) * 0.5 * course.cycle)
         yield spot.since + local, spot.segment.sample(np.minimum(local, course.duration))[:, 0]

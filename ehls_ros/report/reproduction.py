@@ -1,4 +1,4 @@
-"""The report of the paper's simulation study: our numbers beside the paper's, and studies beyond it."""
+"""Report on the reproduction of the paper's simulation study: results beside the paper's, and further studies."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,7 @@ from ehls_ros.report.run_signals import setting
 from ehls_ros.trajectory import Trajectory
 
 WORSE = "▲ "
-"""Mark of what is worse than the paper's, beside the colour."""
+"""Mark, in addition to the colour, of results worse than the paper's."""
 
 ADAPTATION_FIGURE = "18"
 """Figure of the paper that shows the adapted quantities instead of the force."""
@@ -36,7 +36,7 @@ def write_reproduction_report(results: Results, runs: Runs, path: Path) -> None:
 
     Args:
         results: the results; those beyond Table 3 are missing after a quick study.
-        runs: the runs of Table 3; a figure without its run is named as left out.
+        runs: the runs of Table 3; a figure without its run is listed as left out.
         path: file to write; its folder must exist.
     """
     beyond = results.beyond
@@ -83,7 +83,7 @@ def _table3(cells: Sequence[CellResult]) -> list[str]:
 
 
 def _by_cell(cells: Sequence[CellResult], entry: Callable[[CellResult], Entry], *more: Row) -> str:
-    """Make a table with a row per controller, a column per reference and disturbance, and further rows."""
+    """Return a table with a row per controller, a column per reference and disturbance, and further rows."""
     places = findings.places_of(cells)
     entries = {cell.cell: entry(cell) for cell in cells}
     controllers = dict.fromkeys(cell.controller for cell in cells)
@@ -333,7 +333,7 @@ def _making(results: Results, runs: Runs) -> list[str]:
 
 
 def _disturbances(runs: Runs) -> str:
-    """Say what fd1 and fd2 are, if the runs tell."""
+    """Return a sentence on fd1 and fd2 if they are known from the runs."""
     told = {}
     for cell, run in runs.items():
         amplitude, frequency = (

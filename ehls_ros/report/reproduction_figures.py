@@ -1,4 +1,4 @@
-"""The figures of the reproduction report: each function takes results or runs and gives a panel."""
+"""Figures of the reproduction report: each function takes results or runs and returns a panel."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -34,7 +34,7 @@ from ehls_ros.report.run_figures import adaptation, steady_span
 from ehls_ros.report.run_signals import since_start
 
 BUCKETS = 1000
-"""Number of intervals a line of the paper's figures is reduced to."""
+"""Number of intervals to which a line of the paper's figures is reduced."""
 
 COLORS = {"SIC": plot.GREEN, FASMC_1: plot.VERMILION, FASMC_2: plot.BLUE}
 REFERENCE_COLORS = (plot.SKY, plot.ORANGE, plot.GREEN, plot.PURPLE)
@@ -44,7 +44,7 @@ SHOWN = ("constant", "sine")
 
 
 def table_dots(cells: Sequence[CellResult]) -> Panel:
-    """Draw Table 3: ours filled, the paper's hollow, one colour per controller."""
+    """Draw Table 3: errors of this study filled, the paper's hollow, one colour per controller."""
     places = places_of(cells)
     controllers = list(dict.fromkeys(cell.controller for cell in cells))
     pairs: list[Trace] = []
@@ -76,7 +76,7 @@ def table_dots(cells: Sequence[CellResult]) -> Panel:
 
 
 def stribeck_curve(friction: FrictionCurves) -> Panel:
-    """Draw the steady friction over velocity."""
+    """Draw the steady friction against velocity."""
     velocity = np.asarray(friction.velocity_m_s) * plot.MILLIMETRE_PER_SECOND.factor
     trace = plot.line(velocity, np.asarray(friction.steady_force_n), "steady friction", plot.NEWTON, plot.BLUE, width=2.0)
     layout = plot.plane_layout(Axis("velocity", plot.MILLIMETRE_PER_SECOND), Axis("friction", plot.NEWTON)) | {
@@ -183,7 +183,7 @@ def bounds(row: ContinuousRun) -> Panel:
 
 
 def typical_bounds(rows: Sequence[ContinuousRun]) -> list[Panel]:
-    """Draw the bounds under the larger disturbance, for references that start away from the force and at it."""
+    """Draw the bounds under the larger disturbance, for references that start away from the initial force and at it."""
     chosen = [row for row in rows if row.disturbance == "fd2" and row.reference in SHOWN] or list(rows[:2])
     return [bounds(row) for row in chosen]
 

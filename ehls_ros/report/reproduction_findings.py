@@ -1,6 +1,6 @@
-"""Table 3 of the reproduction in sentences: the verdict, convergence, and what GMS compensation gains.
+"""Findings on Table 3 of the reproduction: the verdict, convergence, and the gain of GMS compensation.
 
-All sentences follow from the results. An infinite error belongs to a run that lost the force.
+All sentences are derived from the results. An infinite error belongs to a run that lost the force.
 """
 
 import math
@@ -20,44 +20,44 @@ DISTURBANCES = {"fd1": "small", "fd2": "large"}
 
 
 def place_name(reference: str, disturbance: str) -> str:
-    """Name a column of Table 3."""
+    """Return the name of a column of Table 3."""
     return f"{reference} {disturbance}"
 
 
 def worst_of(errors: Iterable[float]) -> float:
-    """Give the largest error [N], infinite where a run lost the force."""
+    """Return the largest error [N], infinite if a run lost the force."""
     return float(np.max(np.array(list(errors)), initial=0.0))
 
 
 def paper_newton(cell: CellResult) -> float:
-    """Give the paper's error of a cell [N], NaN where it has none."""
+    """Return the paper's error of a cell [N], NaN if there is none."""
     percent = cell.paper_percent
     return math.nan if percent is None else percent * FULL_SCALE / 100.0
 
 
 def error_text(error: float) -> str:
-    """Write an error [N], or that the force was lost."""
+    """Write an error [N], or "lost" if the force was lost."""
     return "lost" if math.isinf(error) else f"{number(error)} N"
 
 
 def as_set(value: float) -> str:
-    """Write a chosen number with the digits it was given."""
+    """Write a chosen number with its given digits."""
     return f"{float(value):,.6g}".replace(",", "\u202f").replace("-", "−")
 
 
 def errors_by_cell(cells: Sequence[CellResult]) -> dict[Cell, float]:
-    """Give the largest error of each cell [N]."""
+    """Return the largest error of each cell [N]."""
     return {result.cell: result.max_error_n for result in cells}
 
 
 def worst_of_controller(results: Results, controller: str) -> float | None:
-    """Give a controller's largest error over all cells [N]; None if it has none."""
+    """Return a controller's largest error over all cells [N]; None if it has none."""
     errors = [cell.max_error_n for cell in results.cells if cell.controller == controller]
     return max(errors) if errors else None
 
 
 def is_above_paper(cell: CellResult) -> bool:
-    """Tell whether our error is larger than the paper's, or lost."""
+    """Return whether the error is larger than the paper's, or the force was lost."""
     theirs = paper_newton(cell)
     return math.isfinite(theirs) and not cell.max_error_n <= theirs
 
@@ -69,7 +69,7 @@ def verdict_sentence(results: Results) -> tuple[str, bool | None]:
         results: the study.
 
     Returns:
-        One sentence that names every miss, and whether there is none; None if there is nothing to compare with.
+        One sentence that names every shortfall, and whether there is none; None if there is nothing to compare with.
     """
     cells = results.cells
     published = [cell for cell in cells if cell.controller == FASMC_2 and math.isfinite(paper_newton(cell))]
@@ -97,7 +97,7 @@ def verdict_sentence(results: Results) -> tuple[str, bool | None]:
 
 
 def is_short(percent: float, row: Reduction) -> bool:
-    """Tell whether our reduction is smaller than the paper's; NaN is."""
+    """Return whether the reduction is smaller than the paper's; NaN counts as smaller."""
     return not percent >= row.paper_percent
 
 
@@ -115,12 +115,12 @@ def ranking(cells: Sequence[CellResult]) -> tuple[int, int]:
 
 
 def places_of(cells: Sequence[CellResult]) -> list[Place]:
-    """Give the columns of Table 3 in their order."""
+    """Return the columns of Table 3 in order."""
     return list(dict.fromkeys(Place(cell.reference, cell.disturbance) for cell in cells))
 
 
 def causal_limits(cells: Sequence[CellResult]) -> list[str]:
-    """Give the causal limit in each column of Table 3, the smallest of its controllers' runs, as text."""
+    """Return the causal limit in each column of Table 3, the smallest of its controllers' runs, as text."""
     known: dict[Place, list[float]] = {place: [] for place in places_of(cells)}
     for cell in cells:
         if not math.isnan(cell.causal_limit_n):
@@ -129,9 +129,9 @@ def causal_limits(cells: Sequence[CellResult]) -> list[str]:
 
 
 def converges_later(cell: CellResult) -> bool | None:
-    """Tell whether an error converged later than in the paper; None where the two times are not comparable.
+    """Return whether an error converged later than in the paper; None if the two times are not comparable.
 
-    They are not where the paper has no time, or where neither error stays within the band: the paper accepts a wider
+    They are not comparable if the paper has no time, or if neither error stays within the band: the paper accepts a wider
     oscillation as steady, and its time refers to that.
     """
     ours, theirs = cell.convergence_s, cell.paper_convergence_s
@@ -145,7 +145,7 @@ def _cells_listed(cells: Sequence[CellResult]) -> str:
 
 
 def convergence_remark(cells: Sequence[CellResult]) -> str:
-    """Say in how many cells the error converged no later than in the paper."""
+    """Return a remark on the cells in which the error converged no later than in the paper."""
     timed = [cell for cell in cells if cell.paper_convergence_s is not None]
     both = [cell for cell in timed if converges_later(cell) is not None]
     if not timed:
@@ -170,7 +170,7 @@ def convergence_remark(cells: Sequence[CellResult]) -> str:
 
 
 def period_of(runs: Runs) -> float | None:
-    """Give the sampling period of the runs [s]; None if there is none."""
+    """Return the sampling period of the runs [s]; None if there is none."""
     for run in runs.values():
         if len(run) > 1:
             return float(np.median(np.diff(run.time_s)))
@@ -178,7 +178,7 @@ def period_of(runs: Runs) -> float | None:
 
 
 def cause_remarks(results: Results, runs: Runs) -> list[str]:
-    """Say what limits the gain of GMS compensation."""
+    """Return remarks on the limits to the gain of GMS compensation."""
     remarks = []
     period = period_of(runs)
     floors = []

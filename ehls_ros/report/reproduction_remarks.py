@@ -1,4 +1,4 @@
-"""The studies beyond Table 3 in sentences: theory, sampling, competitors, adaptation, open choices, robustness."""
+"""Remarks on the studies beyond Table 3: theory, sampling, competitors, adaptation, open choices, robustness."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -37,11 +37,11 @@ from ehls_ros.report.run_signals import setting
 NOTHING_OFF = "nothing off"
 
 WORTH_NAMING = 0.05
-"""Relative difference above which an adaptation is said to have an effect."""
+"""Relative difference above which an adaptation counts as having an effect."""
 
 
 class DriftPlace(NamedTuple):
-    """Whether the friction drifts, reference and disturbance."""
+    """A case of the drift study: whether the friction drifts, reference and disturbance."""
 
     drifts: bool
     reference: str
@@ -49,12 +49,12 @@ class DriftPlace(NamedTuple):
 
 
 def is_late(row: ContinuousRun) -> bool:
-    """Tell whether the continuous law converged after the paper's own time."""
+    """Return whether the continuous law converged later than the paper's bound."""
     return row.converged_s > row.paper_bound_s
 
 
 def bounds_remarks(rows: Sequence[ContinuousRun]) -> list[str]:
-    """Say whether the law in continuous time keeps the bounds (44) to (46)."""
+    """Return remarks on whether the law in continuous time keeps the bounds (44) to (46)."""
     kept = sum(row.holds for row in rows)
     over = [row for row in rows if is_late(row)]
     text = (
@@ -78,7 +78,7 @@ def bounds_remarks(rows: Sequence[ContinuousRun]) -> list[str]:
 
 
 def sampling_remark(sampling: Sampling, bound_n: float, period_s: float | None) -> str:
-    """Say how the sampling period affects both discretisations."""
+    """Return a remark on the effect of the sampling period on both discretisations."""
     periods = np.asarray(sampling.periods_s)
     by_kind: dict[str, NDArray[np.float64]] = {}
     for entry in sampling.lines:
@@ -119,7 +119,7 @@ def _period(seconds: float) -> str:
 
 
 def sic_remarks(results: Results, found: Searches, runs: Runs) -> list[str]:
-    """Say how good structure invariance compensation gets, within its margins and beyond."""
+    """Return remarks on the best structure invariance compensation, within its margins and beyond."""
     best, beyond = found.sic_best, found.sic_best_without_margins
     allowed = [gain for gain in found.sic if gain.admissible]
     phase = number(min(gain.phase_margin_deg for gain in allowed))
@@ -150,7 +150,7 @@ def sic_remarks(results: Results, found: Searches, runs: Runs) -> list[str]:
 
 
 def used_gains(runs: Runs) -> tuple[float, float] | None:
-    """Give proportional [1/s] and integral gain [1/s²] of SIC in Table 3; None if unknown."""
+    """Return proportional [1/s] and integral gain [1/s²] of SIC in Table 3; None if unknown."""
     for (controller, *_), run in runs.items():
         if controller == SIC:
             gains = [setting(run.metadata, "spec", "controller", name) for name in ("proportional", "integral")]
@@ -163,7 +163,7 @@ def _gains(proportional: float, integral: float) -> str:
 
 
 def stribeck_remark(results: Results, found: Searches) -> str:
-    """Say how good FASMC I gets, and where the paper's own numbers lie."""
+    """Return a remark on the best FASMC I in comparison with the paper's numbers."""
     best, natural = found.stribeck_best, found.stribeck_natural
     text = (
         f"FASMC I is best at a width of {width_text(best)}, {error_text(best.worst_n)} in its worst cell; at the natural"
@@ -183,7 +183,7 @@ def stribeck_remark(results: Results, found: Searches) -> str:
 
 
 def adaptation_remarks(drift: Sequence[DriftRun]) -> list[str]:
-    """Say what the adaptation of the friction's scales adds to that of D̂."""
+    """Return remarks on the benefit of adapting the friction's scales in addition to D̂."""
     errors: dict[str, dict[DriftPlace, float]] = {}
     for row in drift:
         place = DriftPlace(row.drifts, row.reference, row.disturbance)
@@ -243,13 +243,13 @@ def _drift_name(place: DriftPlace) -> str:
 
 
 def choice_changes(choice: TriedChoice, errors: Mapping[Cell, float]) -> dict[str, float]:
-    """Give the change of the largest error by a choice in each place [N], infinite where the force is lost."""
+    """Return the change of the largest error by a choice in each place [N], infinite if the force is lost."""
     ours = {place_name(c.reference, c.disturbance): error for c, error in errors.items() if c.controller == choice.controller}
     return {name: error - ours[name] for name, error in choice.errors_n.items() if name in ours}
 
 
 def choices_remarks(choices: Sequence[TriedChoice], cells: Sequence[CellResult]) -> list[str]:
-    """Name the choice that affects each controller most."""
+    """Return a remark on the choice that affects each controller most."""
     errors = errors_by_cell(cells)
     remarks = []
     for controller in dict.fromkeys(choice.controller for choice in choices):
@@ -281,7 +281,7 @@ def choices_remarks(choices: Sequence[TriedChoice], cells: Sequence[CellResult])
 
 
 def robustness_remark(robustness: Robustness, nominal_n: float | None) -> str:
-    """Name the coefficient that does most harm, and summarise the drawn rigs."""
+    """Return a remark on the most harmful coefficient and on the drawn rigs."""
     parameters = robustness.parameters
     worst = [(worst_of(entry.errors_n), -index, entry) for index, entry in enumerate(parameters)]
     parts = []

@@ -1,4 +1,4 @@
-"""The report of a whole rig's identification: coefficients, what is not told, and how far the residuals came down."""
+"""Report of a whole rig's identification: coefficients, those not identifiable, and the reduction of the residuals."""
 
 import math
 from pathlib import Path
@@ -29,7 +29,7 @@ STRONG = 0.9
 """Correlation above which a pair is named."""
 
 UNEXPLAINED = 3.0
-"""Residual, as a multiple of its noise, that the fitted model does not explain."""
+"""Ratio of a residual to its noise above which the fitted model does not explain it."""
 
 RESIDUALS = {
     "spool": "spool",
@@ -39,7 +39,7 @@ RESIDUALS = {
     "cell": "load cell against load pressure",
     "velocity": "velocity against position",
 }
-"""What is compared, by channel."""
+"""Names of the residuals, by channel."""
 
 
 def write_rig_report(found: RigIdentification, path: Path, *, before: Rig) -> None:
@@ -48,7 +48,7 @@ def write_rig_report(found: RigIdentification, path: Path, *, before: Rig) -> No
     Args:
         found: the result.
         path: file to write; its folder must exist.
-        before: the rig file as it was given.
+        before: the given rig file.
     """
     sentence, good = _sentence(found)
     parts = [

@@ -1,4 +1,4 @@
-"""The figures of one run over time: each function takes a trajectory and gives a figure, or says what is missing.
+"""Figures of one run over time: each function takes a trajectory and returns a figure, or the reason for its omission.
 
 Quantities of the sliding mode law keep the paper's units (MPa, s).
 """
@@ -175,7 +175,7 @@ def position_error(run: Trajectory) -> Panel | LeftOut:
 
 
 def friction(run: Trajectory) -> Panel | LeftOut:
-    """Draw the estimated friction; of several elements each one, and when it slips."""
+    """Draw the estimated friction, with several elements also the force and slip state of each."""
     title = "Estimated friction"
     parts = ("friction_gms_n", "friction_viscous_n", "friction_elements_n")
     if not any(known(run, name) for name in parts):
@@ -282,7 +282,7 @@ def steady_span(values: NDArray[np.float64], bound: float, unit: str) -> tuple[t
         unit: symbol of the unit shown.
 
     Returns:
-        Ends of the axis, None to fit the data, and the note that goes with them.
+        Limits of the axis, None to fit the data, and a note on the scaling.
     """
     largest = largest_of(values)
     steady = 1.25 * max(largest_of(values[len(values) // 2 :]), bound)

@@ -1,6 +1,6 @@
-"""The figures of one run that show one quantity against another, or a distribution.
+"""Figures of one run that show one quantity against another, or a distribution.
 
-Each function takes a trajectory and gives a figure, or says what is missing.
+Each function takes a trajectory and returns a figure, or the reason for its omission.
 """
 
 import numpy as np
@@ -48,7 +48,7 @@ RESPONSE_QUANTILES = {"median": 0.5, "99 %": 0.99, "99.9 %": 0.999, "largest": 1
 
 
 def response_histogram(run: Trajectory) -> Panel | LeftOut:
-    """Draw how often the loop took how long, with the quantiles."""
+    """Draw the histogram of the loop's response time, with quantiles."""
     title = "Distribution of the response"
     response = response_of(run)
     if response is None:
@@ -83,7 +83,7 @@ def response_histogram(run: Trajectory) -> Panel | LeftOut:
 
 
 def sliding_plane(run: Trajectory) -> Panel | LeftOut:
-    """Draw pressure error against sliding variable around the region the law promises to reach."""
+    """Draw pressure error against sliding variable, with the region guaranteed by the control law."""
     title = "Sliding plane"
     if missing := missing_together(run, last_samples(run), "e3_pa", "s_pa_s"):
         return LeftOut(title, missing)

@@ -1,4 +1,4 @@
-"""Signals and settings of one run as its report needs them."""
+"""Signals and settings of one run for its report."""
 
 import math
 from collections.abc import Mapping
@@ -11,25 +11,25 @@ from ehls_ros.report.plot import KILONEWTON, NEWTON, Unit
 from ehls_ros.trajectory import Trajectory
 
 PLANE_SAMPLES = 10_000
-"""Samples of a figure of one signal against another: a few periods."""
+"""Maximum number of samples in a figure of one signal against another, a few periods."""
 
 UNUSED_AT_ZERO = frozenset({"e3_pa", "s_pa_s", "alpha", "beta", "delta_n", "force_error_n", "force_bound_n"})
-"""Signals that a controller without a sliding mode fills with zeros."""
+"""Signals set to zero by a controller without a sliding mode."""
 
 
 def known(run: Trajectory, name: str) -> bool:
-    """Tell whether a signal was recorded and has values."""
+    """Return whether a signal was recorded and has values."""
     return not _absence(run, name)
 
 
 def since_start(run: Trajectory) -> NDArray[np.float64]:
-    """Give the time since the start [s], shape (n,)."""
+    """Return the time since the start [s], shape (n,)."""
     time: NDArray[np.float64] = run.time_s - run.time_s[0]
     return time
 
 
 def error_of(run: Trajectory) -> NDArray[np.float64] | None:
-    """Give force minus reference [N], shape (n,), as measured, else as the controller saw it; None if neither is known."""
+    """Return force minus reference [N], shape (n,), as measured, else the controller's value; None if neither is known."""
     if "force_n" in run and "force_reference_n" in run:
         with np.errstate(invalid="ignore"):
             error: NDArray[np.float64] = run["force_n"] - run["force_reference_n"]
@@ -39,7 +39,7 @@ def error_of(run: Trajectory) -> NDArray[np.float64] | None:
 
 
 def setting(metadata: Configuration, *keys: str) -> float | None:
-    """Look up a number in the configuration; None if there is none.
+    """Return a number from the configuration; None if there is none.
 
     Args:
         metadata: a trajectory's metadata.
@@ -54,7 +54,7 @@ def setting(metadata: Configuration, *keys: str) -> float | None:
 
 
 def sliding_bound(metadata: Configuration) -> float | None:
-    """Give the bound b/h of the sliding variable [Pa/s]; None if the controller has none."""
+    """Return the bound b/h of the sliding variable [Pa/s]; None if the controller has none."""
     b, h = setting(metadata, "spec", "controller", "b"), setting(metadata, "spec", "controller", "h")
     return 1e6 * b / h if b is not None and h else None
 
@@ -69,7 +69,7 @@ def _absence(run: Trajectory, name: str) -> str:
 
 
 def missing_reason(run: Trajectory, *names: str) -> str:
-    """Say why signals cannot be shown; empty where all can."""
+    """Return the reason why signals cannot be shown; empty if all can."""
     reasons: dict[str, list[str]] = {}
     for name in names:
         if absence := _absence(run, name):
@@ -80,7 +80,7 @@ def missing_reason(run: Trajectory, *names: str) -> str:
 
 
 def missing_together(run: Trajectory, samples: slice, *names: str) -> str:
-    """Say why signals cannot be shown together in some samples; empty where they can."""
+    """Return the reason why signals cannot be shown together in some samples; empty if they can."""
     if missing := missing_reason(run, *names):
         return missing
     together = np.logical_and.reduce([np.isfinite(run[name][samples]) for name in names])
@@ -94,39 +94,39 @@ def columns_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def response_of(run: Trajectory) -> NDArray[np.float64] | None:
-    """Return the response times of the loop [s], NaN where none was timed, shape (n,); None where none was."""
+    """Return the response times of the loop [s], NaN for untimed cycles, shape (n,); None if no cycle was timed."""
     if not known(run, "response_s"):
         return None
-    # Zero means not timed, and has no place on a logarithmic axis.
+    # Zero means not timed, and cannot be shown on a logarithmic axis.
     response = np.where(np.isfinite(run["response_s"]) & (run["response_s"] > 0), run["response_s"], np.nan)
     return response if np.isfinite(response).any() else None
 
 
 def largest_of(values: NDArray[np.float64]) -> float:
-    """Return the largest finite magnitude, 0 where there is none."""
+    """Return the largest finite magnitude, 0 if there is none."""
     known = np.abs(values[np.isfinite(values)])
     return float(known.max()) if known.size else 0.0
 
 
 def force_unit(run: Trajectory) -> Unit:
-    """Return the unit the force is shown in."""
+    """Return the unit in which the force is shown."""
     return KILONEWTON if largest_of(run["force_n"]) >= 1.0 / KILONEWTON.factor else NEWTON
 
 
 def last_samples(run: Trajectory) -> slice:
-    """Return the samples of the last half that a figure of one signal against another shows."""
+    """Return the samples of the last half shown in a figure of one signal against another."""
     return slice(len(run) - min(len(run) - len(run) // 2, PLANE_SAMPLES), len(run))
 
 
 def last_seconds(run: Trajectory) -> str:
-    """Say how long the stretch of :func:`last_samples` is."""
+    """Return a label with the length of the stretch of :func:`last_samples`."""
     return f"last {number(float(run.time_s[-1] - run.time_s[last_samples(run).start]), 2)} s"
 
 
 WITHOUT_VISCOUS = "without viscous friction"
-"""Label of the elements' force where there is only one element."""
+"""Label of the elements' force if there is only one element."""
 
 
 def several_elements(run: Trajectory) -> bool:
-    """Tell whether the friction estimate of a run has more than one element."""
+    """Return whether the friction estimate of a run has more than one element."""
     return any(known(run, name) and len(columns_of(run[name])) > 1 for name in ("friction_elements_n", "friction_slipping"))

@@ -1,4 +1,4 @@
-"""What a recording holds, in figures: its length and rate, its gaps, and each signal's range, mean and rms."""
+"""Statistics of a recording: length, rate, gaps, and each signal's range, mean and rms."""
 
 from typing import NamedTuple
 
@@ -9,15 +9,15 @@ from ehls_ros.report.page import MISSING_NUMBER, Row, number
 from ehls_ros.trajectory import Trajectory
 
 GAP = 1.5
-"""Time between two samples above which some are missing between them, in multiples of the usual one."""
+"""Interval between two samples that counts as a gap, in multiples of the usual one."""
 
 
 class Sampling(NamedTuple):
-    """How a recording is sampled.
+    """Sampling of a recording.
 
     Attributes:
         seconds: from the first sample to the last [s].
-        rate: usual number of samples in a second [Hz]; None where there are no two.
+        rate: usual sampling rate [Hz]; None with fewer than two samples.
         gaps: number of gaps between samples.
         longest: longest time between two samples [s].
     """
@@ -29,7 +29,7 @@ class Sampling(NamedTuple):
 
 
 def sampling(run: Trajectory) -> Sampling:
-    """Return how a recording is sampled."""
+    """Return the sampling of a recording."""
     steps = np.diff(run.time_s)
     if not steps.any():
         return Sampling(0.0, None, 0, 0.0)
@@ -39,7 +39,7 @@ def sampling(run: Trajectory) -> Sampling:
 
 
 def sampling_sentence(run: Trajectory) -> str:
-    """Say how long a recording is, how fast it was sampled, and where samples are missing."""
+    """Return a sentence on the length, sampling rate and gaps of a recording."""
     found = sampling(run)
     if found.rate is None:
         return f"Samples: {len(run)}."
@@ -51,7 +51,7 @@ def sampling_sentence(run: Trajectory) -> str:
 
 
 def statistics(run: Trajectory) -> tuple[list[str], list[Row]]:
-    """Return header and rows of a table of all signals, in units of practice."""
+    """Return header and rows of a table of all signals, in practical units."""
     rows: list[Row] = []
     for name, values in run.signals.items():
         finite = values[np.isfinite(values)]

@@ -1,4 +1,4 @@
-"""The figure of any signals of a recording over time, a row for each unit."""
+"""Figure of selected signals of a recording over time, with a row per unit."""
 
 from collections.abc import Sequence
 
@@ -11,14 +11,14 @@ from ehls_ros.trajectory import MEASURED, READABLE, Trajectory
 
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 QUANTITIES = {"N": "force", "Pa": "pressure", "m": "displacement", "m/s": "velocity", "K": "temperature", "s": "time"}
-"""What an axis of several signals shows, by its SI unit."""
+"""Label of an axis of several signals, by its SI unit."""
 
 MOST_ROWS = 8
 """Largest number of rows of a figure."""
 
 
 def signals_over_time(run: Trajectory, names: Sequence[str]) -> Panel:
-    """Draw signals over time, those of one unit in one row.
+    """Draw signals over time, with one row per unit.
 
     Args:
         run: the recording.

@@ -1,4 +1,4 @@
-"""The report of a dynamic force verification: a part for each block, with its table and figures."""
+"""Report of a dynamic force verification: a section for each block, with its table and figures."""
 
 import math
 from collections.abc import Iterator
@@ -21,10 +21,10 @@ from ehls_ros.report import verification_figures as drawn
 from ehls_ros.report.page import MISSING_NUMBER, Row, number, signed
 
 SYMBOLS = {"n": "N", "deg": "°"}
-"""Units of quantities as they are shown."""
+"""Displayed units of quantities."""
 
 MOST_DRAWN = 12
-"""Blocks whose figures are drawn; the tables have all of them."""
+"""Maximum number of blocks with figures; the tables have all of them."""
 
 NOTES = (
     "Peak, valley and range are those of the reference, delayed and scaled, plus the harmonics fitted to what remains.",
@@ -37,7 +37,7 @@ NOTES = (
 
 
 def answer(found: Verification) -> tuple[str, bool | None]:
-    """Return the result in a sentence, and None for the data tell no verdict: limits are those of the user's standard."""
+    """Return the result in a sentence, and None, since a verdict depends on the limits of the user's standard."""
     cyclic = [block for block in found.blocks if isinstance(block.found, Cyclic)]
     others = len(found.blocks) - len(cyclic)
     if not cyclic:
@@ -72,7 +72,7 @@ def write_verification_report(found: Verification, path: Path, source: str = "")
     Args:
         found: the verification.
         path: file to write; its folder must exist.
-        source: what was verified, for the line below the heading.
+        source: name of the verified recording, for the line below the heading.
     """
     sentence, good = answer(found)
     cyclic = [block for block in found.blocks if isinstance(block.found, Cyclic)]
@@ -194,7 +194,7 @@ def _drift(value: float, expanded: float) -> str:
 
 
 def _said(one: Cyclic, missing: str) -> Iterator[str]:
-    """Yield what was left out and why."""
+    """Yield remarks on omitted cycles and on the limits of the result."""
     for count, why in (
         (one.cycles_settling, "at the start of their stretch, before the force has settled"),
         (one.cycles_incomplete, "for missing samples, a hold, or another length"),
@@ -227,7 +227,7 @@ def _quantities(one: Cyclic) -> str:
 
 
 def _cells(one: Cyclic) -> str:
-    """Make the budget: standard uncertainties by their origin."""
+    """Return the uncertainty budget: standard uncertainties by origin."""
     header = ["standard uncertainty of", "scatter (A)", "fit (A)", "noise (B)", "resolution (B)", "cell (B)", "waveform (B)",
               "combined"]  # fmt: skip
     rows: list[Row] = []

@@ -1,4 +1,4 @@
-"""The figures of a verification: each function takes a block's result and gives a panel."""
+"""Figures of a verification: each function takes a block's result and returns a panel."""
 
 import numpy as np
 
@@ -10,11 +10,11 @@ from ehls_ros.report.plot import Axis, Trace, Unit
 
 PERCENT = Unit("%")
 MOST_MARKS = 2000
-"""Cycles above which a trend shows every so manieth."""
+"""Maximum number of cycles in a trend; longer ones are decimated."""
 
 
 def force_unit(*values: Array) -> Unit:
-    """Return the unit that forces are shown in."""
+    """Return the unit in which forces are shown."""
     largest = max((float(np.nanmax(np.abs(v))) for v in values if np.isfinite(v).any()), default=0.0)
     return plot.KILONEWTON if largest >= 1.0 / plot.KILONEWTON.factor else plot.NEWTON
 
@@ -37,7 +37,7 @@ def one_cycle(found: Cyclic) -> Panel:
 
 
 def trend(found: Cyclic) -> Panel:
-    """Draw how far peak and valley of every cycle are from the reference's."""
+    """Draw the deviations of every cycle's peak and valley from the reference's."""
     trend = found.trend
     stride = -(-len(trend.cycle) // MOST_MARKS)
     peak, valley = trend.peak_n - trend.reference_peak_n, trend.valley_n - trend.reference_valley_n
@@ -59,7 +59,7 @@ def trend(found: Cyclic) -> Panel:
 
 
 def harmonics(found: Cyclic) -> Panel:
-    """Draw the harmonics of force and reference but the first, in percent of it, with expanded uncertainties."""
+    """Draw the higher harmonics of force and reference in percent of the fundamental, with expanded uncertainties."""
     rows = found.harmonics[1:]
     first = found.harmonics[0].measured_n or np.nan
     order = np.array([float(row.order) for row in rows])

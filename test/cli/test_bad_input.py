@@ -1,4 +1,4 @@
-"""Wrong input ends with code 2 and one line that says what, where and what was expected."""
+"""Wrong input ends with code 2 and one line that names the error, its location and the expected value."""
 
 import resource
 import subprocess
@@ -123,7 +123,7 @@ def test_bag_cut_in_half(spec, tmp_path, capsys):
 def limited(*arguments, largest_file):
     """Return exit code and errors of a process whose files are limited in size, as on a full disk."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
-    # It inherits the limit, and so does what it starts.
+    # The child inherits the limit, and so do the processes it starts.
     own, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, most))
     try:

@@ -1,4 +1,4 @@
-"""The tab key in a shell, and colours only where somebody sees them."""
+"""Tab completion in a shell, and colours only on a terminal."""
 
 import os
 import pty
@@ -41,7 +41,7 @@ def script(tmp_path, capsys):
 
 
 def completions(script: Path, *words: str, folder: Path | None = None) -> set[str]:
-    """Return what bash offers for the last word."""
+    """Return bash's completions of the last word."""
     command = ["bash", "-c", ASK, "bash", str(script), *words]
     return set(subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout.split())
 
@@ -85,7 +85,7 @@ doctor.run(Namespace(clean=False, json=False))
 
 
 def on_a_terminal(**variables: str) -> str:
-    """Return what it writes to a terminal."""
+    """Return its output to a terminal."""
     environment = {name: value for name, value in os.environ.items() if name not in {"NO_COLOR", "FORCE_COLOR"}}
     ours, theirs = pty.openpty()
     try:

@@ -1,4 +1,4 @@
-"""`ehls diagnose NEW --baseline OLD`: what the terminal, the folder and the report say."""
+"""`ehls diagnose NEW --baseline OLD`: output on the terminal, in the folder and in the report."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ COLUMNS = ("position_m", "load_pressure_pa", "disturbance_force_n")
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
-    """A healthy recording, another one, and one with more friction; and a rig file that is wrong in the mass."""
+    """A healthy recording, another one, and one with more friction; and a rig file with a wrong mass."""
     from truth_generator import record
 
     folder = tmp_path_factory.mktemp("recordings")

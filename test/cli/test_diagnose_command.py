@@ -1,4 +1,4 @@
-"""`ehls diagnose` from the command line: what it leaves, what it says, and what it does when something goes wrong."""
+"""`ehls diagnose` from the command line: its files, its output, and its reactions to errors."""
 
 import json
 import re
@@ -32,7 +32,7 @@ STAGES = {"force_balance", "flow", "valve", "sensors"}
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Path:
-    """Twelve seconds of a rig whose Coulomb friction is not what its file says."""
+    """Twelve seconds of a rig whose Coulomb friction differs from its file's."""
     from truth_generator import record
 
     path = tmp_path_factory.mktemp("recording") / "axis.csv"
@@ -43,7 +43,7 @@ def recording(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def diagnosed(recording, tmp_path_factory):
-    """The folder of a run, and the diagnosis it was made of."""
+    """The folder of a run, and the diagnosis it is based on."""
     out, kept = tmp_path_factory.mktemp("diagnosed"), []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(diagnosing, "diagnose", lambda *a, real=diagnosing.diagnose, **k: kept.append(real(*a, **k)) or kept[-1])
@@ -53,7 +53,7 @@ def diagnosed(recording, tmp_path_factory):
 
 @pytest.fixture
 def again(diagnosed, recording, tmp_path, monkeypatch):
-    """Run the command once more with a diagnosis that is changed instead of made."""
+    """Run the command once more with a modified diagnosis instead of a new one."""
 
     def run(*arguments, **changes):
         found = replace(diagnosed[1], **changes)

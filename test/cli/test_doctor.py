@@ -1,4 +1,4 @@
-"""`ehls doctor` reports what works and what does not."""
+"""`ehls doctor` reports working and failing parts."""
 
 import fcntl
 import json
@@ -21,7 +21,7 @@ def findings(capsys, *arguments):
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Give two processes all the time this machine may need to discover each other."""
+    """Give two processes ample time to discover each other on this machine."""
     monkeypatch.setattr(checks, "DISCOVERY_TIME", PATIENCE)
 
 

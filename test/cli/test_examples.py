@@ -1,4 +1,4 @@
-"""The pages of examples/ with data beside them: their commands are valid, and what they say comes out."""
+"""The pages of examples/ with data: their commands are valid, and reproduce the stated results."""
 
 import json
 import shlex

@@ -1,4 +1,4 @@
-"""`ehls identify` from the command line, on a drive with other columns and units than ours."""
+"""`ehls identify` from the command line, on a drive whose columns and units differ from the data contract's."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ COULOMB, VISCOUS, MASS, OFFSET = 21.0, 205.0, 95.0, -3.0
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory) -> Path:
-    """A CSV file as the example describes it: time, position, voltage of 35.15 N each."""
+    """A CSV file in the example's format: time, position, voltage of 35.15 N each."""
     random = np.random.default_rng(4)
     t = np.arange(24_000) * 1e-3
     speeds = (0.12, 0.08, 0.04, 0.1, 0.06)

@@ -1,4 +1,4 @@
-"""Ctrl-C: one line, exit code 130, and nothing that keeps running."""
+"""Ctrl-C: one line, exit code 130, and no process that keeps running."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ if __name__ == "__main__":
     with Workers(2) as workers:
         workers.run([partial(exec, deaf), partial(exec, deaf)])
 """
-"""Tasks inside compiled code that Python's signal handlers cannot interrupt, for hours."""
+"""Long tasks inside compiled code that Python's signal handlers cannot interrupt."""
 
 
 def test_ctrl_c_while_a_verb_is_loaded_is_one_line(monkeypatch, capsys):
@@ -39,7 +39,7 @@ def test_ctrl_c_ends_processes_inside_compiled_code(tmp_path):
         assert process.stdout is not None
         assert [process.stdout.readline() for _ in range(2)] == ["begun\n", "begun\n"]
         os.killpg(process.pid, signal.SIGINT)
-        # The end of the output: no process that inherited it is left.
+        # End of the output: no process that inherited it is left.
         process.communicate(timeout=PATIENCE)
     finally:
         if process.poll() is None:

@@ -1,4 +1,4 @@
-"""`ehls monitor` from the command line: what it prints, leaves and refuses."""
+"""`ehls monitor` from the command line: its output, files and refusals."""
 
 import csv
 import json
@@ -18,7 +18,7 @@ SECONDS = 45.0
 
 @pytest.fixture(scope="module")
 def well(tmp_path_factory) -> Path:
-    """A recording of a rig that is what its file says."""
+    """A recording of a rig that matches its file."""
     from truth_generator import record
 
     path = tmp_path_factory.mktemp("recording") / "axis.csv"
@@ -37,7 +37,7 @@ def watched(well, tmp_path_factory) -> Path:
 
 @pytest.fixture
 def again(monkeypatch, tmp_path):
-    """Run the command with a replay that is kept instead of made, and return the arguments it was called with."""
+    """Run the command with a stored replay instead of a new one, and return the arguments it was called with."""
     calls = []
 
     class Reached(Exception):

@@ -59,7 +59,7 @@ def test_answers_that_make_no_rig_write_none(answers, tmp_path, capsys):
 
 
 def dialogue(rig, answers):
-    """Answer the questions of a terminal, each when it is asked; return exit code and what the terminal showed."""
+    """Answer the questions on a terminal as they are asked; return the exit code and the terminal's content."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", "new-rig", "--out", str(rig)]
     process, terminal = pty.fork()
     if process == 0:

@@ -1,4 +1,4 @@
-"""`ehls programme`: what it says of a programme, and its rainflow counts against those of the unrolled one."""
+"""`ehls programme`: its summary of a programme, and its rainflow counts against those of the unrolled one."""
 
 import json
 

@@ -8,7 +8,7 @@ from ehls_ros.cli.main import main
 
 @pytest.fixture
 def table(tmp_path):
-    """A bench's own table: 1 % too much force, in kN."""
+    """A bench's table: 1 % too much force, in kN."""
     time = np.arange(0.0, 8.0, 4e-3)
     wave = np.sin(2.0 * np.pi * time)
     path = tmp_path / "bench.csv"

@@ -17,5 +17,5 @@ def rig() -> Rig:
 
 @pytest.fixture
 def rig_mapping(rig: Rig) -> dict[str, Any]:
-    """The paper's rig as a rig file holds it."""
+    """Mapping of the paper's rig, as in a rig file."""
     return rig_to_mapping(rig)

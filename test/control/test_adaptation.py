@@ -1,4 +1,4 @@
-"""What is found of a wrong rig file while running, what is not, and what the controller is given."""
+"""Online identification of errors in the rig file, its limits, and the model passed to the controller."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,7 +43,7 @@ def companion(spec: Spec, model: Model, **values: float) -> adaptation.Adaptatio
 
 
 def fed(one: adaptation.Adaptation, model: Model, measured: np.ndarray, command: np.ndarray, first: int = 0) -> list[Model]:
-    """Return the model after every stretch."""
+    """Return the model after each stretch."""
     models, start = [], 0
     while start < len(command):
         n = one.room(first + start, np.full((len(command) - start, PLACE), np.nan))
@@ -59,7 +59,7 @@ def fed(one: adaptation.Adaptation, model: Model, measured: np.ndarray, command:
 
 
 def known(spec: Spec, **plant: float) -> Model:
-    """Return a controller's model whose plant's coefficients are multiplied; it knows the delay of 1 ms and the coupling."""
+    """Return a controller's model with scaled plant coefficients; it includes the delay of 1 ms and the coupling."""
     model = model_of(spec.controller_rig, PERIOD)
     values = {name: getattr(model.plant, name) * factor for name, factor in plant.items()}
     return model._replace(
@@ -102,7 +102,7 @@ def test_the_user_is_told_what_the_rig_file_has_wrong(run: Run) -> None:
 
 
 def test_who_asks_for_the_report_changes_nothing(run: Run) -> None:
-    """A node tells its diagnostics whenever the clock says so."""
+    """A node publishes its diagnostics at times set by the clock."""
     model = known(run.spec, discharge_coefficient=0.91, valve_bandwidth=0.9)
     asked, unasked = companion(run.spec, model), companion(run.spec, model)
     last = model

@@ -78,7 +78,7 @@ def test_reaching_time_bounds_every_run_of_s(start, seed):
             settled = push * fd / rate
             s = settled + (s - settled) * math.exp(-rate * step)
         assert abs(s) <= inside, f"seed {seed}"
-        # From there no disturbance gets it out again.
+        # Beyond this point no disturbance can move it out again.
         assert abs(push * 5500.0 / rate) < inside
 
 

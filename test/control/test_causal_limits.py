@@ -1,4 +1,4 @@
-"""The causal limit against an independent filter in a simulation of the same linear rig, and in cases that are known."""
+"""The causal limit against an independent filter in a simulation of the same linear rig, and in known cases."""
 
 import math
 from pathlib import Path
@@ -18,12 +18,12 @@ CONFIG = Path(__file__).parents[2] / "config"
 
 @pytest.fixture(scope="module")
 def measured() -> Rig:
-    """The paper's rig with the sensors of a rig."""
+    """The paper's rig with realistic sensors."""
     return load_rig(CONFIG / "rig_paper_measured.yaml")
 
 
 def rows(cycles=4000, force=np.zeros_like):
-    """Return the rows of a disturbance force, straight within a cycle."""
+    """Return the rows of a disturbance force that is linear within a cycle."""
     t = PERIOD * np.arange(cycles + 1)
     out = np.zeros((cycles, 4))
     out[:, 0], out[:, 1] = force(t[:-1]), np.diff(force(t)) / PERIOD
@@ -118,7 +118,7 @@ def test_an_independent_kalman_predictor_errs_by_the_limit(measured):
     limit = causal_limit(delayed(measured, 1e-3), PERIOD, disturbance, velocity_read=False)
     assert limit.horizon == 2e-3
     largest = monte_carlo(measured, disturbance, 2, limit, 1.0, 40)
-    # Of correlated cycles fewer count as independent than there are: the limit is a little lower.
+    # Correlated cycles count as fewer independent ones: the limit is a little lower.
     assert 0.9 < limit.largest / np.mean(largest) < 1.02
     # Another intensity is no better.
     for factor in (0.2, 5.0):
@@ -154,7 +154,7 @@ def test_the_limit_scales_as_its_units_do(measured):
 
 
 def test_a_servo_acts_through_its_coupling(measured):
-    """A motion of the far end is the force of spring and damper, for an end that nothing else holds."""
+    """A motion of the far end acts as the force of spring and damper, for an end without other constraints."""
     plant = measured.plant
     soft = measured.with_effects((EffectUse("coupling_stiffness", Coupling(1e3, 10.0)),))
     t = PERIOD * np.arange(4001)

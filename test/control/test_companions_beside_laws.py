@@ -1,4 +1,4 @@
-"""Every companion beside every law: it runs, or is refused before the run with the reason."""
+"""Every companion with every law: it runs, or is refused before the run with the reason."""
 
 import inspect
 from pathlib import Path
@@ -18,7 +18,7 @@ from ehls_ros.experiments.spec import Spec, company_of, spec_from_mapping
 CONFIG = Path(__file__).parents[2] / "config"
 
 PERIOD = 0.25
-"""Of the load cycle, of which a run has six [s]."""
+"""Period of the load cycle, of which a run has six [s]."""
 
 PAIRS = [
     pytest.param(companion, law, id=f"{companion}-{law}") for companion in COMPANIONS.names() for law in CONTROLLERS.names()
@@ -41,7 +41,7 @@ def spec_of(companion: str, law: str) -> Spec:
 
 
 def ready(companion: str, law: str) -> Spec | str:
-    """Return the experiment once its companion is built, or the reason why the pair is refused."""
+    """Return the experiment once its companion is built, or the reason for refusing the pair."""
     try:
         spec = spec_of(companion, law)
         company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), "pair")
@@ -62,7 +62,7 @@ def test_a_pair_is_accepted_or_refused_with_both_names(companion: str, law: str)
 
 @pytest.mark.parametrize("law", CONTROLLERS.names())
 def test_a_law_with_a_filter_says_what_it_assumes_as_smoothers_ask(law: str):
-    """A smoother runs the law's filter; one with other arguments ended the first cycle in an error of the compiler."""
+    """A smoother runs the law's filter; one with different arguments ended the first cycle in a compiler error."""
     assumptions = getattr(CONTROLLERS.load(law), "assumptions", None)
     if assumptions is None:
         pytest.skip("it has no filter")

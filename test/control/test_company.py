@@ -1,4 +1,4 @@
-"""Companions are called alike by the loop in one process and by a controller that is stepped, each after the one before it."""
+"""The in-process loop and a stepped controller call companions in the same way, each after the previous one."""
 
 import sys
 from collections.abc import Callable
@@ -26,7 +26,7 @@ CYCLES = CHUNK + 501
 
 
 class Made:
-    """A companion that does what it is told to the rows and to the model, and keeps what it was called with."""
+    """A companion that applies given changes to rows and model, and records its calls."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class Made:
 
     def done(self, past: Past, model: Model) -> Model:
         self.calls.append("done")
-        # The loop uses the memory again.
+        # The loop reuses the memory.
         self.seen.append(Past(past.first, *(np.array(part) for part in past[1:])))
         return self.model(model)
 
@@ -66,7 +66,7 @@ def column(past: list[Past], name: str) -> np.ndarray:
 
 
 def raised(force: float) -> Callable[[Upcoming], None]:
-    """Return what adds a force [N] to the reference."""
+    """Return a function that adds a force [N] to the reference."""
 
     def change(upcoming: Upcoming) -> None:
         upcoming.rows[:, 0] += force
@@ -94,7 +94,7 @@ def looped(spec: Spec, **members: Any) -> None:
 
 
 def stepped(spec: Spec, **members: Any) -> Controller:
-    """Run it cycle by cycle."""
+    """Run the experiment cycle by cycle."""
     plant, random = simulator_of(spec), np.random.default_rng(spec.settings.seed)
     wanted, force = sampled(spec.reference, 1e-3), sampled(spec.disturbance.signal, 1e-3)
     model = model_of(spec.controller_rig, 1e-3)
@@ -142,7 +142,7 @@ def test_the_force_error_is_that_to_the_reference_wanted(spec):
     looped(spec, made=made)
     error = column(made.seen, "measured")[:, FORCE] - column(made.seen, "wanted")[:, 0]
     assert column(made.seen, "status")[:, FORCE_ERROR] == pytest.approx(error, abs=1e-8)
-    # What was followed is 500 N more.
+    # The reference followed is 500 N larger.
     assert np.mean(error[CYCLES // 2 :]) == pytest.approx(500.0, abs=20.0)
 
 
@@ -166,7 +166,7 @@ def test_a_controller_that_forgets_tells_its_companions_and_reports_each_by_name
 
 
 def kernels() -> dict[str, list[Any]]:
-    """Return what every generated kernel has been compiled or loaded for."""
+    """Return the signatures for which each generated kernel has been compiled or loaded."""
     modules = [module for name, module in sys.modules.items() if name.startswith(PREFIX)]
     found = ((f"{module.__name__}.{name}", entry) for module in modules for name, entry in vars(module).items())
     return {name: list(entry.signatures) for name, entry in found if isinstance(entry, Dispatcher)}

@@ -1,4 +1,4 @@
-"""What every file of the control side's families provides; a new file is found and tested by itself."""
+"""Contract of every file of the control side's families; new files are found and tested automatically."""
 
 import inspect
 import math

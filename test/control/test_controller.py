@@ -1,4 +1,4 @@
-"""The controller around the laws: change of tuning, reset, and what every law promises."""
+"""The controller around the laws: change of tuning, reset, and the contract of every law."""
 
 import math
 from itertools import permutations
@@ -41,7 +41,7 @@ def model_rate(rig: Any, measured: np.ndarray) -> float:
 
 
 class Bench:
-    """A closed loop that can be looked at between two cycles: 10 sin(pi t) kN against 5 sin(2 pi t) kN."""
+    """A closed loop that can be inspected between two cycles: 10 sin(pi t) kN against 5 sin(2 pi t) kN."""
 
     def __init__(self, rig: Any, law: Controller) -> None:
         self.rig, self.law, self.cycle = rig, law, 0
@@ -83,7 +83,7 @@ def test_retuning_makes_no_bump_and_counts_at_once(rig, new):
     assert law.parameters == p
     after = [command] + [bench.step()[2] for _ in range(600)]
     assert np.max(np.abs(np.diff(after[:100]))) <= 2.0 * before
-    # Nothing of the change is left: a controller with the new tuning and this memory commands the same.
+    # The change leaves no trace: a controller with the new tuning and this memory gives the same command.
     fresh = make(rig, **new)
     fresh._memory = law._memory.copy()
     measured = measure(rig, bench.simulator)
@@ -152,7 +152,7 @@ def test_a_step_after_unanswered_cycles_is_that_of_the_longer_period(rig, name):
     assert late.step(measured, reference, friction, 7) == slow.step(measured, reference, friction)
     assert late._memory.tobytes() == slow._memory.tobytes()
     assert late.status.tobytes() == slow.status.tobytes()
-    # The cycle after it is a usual one.
+    # The cycle after it is a regular one.
     usual = make(rig, name)
     usual._memory[:] = late._memory
     assert late.step(measured, reference, friction) == usual.step(measured, reference, friction)
@@ -176,7 +176,7 @@ def test_any_measurement_gives_a_command_within_the_limit(rig, name, seed):
 
 @pytest.mark.parametrize("name", CONTROLLERS.names())
 def test_a_broken_cycle_is_forgotten(rig, name):
-    """One cycle of NaN in the middle of a run: afterwards the rig comes to where it would have come to without."""
+    """One cycle of NaN in the middle of a run: afterwards the rig converges to the same state as without it."""
     wanted = np.array([2.7e3 if CONTROLLERS.load(name).FOLLOWS == "force" else 1e-3, 0.0, 0.0])
     ends = []
     for broken_cycle in (300, None):
@@ -257,12 +257,12 @@ def alone(rig: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 def test_a_switch_of_controllers_makes_no_bump(rig, alone, first, second):
     errors, commands = traces(Switched(rig, named(rig, first), named(rig, second)))
     after = slice(SWITCH, SWITCH + AFTER)
-    # Before the switch the second one does nothing to the loop. After it the error is that of the two laws, which have not the
-    # same past there: an integral, such as that of sic, has another value.
+    # Before the switch the second law does not affect the loop. After it the error is that of the two laws, which have
+    # different histories there: an integral, such as that of sic, has another value.
     assert np.array_equal(commands[:SWITCH], alone[first][1][:SWITCH])
     usual = max(np.max(np.abs(alone[name][0][after])) for name in (first, second))
     assert np.max(np.abs(errors[after])) <= 1.2 * usual
-    # The command goes on from the last one; what the new law does at once about the error it finds is small.
+    # The command continues from the last one; the new law's immediate reaction to the error is small.
     assert np.max(np.abs(np.diff(commands[SWITCH - 1 : SWITCH + 5]))) <= 0.01 * rig.limits.spool
 
 
@@ -276,7 +276,7 @@ def test_one_that_follows_its_like_commands_the_same(rig, name):
         friction = estimator.update(measured[sensors.VELOCITY])
         followed = shadow.follow(measured, wanted, friction, command)
         command = law.step(measured, wanted, friction)
-        # fasmc leaves what its like has adapted in alpha and beta to D.
+        # fasmc passes the effect of a predecessor's adapted alpha and beta on to D.
         assert followed == pytest.approx(command, rel=1e-3, abs=1e-7)
         simulator.advance(command, 0.0, 0.0, 0.0, 0.0)
 

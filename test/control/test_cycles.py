@@ -1,4 +1,4 @@
-"""Snapshot, reference and friction estimate of one cycle are matched in whatever order, and however late, they arrive."""
+"""Snapshot, reference and friction estimate of one cycle are matched in any order of arrival and with any delay."""
 
 import itertools
 
@@ -24,7 +24,7 @@ def friction(cycle, run=0):
 
 
 def make(*, references=AHEAD, uses_friction=True):
-    """Return a controller's cycles that know the reference of the first ones."""
+    """Return a controller's cycles with the references of the first ones."""
     cycles = Cycles(friction=uses_friction, patience=PATIENCE)
     for cycle in range(references):
         cycles.add_reference(cycle, reference(cycle))
@@ -36,7 +36,7 @@ def snapshot(cycles, cycle, now=0.0, run=0):
 
 
 def answer(cycles, cycle, now=0.0, run=0):
-    """Let everything for a cycle arrive, and return what is answered."""
+    """Deliver all inputs of a cycle, and return the answer."""
     snapshot(cycles, cycle, now, run)
     cycles.add_friction(cycle, friction(cycle, run))
     return cycles.take(now)
@@ -88,7 +88,7 @@ def test_the_reference_is_asked_for_only_where_it_is_not_there():
     cycles.add_friction(2, friction(2))
     assert cycles.lacks_reference
     assert cycles.lacks == "reference"
-    # It has all the time there is: without a reference there is nothing to follow.
+    # There is no deadline: without a reference there is nothing to follow.
     assert cycles.take(1000.0) is None
     assert cycles.waited(1000.0) == 999.0
     cycles.add_reference(2, reference(2))
@@ -113,7 +113,7 @@ def test_the_newest_complete_cycle_is_answered_and_older_ones_never():
     cycles.add_friction(4, friction(4))
     assert cycles.take(1000.0) is None
     assert cycles.waited(1000.0) == 0.0
-    # Nor does a later run find what was for them.
+    # A later run does not find their inputs either.
     snapshot(cycles, 4)
     assert cycles.lacks_reference
 
@@ -139,10 +139,10 @@ def test_an_estimate_that_stays_away_is_waited_for_once():
     assert (ready.cycle, ready.friction, ready.elapsed) == (1, None, 1)
     assert not cycles.friction_comes
     assert cycles.lacks == "snapshot"
-    # From now on a cycle does without at once.
+    # From now on a cycle proceeds without it at once.
     snapshot(cycles, 2, now=2.0)
     assert cycles.take(2.0).friction is None
-    # One that comes late is no use to its cycle, but the next cycle waits again.
+    # A late estimate is useless to its cycle, but the next cycle waits again.
     cycles.add_friction(2, friction(2))
     assert cycles.friction_comes
     assert cycles.take(2.0) is None
@@ -200,7 +200,7 @@ def test_an_estimate_of_an_earlier_run_is_not_taken_for_one_of_this():
     cycles = make()
     for cycle in range(10):
         answer(cycles, cycle)
-    # It answers a cycle that this controller never saw.
+    # It answers a cycle that this controller never received.
     cycles.add_friction(20, friction(20))
     for cycle in range(21):
         cycles.add_reference(cycle, reference(cycle))
@@ -217,7 +217,7 @@ def test_a_cycle_that_comes_again_is_a_plant_that_began_anew():
     cycles.add_reference(0, reference(0))
     ready = answer(cycles, 0, run=5000)
     assert (ready.cycle, ready.elapsed, ready.anew, ready.measured) == (0, 1, True, measured(0, 5000))
-    # Not yet answered, the later one of the two counts, and its patience begins with it.
+    # Of two unanswered ones, the later counts, and its patience starts with it.
     snapshot(cycles, 1, now=1.0)
     snapshot(cycles, 1, now=2.0, run=5000)
     assert cycles.take(2.0 + PATIENCE) is None

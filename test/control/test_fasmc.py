@@ -1,4 +1,4 @@
-"""The law against hand-derived facts; the paper's equation numbers stand beside what they say."""
+"""The law against hand-derived facts, with the paper's equation numbers."""
 
 import math
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ RATE = (25.0 + 25.0 * E1 * 5500.0 / 107.5) / M0
 
 
 class Point(NamedTuple):
-    """An operating point in SI units: the state, what is wanted, and the friction at work."""
+    """An operating point in SI units: the state, the reference, and the acting friction."""
 
     x: float
     v: float
@@ -45,7 +45,7 @@ class Point(NamedTuple):
 
 
 def reading(x: float, v: float, pressure: float, spool: float, supply: float = 7e6, force: float | None = None) -> np.ndarray:
-    """Return what the sensors say; the load cell Ac pL where nothing else is said."""
+    """Return the sensor readings; the load cell reads Ac pL by default."""
     return np.array([x, v, pressure, spool, AREA * 1e-6 * pressure if force is None else force, supply, 313.0])
 
 
@@ -56,7 +56,7 @@ def points() -> list[Point]:
 
 
 def controller(rig: Any, period: float = 1e-3, limit: float = 1e3, **values: Any) -> Controller:
-    """Return the law with a spool limit that a check of the law itself never meets."""
+    """Return the law with a spool limit that a check of the law itself never reaches."""
     model = model_of(rig, period)._replace(spool_limit=limit)
     return Controller("fasmc", parse(fasmc.Parameters, values, "test"), model)
 
@@ -155,7 +155,7 @@ def test_sliding_variable_of_a_point_worked_out_by_hand(rig):
 
 def test_the_error_is_the_load_cells_and_the_rest_is_the_pressures(rig):
     # The same point with 10 026 N at the load cell, 7800 N of them Ac pL: e3 = 0.01 MPa, g e3 = 0.6,
-    # phi = 12/(1 + exp(-0.6)) - 6 = 1.747876 MPa/s; x3' is what it was.
+    # phi = 12/(1 + exp(-0.6)) - 6 = 1.747876 MPa/s; x3' is unchanged.
     law = controller(rig)
     law.step(reading(0.0, 0.0, 3e6, 1e-4, force=10026.0), np.array([1e4, 0.0, 0.0]), np.zeros(2))
     assert law.status[base.E3] == pytest.approx(0.01, rel=1e-9)
@@ -233,7 +233,7 @@ def test_adaptation_takes_no_more_than_all_of_s_in_a_cycle(rig):
     for phi3, part in ((1.3575e5, 0.5), (2.7e5, 0.9945), (2.73e5, 1.0), (1e6, 1.0), (1e9, 1.0)):
         s, delta, _ = first_step(controller(rig, phi3=phi3, delta_maximum=1e6), points()[1])
         assert delta == pytest.approx(part * most * s, rel=1e-3), phi3
-    # All three share it where there is friction.
+    # All three share it if there is friction.
     at = points()[1]
     law = controller(rig, phi1=30.0, phi2=20.0, phi3=1e5, scale_maximum=100.0, scale_minimum=1e-6, forgetting=0.0)
     start_at(law)
@@ -250,13 +250,13 @@ def test_robust_term_counts_half_of_the_adaptations_step_as_taken(rig):
     assert left == pytest.approx(s / 88.772, rel=1e-4)
     s, _, left = first_step(controller(rig, phi3=1e9, delta_maximum=1e6), at)
     assert left == pytest.approx(0.5 * s / 88.772, rel=1e-4)
-    # Where a limit cuts the adaptation, u3 has the rest to take.
+    # If a limit cuts the adaptation, u3 has to take the rest.
     s, delta, left = first_step(controller(rig, phi3=1e9, delta_maximum=40.0), at)
     assert abs(delta) == 40.0
     assert left == pytest.approx((s - 0.5 * delta * E1 * 1e-3 / M0) / 88.772, rel=1e-4)
     s, _, left = first_step(controller(rig, phi3=1e9, delta_maximum=0.0), at)
     assert left == pytest.approx(s / 88.772, rel=1e-4)
-    # As printed, u3 acts on all of s, whatever the adaptation does.
+    # As printed, u3 acts on all of s, regardless of the adaptation.
     s, _, left = first_step(controller(rig, phi3=1e9, implicitness=0.0), at)
     assert left == pytest.approx(s, rel=1e-9)
 
@@ -298,7 +298,7 @@ def tight_rig(rig: Any) -> Any:
 
 
 def rate_after(law: Controller, pressure: float, elapsed: int = 1, spool: float = 0.0, **broken: float) -> float:
-    """Return the pressure's rate [MPa/s] the law reckons with at a pressure [MPa]: s where nothing else is in it."""
+    """Return the pressure rate [MPa/s] that the law assumes at a pressure [MPa]: s without other terms."""
     measured = reading(0.0, 0.0, pressure * MPA, spool, force=0.0)
     for signal, value in broken.items():
         measured[SENSED.index(signal)] = value
@@ -320,7 +320,7 @@ def test_pressure_rate_is_corrected_by_what_the_model_missed(rig):
     rate_after(law, 1.0)
     # 20 kPa in 1 ms against a mean of -8.648 1.01: 28.73448 MPa/s were missed.
     assert rate_after(law, 1.02) == pytest.approx(-8.648 * 1.02 + 28.73448, rel=1e-9)
-    # The spool opens and the pressure stays: what was missed is minus the mean of the model's -8.82096 and 248.18 MPa/s.
+    # The spool opens and the pressure stays: the missed rate is minus the mean of the model's -8.82096 and 248.18 MPa/s.
     opened = 256.9986 - 8.648 * 1.02
     assert rate_after(law, 1.02, spool=1e-4) == pytest.approx(opened - 0.5 * (opened - 8.82096), abs=1e-3)
 
@@ -337,9 +337,9 @@ def test_after_unanswered_cycles_the_pressure_rate_is_the_mean_slope_since(rig, 
     law = controller(tight_rig(rig))
     rate_after(law, 1.0)
     rate_after(law, 1.02)
-    # 20 MPa/s before, and on the mean -3 MPa/s over the gap, however it went there.
+    # 20 MPa/s before, and on average -3 MPa/s over the gap, whatever its course there.
     assert rate_after(law, 1.02 - 3e-3 * cycles, cycles) == pytest.approx(-3.0, rel=1e-9)
-    # The next cycle is a usual one again.
+    # The next cycle is a regular one again.
     assert rate_after(law, 1.02 - 3e-3 * cycles + 7e-3) == pytest.approx(7.0, rel=1e-9)
 
 
@@ -399,14 +399,14 @@ def test_a_broken_sensor_gives_a_finite_command_and_leaves_no_trace(rig, signal,
     measured[SENSED.index(signal)] = value
     assert abs(law.step(measured, reference, friction)) <= 0.01
     assert law._memory[ADAPTED].tobytes() == before[ADAPTED].tobytes()
-    # What is kept of the pressure is the last cycle's, or this one's where nothing of it was broken.
+    # The stored pressure is that of the last cycle, or of this one if none of its values was broken.
     kept = law._memory[PRESSURE_RATE].tobytes()
     untouched = signal in {"position", "force"} and kept == sound._memory[PRESSURE_RATE].tobytes()
     assert untouched or kept == before[PRESSURE_RATE].tobytes()
 
 
 class Run(NamedTuple):
-    """What a closed loop did, a row a cycle."""
+    """Record of a closed loop, a row per cycle."""
 
     force: np.ndarray
     command: np.ndarray
@@ -414,7 +414,7 @@ class Run(NamedTuple):
 
 
 def closed_loop(rig: Any, law: Controller, cycles: int, wanted: Any, *, limit: Any = None, disturbance: float = 0.0) -> Run:
-    """Run the law on the simulated rig with the plant's own friction as its estimate."""
+    """Run the law on the simulated rig with the plant's friction as its estimate."""
     simulator = Simulator(rig, 1e-3)
     run = Run(np.empty(cycles), np.empty(cycles), np.empty((cycles, 3)))
     for k in range(cycles):
@@ -460,8 +460,8 @@ def sliding_run(rig: Any, period: float, cycles: int, implicitness: float, s: fl
 
 
 def test_closed_loop_follows_the_continuous_law_with_order_one(rig):
-    # On s = 0 the error obeys e3' = -k/2 tanh(g e3/2): sinh(g e3/2) falls at k g/4 = 180 1/s. What a command held for
-    # T is off by stays in s as long as K takes it out: the error goes with T (1 + theta K T).
+    # On s = 0 the error obeys e3' = -k/2 tanh(g e3/2): sinh(g e3/2) falls at k g/4 = 180 1/s. The error of a command held for
+    # T stays in s until K has removed it: the deviation scales with T (1 + theta K T).
     for implicitness in (0.0, 1.0):
         off = []
         for period in (1e-5, 5e-6, 2.5e-6):
@@ -476,7 +476,7 @@ def test_closed_loop_follows_the_continuous_law_with_order_one(rig):
 
 @pytest.mark.parametrize(("implicitness", "period"), [(1.0, 1e-5), (1.0, 2.5e-5), (0.5, 2.5e-5), (0.0, 5e-6), (0.0, 2e-5)])
 def test_s_of_the_closed_loop_decays_as_its_implicitness_says(rig, implicitness, period):
-    # Small enough for the spool to stay on its side.
+    # Small enough for the spool to stay on one side.
     _, s = sliding_run(rig, period, 4, implicitness, s=5.0)
     factor = 1.0 - RATE * period / (1.0 + implicitness * RATE * period)
     assert s == pytest.approx(5.0 * factor ** np.arange(4), rel=0.005, abs=0.005)
@@ -488,8 +488,8 @@ def test_explicit_law_diverges_beyond_23_microseconds(rig):
     assert np.max(np.abs(s[200:])) < 0.005
     _, s = sliding_run(rig, 24e-6, 40, implicitness=0.0, s=0.1)
     assert s[31:] / s[30:-1] == pytest.approx(1.0 - RATE * 24e-6, rel=5e-3)  # -1.1065
-    # At 1 ms a cycle multiplies s by -87, less what the valve's lag and the orifice take off so large a step; in a fifth cycle
-    # the valve would be open so far that this is most of it.
+    # At 1 ms a cycle multiplies s by -87, less the effect of valve lag and orifice on so large a step; in a fifth cycle the
+    # valve would open so far that this effect dominates.
     _, s = sliding_run(rig, 1e-3, 4, implicitness=0.0)
     assert np.all(s[2:] / s[1:-1] < -50.0)
     run = closed_loop(rig, controller(rig, limit=rig.limits.spool, implicitness=0.0), 1000, lambda t: [5e3, 0.0, 0.0])
@@ -506,7 +506,7 @@ def sine(t: float) -> list[float]:
 def test_any_adaptation_rate_of_d_is_stable_at_1_ms(rig, phi3):
     law = controller(rig, limit=rig.limits.spool, phi3=phi3)
     run = closed_loop(rig, law, 3000, sine)
-    # The error keeps to (44), 78.1 N; D has no more to learn than friction, 865 N, and stands still but where that turns.
+    # The error keeps to (44), 78.1 N; D has only friction to learn, 865 N, and stays constant except at reversals.
     assert np.max(np.abs(run.force - [sine(k * 1e-3)[0] for k in range(3000)])) < 78.1
     assert np.max(np.abs(run.memory[:, 2])) < 865.4
     assert np.quantile(np.abs(np.diff(run.memory[:, 2])), 0.95) < 1.0
@@ -520,14 +520,14 @@ def test_a_fast_adaptation_learns_a_disturbance_of_5_kn_without_chattering(rig, 
     left = run.memory[:, 2] - disturbance
     assert np.max(np.abs(run.force - [sine(k * 1e-3)[0] for k in range(3000)])) < 78.1
     assert np.max(np.abs(left[100:])) < 150.0
-    # But where friction turns, D goes the disturbance's steps of up to 31.4 N within a newton.
+    # At reversals of friction, D follows the disturbance's steps of up to 31.4 N to within a newton.
     assert np.quantile(np.abs(np.diff(left[100:])), 0.95) < 1.0
 
 
 def test_two_seconds_beyond_the_supply_pressure_leave_no_wind_up(rig):
     law = controller(rig, limit=rig.limits.spool)
     run = closed_loop(rig, law, 3500, lambda t: [2.5e4 if t < 2.0 else 1e4, 0.0, 0.0])
-    assert run.force[1990] == pytest.approx(18.2e3, rel=0.02)  # Ac ps: more the supply cannot do
+    assert run.force[1990] == pytest.approx(18.2e3, rel=0.02)  # Ac ps: the supply cannot do more
     assert np.max(np.abs(run.memory[:, 2])) < 0.9 * law.parameters.delta_maximum
     # 8.2 kN at k/2 Ac = 15.6 kN/s take 0.53 s.
     assert np.max(np.abs(run.force[2700:] - 1e4)) < 78.1

@@ -1,4 +1,4 @@
-"""The law that foresees: the simulation study's largest disturbance, and what it makes of a force that somebody foresees."""
+"""The predictive law: the simulation study's largest disturbance, and the use of a force predicted by a companion."""
 
 import math
 from pathlib import Path
@@ -28,7 +28,7 @@ def spec_of(cell: str = "sine_fd2", **changes: Any) -> Spec:
 
 
 class Stepped:
-    """A run whose controller is stepped: commands [m], and what its memory holds at the end."""
+    """A run with a stepped controller: commands [m], and the content of its memory at the end."""
 
     def __init__(self, spec: Spec, known: slice = slice(None), row: np.ndarray | None = None) -> None:
         plant, random = simulator_of(spec), np.random.default_rng(spec.settings.seed)
@@ -46,7 +46,7 @@ class Stepped:
             plant.advance(self.commands[k], *force.row(k)[:2], 0.0, 0.0)
 
     def unforeseen_rate(self) -> float:
-        """Return the rms rate of the force that nobody foresaw, as the filter has it [N/s]."""
+        """Return the rms rate of the unpredicted force, as assumed by the filter [N/s]."""
         return math.sqrt(self.controller._memory[state_estimator.MEMORY_SIZE + MEAN_SQUARE])
 
     def foreseen(self) -> np.ndarray:
@@ -64,7 +64,7 @@ def test_a_force_that_is_foreseen_leaves_the_filter_quiet_and_the_error_small():
     # The disturbance is 5 kN at 1 Hz.
     assert blind.unforeseen_rate() == pytest.approx(5e3 * 2.0 * math.pi / math.sqrt(2.0), rel=0.2)
     assert seeing.unforeseen_rate() < 0.05 * blind.unforeseen_rate()
-    # What is left is friction at reversals, which nobody foresees.
+    # The remainder is friction at reversals, which is not predicted.
     late = slice(len(blind.errors) // 2, None)
     assert np.median(np.abs(seeing.errors[late])) < np.median(np.abs(blind.errors[late]))
     assert np.max(np.abs(seeing.errors[late])) < 1.2 * np.max(np.abs(blind.errors[late]))
@@ -84,7 +84,7 @@ def test_a_preview_that_comes_late_or_ends_is_used_while_it_is_there():
     assert some.foreseen()[3] == 0.0
     never = Stepped(spec, slice(0))
     assert np.array_equal(some.commands[:700], never.commands[:700])
-    # Neither end makes a step.
+    # Neither end has a step.
     assert np.max(np.abs(some.errors[700:])) < 2.0 * np.max(np.abs(never.errors[700:])) + 1.0
 
 

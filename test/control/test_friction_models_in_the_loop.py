@@ -1,4 +1,4 @@
-"""Every friction model compensated in closed loop, and what does not serve a model refused."""
+"""Compensation of every friction model in closed loop, and refusal of members that do not serve a model."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from ehls_ros.physics.rig import rig_from_mapping
 MODELS = FRICTION_MODELS.names()
 
 NO_COMPENSATION = {"name": "stribeck", "smoothing": 10.0}
-"""So smooth that at the rig's velocities next to nothing of the curve is left."""
+"""So smooth that at the rig's velocities hardly any of the curve remains."""
 
 
 @pytest.fixture
@@ -96,6 +96,6 @@ def test_one_that_serves_one_model_is_accepted_with_it(rig_mapping, family):
 
 
 def test_it_is_the_controllers_rig_that_counts(make_spec, rig_mapping):
-    """The loader may have another friction than the controller believes."""
+    """The loader may have a friction that differs from the controller's model."""
     spec = make_spec("lugre", controller_rig=rig_mapping, compensation="gms", duration=0.5)
     assert run_in_process(spec)["friction_elements_n"].shape[1] == len(rig_mapping["friction"]["element_stiffness"])

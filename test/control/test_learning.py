@@ -1,4 +1,4 @@
-"""Learning from load cycle to load cycle, on plants whose response is known."""
+"""Learning from load cycle to load cycle, on plants with a known response."""
 
 import math
 from pathlib import Path
@@ -50,7 +50,7 @@ def repeated(random: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("turned", [0.0, 0.9, 2.5, -1.3])
 @pytest.mark.parametrize("way", WAYS)
 def test_every_harmonic_falls_at_least_as_fast_as_designed(way, turned):
-    """The plant is as far from the known one as may be, in a direction of its own; there is no noise."""
+    """The plant is at the largest permitted distance from the nominal one, in an arbitrary direction; there is no noise."""
     learner, first = WAYS[way](), repeated(np.random.default_rng(1))
     truth = FILTERS.response * (1.0 + 0.99 * FILTERS.uncertainty * np.exp(1j * turned))
     error = first
@@ -60,13 +60,13 @@ def test_every_harmonic_falls_at_least_as_fast_as_designed(way, turned):
         learner.correct()
         sizes.append(np.abs(np.fft.rfft(error))[1:50])
         error = first + np.fft.irfft(truth * learner.spectrum, SIZE)
-    # Once on the error that is looked at, and once on the correction.
+    # Once on the observed error, and once on the correction.
     q = FILTERS.robustness**2
     exact = np.abs(1.0 - q * FILTERS.learning * truth)[1:50]
     most = (1.0 - q + remaining(Loop(FILTERS.response, FILTERS.uncertainty), FILTERS.learning, q))[1:50]
     assert np.allclose(sizes[2], exact * sizes[1], rtol=1e-6, atol=1e-6)
     assert np.all(sizes[2] <= most * sizes[1] + 1e-6)
-    # What a correction did has shown the plant: from then on it falls faster still.
+    # The effect of a correction has revealed the plant: from then on it falls faster still.
     full = q[1:50] == 1.0
     assert full.sum() >= 5
     assert np.all(sizes[6][full] < 0.02 * sizes[0][full])
@@ -143,7 +143,7 @@ def at_once(omega: np.ndarray, tuning: Any, model: Any) -> np.ndarray:
 
 
 class Plant:
-    """A force that follows its reference at once, with an error that repeats, and a companion; by cycles or in stretches."""
+    """A force that follows its reference at once, with a repeating error, and a companion; by cycles or in stretches."""
 
     def __init__(
         self, rig: Any, *, law: Any = None, stretch: int = 1, noise: float = 0.5, limits: Any = None, **parameters: Any
@@ -285,7 +285,7 @@ def test_after_a_trip_the_cycle_and_the_next_do_not_count_but_what_is_learnt_sta
     plant.companion.interrupt()
     plant.added.clear()
     plant.run(1.7)
-    # Nothing is applied until a whole load cycle has run as it does by itself.
+    # No correction is applied until a whole load cycle has run without it.
     assert np.all(plant.correction[:, :FORESEEN] == 0.0)
     assert plant.companion.report()["repetitions"] == counted
     assert np.abs(plant.run(1)).max() < 4.0
@@ -376,7 +376,7 @@ def test_what_cannot_have_been_learnt_on_the_rig_is_refused(rig, name, spoil, sa
 
 @pytest.mark.parametrize(("swing", "said"), [(1.7e3, "would be corrected by"), (4e3, "the force is lost")])
 def test_a_correction_beyond_the_bounds_of_the_rig_is_given_up(rig, swing, said):
-    """The error is several times the reference: no loop needs that much, so it is not what repeats."""
+    """The error is several times the reference: no loop needs that much, so it is not the repeating part."""
     plant = Plant(rig, limits=rig.limits._replace(force=2e4))
     plant.run(8, size=300.0, swing=swing)
     assert np.abs(plant.correction[:, 0]).max() < 0.06 * 2e4

@@ -37,7 +37,7 @@ def pulled(size: float, frequency: float) -> Case:
 @pytest.mark.long
 @pytest.mark.parametrize(("size", "frequency"), [(500.0, 1.37), (130.0, 1.3), (430.0, 0.7), (350.0, 5.1)])
 def test_a_force_out_of_step_is_recognised_and_hardly_costs_anything(size: float, frequency: float):
-    """It once cost up to 860 N in every other load cycle."""
+    """It once added up to 860 N in every other load cycle."""
     case = pulled(size, frequency)
     bare = simulate(case, (), 0)
     learnt = simulate(case, (Use("learning", Parameters(period=PERIOD)),), 0)

@@ -10,7 +10,7 @@ PERIOD = 1e-3
 
 
 def second(frequency: float) -> LoadCycle:
-    """Return the second of two load cycles beside a sine of 1 kN [Hz], of whose end the smoother has not told the force."""
+    """Return the second of two load cycles with a sine of 1 kN [Hz]; the force at its end is not yet smoothed."""
     recorder, forces = Recorder(), 1e3 * np.sin(2.0 * np.pi * frequency * np.arange(2 * SIZE) * PERIOD)
     for turn in (0, 1):
         recorder.begin(follows=turn > 0)
@@ -26,11 +26,11 @@ def second(frequency: float) -> LoadCycle:
 
 @pytest.mark.parametrize("frequency", [1.3, 2.5, 0.37, 4.75])
 def test_a_force_out_of_step_has_no_step_where_the_load_cycle_before_takes_its_place(frequency: float):
-    """It had one of up to twice the force, which a law that foresees it followed."""
+    """It had one of up to twice the force, which a predictive law followed."""
     force = second(frequency).columns[:, SMOOTHED]
     steps = np.abs(np.diff(np.append(force, force[0])))
     own = 1e3 * 2.0 * np.pi * frequency * PERIOD
-    # Led over within the late samples: a difference of 2 kN at most, whose slope is at most 1.5 times its mean one.
+    # Blended within the late samples: a difference of 2 kN at most, whose slope is at most 1.5 times its mean one.
     allowed = own + 1.5 * (2e3 + own * LATE) / LATE
     assert np.max(steps[: SIZE - 1]) < allowed
     assert np.max(np.abs(np.diff(force, 2))[SIZE - LATE - 10 : SIZE - LATE + 10]) < 0.3 * allowed

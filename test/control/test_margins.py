@@ -38,7 +38,7 @@ def spectral_radius(proportional: float, integral: float, gain: float = 1.0) -> 
 @pytest.mark.parametrize(("proportional", "integral"), [(100.0, 0.0), (280.0, 100.0), (280.0, 3000.0), (1000.0, 500.0)])
 def test_gain_margin_is_the_gain_at_which_the_loop_turns_unstable(proportional, integral):
     factor = 10.0 ** (pressure_loop_margins(proportional, integral, VALVE, PERIOD).gain_db / 20.0)
-    # Without an integral part its own pole stays on the unit circle.
+    # Without an integral part its pole stays on the unit circle.
     above = 1.0 if integral == 0.0 else 0.0
     assert spectral_radius(proportional, integral, 0.99 * factor) <= 1.0 + 1e-9
     assert spectral_radius(proportional, integral, 1.01 * factor) > 1.0 + 1e-9 * (1.0 + above)

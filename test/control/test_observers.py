@@ -36,7 +36,7 @@ def estimates(rig, name: str, velocity: np.ndarray, **values: float) -> np.ndarr
 @pytest.mark.parametrize("model", FRICTION_MODELS.names())
 @pytest.mark.parametrize("amplitude", [1e-3, 2e-4])
 def test_the_rigs_own_model_follows_the_friction_inside_the_plant(rig_mapping, model, amplitude):
-    """To what the straight line between two velocities misses; where the contact stands still, nobody can know its force."""
+    """Within the error of the straight line between two velocities; in a sticking contact, the force is unobservable."""
     rig_mapping["friction"]["model"] = model
     rig = rig_from_mapping(rig_mapping, "rig")
     simulator, estimator = Simulator(rig, PERIOD), FrictionEstimator("rig_model", rig, PERIOD)
@@ -147,7 +147,7 @@ def test_an_update_after_a_gap_is_that_of_the_longer_period(rig, name, cycles):
     late, slow = FrictionEstimator(name, rig, PERIOD), FrictionEstimator(name, rig, cycles * PERIOD)
     for v in velocities(2, 2000)[::cycles]:
         assert late.update(v, cycles).tobytes() == slow.update(v).tobytes()
-    # The cycle after a gap is a usual one.
+    # The cycle after a gap is a regular one.
     usual = FrictionEstimator(name, rig, PERIOD)
     for kept, from_gap in zip(usual.state, late.state, strict=True):
         kept[:] = from_gap
@@ -158,7 +158,7 @@ def test_an_update_after_a_gap_is_that_of_the_longer_period(rig, name, cycles):
 def test_gms_sticks_over_a_gap_as_a_spring_does(rig, cycles):
     estimator = FrictionEstimator("gms", rig, PERIOD)
     estimator.update(2e-3)
-    # On the mean 3 mm/s for the time of the gap, at 2265 N/mm: at most 0.09 mm, and nothing slips before 0.28 mm.
+    # On average 3 mm/s for the time of the gap, at 2265 N/mm: at most 0.09 mm, and nothing slips before 0.28 mm.
     assert estimator.update(4e-3, cycles)[0] == pytest.approx(2265e3 * 3e-3 * cycles * PERIOD, rel=1e-9)
 
 

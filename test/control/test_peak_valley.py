@@ -1,4 +1,4 @@
-"""Peaks, valleys and phase brought to those wanted: on a lag whose response is known, and in the loop with simple laws."""
+"""Peaks, valleys and phase brought to their targets: on a lag with a known response, and in the loop with simple laws."""
 
 import itertools
 import math
@@ -37,7 +37,7 @@ blocks:
 
 
 class Lag:
-    """A force that lags its reference, beside a companion; by cycles or in stretches."""
+    """A force that lags its reference, with a companion; by cycles or in stretches."""
 
     def __init__(self, rig: Any, *, gain: float = 0.8, corner: float = 60.0, stretch: int = 125, **parameters: Any) -> None:
         self.model = model_of(rig, PERIOD)
@@ -144,7 +144,7 @@ def test_what_cannot_be_reached_stops_at_the_reach(rig):
 
 
 def test_a_short_load_cycle_is_judged_once_the_force_has_followed():
-    """A force whose amplitude goes half as far as the numbers ask, with 10 Hz."""
+    """A force whose amplitude reaches half of the requested one, with 10 Hz."""
     wanted = 1e3 * np.sin(2.0 * math.pi * np.arange(100) / 100)
     way = PeakValley(wanted, 0.1, 0.0, 0.5)
     errors = []
@@ -160,7 +160,7 @@ def test_a_short_load_cycle_is_judged_once_the_force_has_followed():
 
 
 def test_an_error_that_alternates_is_not_made_larger(rig):
-    """As by an actuator whose motion takes two load cycles."""
+    """As caused by an actuator whose motion takes two load cycles."""
     alone, lag = Lag(rig, reach=1e-9), Lag(rig)
     found = []
     for one in (alone, lag):
@@ -202,7 +202,7 @@ def test_after_a_trip_nothing_is_added_for_a_load_cycle_and_an_error_that_grows_
     assert not np.any(lag.correction)
     peak, _, _ = errors(lag.run(1))
     assert abs(peak) < 10.0
-    # With the fade of the first one out of the usual errors.
+    # Without the fade of the first one in the usual errors.
     lag.run(3.25)
     lag.gain = 0.2
     lag.added.clear()
@@ -247,7 +247,7 @@ def test_one_correction_goes_over_into_the_next():
 
 
 def spec_of(duration: float, *, emulated: bool, gain: float = 1.0, learns: bool = True, **parts: Any) -> Spec:
-    """Return an experiment of the PI force loop against a servo that stands still; the valve's gain is not known."""
+    """Return an experiment of the PI force loop against a servo at standstill; the valve's gain is unknown."""
     effects = [{"name": "valve_gain_shift", "gain": gain}, *([{"name": "command_delay", "delay": 1e-3}] if emulated else [])]
     data = {
         "title": "peaks",
@@ -288,7 +288,7 @@ def test_each_block_of_a_programme_has_its_own_numbers_from_its_next_pass_on(tmp
     parts: dict[str, Any] = {"emulated": True, "reference": {"name": "programme", "file": str(tmp_path / "blocks.yaml")}}
     (alone, blocks), (beside, _) = (extremes(spec_of(21.0, learns=learns, **parts)) for learns in (False, True))
     for block in np.unique(blocks):
-        # The first load cycle of a pass begins with what the ramp has left.
+        # The first load cycle of a pass begins with the residue of the ramp.
         later = np.flatnonzero(blocks == block)[7:12]
         assert np.all(np.abs(alone[later]) > 200.0)
         assert np.all(np.abs(beside[later]) < 0.3 * np.abs(alone[later]))

@@ -1,4 +1,4 @@
-"""Test programmes: expansion without unrolling, continuity, places, stop and resume, counting and limits."""
+"""Test programmes: expansion without unrolling, continuity, positions, stop and resume, counting and limits."""
 
 import itertools
 import math
@@ -34,7 +34,7 @@ def programme(blocks, **settings):
 
 
 def unrolled(entries, value, transition):
-    """Yield each block or ramp on end, as somebody would who has all the memory: start value, kind, parameters."""
+    """Yield the blocks and ramps in sequence, as a naive unrolling would: start value, kind, parameters."""
     for entry in entries:
         if "repeat" in entry:
             for _ in range(entry["repeat"]):
@@ -146,7 +146,7 @@ def test_stop_and_resume_lose_nothing_and_are_smooth_at_any_moment():
         assert sorted(set(on_path.tolist())) == list(range(10))
         assert rows.points.load_cycles[-1] == 10
         assert rows.state[-1] == State.FINISHED
-        # Where it goes on is where it stood.
+        # It continues where it stopped.
         assert runner.at(stop + resume + 320)[1] == State.STOPPED
 
 
@@ -240,7 +240,7 @@ def test_a_force_that_stands_still_for_ten_load_cycles_ends_no_counting():
     limited = programme([{**CYCLES, "count": 30, "limits": {"stiffness_change": 20.0}}], start=500.0)
     counter, found = counted(limited, runner_of(limited), 3000, lambda k, force: (1e3, 1e-6 * force))
     assert "the stiffness cannot be judged: the measured value does not change (cycles 0, load cycle 1)" in counter.complaint
-    # A specimen that breaks later has a stiffness of nothing.
+    # A specimen that breaks later has zero stiffness.
     counter, found = counted(limited, runner_of(limited), 3000, lambda k, force: (force if k < 1500 else 1e3, 1e-6 * force))
     assert "the stiffness has changed by -100 %" in counter.complaint
     counter, _ = counted(limited, runner_of(limited), 3000, lambda k, force: (force, 0.0))
@@ -279,7 +279,7 @@ def test_a_position_that_is_not_measured_violates_its_limit_and_nothing_is_judge
     assert not counter.complaint
     assert len(found) == 7
     assert all(math.isnan(cycle.peak) for cycle in found)
-    # So short a load cycle that the time is not over before its end.
+    # The load cycle is so short that the time is not over before its end.
     short = programme([{**CYCLES, "frequency": 200.0, "limits": {"peak": [0.0, 2e3]}}], start=500.0)
     counter, _ = counted(short, runner_of(short), 30, lambda k, force: (math.nan, 0.0))
     assert "the measured value is missing (cycles 0, load cycle 1)" in counter.complaint
@@ -305,7 +305,7 @@ def test_limits_stop_and_only_what_is_out_of_them(limit):
     counter, found = counted(whole, runner_of(whole), 800, lambda k, f: (f, 1e-6 * f))
     assert len(found) == 7
     assert not counter.complaint
-    # The first load cycles of a block may be left alone.
+    # The first load cycles of a block may be exempt.
     settled = programme([{**CYCLES, "limits": {**limits, "settling": 7}}], start=500.0)
     counter, _ = counted(settled, runner_of(settled), 690, measure)
     assert limit == "stiffness" or not counter.complaint

@@ -25,7 +25,7 @@ def no_corners(_: Any) -> list[float]:
 
 
 def triangle_corners(p: Any) -> list[float]:
-    """Where the parabolas begin and end: there the second derivative jumps."""
+    """Ends of the parabolas: there the second derivative jumps."""
     period = 1.0 / p.frequency
     peaks = np.arange(0.25 * period, DURATION + period, 0.5 * period)
     half = 0.5 * p.corner * period
@@ -33,7 +33,7 @@ def triangle_corners(p: Any) -> list[float]:
 
 
 def sweep_corners(p: Any) -> list[float]:
-    """Where a stroke begins, has its velocity, slows down, and ends."""
+    """Times at which a stroke starts, reaches its velocity, slows down, and ends."""
     t = np.arange(0.0, DURATION, 1e-5)
     acceleration = velocity_sweep.sample(t, p)[:, 2]
     return [float(time) for time in t[1:][np.diff(acceleration) != 0.0]]
@@ -47,7 +47,7 @@ PROGRAMME = [
 
 
 def programme_corners(p: Any) -> list[float]:
-    """Where blocks, and the ramps between them, begin and end, and where ramps and fades bend."""
+    """Ends of blocks and of the ramps between them, and corners of ramps and fades."""
     whole, time, found = programme_of(p), 0.0, []
     while time < whole.duration:
         spot = whole.spot(time)
@@ -60,7 +60,7 @@ def programme_corners(p: Any) -> list[float]:
 
 
 class Case(NamedTuple):
-    """Parameters to test a member with, where its second derivative jumps, and where only its third does."""
+    """Test parameters of a member, jumps of its second derivative, and jumps of only the third."""
 
     values: Mapping[str, Any] = MappingProxyType({})
     corners: Callable[[Any], list[float]] = no_corners
@@ -153,7 +153,7 @@ def test_rows_may_begin_and_end_anywhere(name, first, cycles):
     expected = np.array([one_by_one.row(k) for k in range(first, first + cycles)]).reshape(cycles, 3)
     rows = SampledReference(signal, p, 1e-3).rows(first, cycles)
     assert rows.tobytes() == expected.tobytes()
-    # Also where another block was asked for before.
+    # Also if another block was requested before.
     assert one_by_one.rows(first, cycles).tobytes() == expected.tobytes()
 
 
@@ -209,7 +209,7 @@ def test_irregular_follows_its_seed_and_its_band():
     t = np.linspace(0.0, 10.0, 1001)
     assert np.array_equal(sample("irregular", t, seed=5), sample("irregular", t, seed=5))
     assert np.max(np.abs(sample("irregular", t, seed=5) - sample("irregular", t, seed=6))) > 1e3
-    # Behind the start every component obeys |x''| <= (2 pi f)^2 amplitude with the band's highest f.
+    # After the start every component obeys |x''| <= (2 pi f)^2 amplitude with the band's highest f.
     fast = sample("irregular", t[t > 0.5], amplitude=1.0, lowest_frequency=0.2, highest_frequency=0.6)
     assert np.max(np.abs(fast[:, 2])) <= (2.0 * np.pi * 0.6) ** 2
 
@@ -220,7 +220,7 @@ def test_chirp_has_its_instantaneous_frequency():
     wave = sample("chirp", t, **values)[:, 0]
     up = np.flatnonzero((wave[:-1] < 0.0) & (wave[1:] >= 0.0))
     crossings = t[up] - wave[up] * (t[1] - t[0]) / (wave[up + 1] - wave[up])
-    # Upward zeros of sin(2 pi (f0 t + (f1 - f0) t^2/(2 T))) are where that bracket is whole.
+    # Upward zeros of sin(2 pi (f0 t + (f1 - f0) t^2/(2 T))) are where the bracket is an integer.
     bracket = np.where(crossings < 8.0, 0.5 * crossings + 3.5 * crossings**2 / 16.0, 18.0 + 4.0 * (crossings - 8.0))
     assert len(crossings) > 30
     assert np.max(np.abs(bracket - np.round(bracket))) < 1e-4
@@ -285,7 +285,7 @@ def test_velocity_sweep_moves_at_every_velocity_both_ways(values):
             at_it = (np.abs(rate - direction * velocity) < 1e-12) & (acceleration == 0.0)
             parts = np.split(np.flatnonzero(at_it), np.flatnonzero(np.diff(np.flatnonzero(at_it)) > 1) + 1)
             whole = [part for part in parts if abs(len(part) * 1e-3 - held) < 3e-3]
-            # On the way to the next velocity's strokes, the rod moves at one of the velocities too, but not as far.
+            # On the way to the next velocity's strokes, the rod also moves at one of the velocities, but not as far.
             assert len(whole) == p.repeats
             assert all(abs(np.mean(position[part]) - p.centre) < 1e-3 * velocity for part in whole)
             assert all(len(part) * 1e-3 < held + 3e-3 for part in parts)
@@ -321,7 +321,7 @@ def spec_with(rig: dict[str, Any], reference: Any) -> Spec:
 
 
 def wrong_values() -> list[Any]:
-    """One case a declared limit of every member, and what no number may be."""
+    """One case per declared limit of every member, and values that no number may have."""
     cases = []
     for name in REFERENCES.names():
         for declared in declarations(REFERENCES.load(name).Parameters):

@@ -1,4 +1,4 @@
-"""Defaults follow from the rig: exactly the declared ones on the paper's, in proportion on others, and never where given."""
+"""Defaults follow from the rig: exactly the declared ones on the paper's, scaled on others; given values take precedence."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ FAMILIES = {"controller": CONTROLLERS, "observer": OBSERVERS, "companion": COMPA
 DECLARED = {f"{kind} {name}": family.load(name).Parameters for kind, family in FAMILIES.items() for name in family.names()}
 DECLARED["gate"] = GateParameters
 SIZED = ("N", "Pa", "m", "kg", "t")
-"""Units of what grows with a rig."""
+"""Units of quantities that scale with a rig."""
 
 
 def test_the_paper_s_rig_is_the_one_that_defaults_are_declared_for():

@@ -1,4 +1,4 @@
-"""The position servo foreseen by its model against the simulated one, and what the law makes of a model that is wrong."""
+"""The position servo predicted by its model against the simulated one, and the law's reaction to a wrong model."""
 
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,15 @@ from ehls_ros.recording.yaml_text import read_yaml
 EXPERIMENTS = Path(__file__).parents[2] / "config" / "experiments"
 PREVIEW = {"name": "disturbance_preview"}
 STIFFNESS, DAMPING = 2e6, 2e3
-"""Of the beam [N/m, N s/m], the defaults of the position servo."""
+"""Stiffness and damping of the beam [N/m, N s/m], the defaults of the position servo."""
 
 FORESEEN_WITHIN = {"measured_sine_fd1": 1.0, "measured_constant_fd2": 8.0}
-"""Largest error of the force foreseen, of 70 and 180 kN rms [N]. If the pistons exchanged their motion only once a cycle, it
+"""Largest error of the predicted force, of 70 and 180 kN rms [N]. If the pistons exchanged their motion only once a cycle, it
 would be 2.1 and 12.7 N."""
 
 
 class Witness:
-    """Keeps the rows as the companions before it left them."""
+    """Records the rows as the preceding companions left them."""
 
     def __init__(self) -> None:
         self.rows: list[np.ndarray] = []
@@ -51,7 +51,7 @@ def lasting(spec: Spec, duration: float) -> Spec:
 
 
 def foreseen_and_true(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows' foreseen force with its derivatives, and the force the servo's motion brought [N]."""
+    """Return the rows' predicted force with its derivatives, and the true force of the servo's motion [N]."""
     loop, witness = ClosedLoop(spec), Witness()
     loop.company = Company({**loop.company.members, "witness": witness})
     moved = np.concatenate([block.disturbance for block in loop.blocks()])
@@ -63,7 +63,7 @@ def test_the_force_foreseen_is_the_one_that_comes(name):
     foreseen, true = foreseen_and_true(lasting(with_preview(name, [PREVIEW]), 3.0))
     late = slice(1000, -2)
     assert np.max(np.abs(foreseen[late, 0] - true[late])) < FORESEEN_WITHIN[name]
-    # The command acts one cycle late, for a cycle: the parabola goes through the force of then.
+    # The command acts one cycle late, for a cycle: the parabola passes through the force at that time.
     after = 2e-3
     then = foreseen[late] @ np.array([1.0, after, 0.5 * after**2])
     assert np.max(np.abs(then - true[1002:])) < FORESEEN_WITHIN[name]
@@ -113,7 +113,7 @@ def test_where_the_command_was_not_known_it_is_believed_again_once_it_has_settle
     known = np.isfinite(cycles.rows[:, FORESEEN:]).all(axis=1)
     # 10 time constants of 1/30 s.
     assert np.flatnonzero(np.diff(known)).tolist() == [9, 20 + 333]
-    # At rest the far end pulls with the spring alone.
+    # At rest the far end pulls only through the spring.
     assert cycles.rows[-1, FORESEEN] == pytest.approx(-STIFFNESS * 0.01, rel=5e-3)
 
 

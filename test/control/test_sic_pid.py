@@ -1,4 +1,4 @@
-"""The two controllers the law is compared and identified with."""
+"""The two controllers used for comparison and identification of the law."""
 
 import math
 from typing import Any
@@ -48,7 +48,7 @@ def run(
 
 @pytest.fixture
 def loose(rig):
-    """A rig all but free of dry friction, whose rod a disturbance moves by centimetres without ringing."""
+    """A rig almost free of dry friction, whose rod a disturbance moves by centimetres without ringing."""
     friction = rig.friction._replace(coulomb_force=1.0, static_force=1.0, viscous_coefficient=0.0)
     return rig._replace(friction=friction, plant=rig.plant._replace(gravity=0.0, viscous_damping=3e3))
 
@@ -93,7 +93,7 @@ def test_pid_holds_the_velocity_of_each_stroke(rig, velocity):
     wanted = rows_of("velocity_sweep", int(length / PERIOD) + 200, **values)
     out = run(rig, "pid", len(wanted), wanted=wanted)
     error = np.abs(out["position"] - wanted[:, 0])
-    # The oil gives way by 70 um and more when friction turns round; the loop catches up while the rod speeds up.
+    # The oil yields by 70 um and more when friction reverses; the loop catches up while the rod accelerates.
     assert np.max(error[500:]) < 80e-6
     even = wanted[:, 2] == 0.0
     settled = np.convolve(even & (wanted[:, 1] != 0.0), np.ones(600), "full")[: len(even)] > 599.5
@@ -143,7 +143,7 @@ def test_pid_does_not_wind_up_at_the_spool_limit(rig):
     error = np.abs(out["position"] - wanted[:, 0])
     assert np.max(out["saturated"][4000:5500]) == 1.0
     assert 0.04 < np.max(error[4000:5500]) < 0.08
-    # It is made up for at 50 mm/s on top of the 50 wanted, and not overrun.
+    # The deficit is recovered at 50 mm/s on top of the 50 wanted, without overshoot.
     assert np.max(np.abs(out["velocity"])) < 0.105
     assert np.max((out["position"] - wanted[:, 0])[5500:8500]) < 1e-3
     assert np.max(error[7800:8500]) < 10e-6

@@ -49,12 +49,12 @@ def send(command, memory):
 
 UNFORESEEN = np.full(3, math.nan)
 
-# Little unrest, so that the elements stick and the equations are as good as linear.
+# Little process noise, so that the elements stick and the equations are nearly linear.
 CALM = Assumptions(2e6, 2e3, 1e-3, 2e-7, 1e3, 1e-7, 2.0, 0.05, 5e2, 1e-7, 1e3, 0.01, 0.01, 1e-4, 1e3, 3.0)
 
 
 class Filter:
-    """The filter on its own."""
+    """The filter alone."""
 
     def __init__(self, rig: Any, p: Assumptions) -> None:
         self.p, self.model = p, model_of(rig, PERIOD)
@@ -81,7 +81,7 @@ def reading(position: float = 0.0, pressure: float = 0.0, spool: float = 0.0, fo
 
 
 class Linear:
-    """The equations at rest without pressure, every element sticking, written down once more: dy/dt = A y + b u."""
+    """The equations at rest without pressure, every element sticking, derived independently: dy/dt = A y + b u."""
 
     def __init__(self, rig: Any, p: Assumptions) -> None:
         c, f = rig.plant, rig.friction
@@ -152,7 +152,7 @@ def test_errors_are_unbiased_and_as_large_as_the_covariance_says(rig):
                 distances.append((missed / unit) @ np.linalg.solve(spread / np.outer(unit, unit), missed / unit))
             y = linear.f @ y + unrest * random.standard_normal(11)
         assert not np.any(found.state.mode)
-    # Looks within a run are not independent; the bounds are those of the runs alone.
+    # Samples within a run are not independent; the bounds are those of the runs alone.
     assert np.max(np.abs(np.mean(errors, axis=0))) < 4.0 / math.sqrt(runs)
     low, high = stats.chi2.ppf([0.0005, 0.9995], 11 * runs) / runs
     assert low < np.mean(distances) < high
@@ -168,7 +168,7 @@ def test_the_prediction_over_the_delay_is_exact_where_the_equations_are_linear(r
     for command in commands:
         found.send(command)
         found.observe(np.full(7, math.nan))
-    # Six cycles of the commands, each a delay after it was sent; nothing was measured.
+    # Six cycles of the commands, each a delay after it was sent; without measurements.
     y, switches = np.zeros(11), [0.0, *(delay + PERIOD * np.arange(6))]
     for i, command in enumerate([0.0, *commands]):
         until = switches[i + 1] if i < 6 else 6 * PERIOD + delay
@@ -238,7 +238,7 @@ def spec_of(name: str, **changes: Any) -> Spec:
 
 
 class Run:
-    """A spec's loop under the law, with the truth kept: force error [N] by cycle, and what the filter says at the end."""
+    """A spec's loop under the law, with the true values: force error [N] by cycle, and the filter's state at the end."""
 
     def __init__(self, spec: Spec, duration: float, gain: float = 1.0, late: int = 0, **tuning: Any) -> None:
         cycles = round(duration / PERIOD) + 1
@@ -264,7 +264,7 @@ class Run:
         self.y, self.servo = simulator.y, simulator.servo
 
 
-# The paper's largest errors [N], and what comes out here; with other noise the first lies between 10.5 and 16.1 N.
+# The paper's largest errors [N], and the results here; with other noise the first lies between 10.5 and 16.1 N.
 PAPER = {"constant_fd1": (12.3, 11.5), "sine_fd1": (63.7, 10.7), "constant_fd2": (68.2, 52.7), "sine_fd2": (117.0, 61.1)}
 
 
@@ -322,7 +322,7 @@ def test_a_valve_gain_and_a_load_cell_off_are_found_and_made_up_for():
     run = Run(spec._replace(rig=rig), 3.0)
     assert run.mean[VALVE_GAIN] == pytest.approx(0.3, abs=0.03)
     assert run.mean[CELL_OFFSET] == pytest.approx(150.0, abs=5.0)
-    # What the load cell reads is what is held.
+    # The reading of the load cell is held.
     assert np.mean(run.error[2000:]) == pytest.approx(-150.0, abs=5.0)
 
 
@@ -332,5 +332,5 @@ def test_the_disturbance_it_reports_is_the_couplings_force():
     p = spec.disturbance.parameters
     pull = p.stiffness * (run.y[X] - run.servo[X]) + p.damping * (run.y[V] - run.servo[V])
     assert abs(pull) > 1e3
-    # The friction it takes away was never measured: that much may be amiss.
+    # The friction it subtracts was never measured: the result may be off by that much.
     assert run.status[DELTA] == pytest.approx(pull, abs=100.0)

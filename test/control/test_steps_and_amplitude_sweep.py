@@ -1,4 +1,4 @@
-"""What the references of the diagnosis's experiments promise beyond the family's contract."""
+"""Properties of the references for the diagnosis's experiments beyond the family's contract."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The unrest of the external force: that of a sine is known in closed form, and the friction is in doubt after a reversal."""
+"""The unrest of the external force: that of a sine is known in closed form, and the friction is uncertain after a reversal."""
 
 import math
 
@@ -61,5 +61,5 @@ def test_after_a_reversal_the_friction_is_in_doubt_until_the_piston_has_travelle
     doubtful = sum(noise == 3e6 for noise in noises)
     assert doubtful in (19, 20)
     assert noises == [3e6] * doubtful + [1e6] * (25 - doubtful)
-    # The way back counts anew.
+    # The way back is counted from zero.
     assert external_noise(0.0, 0.1, 1e-3, HABITS, state) == 3e6

@@ -1,4 +1,4 @@
-"""A correction that makes the force error larger than it is without is withdrawn, and comes back ever more rarely."""
+"""A correction that increases the force error is withdrawn, and returns at ever longer intervals."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ ERROR = 10.0 * np.sin(2.0 * np.pi * np.arange(SIZE) / SIZE)
 
 
 def known() -> Withdrawal:
-    """Return one that has seen the error without correction twice."""
+    """Return a withdrawal that has seen the error without correction twice."""
     withdrawal = Withdrawal(SIZE)
     withdrawal.observe(ERROR)
     withdrawal.observe(ERROR)

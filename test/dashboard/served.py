@@ -1,4 +1,4 @@
-"""The dashboard's server in a process of its own, and ways to reach it."""
+"""The dashboard's server in a separate process, and clients to reach it."""
 
 import contextlib
 import html
@@ -60,7 +60,7 @@ class Served:
         return "".join(line for line in self.lines if not line.startswith("request: "))
 
     def tell(self, health: list[Any] | dict[str, Any]) -> None:
-        """Set the diagnostics of the stand-in graph: [node, level, message, figures] each; or what its monitor says."""
+        """Set the diagnostics of the stand-in graph, [node, level, message, figures] each, or its monitor's report."""
         self.process.stdin.write(json.dumps(health) + "\n")
         self.process.stdin.flush()
 
@@ -167,7 +167,7 @@ def begin(socket: ClientConnection) -> ClientConnection:
 
 
 def hear(socket: ClientConnection, beginning: str) -> None:
-    """Receive messages until one begins so; an open page also sends others."""
+    """Receive messages until one has the given beginning; an open page also sends others."""
     while not (message := socket.recv(timeout=PATIENCE)).startswith(beginning):
         assert not message.startswith("44"), message
 

@@ -1,7 +1,7 @@
 """The dashboard's server on a stand-in graph: `python stand_in.py HOST` serves until SIGINT.
 
 It prints the page's address, then a line for every request that reaches the graph. A line of JSON on its input sets the nodes'
-diagnostics: a list of [node, level, message, figures]. A mapping sets what a monitor says: the fields of RigHealth.
+diagnostics: a list of [node, level, message, figures]. A mapping sets a monitor's report: the fields of RigHealth.
 """
 
 import json

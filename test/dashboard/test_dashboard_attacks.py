@@ -22,7 +22,7 @@ from ehls_ros.dashboard.messages import LARGEST
 HALF_OPEN = (b"", b"GET / HTTP/1.1\r\nHost: x\r\n")
 MANY = 200
 GROWTH = 60.0
-"""Most memory an attack may cost [MB]; without limits those below cost more."""
+"""Maximum memory of an attack [MB]; without limits those below take more."""
 
 elsewhere = pytest.mark.skipif(own_address() is None, reason="needs an address that is not the loopback's")
 
@@ -53,7 +53,7 @@ def there(everywhere):
 
 
 def has_ended(connection):
-    """Return whether the server has closed a connection; what it sent before is discarded."""
+    """Return whether the server has closed a connection; data sent before are discarded."""
     while select.select([connection], [], [], 0.0)[0]:
         try:
             if not connection.recv(65536):
@@ -148,7 +148,7 @@ def test_the_number_of_reading_pages_is_limited_and_leaves_room_for_writers():
         here = f"http://127.0.0.1:{server.port}/"
         before = server.memory()
         codes = [answer(here)[0] for _ in range(MANY)]
-        # A page that is not opened is dropped after a while, and makes room for another.
+        # A page that is not opened is dropped after a while, making room for another.
         assert codes[: PAGES + 1] == [200] * PAGES + [503]
         assert set(codes) == {200, 503}
         assert answer(f"{here}?token={server.token}")[0] == 200
@@ -156,7 +156,7 @@ def test_the_number_of_reading_pages_is_limited_and_leaves_room_for_writers():
 
 
 def heard(port, request, *more):
-    """Send a request and more of it until the server hangs up; return its answer."""
+    """Send a request in parts until the server hangs up; return its answer."""
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as one:
         one.sendall(request)
         with contextlib.suppress(OSError):
@@ -289,7 +289,7 @@ def test_a_read_only_page_changes_nothing_whatever_it_sends(shown, here):
             # One socket for each: most messages close it.
             with open_socket(here, reader.number) as reading, contextlib.suppress(websockets.exceptions.ConnectionClosed):
                 begin(reading).send(message)
-                # The answer to this shows that the server has processed what came before.
+                # The answer to this shows that the server has processed the earlier messages.
                 again = {"client_id": reader.number, "tab_id": "other", "document_id": "other"}
                 reading.send(event("handshake", again).replace("42", "427", 1))
                 hear(reading, "437[false]")

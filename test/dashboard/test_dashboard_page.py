@@ -298,7 +298,7 @@ def test_a_page_without_the_token_shows_but_cannot_write(tab, shown, chromium):
         goes_on(reader)
         assert reader.text("read-only")
         assert reader.evaluate("document.querySelectorAll('.q-btn, .side input').length") == 0
-        # Send from here what the other page's button sends.
+        # Send the message of the other page's button from here.
         button = tab.evaluate("document.querySelector(\"[data-name='emergency stop']\").id.slice(1)")
         listener = tab.evaluate(f"mounted_app.elements[{button}].events.find(e => e.type === 'click').listener_id")
         event = {"id": int(button), "listener_id": listener, "args": ["{}"]}

@@ -1,4 +1,4 @@
-"""What a monitor says of the rig, on the dashboard's page."""
+"""The monitor's report on the rig, on the dashboard's page."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What the page says of a snapshot."""
+"""The page's status line for a snapshot."""
 
 import pytest
 
@@ -68,7 +68,7 @@ def test_a_cause_is_a_sentence_with_value_and_limit_in_one_unit(cause, sentence)
 def test_every_detector_of_the_gate_has_words():
     for detector in Gate(load_rig(config_folder() / "rig_paper.yaml"), 1e-3).detectors.values():
         cause = Cause(detector.name, "cut", 1.0, 2.0, 1.0, detector.unit or "m")
-        # Otherwise its name would stand for them.
+        # Otherwise its name would replace the words.
         assert not explained(f"{cause} at 1 s, cut").startswith(f"Tripped: {detector.name.replace('_', ' ')}:")
 
 
@@ -81,7 +81,7 @@ def test_what_cannot_be_understood_is_shown_as_it_is():
     [
         (said(plant()), "running, 1000 cycles/s", GOOD, ""),
         (said(plant(), rate=500.0), "running, 500 cycles/s, 0.5 times real time", GOOD, ""),
-        # What a plant that is gone or not yet there last said is not shown beside that.
+        # The last report of a plant that is gone or not yet there is not shown beside that.
         (said(plant(**TRIP), rate=0.0, complaint="plant_sim_node died: oil"), "graph gone", BAD, "plant_sim_node died: oil"),
         (said(plant(**TRIP), rate=0.0, beginning=Beginning(3.0, {})), "starting, 3 s", WARNING, ""),
         (said(plant(), rate=0.0, was_there=False), "no graph", WARNING, ""),

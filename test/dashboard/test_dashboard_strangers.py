@@ -34,7 +34,7 @@ SCRIPTS = (
 )
 
 GROWTH = 250.0
-"""Most memory foreign publishers may cost [MB]; the middleware keeps some of their messages."""
+"""Maximum memory taken by foreign publishers [MB]; the middleware keeps some of their messages."""
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_read_only_page_is_complete_although_its_events_are_dropped(server, ch
         tab.until("document.querySelector('.pause input').checked")
         tab.click("summary")
         tab.until("document.querySelector('details').open")
-        # This update follows the page's events, so the page was not cut off for them.
+        # This update follows the page's events, so the page was not disconnected because of them.
         server.tell([["fasmc_node", 1, "still there", {}]])
         tab.until("document.querySelector('.trouble').innerText.includes('still there')")
         assert tab.complaints == []

@@ -1,4 +1,4 @@
-"""What the tests of diagnosis share: the truth's rig, and a diagnosis of what was recorded with it."""
+"""Shared fixtures of the diagnosis tests: the truth's rig, and a diagnosis of its recordings."""
 
 from collections.abc import Callable
 from functools import partial
@@ -19,13 +19,13 @@ RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
 
 @pytest.fixture(scope="session")
 def rig_file() -> dict[str, Any]:
-    """Content of the rig file, as the truth takes it."""
+    """Content of the rig file, in the form that the truth takes."""
     return yaml.safe_load(RIG_FILE.read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="session")
 def rig(rig_file: dict[str, Any]) -> Rig:
-    """The same as the diagnosis takes it."""
+    """The rig, in the form that the diagnosis takes."""
     return rig_from_mapping(rig_file, RIG_FILE.name)
 
 
@@ -37,7 +37,7 @@ def recorded(rig_file: dict[str, Any]) -> Callable[..., Recording]:
 
 @pytest.fixture(scope="session")
 def diagnosed(rig: Rig) -> Callable[..., Diagnosis]:
-    """Diagnose a recording, with another model than the rig file's where one is given."""
+    """Diagnose a recording, optionally with a model other than the rig file's."""
 
     def diagnosed(r: Recording, model: Rig = rig) -> Diagnosis:
         return diagnose(Trajectory(r.time, r.columns), model, "case", threads=1)

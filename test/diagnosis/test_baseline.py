@@ -1,4 +1,4 @@
-"""What changed since a baseline: rigs whose file is wrong, or that are no rig of the model at all, against their own past."""
+"""Changes since a baseline: rigs with wrong files, or that no model describes, against their own past."""
 
 import copy
 from dataclasses import replace
@@ -72,7 +72,7 @@ def test_what_changed_is_named_with_its_size(run, healthy, wrong_rig):
 
 
 def imperfect(trajectory, rig):
-    """Return a recording of a rig with a force along the stroke and a drag that are no effect of the list."""
+    """Return a recording of a rig with a force along the stroke and a drag that match no listed effect."""
     x = trajectory["position_m"]
     v = np.gradient(x, trajectory.time_s)
     v = np.convolve(v, np.ones(15) / 15.0, mode="same")
@@ -86,7 +86,7 @@ def test_an_imperfect_rig_agrees_with_its_own_past(run, healthy, rig):
     found = against(imperfect(run({}, "rich", 4), rig), [imperfect(healthy, rig)], rig)
     assert found.verdict == "consistent"
     channel = found.baseline.channels["force"]
-    # No coefficients of the model make it this rig.
+    # No coefficients of the model reproduce this rig.
     assert channel.fitted > 3.0 * channel.noise_floor
     assert channel.left < 0.5 * channel.fitted
 
@@ -127,18 +127,18 @@ def seal_rig():
 
 
 def seal(rig, level, seed, pressure=3e5, drift=0.0):
-    """Return slow strokes to and fro at a held pressure: friction of some level, the load cell answering to it."""
+    """Return slow strokes to and fro at a held pressure: friction of some level, and the load cell's response to it."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 30.0, 0.01)
     x = 0.016 * np.sin(2.0 * np.pi * t / 5.0)
     v = np.gradient(x, t)
     side = np.zeros(len(t))
     for i, step in enumerate(np.diff(x)):
-        # Dahl's model: the seal gives way by 0.2 mm before it slides.
+        # Dahl's model: the seal yields by 0.2 mm before it slides.
         side[i + 1] = side[i] + (1.0 - side[i] * np.sign(step)) * step / 2e-4
     friction = level * (1.0 + drift * (t / t[-1] - 0.5)) * np.clip(side, -1.0, 1.0) + 20.0 * v
     p = pressure - 5e3 * side + 30.0 * rng.standard_normal(len(t))
-    # The area is not quite the rig file's.
+    # The area differs slightly from the rig file's.
     load = 1.03 * rig.plant.piston_area * p - friction + 0.05 * rng.standard_normal(len(t))
     signals = {"position_m": x + 2e-6 * rng.standard_normal(len(t)), "load_pressure_pa": p, "disturbance_force_n": load}
     return Trajectory(t, signals, preparation=Preparation(measured=("disturbance_force_n",)))

@@ -1,4 +1,4 @@
-"""The exams' judge on results made by hand, and the cases' draws."""
+"""The exams' judge on hand-made results, and the draws of the cases."""
 
 import io
 import sys

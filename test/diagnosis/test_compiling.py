@@ -1,4 +1,4 @@
-"""Kernels compiled side by side before they are run."""
+"""Kernels compiled in parallel before they are run."""
 
 from functools import partial
 from types import SimpleNamespace
@@ -62,7 +62,7 @@ def test_only_what_is_not_kept_is_compiled_and_only_then_the_user_is_told(rig, t
         compile_part(part, rig.effective())
     compile_in_parallel(kept, Workers(1), lambda *step: said.append(step))
     assert said == []
-    # An earlier run of this test has left nothing there.
+    # A folder without results of an earlier run.
     monkeypatch.setenv("EHLS_CACHE_DIR", str(tmp_path))
     fresh = compiled(built_of_nothing, {"run": "x"})
     compile_in_parallel([Job(lambda: fresh, partial(int))], Workers(1), lambda *step: said.append(step))

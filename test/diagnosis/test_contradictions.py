@@ -1,4 +1,4 @@
-"""Rig files and recordings that contradict each other: what is wrong is named; healthy, faulty and strange rigs are not."""
+"""Contradictory rig files and recordings: the error is named; healthy, faulty and strange rigs are not accused."""
 
 import copy
 import re

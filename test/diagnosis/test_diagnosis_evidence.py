@@ -1,4 +1,4 @@
-"""The evidence: the loss, the noise floor, the blocks, and what is reused of another model."""
+"""The evidence: the loss, the noise floor, the blocks, and the reuse of another model's results."""
 
 import math
 from dataclasses import replace
@@ -55,7 +55,7 @@ def test_the_noise_floor_is_that_of_two_averaged_sensors(rig, force_noise, press
     area = rig.plant.piston_area
     t, signals = two_force_sensors(rig, force_noise, pressure_noise)
     record = prepare(Trajectory(t, signals), rig, "it")
-    # What the record says of the noise is what is propagated.
+    # The propagated noise is that reported by the record.
     record = record._replace(noise={"load_pressure_pa": pressure_noise, "force_n": force_noise})
     evidence = gather(record, rig, stages.setup(record, rig), 0)
     assert evidence.channels == ("cell",)
@@ -129,7 +129,7 @@ def test_windows_with_a_gap_do_not_count(noisy, rig, evidence):
 
 
 class Model:
-    """Stands for a comparison: the raw residuals of one model, and what each channel of it depends on."""
+    """Stand-in for a comparison: the raw residuals of one model, and the dependencies of each channel."""
 
     def __init__(self, raw, depends):
         self.raw, self.depends, self.asked = raw, depends, []

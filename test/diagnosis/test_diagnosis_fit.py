@@ -1,4 +1,4 @@
-"""Fits: steps within bounds, derivatives that are reused, and where a fit starts beside another cause."""
+"""Fits: bounded steps, reuse of derivatives, and the start of a fit beside another cause."""
 
 from contextlib import closing
 
@@ -62,7 +62,7 @@ def test_what_does_not_depend_on_a_change_is_reused(recorded, rig, monkeypatch):
         again = worker.linearise_again(begin, moved)
         done = worker.fit(again)
     np.testing.assert_allclose(again.jacobian, fresh.jacobian, rtol=1e-6, atol=1e-6 * np.max(np.abs(fresh.jacobian)))
-    # What has settled stays, while the other goes its way.
+    # The settled one stays, while the other continues.
     np.testing.assert_array_equal(done.values[: len(alone.values)], alone.values)
     assert done.values[-1] == pytest.approx(2e-5, rel=0.1)
 
@@ -84,7 +84,7 @@ def test_causes_that_all_but_cancel_are_fitted_from_where_they_do(recorded, rig)
     alone = worker.fit(worker.linearise((load,), load.neutral))
     begin = combined(worker.evidence, alone, worker.linearise((mass,), mass.neutral))
     assert begin.promise > 100.0
-    # What is promised is there at the first step, not only after the fit.
+    # The promised reduction is there at the first step, not only after the fit.
     assert alone.loss - worker.first_step(begin).loss > 0.8 * begin.promise
 
 

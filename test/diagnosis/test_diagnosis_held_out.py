@@ -90,7 +90,7 @@ def test_parameters_scatter_as_their_covariance_says():
         j, _, e, values, block = linear_case(seed, blocks=12, scale=1.0)
         found.append(values)
         said.append(np.sqrt(np.diag(leave_out(j, e, block, 12, np.ones(len(e)))[1])))
-    # The disagreement between blocks can only widen an error, and the blocks are few.
+    # The disagreement between blocks can only widen an error estimate, and the blocks are few.
     ratio = np.std(found, axis=0) / np.mean(said, axis=0)
     np.testing.assert_allclose(ratio, 0.9, atol=0.12)
 
@@ -98,7 +98,7 @@ def test_parameters_scatter_as_their_covariance_says():
 def test_residuals_that_scatter_more_widen_the_errors():
     j, _, e, _, block = linear_case()
     _, covariance = leave_out(j, e, block, 6, np.full(len(e), 100.0))
-    # So much that the blocks' disagreement says less: the covariance of least squares.
+    # So much that it exceeds the blocks' disagreement: the covariance of least squares.
     np.testing.assert_allclose(covariance, 100.0 * np.linalg.inv(j.T @ j), rtol=1e-9)
 
 

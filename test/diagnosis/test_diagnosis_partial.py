@@ -1,4 +1,4 @@
-"""Causes named while something remains: what remains is counted as noise, correlated as it is."""
+"""Causes named despite a remainder, which is counted as correlated noise."""
 
 from dataclasses import replace
 
@@ -80,7 +80,7 @@ def test_what_closes_too_little_or_leaves_too_much_is_not_worth_a_name(rng):
 def test_what_only_fits_the_form_of_the_remainder_is_not_a_cause(rng):
     shape = np.sin(np.arange(WINDOWS) / 9.0)
     form = autoregressive(rng, 0.98, WINDOWS)
-    # It resembles the remainder a little, as anything slow does.
+    # It resembles the remainder a little, as any slow signal does.
     resembling = form + 2.0 * autoregressive(rng, 0.98, WINDOWS)
     evidence = evidence_of({"force": 60.0 * shape + 20.0 * form + rng.standard_normal(WINDOWS)})
 

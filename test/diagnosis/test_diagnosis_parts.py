@@ -97,7 +97,7 @@ def test_the_spool_along_a_command_is_the_simulators(rig, effects):
     trajectory, _ = simulated(ours, 2.0)
     comparison, r = compared(trajectory, ours)
     assert np.array_equal(r.signals["valve_command_m"], trajectory["valve_command_m"])
-    # The integrator's error is what is left; (4) is followed exactly here.
+    # Only the integrator's error remains; (4) is followed exactly here.
     assert np.max(np.abs(comparison.simulated_spool(ours.effective()) - trajectory["spool_m"])) < 1e-9
 
 
@@ -132,7 +132,7 @@ def test_the_models_own_experiment_leaves_no_residual(quiet, rig):
     for channel, values in left.items():
         rms = float(np.sqrt(np.mean(values[20:-20] ** 2)))
         assert rms < most[channel], (channel, rms)
-    # and a wrong model does
+    # and a wrong model leaves a remainder
     wrong = comparison.residuals(ours.with_effects((use("mass_shift", factor=1.3), use("bulk_modulus_shift", factor=0.5))))
     for channel in ("force", "volume"):
         assert np.std(wrong[channel][20:-20]) > 5.0 * np.std(left[channel][20:-20]), channel
@@ -164,7 +164,7 @@ def test_residuals_that_are_said_to_be_equal_are(quiet):
             key = comparison.relevant(other)
             again = comparison.residuals(other)
             for channel, residual in Comparison(r, comparison.setup).residuals(other).items():
-                # Whatever was looked at before, or on another thread.
+                # Independent of earlier queries, or of another thread.
                 np.testing.assert_array_equal(residual, again[channel], err_msg=f"{name} {values} {channel}, remembered")
                 if key[channel] == before[channel]:
                     np.testing.assert_array_equal(residual, known[channel], err_msg=f"{name} {values} {channel}")

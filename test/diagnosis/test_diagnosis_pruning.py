@@ -1,4 +1,4 @@
-"""What is needed of a hypothesis, with effects that are linear in their parameters."""
+"""Pruning of a hypothesis, with effects that are linear in their parameters."""
 
 from types import SimpleNamespace
 
@@ -19,7 +19,7 @@ SHAPES = {
 STRIBECK = candidate("stribeck_shift", "static_offset")
 MODE = candidate("flexible_mode", "mass", "frequency")
 REST = 3.0 * np.sign(np.sin(np.arange(WINDOWS) / 40.0))
-"""A remainder in no effect's shape."""
+"""A remainder with the shape of no effect."""
 
 
 class LinearWorker:
@@ -39,7 +39,7 @@ class LinearWorker:
 
 
 class LinearPool:
-    """Such workers, as many as are asked for."""
+    """A pool of linear workers, as many as requested."""
 
     def __init__(self, evidence):
         self.evidence = evidence
@@ -60,7 +60,7 @@ def noise():
 
 
 def pruned(given, hypothesis, offered=()):
-    """Return what is needed of a hypothesis of which the last cause was sought, and others are offered its place."""
+    """Return the pruned form of a hypothesis whose last cause was searched for, with candidates to replace it."""
     evidence = evidence_of({"force": given})
     best, without, *others = (
         linear_fit(evidence, h, LinearWorker(evidence).linearise(h).jacobian)

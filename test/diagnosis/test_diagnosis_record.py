@@ -1,4 +1,4 @@
-"""The recording: what is resampled, repaired, left out and refused."""
+"""The recording: resampling, repair, omissions and refusals."""
 
 import math
 
@@ -67,7 +67,7 @@ def test_lost_samples_are_filled_in_and_longer_gaps_marked(rig):
     assert not r.good["position_m"][1010:1090].any()
     assert np.mean(r.good["position_m"]) > 0.97
     assert any("missing" in remark for remark in r.remarks)
-    # A held command stays what it was, and changes nowhere between its two values.
+    # A held command keeps its value, without a transition between its two values.
     assert set(np.unique(r.signals["valve_command_m"])) <= {-1e-4, 0.0, 1e-4}
 
 
@@ -85,12 +85,12 @@ def test_a_short_oscillation_is_no_outlier(rig):
     t, signals = plain()
     spool = 1e-7 * np.random.default_rng(3).standard_normal(len(t))
     ringing = slice(2000, 2060)
-    # As fast as a valve turns round: every sample is far from its neighbours' median.
+    # As fast as a valve reverses: every sample is far from its neighbours' median.
     spool[ringing] += 8e-4 * np.sin(2.0 * np.pi * 60.0 * (t[ringing] - t[2000]))
     spool[[800, 2030]] += (4e-4, 5e-3)
     r = prepare(Trajectory(t, signals | {"spool_m": spool}), rig, "it")
     out = np.flatnonzero(np.abs(r.signals["spool_m"] - spool) > 1e-6)
-    # A wrong sample amid fast ones may take one beside it along.
+    # A wrong sample among fast ones may take a neighbour with it.
     assert {800, 2030} <= set(out) <= {800, *range(2025, 2036)}
     assert len(out) <= 4
 
@@ -108,7 +108,7 @@ def test_a_lone_command_that_the_spool_answers_was_sent(rig):
     t, signals = plain()
     command = 1e-6 * np.sin(20.0 * t)
     command[[900, 1900, 2900]] = 1e-3
-    # The last two were not sent: the spool stands, or was read wrong together with the command.
+    # The last two were not sent: the spool stands still, or was read wrongly together with the command.
     sent = np.where(np.isin(np.arange(len(t)), [1900, 2900]), 0.0, command)
     keeps = math.exp(-rig.plant.valve_bandwidth * PERIOD)
     spool = lfilter([0.0, rig.plant.valve_gain * (1.0 - keeps)], [1.0, -keeps], sent)

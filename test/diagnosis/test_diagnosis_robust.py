@@ -114,7 +114,7 @@ def test_other_rates_do_as_well(rate, duration, recorded, diagnosed):
 def test_a_right_model_is_consistent_at_a_low_rate(recorded, diagnosed):
     d = diagnosed(recorded({}, "rich", seed=205, duration=12.0, rate=200.0))
     assert d.verdict in {"consistent", "insufficient"}, told(d)
-    # Command and piston move little within a sample: no stage is left out for the rate.
+    # Command and piston move little within a sample: no stage is left out because of the rate.
     assert all(result.judged for result in d.stages.values()), told(d)
 
 
@@ -130,7 +130,7 @@ def test_three_wrong_parameters_of_the_rig_file_are_named(recorded, diagnosed, r
     ]
     assert len(named) >= 2, told(d)
     assert d.gain.closed_fraction >= 0.9, told(d)
-    # The extended model corrects what was wrong in the rig file.
+    # The extended model corrects the errors of the rig file.
     plant, friction = d.extended.effective().plant, d.extended.effective().friction
     right = {
         "bulk_modulus_shift": (plant.bulk_modulus, rig_file["plant"]["bulk_modulus"]),

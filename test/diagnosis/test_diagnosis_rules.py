@@ -1,4 +1,4 @@
-"""The rules of diagnosis stand in one table."""
+"""All rules of diagnosis are listed in one table."""
 
 import ast
 import re
@@ -13,7 +13,7 @@ MODULES = sorted(path.name for path in FOLDER.glob("*.py") if path.name != "rule
 
 
 def is_number(node: ast.expr | None) -> bool:
-    """Tell whether an expression is made of numbers alone."""
+    """Return whether an expression consists of numbers alone."""
     numbers = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Tuple, ast.operator, ast.unaryop, ast.expr_context)
     return node is not None and all(
         isinstance(part, numbers) and not (isinstance(part, ast.Constant) and not isinstance(part.value, int | float))

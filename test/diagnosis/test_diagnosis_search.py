@@ -53,7 +53,7 @@ def test_every_form_of_every_effect_is_tried(noisy, rig):
         assert c.starts.shape[1] == len(c.free) == len(c.units) == len(c.neutral)
         assert np.all(c.starts >= c.lower)
         assert np.all(c.starts <= c.upper)
-        # Beyond its range a value is clipped to its end.
+        # A value beyond its range is clipped to the range.
         for beyond in (c.lower - 1.0, c.upper + 1.0):
             extended(rig, (c,), np.nan_to_num(beyond, posinf=1e30, neginf=-1e30))
 
@@ -252,7 +252,7 @@ def test_what_explains_an_incident_is_no_cause_at_the_cost_of_the_rest_nor_besid
         assert recurs(more, less, {"force": 2.0}) is goes
 
 
-# Rms of the given model's error, of what the others leave of it, of what the cause leaves then; whether that is form.
+# Rms error of the given model, the other causes' remainder, the remainder with the cause; whether that is form.
 FORMS = [(400.0, 4.0, 1.6, True), (400.0, 4.0, 0.0, False), (40.0, 4.0, 1.6, False), (400.0, 4.0, 0.8, False)]
 
 
@@ -318,7 +318,7 @@ def test_fewer_parameters_are_preferred_where_little_is_lost(rival, behind, take
 
 
 def exchanged(monkeypatch, best, alone, dropped=None, sure=lambda hypothesis: len(hypothesis) == 1):
-    """Exchange the causes of a hypothesis; of two, one may be dropped, and nothing else can take its place."""
+    """Exchange the causes of a hypothesis; one of two may be dropped, and no other can replace it."""
     monkeypatch.setattr(searching, "accepted", lambda evidence, more, less, scale: sure(more.hypothesis))
     monkeypatch.setattr(searching, "_without", lambda *given: dropped)
     monkeypatch.setattr(searching, "_fitted", lambda *given, **named: [])
@@ -328,7 +328,7 @@ def exchanged(monkeypatch, best, alone, dropped=None, sure=lambda hypothesis: le
 
 
 def test_a_simpler_form_that_was_exchanged_is_not_returned_to(monkeypatch):
-    # The one is preferred as it is simpler, the other as it gains more.
+    # The one is preferred because it is simpler, the other because its gain is larger.
     full, simple = scored((TWO,), 1000.0), scored((ONE._replace(number=1),), 1000.0 - 0.5 * rules.NEEDED_GAIN)
     alone = Place(scored((), 0.0), (full, simple))
     for start in (full, simple):

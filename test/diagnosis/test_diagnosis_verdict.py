@@ -1,4 +1,4 @@
-"""From what a search found to what may be concluded: each step on plain data."""
+"""From the results of a search to its conclusions: each step on plain data."""
 
 import math
 
@@ -33,7 +33,7 @@ FORCE = {"force": 1.0}
 
 
 def rest(channel, after=1.0, *, remains=False, closed=1.0, explained=True, exceeded=False, incident=None):
-    """Return what remains in a channel; by default nothing but noise."""
+    """Return the remainder in a channel; by default only noise."""
     return Remainder(channel, 10.0, after, 1.0, closed, exceeded, remains, incident, explained)
 
 
@@ -52,7 +52,7 @@ def still(stage):
 
 
 def left(channel, after, **more):
-    """Return the finding of a stage in which something remains that no cause explains."""
+    """Return the finding of a stage with a remainder that no cause explains."""
     return Finding((rest(channel, after, remains=True, closed=0.5, **more),), excited=True)
 
 
@@ -254,7 +254,7 @@ def test_what_occurs_in_one_block_only_is_an_incident(blocks, incident):
 
 
 def test_what_lies_in_one_block_mostly_is_no_incident():
-    # Six of ten windows lie in the block: without it there would be too little to compare.
+    # Six of ten windows lie in the block: too few remain without it for a comparison.
     groups = Blocks(np.array([0] * 6 + [1, 1, 2, 2]), 3, np.arange(10.0))
     e = np.array([20.0] * 6 + [0.0] * 4)
     np.testing.assert_array_equal(groups.elsewhere(e), e)
@@ -293,7 +293,7 @@ def test_a_parameter_at_its_bound_is_told(value, neutral, ended):
 
 
 def two_causes(closes, at_end=False):
-    """Return evidence and a search's two causes, of which the second removes a fraction of the amplitude the first leaves."""
+    """Return evidence and a search's two causes; the second removes a fraction of the amplitude left by the first."""
     rng = np.random.default_rng(6)
     noise, second, first = rng.standard_normal(N), 4.0 * rng.standard_normal(N), 40.0 * rng.standard_normal(N)
     evidence = evidence_of({"force": noise + second + first})
@@ -405,7 +405,7 @@ def test_a_gain_in_one_block_of_many_is_not_certain():
 
 
 def searched(spoil=0.3, second=None):
-    """Return evidence and a search's result: the mass, and viscous friction that explains the same but for what is spoilt."""
+    """Return evidence and a search's result: the mass, and viscous friction that explains the same except for a spoilt part."""
     rng = np.random.default_rng(5)
     j = rng.standard_normal((720, 1))
     evidence = evidence_of({"force": rng.standard_normal(720) + 3.0 * j[:, 0]})
@@ -447,7 +447,7 @@ def test_what_explains_nearly_as_much_is_equivalent_where_a_missing_signal_would
     monkeypatch.setattr("ehls_ros.diagnosis.causes.deciding", lambda *_: ("force_n",))
     (cause,) = causes(evidence, found, 0)
     assert (cause.equivalent_to, cause.deciding) == (("viscous_shift",), ("force_n",))
-    # But not what explains too little to be reported at all.
+    # Causes that explain too little to be reported at all are excluded.
     assert causes(*searched(spoil=0.3), 0)[0].equivalent_to == ()
 
 
@@ -538,7 +538,7 @@ def test_a_residual_depends_on_what_predicts_it_elsewhere():
     strong, weak, idle = (rng.uniform(-1.0, 1.0, 2000) for _ in range(3))
     noise = 0.5 * rng.standard_normal(2000)
     signals = {"idle": idle, "weak": weak, "strong": strong, "constant": np.ones(2000)}
-    # Of the variance, strong explains 16 / 3 and weak what its factor says, squared and divided by three.
+    # Strong explains 16 / 3 of the variance, and weak the square of its factor divided by three.
     assert depends_on(4.0 * strong + 3.0 * weak + noise, signals, even) == ("strong", "weak")
     assert depends_on(4.0 * strong + 2.0 * weak + noise, signals, even) == ("strong",)
     assert depends_on(noise, signals, even) == ()

@@ -16,7 +16,7 @@ def test_derivatives_by_parts_are_exact_for_parabolas(samples):
     middle = t[w.starts(len(t))] + 0.5 * samples * PERIOD
     x = 3.0 - 2.0 * t + 5.0 * t**2
     assert w.mean(np.ones_like(t)) == pytest.approx(1.0, abs=1e-12)
-    # What is off here is off in every balance: it has to stay well below what is taken for relevant.
+    # An error here enters every balance: it has to stay well below the level of relevance.
     np.testing.assert_allclose(w.rate(x), -2.0 + 10.0 * middle, rtol=RELEVANT)
     np.testing.assert_allclose(w.acceleration(x), 10.0, rtol=RELEVANT)
 

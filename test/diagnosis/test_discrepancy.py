@@ -1,4 +1,4 @@
-"""What a healthy rig leaves, learnt on plain arrays: a remainder, its spread, and nothing where it was never seen."""
+"""The residual model of a healthy rig, learnt on plain arrays: a remainder, its spread, and nothing in unseen states."""
 
 from dataclasses import replace
 
@@ -87,7 +87,7 @@ def test_what_a_coefficient_can_do_no_function_does():
     data = made(1, level=0.04)
     learnt = learn([data], SPREAD, FITTED)
     term = data.terms[:, 0]
-    # The coefficient has to change by the opposite of what is left.
+    # The coefficient has to change by the opposite of the residual.
     assert learnt.errors[0] == pytest.approx(-(term @ data.residual) / (term @ term), abs=4.0 * learnt.deviations[0])
     assert learnt.deviations[0] < 1e-3
     again = expected(learnt, data)

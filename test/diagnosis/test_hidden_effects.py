@@ -1,6 +1,6 @@
 """Hidden effects are found: a fixed list with their sizes, and a few drawn by a seed.
 
-``EHLS_HIDDEN_SEED=<seed>`` draws others; the exam in benchmarks/diagnosis draws hundreds and counts how many fail.
+``EHLS_HIDDEN_SEED=<seed>`` draws others; the exam in benchmarks/diagnosis draws hundreds and counts the failures.
 """
 
 import os
@@ -117,7 +117,7 @@ def test_what_is_not_on_the_list_is_unexplained_in_its_stage_and_nothing_is_held
     assert all(c.probability < CONFIDENT for c in d.causes), told(d)
     assert (d.extended == d.rig) == (d.verdict == "unknown")
     if d.verdict == "partial":
-        # What is named explains most of it; else it would not be worth a name.
+        # The named cause explains most of the effect; otherwise it would not be worth a name.
         assert d.gain.closed_fraction >= rules.WORTHWHILE, told(d)
 
 

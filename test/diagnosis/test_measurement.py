@@ -1,4 +1,4 @@
-"""What a recording cannot be blamed for: skew within a sample and small offsets are nobody's fault, larger ones are."""
+"""Tolerances of a recording: skew within a sample and small offsets are not blamed on any cause, larger ones are."""
 
 import math
 
@@ -37,7 +37,7 @@ def test_what_the_whitening_takes_off_is_found_again(size):
     e += (size * 40.0 - e @ UNIT) * UNIT
     allowed = allowance().whitening(np.ones(WINDOWS))
     np.testing.assert_allclose(allowed.whole(allowed.whitened(e)), e, atol=1e-9)
-    # Within the bounds the size counts in prior standard deviations; what is not allowed for counts as it did.
+    # Within the bounds the size counts in prior standard deviations; the part that is not allowed for is unaffected.
     counted = math.copysign(min(abs(size), 3.0) + rules.EDGE * max(abs(size) - 3.0, 0.0), size)
     assert allowed.whitened(e) @ UNIT == pytest.approx(counted, rel=2e-2)
     np.testing.assert_allclose(allowed.whitened(e) - (allowed.whitened(e) @ UNIT) * UNIT, e - (e @ UNIT) * UNIT, atol=1e-9)
@@ -55,7 +55,7 @@ def test_allowances_stay_what_they_are_when_a_remainder_counts_as_noise():
     e = 5.0 * rng.standard_normal(WINDOWS) + 80.0 * UNIT
     known = remainder_as_noise(judged := beyond(e, allowance()), judged.base.values)
     np.testing.assert_allclose(known.whole("force", known.base.values["force"]) * known.floor["force"], e, atol=1e-9)
-    # Two prior standard deviations, with noise as large as it is now counted and alike over so many windows.
+    # Two prior standard deviations, with noise as large as counted now and equal over as many windows.
     expected = e @ UNIT / math.hypot(40.0 / math.sqrt(known.correlation["force"]), known.floor["force"][0])
     assert known.base.values["force"] @ UNIT == pytest.approx(expected, rel=1e-6)
 

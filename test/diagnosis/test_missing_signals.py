@@ -1,4 +1,4 @@
-"""What a missing signal would tell apart, as the models themselves say."""
+"""Discrimination gained from a missing signal, according to the models."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def gathered(rig, recorded):
 
 
 def fitted(evidence, name, *values):
-    """Return an effect as if it had been fitted with these values of its first form."""
+    """Return an effect as if fitted with these values of its first form."""
     candidate = next(c for c in candidates(evidence.record, evidence.rig, ())[0] if c.name == name)
     values = np.array(values)
     residuals = evidence.residuals(evidence.comparison(), extended(evidence.rig, (candidate,), values))
@@ -42,7 +42,7 @@ def test_each_missing_signal_tells_what_shows_in_it(gathered):
     late = fitted(evidence, "command_delay", 4e-3)
     scale = fitted(evidence, "position_sensor_gain", 1.02)
     droop = fitted(evidence, "supply_pressure_droop", 1e9)
-    # A load cell shows what the pressure sensor reads wrongly; a load shows in neither, nor a shifted zero in a speed.
+    # A load cell reveals errors of the pressure sensor; a load shows in neither, nor does a shifted zero in a speed.
     assert deciding(evidence, pressure, load) == ("force_n",)
     assert deciding(evidence, zero, load) == ()
     assert deciding(evidence, scale, load) == ("velocity_m_s",)

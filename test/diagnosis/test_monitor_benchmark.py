@@ -1,4 +1,4 @@
-"""The monitor's benchmark: what counts as right and late, the interval of a rate, and the rigs that change within a run."""
+"""The monitor's benchmark: criteria for right and late, the interval of a rate, and the rigs that change within a run."""
 
 import numpy as np
 import pytest

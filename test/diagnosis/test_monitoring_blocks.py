@@ -1,4 +1,4 @@
-"""Blocks of a recording: what they say of a rig whose coefficients are not those of its model, and of one where they are."""
+"""Blocks of a recording: estimates for a rig whose coefficients deviate from its model, and for one whose do not."""
 
 from dataclasses import replace
 
@@ -77,7 +77,7 @@ def test_what_leads_to_the_first_block_is_in_none(rig, leaking):
 
 
 def test_while_the_piston_is_held_a_constant_force_says_nothing(rig, recorded):
-    """What holds a stuck piston depends on micrometres that no sensor resolves."""
+    """The force that holds a stuck piston depends on micrometres that no sensor resolves."""
     evidence = compared(rig, recorded({}, "rest", seed=6, duration=SECONDS))
     off = {**evidence.base.values, FRICTION: evidence.base.values[FRICTION] + 30.0 / evidence.floor[FRICTION]}
     wrong = replace(evidence, base=evidence.base._replace(values=off))

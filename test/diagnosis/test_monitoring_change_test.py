@@ -1,4 +1,4 @@
-"""The monitor's test: how often it is wrong, what it notices, and what one block cannot do."""
+"""The monitor's test: its error rate, its sensitivity, and the insufficiency of a single block."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def healthy(scatter=1.0, certainty=np.inf, spread=0.0, remainder=0.0):
 
 
 def feed(test, score, information=INFORMATION):
-    """Add a block whose departures each change the balance by a hundredth."""
+    """Add a block each of whose departures changes the balance by a hundredth."""
     test.add(score, np.full(QUANTITIES, information), np.full(QUANTITIES, 0.01))
 
 
@@ -27,7 +27,7 @@ def noise(rng, size=0.0):
 
 
 def test_false_alarms_are_rarer_than_the_rate_that_was_set():
-    """Thirty are allowed in this time; sums over overlapping times are alike, so that there are fewer, but some."""
+    """Thirty are allowed in this time; sums over overlapping times are correlated, so there are fewer, but some."""
     rng, hours = np.random.default_rng(1), 0.1
     test = ChangeTest(healthy(), hours)
     alarms = 0
@@ -108,7 +108,7 @@ def test_a_departure_no_larger_than_what_the_model_leaves_of_a_healthy_rig_is_no
 
 
 def test_the_onset_is_sought_in_what_departs_alike():
-    """A long time with less before is not part of it."""
+    """An earlier long period of smaller departures is not part of it."""
     rng = np.random.default_rng(10)
     test = ChangeTest(healthy(), 1000.0, np.ones(QUANTITIES, dtype=np.bool_))
     for _ in range(200):

@@ -1,4 +1,4 @@
-"""What slow recordings can judge: what moves little within a sample, at whatever rate."""
+"""Scope of slow recordings: motions that are small within a sample can be judged, at any rate."""
 
 import math
 
@@ -18,7 +18,7 @@ SLOW = 0.01
 
 
 def strokes(period, speed, turn, duration=25.0, travel=0.03):
-    """Return times and positions of even strokes to and fro whose turns take a time, s."""
+    """Return times and positions of even strokes to and fro whose turns take a given time [s]."""
     fine = np.arange(0.0, duration, 1e-4)
     stroke = travel / speed
     velocity = speed * np.clip(4.0 * stroke / turn * (np.abs((fine / stroke / 2.0) % 1.0 - 0.5) - 0.25), -1.0, 1.0)
@@ -28,7 +28,7 @@ def strokes(period, speed, turn, duration=25.0, travel=0.03):
 
 
 def slow_loop(rig, *, period=SLOW, speed=0.01, turn=0.2, excess=0.0, seed=0):
-    """Return a recording of slow strokes of a rig with as much Coulomb friction as it has, and an excess [N]."""
+    """Return a recording of slow strokes of a rig with its Coulomb friction plus an excess [N]."""
     rng = np.random.default_rng(seed)
     t, x = strokes(period, speed, turn)
     v = np.gradient(x, period)
@@ -46,7 +46,7 @@ def slow_loop(rig, *, period=SLOW, speed=0.01, turn=0.2, excess=0.0, seed=0):
 
 @pytest.fixture(scope="module")
 def smooth_rig(rig_file):
-    """The rig with friction that does not change with speed below the strokes' and is stiff, as such strokes show it."""
+    """The rig with stiff friction that is constant below the strokes' speed, as such strokes show it."""
     friction = {
         "model": "gms", "coulomb_force": 600.0, "static_force": 600.0, "stribeck_velocity": 2e-3, "stribeck_exponent": 1.0,
         "viscous_coefficient": 2000.0, "element_stiffness": [2e6, 2e6, 2e6], "element_weight": [0.4, 0.3, 0.3],
@@ -87,7 +87,7 @@ def test_a_slow_turn_is_resolved_and_a_fast_one_is_not():
     assert slow.all()
     fast, x, v, n = known(SLOW, speed=0.3, turn=0.02)
     assert 0.2 < np.mean(fast) < 1.0
-    # Around each turn, until the presliding travel has been slid several times.
+    # Around each turn, until the presliding travel has been covered several times.
     for turn in np.flatnonzero(v[1:] * v[:-1] < 0.0):
         assert not fast[turn : turn + 2].any()
         later = np.flatnonzero(np.abs(x[turn:] - x[turn]) > (rules.SLIDING + 20) * 2e-4)
@@ -152,7 +152,7 @@ def test_a_slow_signal_makes_only_the_balances_that_it_is_part_of_coarser(rig):
     record = prepare(Trajectory(t, signals, preparation=Preparation(interpolated=own)), rig, "it")
     bent = {c: np.max(coarseness(record, formed_of(record, c))) for c in ("spool", "volume", "force", "cell")}
     assert bent["spool"] == 1.0
-    # The load cell has no part in a balance that has a pressure.
+    # The load cell does not enter a balance that has a pressure.
     assert bent["volume"] == bent["force"] == pytest.approx(1.74, rel=0.05)
     assert bent["cell"] == pytest.approx(173.0, rel=0.05)
 

@@ -1,4 +1,4 @@
-"""The truth generator: independent, neutral where it should be, visible where it should be, within its limits."""
+"""The truth generator: independent, neutral where required, visible where required, within its limits."""
 
 import ast
 import csv

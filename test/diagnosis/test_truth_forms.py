@@ -1,4 +1,4 @@
-"""Rigs that are never the model: form errors of the size asked, in their stage, that no coefficient describes."""
+"""Rigs that no model describes: form errors of the requested size, in their stage, that no coefficient describes."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def scale():
 
 
 def balances(r):
-    """Return the imbalance and the largest term of the equations for the kernel's own states, without any filter."""
+    """Return the imbalance and the largest term of the equations for the kernel's states, without filtering."""
     x, v, p_load, spool = (r.states[:, i] for i in (kernel.X, kernel.V, kernel.PL, kernel.XV))
     area, dt = PLANT["piston_area"], 1.0 / FINE
     force = area * p_load - PLANT["moving_mass"] * (np.gradient(v, dt) + PLANT["gravity"]) - PLANT["spring_stiffness"] * x
@@ -93,12 +93,12 @@ def test_every_kind_shows_in_its_own_stage(scale):
         own = rows[kind.stage][kind.row]
         others = [size for stage in STAGES for row, size in enumerate(rows[stage]) if (stage, row) != (kind.stage, kind.row)]
         assert own > 1e-4, name
-        # The residuals themselves are no more accurate than that on another motion.
+        # The residuals themselves are no more accurate than this on another motion.
         assert max(others) < 0.1 * own + 3e-4, name
 
 
 def bases(r):
-    """Return what the coefficients of the rig file change, by kind of form error."""
+    """Return the changes due to the coefficients of the rig file, by kind of form error."""
     c, dt = r.columns, 1e-3
     v = np.gradient(c["position_m"], dt)
     opening = c["spool_m"] * np.sqrt(PLANT["supply_pressure"] - np.sign(c["spool_m"]) * c["load_pressure_pa"])

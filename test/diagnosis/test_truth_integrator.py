@@ -68,7 +68,7 @@ def paper_equations(rig):
 
 
 def kernel_equations(rig, effects):
-    """Return the kernel's own equations with effects for scipy to integrate, so that only the integrators are compared."""
+    """Return the kernel's equations with effects for scipy to integrate, so that only the integrators are compared."""
     p = nominal_sizes(rig)
     for name, sizes in effects.items():
         EFFECTS[name].apply(p[0], EFFECTS[name].neutral | sizes)

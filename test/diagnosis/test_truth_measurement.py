@@ -1,4 +1,4 @@
-"""Skew, jitter and offsets of converters; the tables that a rig's data acquisition gives."""
+"""Skew, jitter and offsets of converters; the tables delivered by a rig's data acquisition."""
 
 import math
 from pathlib import Path
@@ -30,7 +30,7 @@ def moved():
 
 
 def phase(time, a):
-    """Return how late a sine is, s."""
+    """Return the delay of a sine [s]."""
     inside = slice(10, 1000)
     parts = np.stack([np.sin(RADIANS * time), np.cos(RADIANS * time)], axis=1)[inside]
     sine, cosine = np.linalg.lstsq(parts, a[inside], rcond=None)[0]

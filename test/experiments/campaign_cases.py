@@ -26,5 +26,5 @@ def write(folder, **content):
 
 
 def specs(plan):
-    """The runs' specs, parsed."""
+    """Return the runs' specs, parsed."""
     return [json.loads(run.spec) for run in plan.runs()]

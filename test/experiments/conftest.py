@@ -18,13 +18,13 @@ def config() -> Path:
 
 @pytest.fixture
 def rig_mapping() -> dict[str, Any]:
-    """The paper's rig as a rig file holds it."""
+    """Mapping of the paper's rig, as in a rig file."""
     return rig_to_mapping(load_rig(CONFIG / "rig_paper.yaml"))
 
 
 @pytest.fixture
 def make_spec(rig_mapping: dict[str, Any]) -> Callable[..., Spec]:
-    """Return a maker of specs: sections by keyword, a FASMC II on the paper's rig where nothing is said."""
+    """Return a maker of specs: sections by keyword, by default FASMC II on the paper's rig."""
 
     def make(**sections: Any) -> Spec:
         plain = {"rig": rig_mapping, "reference": {"name": "constant"}, "controller": {"name": "fasmc"}}

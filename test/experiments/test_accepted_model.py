@@ -1,4 +1,4 @@
-"""The rig that an operator has accepted: as near to the controller's rig file as adaptation may go, or not used."""
+"""The rig that an operator has accepted: within adaptation's distance of the controller's rig file, or not used."""
 
 from pathlib import Path
 
@@ -43,14 +43,14 @@ def test_each_coefficient_moves_as_far_as_adaptation_may(section, name):
 
 
 def test_what_was_found_is_in_the_model():
-    """A monitor names a leakage as an effect; a controller knows coefficients."""
+    """A monitor names a leakage as an effect; a controller has coefficients."""
     leaky = OWN.with_effects(
         effects({"name": "internal_leakage_shift", "added": 2e-12}, {"name": "command_delay", "delay": 1e-3})
     )
     model = accepted(leaky)
     assert model.plant.leakage_coefficient == pytest.approx(OWN.plant.leakage_coefficient + 2e-12)
     assert model.command_delay == 1e-3
-    # Beyond a third of the valve's flow, at the supply pressure, nothing is left of the rig.
+    # Beyond a third of the valve's flow, at the supply pressure, leakages are refused.
     with pytest.raises(BadInput, match="leakage_coefficient is"):
         accepted(OWN.with_effects(effects({"name": "internal_leakage_shift", "added": 1e-9})))
     with pytest.raises(BadInput, match="command_delay is"):

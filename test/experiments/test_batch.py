@@ -1,4 +1,4 @@
-"""Many runs side by side, against each by itself."""
+"""Many runs side by side, compared with separate runs."""
 
 import copy
 import json
@@ -26,7 +26,7 @@ REFERENCES = (
 
 @pytest.fixture
 def make_run(make_spec, rig_mapping):
-    """Return a maker of runs of one structure: stick and slip, a hysteresis, an end stop and noise, all of other sizes."""
+    """Return a maker of runs of one structure: stick and slip, a hysteresis, an end stop and noise, all of different sizes."""
 
     def make(index, **sections):
         vary = np.random.default_rng(index).uniform
@@ -64,7 +64,7 @@ def assert_same(run, expected):
 @pytest.mark.long
 def test_each_run_has_the_numbers_it_has_by_itself(make_run):
     specs = [make_run(index) for index in range(RUNS)]
-    # Two leave their limits at once, and one by itself has other sizes than the rest.
+    # Two violate their limits at once, and another has other sizes than the rest.
     for index in (0, 3):
         specs[index] = make_run(index, limits={"velocity": 2e-3})
     specs[7] = make_run(7, compensation={"name": "gms", "steps": 5})

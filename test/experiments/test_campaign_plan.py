@@ -1,4 +1,4 @@
-"""What a campaign file stands for, and what it may not say."""
+"""Expansion of a campaign file, and its forbidden contents."""
 
 import itertools
 import json

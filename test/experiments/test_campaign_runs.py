@@ -1,4 +1,4 @@
-"""Running a campaign in this process: what is kept, what is made again, what a failed run leaves."""
+"""Running a campaign in this process: reuse of results, repeated runs, and traces of a failed run."""
 
 import json
 import sys
@@ -112,7 +112,7 @@ def test_an_interruption_keeps_what_is_done(tmp_path, after):
 
 
 def test_runs_that_fail_leave_their_reason_and_the_others_go_on(tmp_path):
-    # A Coulomb force above the static one is refused; the middle of what is drawn is below.
+    # A Coulomb force above the static one is refused; the centre of the distribution is below.
     vary = {"rig.friction.coulomb_force": {"uniform": [600.0, 1100.0]}}
     path = write(tmp_path, runs=12, vary=vary)
     assert make(path, tmp_path / "out").made == 12

@@ -1,4 +1,4 @@
-"""Campaigns in processes of their own: a killed Dask worker, a killed local one, Ctrl-C."""
+"""Campaigns in separate processes: a killed Dask worker, a killed local one, Ctrl-C."""
 
 import contextlib
 import json
@@ -35,7 +35,7 @@ def campaign(tmp_path):
 
 @pytest.fixture
 def processes():
-    """Start programs; those that still run at the end are ended."""
+    """Start programs; end those still running at the end."""
     with contextlib.ExitStack() as stack:
 
         def start(*arguments, **options):
@@ -72,7 +72,7 @@ def wait_until(condition):
 
 
 def runs(process):
-    """Tell whether a process is there and is not one that ended and waits for its parent to notice."""
+    """Return whether a process exists and is not a zombie."""
     with contextlib.suppress(psutil.NoSuchProcess):
         return process.status() != psutil.STATUS_ZOMBIE
     return False
@@ -89,13 +89,13 @@ def kept(out):
 
 
 def numbers(out):
-    """The table without what depends on the clock."""
+    """Return the table without its clock-dependent columns."""
     return {name: column for name, column in read_results(out / "results.parquet").items() if name != "wall_s"}
 
 
 @pytest.fixture(scope="module")
 def made_by_one(tmp_path_factory):
-    """What the campaign gives in a single process."""
+    """Results of the campaign in a single process."""
     folder = tmp_path_factory.mktemp("one")
     make(write(folder, **CAMPAIGN), folder / "out", local(1))
     return numbers(folder / "out")
@@ -137,7 +137,7 @@ def start_command(processes, campaign, out, **options):
 
 @pytest.fixture
 def long_campaign(tmp_path):
-    """A campaign that goes on until it is stopped."""
+    """A campaign that runs until it is stopped."""
     return write(tmp_path, **(CAMPAIGN | {"runs": 100_000}))
 
 

@@ -1,4 +1,4 @@
-"""The causal limit of experiments and recordings, and what stands where there is none."""
+"""The causal limit of experiments and recordings, and the entry where there is none."""
 
 import json
 import math

@@ -22,7 +22,7 @@ FD2 = {"name": "force", "signal": {"name": "sine", "amplitude": 5e3, "frequency"
 
 
 class Cell(NamedTuple):
-    """A cell of Table 3, FASMC II: largest error in % of 10 kN, and the text's convergence time where it names one."""
+    """A cell of Table 3, FASMC II: largest error in % of 10 kN, and the text's convergence time if given."""
 
     reference: str
     disturbance: dict[str, Any]
@@ -43,7 +43,7 @@ CELLS = [
 
 
 def cell_name(cell: Cell) -> str:
-    """Return the cell as its test is called."""
+    """Return the test id of a cell."""
     return f"{cell.reference}-{'fd1' if cell.disturbance is FD1 else 'fd2'}"
 
 
@@ -126,7 +126,7 @@ def test_a_rig_that_is_20_percent_off_is_held_by_the_corrected_pressure_rate(mak
     assert np.max(np.abs(held["force_error_n"][late])) < 150.0
     assert np.max(held["saturated"]) == 0.0
     assert np.max(np.abs(held["delta_n"])) < 1e4
-    # Left to itself the model misses the rate by far more than the k/2 = 6 MPa/s that the surface has against it.
+    # Without correction the model misses the rate by far more than the k/2 = 6 MPa/s that the surface has against it.
     lost = run(rate_correction=0.0)
     assert np.max(np.abs(lost["force_error_n"][late])) > 2e3
 
@@ -165,7 +165,7 @@ def test_the_controller_has_its_own_rig_and_the_plant_the_other(make_spec, rig_m
     assert model_of(spec.controller_rig, 1e-3).plant.piston_area == pytest.approx(2.86e-3)
     assert simulator_of(spec).rig == simulator_of(make_spec()).rig
     run = run_in_process(spec)
-    # The plant's area and supply in what is measured; the controller's area, friction and spool limit in what it makes of it.
+    # The plant's area and supply in the readings; the controller's area, friction and spool limit in their evaluation.
     assert np.allclose(run["force_n"], 2.6e-3 * run["load_pressure_pa"])
     assert np.all(run["supply_pressure_pa"] == 7e6)
     assert np.allclose(run["e3_pa"], run["force_error_n"] / 2.86e-3)
@@ -195,7 +195,7 @@ def test_oil_warms_through_the_run_and_d_learns_what_thinner_oil_takes_from_fric
     spec = make_spec(reference="sine", duration=8.0, oil_temperature=303.15, oil_warming=2.5, effects=thinner)
     run = run_in_process(spec)
     assert np.allclose(run["oil_temperature_k"], 303.15 + 2.5 * run.time_s, rtol=1e-12)
-    # The controller knows none of it: -100 N s/m for each kelvin above 313.15 K, so +1000 N s/m at first.
+    # The controller does not include it: -100 N s/m for each kelvin above 313.15 K, so +1000 N s/m at first.
     missed = -100.0 * (run["oil_temperature_k"] - 313.15) * run["velocity_m_s"]
     estimate = run["friction_gms_n"], run["friction_viscous_n"]
     learnt = run["delta_n"] + (run["alpha"] - 1.0) * estimate[0] + (run["beta"] - 1.0) * estimate[1]
@@ -283,7 +283,7 @@ def test_position_servo_feels_the_loader(make_spec):
     "sensor", [{"bias": 2e-3}, {"resolution": 5e-6}, {"noise_std": 5e-6}], ids=lambda sensor: next(iter(sensor))
 )
 def test_position_servo_feels_the_loader_and_not_its_sensor(make_spec, rig_mapping, sensor):
-    """SIC does not use the position, so that nothing else tells the runs apart."""
+    """SIC does not use the position, so that no other signal distinguishes the runs."""
     servo = {"name": "position_servo", "signal": {"name": "sine", "amplitude": 0.05, "frequency": 1.0}}
     changes = {"disturbance": servo, "controller": {"name": "sic"}, "duration": 1.0}
     runs = [

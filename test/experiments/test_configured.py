@@ -1,4 +1,4 @@
-"""Files that come with the package are named from anywhere; a path that exists comes first."""
+"""Files of the package can be named from any folder; an existing path takes precedence."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The experiments in config/ run and do what they say."""
+"""The experiments in config/ run and behave as described."""
 
 from pathlib import Path
 
@@ -13,8 +13,8 @@ from ehls_ros.experiments.spec import load_rig, load_spec
 FOLDER = Path(__file__).parents[2] / "config" / "experiments"
 FILES = sorted(FOLDER.glob("*.yaml"))
 LONGEST = 60.0
-"""What of an experiment is run here at most [s]."""
-# Largest force error of the steady part [N]: the paper's where it has one (but SIC: 223 N there).
+"""Maximum duration of an experiment here [s]."""
+# Largest force error of the steady part [N]: the paper's if given (except SIC: 223 N there).
 LARGEST = {
     "constant_fd1": 4.9,
     "constant_fd2": 42.1,
@@ -24,7 +24,7 @@ LARGEST = {
     "friction_sweep": None,
     "friction_sweep_quick": None,
     "irregular_fd2": 61.6,
-    # The paper's, and what the load cell's noise and resolution add to a reading.
+    # The paper's, plus the load cell's noise and resolution.
     "measured_constant_fd1": 12.3 + 10.0,
     "measured_constant_fd2": 68.2 + 10.0,
     "measured_sine_fd1": 63.7,
@@ -84,7 +84,7 @@ def test_a_sweep_is_as_long_as_its_spec(path):
     spec = load_spec(path)
     length = velocity_sweep.duration(spec.reference.parameters)
     assert length < spec.settings.duration < length + 1.0
-    # The comment tells it too.
+    # The comment states it too.
     assert f"{length:.1f} s" in path.read_text(encoding="utf-8") or f"{length:.2f} s" in path.read_text(encoding="utf-8")
 
 

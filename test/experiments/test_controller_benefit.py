@@ -1,4 +1,4 @@
-"""What an extended model gives the controller, and what becomes of rigs that no force can be controlled on."""
+"""Benefit of an extended model for the controller, and the outcome on rigs whose force cannot be controlled."""
 
 import json
 from typing import Any
@@ -88,7 +88,7 @@ def test_a_smaller_rig_gets_smaller_cases(make_rig):
 
 
 def electric_axis(rig_mapping: dict[str, Any]) -> Rig:
-    """A motor and a slide, its force written as the pressure on one square metre."""
+    """A motor and a slide, its force expressed as the pressure on one square metre."""
     plant = {
         "supply_pressure": 400.0, "piston_area": 1.0, "moving_mass": 95.1, "spring_stiffness": 0.0, "viscous_damping": 0.0,
         "gravity": 0.0, "leakage_coefficient": 1.0,

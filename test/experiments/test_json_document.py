@@ -1,4 +1,4 @@
-"""Results as JSON: nothing is lost, and the public schemas keep their keys."""
+"""Results as JSON: lossless, and with stable keys in the public schemas."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Files of what was learnt: refused before a run where they are wrong, kept or reported at its end."""
+"""Learnt files: refused before a run if wrong, kept or reported at its end."""
 
 import os
 import shutil
@@ -22,7 +22,7 @@ LAW = "fasmc"
 
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return the file of what was learnt in some load cycles."""
+    """Return the file learnt in some load cycles."""
     folder = tmp_path_factory.mktemp("learnt")
     spec = learning_spec(folder, "waveform", LAW)
     company = learning_company(spec)
@@ -115,7 +115,7 @@ def test_a_link_stays_a_link_and_a_foreign_file_as_it_is(learnt: bytes, tmp_path
     learnt_files.keep(company, spec)
     assert (tmp_path / "learnt.npz").is_symlink()
     assert (tmp_path / "store" / "learnt.npz").is_file()
-    # One that was put there during the run.
+    # A file that was put there during the run.
     (tmp_path / "store" / "learnt.npz").write_bytes(b"mine")
     with pytest.raises(NotWritten, match=r"what was learnt is lost: .*learnt\.npz: is not replaced"):
         learnt_files.keep(company, spec)
@@ -124,7 +124,7 @@ def test_a_link_stays_a_link_and_a_foreign_file_as_it_is(learnt: bytes, tmp_path
 
 @pytest.fixture
 def spec_file(tmp_path: Path) -> Path:
-    """Return an experiment of 3 s that learns a force that repeats."""
+    """Return an experiment of 3 s that learns a repeating force."""
     rig = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
     data = {
         "rig": str(rig),

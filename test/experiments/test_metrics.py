@@ -32,7 +32,7 @@ def test_errors_are_those_of_the_last_half():
 
 @pytest.mark.parametrize("start", [0.0, 17.25])
 def test_convergence_is_when_the_band_is_left_for_the_last_time(start):
-    # The band is 1 % of 10 kN; the last error beyond it stands at cycle 320.
+    # The band is 1 % of 10 kN; the last error beyond it is at cycle 320.
     error = np.where(np.arange(1001) <= 320, 150.0, 99.0)
     error[100:200] = 0.0
     metrics = judged(error, time=start + np.arange(1001) * 1e-3)
@@ -186,7 +186,7 @@ LIMITS = {"spool": 0.01, "force": 1.82e4, "load_pressure": 7e6, "position": [-0.
 
 
 def told(limits=LIMITS, **signals):
-    """Return the warnings of a run whose signals hold a value each, but for one cycle late in it."""
+    """Return the warnings of a run whose signals are constant, except for one late cycle."""
     count = len(next(iter(signals.values())))
     return evaluate(Trajectory(np.arange(count) * 1e-3, signals, {"rig": {"limits": limits}})).warnings
 

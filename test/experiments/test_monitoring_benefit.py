@@ -1,4 +1,4 @@
-"""What it brings to tell a controller: the force error before and after, what lies between left out."""
+"""Benefit of updating a controller: the force error before and after, without the transition."""
 
 import numpy as np
 

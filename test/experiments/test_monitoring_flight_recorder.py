@@ -31,7 +31,7 @@ class Ended:
 
 @pytest.fixture
 def begun(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """Return the commands of the processes that would have begun."""
+    """Return the commands of the processes that would have been started."""
     commands: list[list[str]] = []
     monkeypatch.setattr(flight_recorder.subprocess, "Popen", lambda command, **_: commands.append(command) or Ended())
     return commands

@@ -1,4 +1,4 @@
-"""The monitor's samples: cycles put together, on an axis that only increases."""
+"""The monitor's samples: cycles assembled on an axis that only increases."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ WALL = 1_700_000_000 * 10**9
 
 
 def snapshots(first: int, count: int, epoch_ns: int = WALL, sent_ns: int | None = None) -> list[Snapshot]:
-    """Return snapshots whose position is their cycle; they were sent when their stamps say, unless told otherwise."""
+    """Return snapshots whose position is their cycle; they were sent at their stamps' time, unless given otherwise."""
     stamps = [epoch_ns + round(cycle * PERIOD * 1e9) for cycle in range(first, first + count)]
     sent = stamps if sent_ns is None else [sent_ns + round(i * PERIOD * 1e9) for i in range(count)]
     return [

@@ -1,4 +1,4 @@
-"""When a drifting coefficient reaches its limit."""
+"""Time at which a drifting coefficient reaches its limit."""
 
 import math
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_the_interval_holds_the_true_time_in_95_of_100_cases():
     rng, hits, count = np.random.default_rng(1), 0, 4000
     for value, rate in zip(rng.normal(6.0, 0.5, count), rng.normal(0.5, 0.1, count), strict=True):
         found = reach(reading(value, 0.5), Estimate(rate, 0.1, "1/h"), 10.0, HEALTHY)
-        # Where the rate may be zero, the interval has no end.
+        # If the rate may be zero, the interval has no end.
         hits += bool(found.why_not) or found.earliest <= 8.0 <= found.latest
     assert hits / count == pytest.approx(0.95, abs=0.01)
 

@@ -1,4 +1,4 @@
-"""A monitor that is killed goes on where it was: nothing is lost, nothing is alarmed."""
+"""A killed monitor resumes: without loss, and without false alarms."""
 
 import csv
 import shutil
@@ -75,7 +75,7 @@ def rig_file() -> Path:
 
 
 def fed(monitor: Monitor, trajectory: Trajectory, begin: float, end: float) -> list[str]:
-    """Give a monitor the samples of a time, and return what happened."""
+    """Give a monitor the samples of a period, and return its events."""
     first, last = np.searchsorted(trajectory.time_s, [begin, end])
     events = []
     for part in np.array_split(np.arange(first, last), max(1, (last - first) // 500)):
@@ -86,7 +86,7 @@ def fed(monitor: Monitor, trajectory: Trajectory, begin: float, end: float) -> l
 
 @pytest.fixture(scope="module")
 def kept(healthy: tuple[Spec, Trajectory], tmp_path_factory: pytest.TempPathFactory) -> tuple[Monitor, Path]:
-    """Return a monitor that watches, with a change that was found, and the folder in which it has kept what it knows."""
+    """Return a monitor that watches, with a change it found, and the folder with its memory."""
     spec, trajectory = healthy
     folder = tmp_path_factory.mktemp("monitor")
     monitor = Monitor(spec.rig, WATCHED, FindsNothing())
@@ -214,7 +214,7 @@ def test_foreign_files_are_neither_replaced_nor_removed(healthy, kept, folder: P
         )
     assert {name: (folder / name).read_bytes() for name in foreign} == foreign
     assert memory_of(folder, healthy[0].rig).restore().end == 60.0
-    # Of its own, only those in use are left.
+    # Of its files, only those in use are left.
     assert len(list(folder.glob("*.npz"))) == len(foreign) + 2
 
 
@@ -245,7 +245,7 @@ def test_a_repair_begins_anew(healthy, folder: Path):
 
 
 def test_the_report_of_a_day_is_made_of_the_folder(healthy, kept, folder: Path, capsys):
-    """The stamps are those of the anchors: what was found is said with its wall time."""
+    """The stamps are those of the anchors: findings are reported with their wall time."""
     begin = datetime.fromtimestamp(ANCHORS[-1].stamp_ns * 1e-9).astimezone()
     watched, midnight = watched_until(folder, begin.date())
     assert midnight.date() == begin.date()

@@ -1,4 +1,4 @@
-"""The monitor as a whole: what it says of samples, with diagnoses that a test gives it."""
+"""The monitor as a whole: its reports on samples, with diagnoses supplied by the test."""
 
 from pathlib import Path
 
@@ -33,14 +33,14 @@ def rig(rig_file):
 
 @pytest.fixture(scope="module")
 def streams(rig_file):
-    """A healthy rig, and one that begins to leak in the middle, driven alike."""
+    """A healthy rig, and one that begins to leak in the middle, driven identically."""
     well, leaking = (record(rig_file, effects, "rich", seed=9, duration=END) for effects in ({}, LEAK))
     here = well.time < ONSET
     return well.time, dict(well.columns), {n: np.where(here, well.columns[n], leaking.columns[n]) for n in well.columns}
 
 
 class Scripted:
-    """Gives what a test expects of a diagnosis, and keeps what it was asked."""
+    """Examiner with the expected diagnoses of a test, which records its tasks."""
 
     def __init__(self, *findings):
         self.findings, self.tasks, self.ready = list(findings), [], False
@@ -90,7 +90,7 @@ def test_a_change_is_noticed_named_and_in_the_model_from_then_on(rig, streams):
     [change] = monitor.changes
     assert change.name == "internal_leakage_shift"
     assert change.earliest <= ONSET <= change.latest + 5.0
-    # What is diagnosed is from after the onset.
+    # The diagnosed samples are those after the onset.
     assert examiner.tasks[1].recording.time_s[-1] <= END - ONSET
     assert [use.name for use in monitor.model.effects] == ["internal_leakage_shift"]
     told = {reading.name: reading for reading in monitor.health().readings}
@@ -114,7 +114,7 @@ def test_a_cause_in_doubt_waits_for_more_samples(rig, streams):
     monitor, examiner, events = watched(rig, time, signals, *findings)
     assert "named" not in kinds(events)
     assert not monitor.changes
-    # Each time with more of them.
+    # Each time with more samples.
     lengths = [task.recording.time_s[-1] for task in examiner.tasks[1:]]
     assert lengths == sorted(lengths)
     assert len(lengths) >= 2

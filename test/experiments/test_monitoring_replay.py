@@ -1,4 +1,4 @@
-"""Recordings watched as if the rig ran."""
+"""Recordings monitored as if the rig ran."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -23,11 +23,11 @@ RIG = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
 SECONDS, LEARNT, ONSET = 85.0, 30.0, 50.0
 EFFECT, PARAMETER, SIZE = "valve_gain_shift", "gain", 0.75
 IN_TIME = LEARNT
-"""Time after the onset within which a change has to be named [s]: what told the healthy rig tells the changed one."""
+"""Time after the onset within which a change must be named [s]: as long as the healthy rig took."""
 
 
 class Made(NamedTuple):
-    """A recording whose valve changes in its middle, and what was made of it."""
+    """A recording whose valve changes in its middle, and the results of its replay."""
 
     trajectory: Trajectory
     watched: Watched
@@ -80,7 +80,7 @@ def test_the_coefficients_are_tracked_with_intervals(made):
 
 
 class Listening:
-    """Stands in for the monitor, and keeps what it is given."""
+    """Stand-in for the monitor that records its inputs."""
 
     def __init__(self, *_):
         self.given, self.interrupts, self.history = [], [], ()
@@ -137,5 +137,5 @@ def test_the_shortest_experiment_that_tells_the_rest_is_offered(monkeypatch):
     assert (found.name, found.tells) == ("velocity_sweep", ("coulomb_force",))
     assert found.seconds == found.repeats * found.spec["duration"]
     assert offer([], rig) is None
-    # Without the force no experiment tells the friction.
+    # Without the force no experiment determines the friction.
     assert offer(["coulomb_force"], rig, ["position_m", "valve_command_m", "spool_m"]) is None

@@ -1,4 +1,4 @@
-"""What the monitor says, and that its level does not flap."""
+"""The monitor's messages, and the stability of its level."""
 
 import math
 import time

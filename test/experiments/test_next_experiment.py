@@ -1,4 +1,4 @@
-"""The catalogue of experiments, and that what is proposed tells causes apart."""
+"""The catalogue of experiments, and the discrimination of causes by the proposed ones."""
 
 import itertools
 from functools import cache
@@ -31,7 +31,7 @@ def with_effect(rig: Rig, name: str, **values: float) -> Rig:
     return rig.with_effects(effects_from_list([{"name": name, **values}], "test"))
 
 
-# Each pair has about the same force or flow where a first recording would be: at 0.1 m/s and 2 MPa.
+# Both causes of a pair give about the same force or flow in a first recording: at 0.1 m/s and 2 MPa.
 CAUSES: dict[str, dict[str, float]] = {
     "constant_load": {"force": -400.0},
     "pressure_sensor_bias": {"bias": 1.54e5},
@@ -94,7 +94,7 @@ def test_the_catalogue_suits_other_rigs(rig, sections):
         experiment = module._Experiment(catalogue_spec(name, other), other)
         if not module._unfit(experiment.closed_loop(other), experiment, other):
             fit.append(name)
-    # Without a spring a force moves the piston out of its stroke; what follows a position remains.
+    # Without a spring a force moves the piston out of its stroke; experiments that follow a position remain.
     assert {"velocity_sweep", "presliding", "large_sine", "loaded_motion", "pressure_staircase"} <= set(fit), fit
     assert other.limits.position[0] < home_of(other) < other.limits.position[1]
     assert all(value >= 0.0 for value in reach(other)[1:])
@@ -139,7 +139,7 @@ def test_an_error_of_the_force_balance_shows_in_the_pressure_and_one_of_the_flow
     late, fast = slice(4000, None), np.abs(record[4000:, SENSED.index("velocity")]) > 0.2
     position, pressure = SENSED.index("position"), SENSED.index("load_pressure")
     loaded = experiment.along(with_effect(rig, "constant_load", force=-400.0), record)[late] - record[late]
-    # Less what the higher pressure takes off flow and velocity, and so off viscous friction.
+    # Less the loss of flow and velocity, and so of viscous friction, due to the higher pressure.
     assert np.mean(loaded[fast, pressure]) == pytest.approx(400.0 / 2.6e-3, rel=0.15)
     narrow = experiment.along(with_effect(rig, "valve_gain_shift", flow_gain=0.98), record)[late] - record[late]
     velocity = record[late, SENSED.index("velocity")]
@@ -151,7 +151,7 @@ def test_an_error_of_the_force_balance_shows_in_the_pressure_and_one_of_the_flow
 # --- proposals ---------------------------------------------------------------------------------
 
 
-# What is physically the experiment for a pair: a proposal is one of these.
+# The physically right experiments for a pair: a proposal is one of these.
 EXPECTED = {
     ("constant_load", "pressure_sensor_bias"): {"full_stroke", "large_sine"},
     ("coulomb_shift", "pressure_dependent_friction"): {"loaded_motion"},
@@ -162,13 +162,13 @@ EXPECTED = {
 
 @pytest.fixture
 def few(monkeypatch):
-    """A catalogue of three, for what does not depend on which there are."""
+    """A catalogue of three, for tests that do not depend on its contents."""
     names = ("velocity_sweep", "pressure_staircase", "force_steps")
     monkeypatch.setattr(module, "CATALOGUE", {name: CATALOGUE[name] for name in names})
 
 
 def better_explained(rig: Rig, rigs: dict[str, Rig], spec: dict[str, Any], true: str, seed: int) -> str:
-    """Record an experiment with noise on a candidate's rig and return whose model is least wrong along the record."""
+    """Record an experiment with noise on a candidate's rig and return the candidate whose model is least wrong along it."""
     whole = spec_from_mapping({**spec, "rig": rig_to_mapping(rigs[true]), "seed": seed}, "spec", Path())
     run = run_in_process(whole._replace(controller_rig=rig))
     names = ("position_m", "velocity_m_s", "load_pressure_pa", "spool_m", "force_n", "supply_pressure_pa", "oil_temperature_k")
@@ -231,7 +231,7 @@ def test_of_three_the_worst_pair_decides(rig, monkeypatch):
 
     monkeypatch.setattr(module._Experiment, "_run", counted)
     proposal = next_experiment(rigs, signals=WITHOUT_LOAD_CELL, progress=lambda *count: done.append(count))
-    # Each is run by three and along by six of them; parameters are fitted to what promises most alone.
+    # Each experiment takes three runs and six along their records; parameters are fitted to the most promising one alone.
     assert len(runs) < 20 * len(CATALOGUE)
     assert done == [(n + 1, len(CATALOGUE)) for n in range(len(CATALOGUE))]
     sigmas = [pair.sigma for pair in proposal.experiment.separation]
@@ -263,7 +263,7 @@ def test_only_warm_oil_tells_friction_from_temperature(rig, monkeypatch):
     assert proposal.experiment.name == "warm_velocity_sweep"
     others = [entry.sigma for entry in proposal.considered if entry.name != "warm_velocity_sweep"]
     assert max(others) < 1e-3
-    # Where the data so far do not hold the parameters, either explains a single record with warm oil.
+    # If the data so far do not constrain the parameters, either explains a single record with warm oil.
     monkeypatch.setattr(module, "CATALOGUE", {"warm_velocity_sweep": CATALOGUE["warm_velocity_sweep"]})
     loose = next_experiment({"temperature": warm, **candidates(rig, "coulomb_shift")}, parameter_std=10.0)
     assert loose.considered[0].sigma < proposal.considered[0].sigma / 2.0
@@ -360,7 +360,7 @@ def test_what_a_parameter_explains_is_taken_off_as_far_as_the_data_let_it_move()
     base = separation.Difference(3.0 * shape + np.array([[1.0], [0.0], [1.0]]), np.ones((3, 1)))
     stepped = [base.blocks + separation.STEP * shape]
     free, held = (separation.unexplained(base, stepped, std) for std in (1e6, 1e-6))
-    # The rest has no part along the parameter's own difference.
+    # The rest is orthogonal to the parameter's own difference.
     assert np.sum(free.blocks * shape) == pytest.approx(0.0, abs=1e-6)
     assert free.sigma == pytest.approx(np.sqrt(2.0), rel=1e-6)
     assert held.sigma == pytest.approx(base.sigma, rel=1e-6)

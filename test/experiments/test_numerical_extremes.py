@@ -1,4 +1,4 @@
-"""Numbers that are each allowed and together nonsense: refused, or the run ends, or it is told; never passed off as sound."""
+"""Numbers that are valid one by one and nonsense together: refused, cut short, or flagged; never passed off as sound."""
 
 import copy
 import json
@@ -19,11 +19,11 @@ from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import LOADER_STATE
 
 REFUSED, ENDED, TOLD, SOUND = "refused", "ended", "told", "sound"
-"""What may become of an extreme: no run; a run cut short with a reason; a run with warnings; a run within the rig's limits."""
+"""Outcomes of an extreme: no run; a run cut short with a reason; a run with warnings; a run within the rig's limits."""
 
 
 class Extreme(NamedTuple):
-    """One change of the base experiment: dotted path, value, what has to become of it, and words that have to be said."""
+    """One change of the base experiment: dotted path, value, expected outcome, and expected words."""
 
     path: str
     value: Any
@@ -130,7 +130,7 @@ def name_of(extreme: Extreme) -> str:
 
 @pytest.fixture
 def base(rig_mapping):
-    """Ten kN at 1 Hz against a small disturbance, for as long as a law needs to settle."""
+    """Ten kN at 1 Hz against a small disturbance, for the settling time of a law."""
     return {
         "rig": rig_mapping,
         "duration": 1.5,
@@ -143,13 +143,13 @@ def base(rig_mapping):
 
 @pytest.fixture
 def with_effects(base):
-    """The same with every effect that is tried, at its neutral values: one kernel serves them all."""
+    """The base experiment with every tested effect, at its neutral values: one kernel serves them all."""
     return {**base, "effects": {name: {"name": name} for name in EFFECTS}}
 
 
 @pytest.fixture
 def with_servo(base):
-    """The same against a position servo."""
+    """The base experiment against a position servo."""
     signal = {"name": "sine", "amplitude": 0.05, "frequency": 0.5}
     return {**base, "disturbance": {"name": "position_servo", "signal": signal}}
 
@@ -167,7 +167,7 @@ def changed(base: dict[str, Any], extreme: Extreme) -> dict[str, Any]:
 
 
 def becomes(make_spec: Any, sections: dict[str, Any]) -> tuple[str, str]:
-    """Run an experiment; return what became of it and what was said."""
+    """Run an experiment; return its outcome and its messages."""
     try:
         run = run_in_process(make_spec(**sections))
     except BadInput as error:
@@ -235,7 +235,7 @@ def test_no_factor_on_a_rigs_number_passes_off_nonsense_as_a_result(make_spec, b
     _, section, key = path.split(".")
     value = base["rig"][section][key]
     for factor in (1e-15, 1e-12, 1e-6, 1e-3, 1e3, 1e6, 1e12, 1e15):
-        # What is neither refused nor told has been looked at by `becomes`.
+        # Outcomes neither refused nor flagged have been checked by `becomes`.
         outcome, said = becomes(make_spec, changed(base, Extreme(path, value * factor, "")))
         assert outcome in {REFUSED, ENDED, TOLD, SOUND}
         assert bool(said) == (outcome != SOUND)
@@ -307,7 +307,7 @@ def test_the_command_tells_a_useless_result_and_the_swing_beside_the_band(tmp_pa
 
 
 def test_what_a_sensor_hides_ends_the_run_all_the_same(make_spec, base):
-    # The position is not in the law: a reading that stands at zero would hide that the piston has long left the rig.
+    # The position is not in the law: a reading stuck at zero would hide that the piston has long left the rig.
     sections = copy.deepcopy(base)
     sections["rig"]["sensors"] = {"position": {"bandwidth": 1e-12}, "velocity": {"bandwidth": 1e-12}}
     sections["rig"]["plant"].update(spring_stiffness=0.0)

@@ -1,4 +1,4 @@
-"""State and log of a programme: judged before anything is changed, and refused where no run can have left them."""
+"""State and log of a programme: checked before anything is changed, and refused if no run can have left them."""
 
 import shutil
 from pathlib import Path
@@ -17,7 +17,7 @@ from ehls_ros.schema import parse
 
 @pytest.fixture(scope="module")
 def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder that a programme of 100 load cycles left, of which 19 were counted."""
+    """Return the folder left by a programme of 100 load cycles, of which 19 were counted."""
     folder = tmp_path_factory.mktemp("programme")
     make_programme(folder, STATE)
     return folder
@@ -211,7 +211,7 @@ def test_a_folder_that_cannot_be_written_is_said_at_the_start(tmp_path: Path):
 
 
 def test_every_motion_that_a_programme_makes_is_accepted():
-    """The check knows all of stop, resume and skip, at any moment."""
+    """The check covers stop, resume and skip, at any time."""
     from ehls_ros.control.programme.motion_check import check_motions
 
     for seed in range(20):

@@ -1,4 +1,4 @@
-"""The paper's study: Table 3 held to the values reached, the law to its bounds, the competitors to their best."""
+"""The paper's study: regression of Table 3, the law within its bounds, the competitors at their best."""
 
 from functools import partial
 from math import inf
@@ -40,7 +40,7 @@ REACHED = {
     ("FASMC II", "triangle", "fd2"): 36.7,
     ("FASMC II", "irregular", "fd2"): 35.4,
 }
-"""Largest steady error of each cell when it was last bettered [N]."""
+"""Largest steady error of each cell at its last improvement [N]."""
 
 
 GMS = paper.FASMC_2
@@ -128,7 +128,7 @@ def test_the_defaults_are_what_the_searches_find():
     run_of = {key: i for i, key in enumerate(searches.GAINS)}
     spec = case(Cell(paper.SIC, "sine", "fd2"))
     chosen = run_of[spec.controller.parameters.proportional, spec.controller.parameters.integral]
-    # Runs stand in for the search: 1 where it should win, larger elsewhere unless it lacks the margins.
+    # Runs replace the search: 1 where it should win, larger elsewhere unless it lacks the margins.
     worst = np.full(len(searches.GAINS) + len(searches.SMOOTHING), 2.0)
     worst[chosen] = 1.0
     worst[run_of[3000.0, 0.0]] = 0.5

@@ -15,7 +15,7 @@ METRICS = Metrics(1.0, 0.5, None, 3, 0, 0.002)
 
 
 def filled(path: Path) -> Path:
-    """Return a folder that holds a run with everything a run may hold."""
+    """Return a folder of a run with all possible contents."""
     (path / "bag").mkdir(parents=True)
     (path / "bag" / "bag_0.mcap").write_bytes(b"data")
     (path / "logs").mkdir()
@@ -28,7 +28,7 @@ def test_a_new_folder_is_made_with_its_parents(tmp_path):
     folder = RunFolder.create(tmp_path / "a" / "b", "name", overwrite=False)
     assert folder.path.is_dir()
     assert folder.bag.parent == folder.report.parent == folder.logs.parent == folder.path
-    assert not folder.bag.exists()  # the bag's writer wants to make it
+    assert not folder.bag.exists()  # the bag's writer must create it
 
 
 def test_without_a_path_the_run_gets_one_below_runs(tmp_path, monkeypatch):
@@ -80,7 +80,7 @@ def test_a_link_in_place_of_the_bag_is_removed_without_what_it_points_to(tmp_pat
     assert not (run / "bag").exists()
 
 
-# The tests may run as root, whom no permission stops: a file stands in the way instead.
+# The tests may run as root, whom no permission stops: a file blocks the way instead.
 @pytest.mark.parametrize("below", ["file", "file/run", "file/deeper/run"])
 def test_a_file_in_the_way_is_bad_input(tmp_path, below):
     (tmp_path / "file").write_text("mine", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Whatever a user can get wrong in a spec, a rig file or a reference file ends in one line: what, where, what was expected."""
+"""Every user error in a spec, a rig file or a reference file ends in one line: error, location, expected value."""
 
 import math
 from pathlib import Path
@@ -269,7 +269,7 @@ def round_trip(plain: dict[str, Any]) -> Spec:
 
 
 def _lists(value: Any) -> Any:
-    """Return what YAML can write: a tuple as a list."""
+    """Return a value that YAML can write: a tuple as a list."""
     if isinstance(value, dict):
         return {key: _lists(entry) for key, entry in value.items()}
     return [_lists(entry) for entry in value] if isinstance(value, list | tuple) else value

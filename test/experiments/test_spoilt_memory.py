@@ -19,7 +19,7 @@ def test_no_spoilt_file_crashes_hangs_or_costs_a_foreign_file(kind, monkeypatch)
     assert [case.failure for case in cases if case.failure] == []
     assert [case.changed for case in cases if case.changed] == []
     assert all(case.unwritten or case.outcome in {TAKEN, REFUSED, ASIDE} for case in cases)
-    # What is healthy but for the disk is never lost in silence.
+    # Files that are healthy except for the disk are never lost silently.
     for (way, surroundings), case in zip(WAYS, cases, strict=True):
         if way is left_alone and (surroundings.full or surroundings.read_only) and kind.name != "accepted rig":
             assert case.unwritten or case.outcome == REFUSED
@@ -33,7 +33,7 @@ def test_what_is_healthy_is_taken(kind, tmp_path):
 
 
 def test_a_failure_would_be_seen(tmp_path):
-    """The benchmark itself: a program that breaks a foreign file and one that fails."""
+    """The benchmark itself: a program that damages a foreign file and one that fails."""
 
     def breaks(folder):
         (folder / "notes.txt").unlink()

@@ -1,4 +1,4 @@
-"""The one reader and the one writer of state files."""
+"""The only reader and writer of state files."""
 
 import io
 import json
@@ -28,7 +28,7 @@ ORIGIN = Origin.of(RIG, 1e-3)
 
 
 class Content(NamedTuple):
-    """What the test keeps."""
+    """Content written by the test."""
 
     value: float
 
@@ -69,7 +69,7 @@ def test_what_was_written_is_read(file, with_arrays):
     for name, array in ARRAYS.items():
         assert read.arrays[name].dtype == array.dtype
         assert np.array_equal(read.arrays[name], array)
-    # Anybody's numpy reads it.
+    # Plain numpy can read it.
     with np.load(with_arrays.path, allow_pickle=False) as data:
         assert np.array_equal(data["a"], ARRAYS["a"])
 
@@ -116,7 +116,7 @@ def test_a_link_stays_a_link(file, tmp_path):
     file.write({"value": 2.0})
     assert file.path.is_symlink()
     assert json.loads(target.read_bytes())["content"] == {"value": 2.0}
-    # Also one that leads nowhere yet.
+    # Also one whose target does not exist yet.
     target.unlink()
     assert file.read() is None
     file.write({"value": 3.0})

@@ -1,4 +1,4 @@
-"""Made signals whose errors are known: a verification must find them within the uncertainty that it states."""
+"""Synthetic signals with known errors: a verification must find them within its stated uncertainty."""
 
 import json
 import math
@@ -93,7 +93,7 @@ def test_what_is_known_lies_within_the_stated_uncertainty_and_unbiased(draws, na
     deviation, standard = draws[name].T
     covered = np.mean(np.abs(deviation) <= 2.0 * standard)
     assert 0.85 <= covered <= 1.0
-    # Not so wide that everything would lie within it.
+    # Not so wide that every value would lie within it.
     assert np.sqrt(np.mean((deviation / standard) ** 2)) > 0.5
     assert abs(np.mean(deviation / standard)) < 3.0 / math.sqrt(DRAWS)
 
@@ -186,7 +186,7 @@ def test_inertia_is_refused_where_there_is_no_acceleration():
 
 
 def test_a_programme_s_blocks_are_judged_one_by_one_over_all_their_passes(programmed):
-    """Two cyclic blocks and a dwell, run twice: each cyclic block has the error that only it has."""
+    """Two cyclic blocks and a dwell, run twice: each cyclic block has a different error."""
     parts = [(1, 2.0, 3e3, 0.98), (2, 0.0, 0.0, 1.0), (3, 5.0, 1e3, 1.01)] * 2
     columns = {name: [] for name in ("force", "reference", BLOCK, REPETITION, PHASE)}
     t = np.arange(0.0, 6.0, 1e-3)

@@ -1,4 +1,4 @@
-"""Files that the tool writes hold what they are made of, with the unit behind each value."""
+"""Files written by the tool round-trip, with the unit behind each value."""
 
 from pathlib import Path
 

@@ -15,7 +15,7 @@ REST = {"supply_pressure": RIG.plant.supply_pressure, "oil_temperature": 313.15}
 
 
 class Bench:
-    """Plays the rig and the controller.
+    """Simulates the rig and the controller.
 
     Attributes:
         gate: under test.
@@ -45,7 +45,7 @@ class Bench:
         return self.gate.step(self.time)
 
     def turn(self, command=1e-3, sender="controller", reference=math.nan, **readings):
-        """Run one cycle; with None there is no command."""
+        """Run one cycle; None: without a command."""
         self.sense(reference, **readings)
         if command is not None:
             self.gate.take(self.cycle - 1, command, sender)

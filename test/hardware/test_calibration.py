@@ -112,7 +112,7 @@ def test_wrong_bridge_file(case, content):
 
 @pytest.fixture
 def acme(tmp_path, monkeypatch):
-    """Install a distribution that brings a backend, without pip."""
+    """Install a distribution that provides a backend, without pip."""
     text = (
         "from typing import NamedTuple\n"
         "class Parameters(NamedTuple):\n    gain: float = 1.0\n"

@@ -38,7 +38,7 @@ def compiled(tmp_path_factory):
 
 @pytest.fixture
 def library(compiled, tmp_path):
-    """Give each test its own copy of the library, so that tests share no state."""
+    """Give each test a separate copy of the library, so that tests share no state."""
     return shutil.copy(compiled, tmp_path)
 
 

@@ -1,4 +1,4 @@
-"""A loop that demands a processor all the time gives SCHED_FIFO back; one that rests keeps it."""
+"""A loop that demands a processor continuously gives SCHED_FIFO back; one that rests keeps it."""
 
 import os
 import threading
@@ -14,7 +14,7 @@ RESOLUTION = 0.02
 
 
 class Thread:
-    """Made-up statistics of a thread: time it ran and time it queued for a processor."""
+    """Made-up statistics of a thread: running time and queueing time."""
 
     def __init__(self, file):
         self.file = file
@@ -34,7 +34,7 @@ def thread(tmp_path):
 
 
 def changes(courtesy: Courtesy, thread: Thread, seconds: float, turn: tuple[float, float, float]) -> list[float]:
-    """Return the times at which the complaint changed, for turns of time run, queued and slept."""
+    """Return the times at which the complaint changed, for turns of running, queueing and sleeping time."""
     start = thread.now
     found = []
     while thread.now - start < seconds:
@@ -76,9 +76,9 @@ def test_priority_is_requested_again_after_a_rest_and_given_back_if_nothing_has_
 
 
 def test_the_systems_statistics_distinguish_a_busy_thread_from_a_sleeping_one():
-    # What a thread sleeps and works it knows itself, however often others hold it up.
+    # The thread's sleeping and working times are known, however often others preempt it.
     def demand(turn):
-        """Return the seconds that a thread wanted, worked, and did not sleep, taking turns that return how long they slept."""
+        """Return the seconds that a thread wanted, worked, and did not sleep, over turns that return their sleeping time."""
         courtesy = Courtesy(1.0, statistics_of(threading.get_native_id()))
         began = now = time.monotonic()
         courtesy.look(began)

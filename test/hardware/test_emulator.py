@@ -39,7 +39,7 @@ PERIOD = 1e-3
 
 
 class Process:
-    """An `ehls rig-emulator` and a device that talks to it."""
+    """An `ehls rig-emulator` and a device connected to it."""
 
     def __init__(self, *arguments):
         command = [sys.executable, "-m", "ehls_ros.cli.main", "rig-emulator", "--port", "0", "--json", *map(str, arguments)]
@@ -83,7 +83,7 @@ def read_log(path):
 
 
 def law(force, cycle):
-    """Some feedback, so that any difference spreads to all signals."""
+    """An arbitrary feedback law, so that any difference spreads to all signals."""
     wanted = 2000.0 + 50.0 * cycle
     return max(-2e-3, min(2e-3, 4e-7 * (wanted - force)))
 
@@ -93,7 +93,7 @@ def rounded(value, step, low):
 
 
 def in_process(cycles):
-    """The same loop with the bare simulator: one cycle of delay, 16 bits over +-10 V in and +-5 V out."""
+    """Run the same loop with the bare simulator: one cycle of delay, 16 bits over +-10 V in and +-5 V out."""
     spec = load_spec(SPEC)._replace(rig=load_rig(RIG))
     simulator, random = simulator_of(spec), np.random.default_rng(5)
     signal_of = sampled(spec.disturbance.signal, PERIOD)
@@ -302,7 +302,7 @@ def bad_wire():
 
 
 def arrived(end):
-    """Wait until a packet has come; the system may deliver it later than it returns to the sender."""
+    """Wait until a packet has arrived; the system may deliver it only after it returns to the sender."""
     assert select.select([end], [], [], PATIENCE)[0]
 
 

@@ -1,4 +1,4 @@
-"""Which sender of an input is accepted."""
+"""Acceptance of the senders of an input."""
 
 import pytest
 
@@ -66,14 +66,14 @@ def test_messages_under_way_when_the_owner_left_do_not_make_it_the_owner_again(o
     assert ownership.admits(OTHER)
     assert not ownership.admits(FIRST)
     assert ownership.contender is None
-    # Activated again, it is a contender like any other.
+    # After reactivation it is a contender like any other.
     time.now += 1.1 * REMAINDER
     assert not ownership.admits(FIRST)
     assert ownership.contender == FIRST
 
 
 def test_a_contender_yields_only_once_the_owner_has_gone_on_beside_it(ownership, time):
-    """An owner that was killed just before is not heard again, but for messages that were on their way."""
+    """An owner that was killed just before is not heard again, except for messages already under way."""
     ownership.admits(OTHER)
     time.now += 0.9 * REMAINDER
     ownership.admits(FIRST)

@@ -1,4 +1,4 @@
-"""Which processors a node keeps to."""
+"""Restriction of a node to processors."""
 
 import os
 import threading

@@ -470,7 +470,7 @@ def test_the_actuator_is_free_once_the_gate_is_disabled():
 
 
 def handed_over(**parameters):
-    """Return a rig whose second controller has just been given the actuator."""
+    """Return a rig whose actuator has just been handed over to the second controller."""
     bench = Bench(**parameters).run(1e-3)
     bench.gate.hand_over("successor")
     return bench
@@ -738,7 +738,7 @@ def test_the_defaults_follow_the_spool_and_are_clipped_for_a_faster_and_shorter_
     short = RIG._replace(limits=limits)
     gate = Gate(short, PERIOD)
     assert gate.parameters.command_timeout == pytest.approx(0.004)
-    # In proportion to the spool, 2 m/s for 10 mm, it would be 0.2 m/s.
+    # Scaled with the spool, 2 m/s for 10 mm, it would be 0.2 m/s.
     assert gate.parameters.command_rate == pytest.approx(0.25)
     for periods, rate in ((2.0, 0.2), (4.0, 0.1)):
         assert Gate(short, periods * PERIOD).parameters.command_rate == pytest.approx(rate)
@@ -829,7 +829,7 @@ FAULTS = {
 
 
 def permitted(name, reaction):
-    """Tell whether a reaction is allowed for a fault."""
+    """Return whether a reaction is allowed for a fault."""
     try:
         parse(Parameters, {name: reaction}, "test")
     except BadInput:

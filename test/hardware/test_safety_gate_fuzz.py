@@ -1,4 +1,4 @@
-"""Hostile input streams: whatever the safety gate receives, its output is harmless."""
+"""Hostile input streams: the safety gate's output is harmless for any input."""
 
 import math
 import random
@@ -21,7 +21,7 @@ FIELDS = list(declarations(Parameters))
 
 
 class Attack:
-    """A random stream of everything that can go wrong."""
+    """A random stream of every kind of fault."""
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
@@ -112,7 +112,7 @@ def test_the_output_is_harmless_and_no_trip_clears_without_a_reset(seed):
             wall += STOP_TIME
             gate.acknowledge(gate.stop)
             gate.reset()
-    # The attack shows something only if the gate is open at times.
+    # The attack is meaningful only if the gate is open at times.
     assert enabled > 0 or attack.sane < 0.98
 
 

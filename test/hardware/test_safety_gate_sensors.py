@@ -102,7 +102,7 @@ def test_after_a_trip_there_is_no_force_error():
     assert bench.gate.reset() is None
 
 
-# Readings that cannot be true
+# Implausible readings
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -182,7 +182,7 @@ def test_noise_is_not_a_jump():
     assert gate.detectors["sensor_jump"].count == 0
 
 
-# Readings that stand still
+# Frozen readings
 
 
 MOVING = SENSED[:5]
@@ -224,7 +224,7 @@ def test_supply_pressure_and_oil_temperature_may_stay_constant():
     assert bench.counts() == {}
 
 
-# Readings that contradict each other
+# Contradictory readings
 
 
 def test_force_and_load_pressure_must_agree():

@@ -11,7 +11,7 @@ LATE = 5e-6
 
 
 class Rig:
-    """A clock and a controller with a given response time, which it has from the beginning of each cycle if it is prompt."""
+    """A clock and a controller with a given response time, counted from the start of each cycle if it is prompt."""
 
     def __init__(self, period: float = PERIOD, prompt: bool = False) -> None:
         self.now = self.start = 10.0
@@ -30,7 +30,7 @@ class Rig:
                 wakes = self.now + remaining
                 self.now = (comes if self.now < comes < wakes else wakes) + LATE
             if self.prompt:
-                # The plant asks for the answer also where the cycle is over already.
+                # The plant asks for the answer even if the cycle is over already.
                 self.now = max(self.now, comes)
             self.expected |= comes <= self.now
             if self.clock.end(self.now, answered=comes <= self.now, expected=self.expected, prompt=self.prompt):

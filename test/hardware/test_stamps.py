@@ -1,4 +1,4 @@
-"""Header stamps are evenly spaced, and never far from the clock for good."""
+"""Header stamps are evenly spaced, and never depart from the clock for good."""
 
 import numpy as np
 import pytest
@@ -45,5 +45,5 @@ def test_what_they_lag_in_small_steps_is_told_and_made_up_for(stamps):
 
 def test_without_a_clock_they_count_on(stamps):
     assert stamps.of(1007, None) == START_NS + 1000 * PERIOD_NS
-    # use_sim_time: time begins when somebody publishes it.
+    # use_sim_time: time starts with the first clock message.
     assert stamps.of(1008, 42) == 42

@@ -1,4 +1,4 @@
-"""Who stands by, and by what name."""
+"""Standby controllers and their names."""
 
 import pytest
 

@@ -220,7 +220,7 @@ def test_age_of_a_command_counts_by_the_clock_of_a_target_that_was_held_up(end, 
         end.measure(cycle, now=5.0 + cycle * PERIOD)
         device.read(PATIENCE)
     device.write(1.0, 4)
-    # It stands still between measurement 4 and the next cycle, in which it takes the command.
+    # It stalls between measurement 4 and the next cycle, in which it takes the command.
     end.take(now=5.0 + 4 * PERIOD + pause, cycle=4)
     assert end.target.figures()[reason] == 1
     assert (end.target.answered == 4) == (reason == "commands")

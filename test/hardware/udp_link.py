@@ -17,7 +17,7 @@ PERIOD = 1e-3
 
 
 class TargetEnd:
-    """A target on a socket of its own, stepped by hand."""
+    """A target on a separate socket, stepped by hand."""
 
     def __init__(self, key=b""):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -55,7 +55,7 @@ def opened(end, **parameters):
 
 
 def greeted(end, device, now=0.0):
-    """Let the device greet the target and the target process the hello."""
+    """Make the device greet the target and the target process the hello."""
     deadline = time.monotonic() + PATIENCE
     end.target.greeted = False
     while not end.target.greeted:

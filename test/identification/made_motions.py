@@ -1,4 +1,4 @@
-"""Motions made of plain arrays, without sensors, and a friction model of one line to fit to them."""
+"""Motions made of plain arrays, without sensors, and a single-branch friction model to fit to them."""
 
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ PERIOD = 0.01
 
 
 def motion(velocity: Array, force: Array | None = None, *, period: float = PERIOD, **changed: Any) -> Motion:
-    """A motion with a velocity; its position is the integral, and its force is none."""
+    """Return a motion with a velocity; its position is the integral, and its force is zero."""
     position = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])) * period])
     made = Motion(
         name="made",
@@ -34,7 +34,7 @@ def motion(velocity: Array, force: Array | None = None, *, period: float = PERIO
 
 
 def sine(amplitude: float = 0.1, periods: int = 20, blocks: int = 2000) -> Array:
-    """Velocity of a sine, of another amplitude in each half period, so that no two strokes are alike."""
+    """Return the velocity of a sine with a different amplitude in each half period, so that no two strokes are equal."""
     phase = np.linspace(0.0, 2.0 * np.pi * periods, blocks, endpoint=False)
     return amplitude * (1.0 + 0.3 * np.sin(0.37 * np.floor(phase / np.pi))) * np.cos(phase)
 

@@ -1,6 +1,6 @@
 """Recordings of a rod dragged along a given motion, with the digitised noise of the paper's sensors.
 
-The elements are integrated here, sample by sample, in a form of their own: stick like a spring, yield, follow.
+The elements are integrated here sample by sample, in an independent formulation: stick like a spring, yield, follow.
 """
 
 import math

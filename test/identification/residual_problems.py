@@ -11,7 +11,7 @@ from ehls_ros.identification.optimisers.base import Problem
 
 @njit(error_model="numpy")
 def bowl(x: Any, data: Any, out: Any) -> None:
-    """A convex quadratic about a centre; notes the range of the points it was asked for."""
+    """A convex quadratic about a centre; records the range of the points evaluated."""
     scale, centre, smallest, largest = data
     for j in range(x.size):
         out[j] = scale[j] * (x[j] - centre[j])
@@ -30,7 +30,7 @@ def rosenbrock(x: Any, data: Any, out: Any) -> None:
 
 @njit(error_model="numpy")
 def holed(x: Any, data: Any, out: Any) -> None:
-    """A bowl that is not a number left of an edge."""
+    """A bowl that is undefined left of an edge."""
     centre, edge = data
     for j in range(x.size):
         out[j] = x[j] - centre[j] if x[0] > edge else math.nan
@@ -44,7 +44,7 @@ def bowl_problem(centre: tuple[float, ...]) -> Problem:
 
 
 def rosenbrock_problem(size: int = 2) -> Problem:
-    """The valley in a box that is not about its minimum."""
+    """The valley in a box not centred on its minimum."""
     return Problem(rosenbrock, (10.0,), 2 * (size - 1), np.full(size, -3.0), np.full(size, 4.0), "rosenbrock")
 
 

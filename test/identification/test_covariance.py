@@ -1,4 +1,4 @@
-"""Covariance of least squares: known answers, invariances, and intervals that hold as often as they say."""
+"""Covariance of least squares: known answers, invariances, and intervals with their nominal coverage."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def regression(blocks: int = 400) -> np.ndarray:
 
 
 def coverage(rows: np.ndarray, noises: list[np.ndarray], clusters: np.ndarray | None) -> np.ndarray:
-    """Return how often the 95 % interval of each coefficient holds the truth, over many draws of the noise."""
+    """Return the coverage of the 95 % interval of each coefficient, over many draws of the noise."""
     held = []
     for noise in noises:
         y = rows @ TRUTH + noise

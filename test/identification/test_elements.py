@@ -1,4 +1,4 @@
-"""Friction elements: their coordinates, their force along a motion, and which blocks tell of what."""
+"""Friction elements: their coordinates, their force along a motion, and the blocks that determine each coefficient."""
 
 import numpy as np
 import pytest

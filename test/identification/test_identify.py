@@ -1,4 +1,4 @@
-"""Friction identified from noisy recordings whose friction is known, and from recordings that will not do."""
+"""Friction identified from noisy recordings with known friction, and from unsuitable recordings."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,7 @@ PAPER_ERRORS = {
     "stribeck_exponent": 3.62,
     "viscous_coefficient": 1.37,
 }
-"""Errors the paper reports of its static fit [%]."""
+"""Errors of the static fit reported in the paper [%]."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def guess(rig) -> Rig:
-    """A rig file that knows friction only roughly."""
+    """Return a rig file with only a rough guess of the friction."""
     rough = rig.friction._replace(
         coulomb_force=500.0,
         static_force=600.0,

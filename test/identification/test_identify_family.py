@@ -1,4 +1,4 @@
-"""`ehls identify` of a rig of any friction model: simulated, recorded with noise, identified from a rig file far off."""
+"""`ehls identify` of a rig with any friction model: simulated, recorded with noise, identified from a distant guess."""
 
 import json
 import math
@@ -27,7 +27,7 @@ SWEEP = Sweep(velocities=(0.002, 0.003, 0.005, 0.01, 0.02, 0.04, 0.08, 0.15), re
 PERTURBED = (1.15, 1.2, 0.85, 1.1, 0.9)
 FAR_OFF = (1.3, 1.4, 0.7, 1.3, 0.7)
 FEW_PERCENT, INTERVAL = 0.04, 4.0
-"""Error of a coefficient that is accepted, as a fraction of it or in standard errors."""
+"""Accepted error of a coefficient, as a fraction of it or in standard errors."""
 
 
 def rig_of(model: str) -> Rig:
@@ -38,7 +38,7 @@ def rig_of(model: str) -> Rig:
 
 
 def moved(rig: Rig, factors: tuple[float, ...]) -> Rig:
-    """The rig with its friction's numbers multiplied, as far as their ranges and the model allow."""
+    """Return the rig with its friction parameters multiplied, as far as their ranges and the model allow."""
     friction = rig.friction
     numbers = [d for d in declarations(type(friction)) if isinstance(getattr(friction, d.name), float)]
     for declared, factor in zip(numbers, cycle(factors)):
@@ -53,7 +53,7 @@ def moved(rig: Rig, factors: tuple[float, ...]) -> Rig:
 
 
 def record(rig: Rig, experiment: str, folder: Path, **changed: Any) -> Path:
-    """Simulate an experiment and write what the sensors say of position and force."""
+    """Simulate an experiment and write the sensor readings of position and force."""
     spec = load_spec(CONFIG / "experiments" / f"{experiment}.yaml")
     reference = changed.pop("reference", spec.reference)
     spec = spec._replace(
@@ -100,7 +100,7 @@ def identified(request, tmp_path_factory) -> Identified:
 
 
 def true_value(rig: Rig, name: str) -> float | None:
-    """Return a coefficient of the rig by its name in the result; None for one of an element."""
+    """Return a coefficient of the rig by its name in the result; None for that of an element."""
     value = getattr(rig.friction, name, getattr(rig.plant, name, None))
     return value if isinstance(value, float) else None
 

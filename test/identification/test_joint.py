@@ -1,4 +1,4 @@
-"""The joint fit with a friction model of one line, on motions whose answer is known."""
+"""The joint fit with a single-branch friction model, on motions with a known answer."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What every optimiser's file has to provide, and that it finds what is there to be found."""
+"""Contract of every optimiser's file, and convergence to known minima."""
 
 import logging
 import os
@@ -21,11 +21,11 @@ from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.schema import declarations, parse
 
 NAMES = OPTIMISERS.names()
-# The libraries' swarms and genetic algorithm stick on the paper's static objective: how far above the lowest cost, relatively,
-# the best of some runs may have ended.
+# The libraries' swarms and genetic algorithm stall on the paper's static objective: largest relative excess over the lowest
+# cost at which the best of some runs may have ended.
 STUCK = {"pymoo_ga": 0.5, "pymoo_pso": 0.1, "pyswarms_gbest": 0.1}
 RUNS = 3
-# The genetic algorithm gets near a minimum soon and to it slowly.
+# The genetic algorithm gets near a minimum quickly but converges slowly.
 COARSE = {"pymoo_ga": 3e-2}
 EVALUATIONS = 20_000
 
@@ -41,7 +41,7 @@ def minimise(name: str, problem: Problem, seed: int = 1, target: float = -np.inf
 
 
 def sound(result: Result, problem: Problem) -> None:
-    """Check what holds for every result."""
+    """Check the properties common to all results."""
     assert np.all((problem.lower <= result.x) & (result.x <= problem.upper))
     assert np.all(result.history[1:] <= result.history[:-1])
     assert result.history[-1] == result.cost
@@ -218,7 +218,7 @@ def test_the_swarm_never_sticks_on_the_papers_objective():
 
 
 def test_the_swarm_without_crossover_does():
-    # Which is what it is for.
+    # That is the purpose of this optimiser.
     problem = paper_problem()
     lowest = minimise("least_squares", problem).cost
     costs = [minimise("pso", problem, seed, crossovers=0).cost for seed in range(50)]

@@ -1,4 +1,4 @@
-"""The hysteresis loop: ramps of known elements, their number reduced, and turns that the sensor missed."""
+"""The hysteresis loop: ramps of known elements, reduction of their number, and reversals missed by the sensor."""
 
 import numpy as np
 import pytest
@@ -21,12 +21,12 @@ ENDS = 2.0 * np.array(FRICTION.element_weight) * FRICTION.coulomb_force / np.arr
 
 
 def gained(travel):
-    """Force gained since a turn, the sum of the elements' ramps."""
+    """Force gained since a reversal, the sum of the elements' ramps."""
     return np.minimum(np.asarray(travel)[..., np.newaxis], ENDS) @ np.array(FRICTION.element_stiffness)
 
 
 def loop(periods=6, blocks=400, amplitude=1.2e-3):
-    """A small sine around 0.1 m with the elements' force on it."""
+    """A small sine around 0.1 m with the elements' force."""
     phase = 2.0 * np.pi * np.arange(periods * blocks) / blocks
     position = -amplitude * np.cos(phase)
     made = motion(amplitude * 2.0 * np.pi / (blocks * PERIOD) * np.sin(phase + 1e-9))

@@ -1,4 +1,4 @@
-"""What ``identification.json`` holds of a result."""
+"""Contents of ``identification.json`` for a result."""
 
 import json
 

@@ -19,10 +19,10 @@ from truth_generator import record
 
 RIG_FILE = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
 USED = dict(zip((DELAY, *DEAD_ZONE, *BIASES), (3.3e-3, 1.0437e-5, 1.3571e-5, 1.0123e-6, 2.317e-6, 20.0), strict=True))
-"""Effects in the rig, at no value of the recorded spool, where the flow has corners."""
+"""Effects in the rig; their values avoid those of the recorded spool, where the flow has corners."""
 
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-7)
-"""Long ones for what is small, as events are located to 1e-9 of a step; short ones where corners are near."""
+"""Difference steps: long ones for small effects, as events are located to 1e-9 of a step; short ones near corners."""
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_the_derivatives_are_those_of_central_differences(recording, missing):
     left = {name: values for name, values in trajectory.signals.items() if name != missing}
     read = prepare(Trajectory(trajectory.time_s, left), rig, "case")
     stack = Stack([gather(read, rig, stages.setup(read, rig), seed=0)])
-    # Without a spool, it is the flow that differs: its spool varies too.
+    # Without a spool, the flow differs: its spool varies too.
     for channel in ("volume", "supply") if missing else stack.channels:
         chosen = [
             c

@@ -1,4 +1,4 @@
-"""The static fit in its parts, on sliding whose friction is known."""
+"""The static fit in its parts, on sliding with known friction."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ LINEAR = ("spring", "constant")
 
 
 def strokes(speeds=SPEEDS, blocks=150, noise=0.0, settling=0.0):
-    """Strokes to and fro at each speed, a settling friction after each turn."""
+    """Return strokes to and fro at each speed, with friction that settles after each turn."""
     random = np.random.default_rng(7)
     velocity = np.concatenate([np.full(blocks, way * speed) for speed in speeds for way in (1.0, -1.0)])
     made = motion(velocity)

@@ -108,7 +108,7 @@ def test_data_that_cannot_be_used(change, complaint):
 
 @pytest.mark.parametrize("name", ["least_squares", "pso"])
 def test_a_small_effect_at_high_velocity_is_found(name):
-    # In the coordinates of (7) themselves a swarm ends without it in every third run.
+    # In the plain coordinates of (7) a swarm misses it in every third run.
     friction = stribeck.StaticFriction(1433.8, 1776.3, 0.0589, 2.894, 6045.0)
     velocity = np.tile(VELOCITY, 6)
     noise = 0.5 * np.random.default_rng(3).standard_normal(velocity.size)

@@ -1,4 +1,4 @@
-"""Which strokes recordings lack, and the experiments that deliver them."""
+"""Missing strokes of recordings, and the experiments that deliver them."""
 
 from pathlib import Path
 

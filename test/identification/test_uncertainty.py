@@ -1,4 +1,4 @@
-"""From a fit to coefficients with standard errors: propagation against formulas, and what is not told."""
+"""From a fit to coefficients with standard errors: propagation against formulas, and coefficients left undetermined."""
 
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ def rig() -> Rig:
 
 
 def fit_of(rig: Rig, covariance: Any = None, free: Any = None, linear: dict[str, float] | None = None) -> JointFit:
-    """A fit with the rig's friction, by default of all coordinates, 0.1 % sharp."""
+    """Return a fit with the rig's friction, by default of all coordinates, with 0.1 % standard errors."""
     coordinates = ElementCoordinates(len(rig.friction.element_stiffness))
     linear = LINEAR if linear is None else linear
     free = coordinates.names if free is None else tuple(free)
@@ -168,7 +168,7 @@ def test_a_coefficient_at_the_limit_of_its_search_is_not_told(rig):
     found = estimates(fit_of(rig)._replace(limited=("attraction_rate", "static_rise")), rig)
     assert "attraction_rate ended at a limit of its search." in found.remarks
     assert "attraction_rate" not in found.by_name
-    # Fs is more than its rise.
+    # Fs exceeds its rise.
     assert ("static_force" in found.by_name) == (
         rig.friction.static_force - rig.friction.coulomb_force < uncertainty.VAGUE * rig.friction.static_force
     )

@@ -42,7 +42,7 @@ def truth(rig_file) -> Rig:
 
 @pytest.fixture(scope="module")
 def guess(truth) -> Rig:
-    """Every coefficient of plant and valve that can be told is twice or half the truth."""
+    """Return a rig with every identifiable coefficient of plant and valve at twice or half the truth."""
     return truth._replace(plant=truth.plant._replace(**{name: getattr(truth.plant, name) * by for name, by in FACTORS.items()}))
 
 

@@ -1,8 +1,8 @@
-"""Attacks on a running bridge and its emulated rig, at the gate and what is around it.
+"""Attacks on a running bridge and its emulated rig, at the gate and its surroundings.
 
 A sequence opens the valve and takes some actions: services, transitions, parameters, signals to processes, faults of network
-and sensors, commands of every kind, a second controller that stands by or intrudes, and a second plant. What must hold
-meanwhile say the policies.
+and sensors, and commands of every kind. A second controller stands by or intrudes, and a second plant appears. The policies
+state the requirements meanwhile.
 """
 
 import math
@@ -31,7 +31,7 @@ RIVAL = "rival"
 """The second controller."""
 
 SECOND_PLANT = "bridge again"
-"""A second bridge on the same rig; it is not the first one, whose name it must not have."""
+"""A second bridge on the same rig, which must have a different name."""
 
 FOLLOWING = {
     "active": [("deactivate", "inactive")],
@@ -42,7 +42,7 @@ FOLLOWING = {
 DECLARED = {declared.name: declared for declared in declarations(Parameters)}
 
 TIMES = ("ramp_time", "command_timeout", "sensor_timeout", "hold_time", "enable_time", "command_rate", "limit_time")
-"""Times of the gate, which policies depend on."""
+"""Times of the gate that policies depend on."""
 
 TIGHT = {
     "trip_level": (0.005, 0.3),
@@ -50,7 +50,7 @@ TIGHT = {
     "frozen_time": (0.005, 0.1),
     "frozen_command": (1e-5, 2e-4),
 }
-"""Parameters so tight that the rig trips them in normal use, and ranges of theirs."""
+"""Parameters that trip the gate in normal use if set tightly, with ranges of such values."""
 
 
 def _parameter(random: Random) -> tuple[str, Any]:
@@ -65,7 +65,7 @@ def _parameter(random: Random) -> tuple[str, Any]:
 
 
 def _spread(random: Random, low: float, high: float) -> float:
-    """Draw a number whose logarithm is evenly distributed."""
+    """Draw a log-uniform number."""
     return low * (high / low) ** random.random()
 
 
@@ -117,7 +117,7 @@ KINDS = {
 
 
 class BridgeAttacks:
-    """Attacks a rig.
+    """Attacks on a rig.
 
     Attributes:
         done: number of times each action was taken.
@@ -125,7 +125,7 @@ class BridgeAttacks:
     """
 
     def __init__(self, rig: CommandedRig) -> None:
-        """Take a rig whose gate is open, and start a second controller, which stands by."""
+        """Take a rig with an open gate, and start a second controller, which stands by."""
         self.rig = rig
         self.done: Counter[str] = Counter()
         self.spans: list[tuple[float, float]] = []
@@ -148,7 +148,7 @@ class BridgeAttacks:
         self.spans.append((begin, time.monotonic()))
 
     def come_back(self) -> None:
-        """Open the gate, whatever happened before."""
+        """Reopen the gate from any state."""
         self.rig.fault("clear")
         self.rig.command(f"sine {LARGEST / 4} 0.9", RIVAL)
         self.rig.command(f"sine {LARGEST / 2} 1.3")
@@ -226,7 +226,7 @@ class BridgeAttacks:
         self.rig.fault("clear")
 
     def delay_packets(self, rate: float, most: float) -> None:
-        """Let the transport delay grow at a rate [s/s] to a value [s]."""
+        """Increase the transport delay at a rate [s/s] to a value [s]."""
         begin = time.monotonic()
         while (grown := rate * (time.monotonic() - begin)) < most:
             self.rig.fault(f"delay {grown:.6f}")
@@ -247,7 +247,7 @@ class BridgeAttacks:
         self.rig.command(line, RIVAL)
 
     def switch(self, controller: str) -> None:
-        # A controller without a process number in its name is named as a whole.
+        # A controller without a process number in its name is identified by the whole name.
         self.rig.ask(SwitchController, "switch_controller", controller=controller)
 
     def second_plant(self, seconds: float) -> None:
@@ -278,7 +278,7 @@ class BridgeAttacks:
         self.rig.graph.wake(process)
 
     def trace(self) -> Trace:
-        """Stop the rig, and return what happened."""
+        """Stop the rig, and return its trace."""
         self.emergency_stop()
         self.rig.live(0.2)
         return self.rig.trace()
@@ -289,7 +289,7 @@ class BridgeAttacks:
 
 
 PATIENT_WATCHDOG = 10.0
-"""Watchdog time of every third batch, as a multiple of the pace's: then it is the gate that has to notice what is late."""
+"""Watchdog time of every third batch, as a multiple of the pace's: then the gate has to detect lateness."""
 
 
 def paced(pace: Pace, number: int) -> Pace:

@@ -1,7 +1,7 @@
 """The bridge on an emulated rig in real time, with a controller the test commands; the valve's motion is read back from a log.
 
-These tests are about time, so they run in real time, but at a pace a slow computer can keep: by default a cycle takes 10 ms,
-and all of the gate's times are longer in proportion.
+These tests concern timing, so they run in real time, but at a pace that a slow computer can keep. By default a cycle takes
+10 ms, and all of the gate's times are longer in proportion.
 """
 
 import json
@@ -32,7 +32,7 @@ from ehls_ros.physics.rig import rig_from_mapping
 BRIDGE = "hardware_bridge_node"
 
 LATE = ("command_stale", "sensor_stale", "gap", "device_null")
-"""Trips of a gate whose computer was held up for longer than it waits."""
+"""Trips of a gate whose computer was delayed for longer than the gate waits."""
 
 
 class Pace(NamedTuple):
@@ -105,7 +105,7 @@ class CommandedRig:
         self.ear = Ear(participant.node)
         self.states: list[Any] = participant.collect(LoaderState, "loader_state")
         self.diagnostics: list[Any] = participant.collect(DiagnosticArray, "/diagnostics")
-        # The emulator last: it is waited for, and the others start meanwhile.
+        # The emulator last: the others start while it is awaited.
         self.start_bridge()
         self.start_commander("commander")
         self.start_emulator()
@@ -141,23 +141,23 @@ class CommandedRig:
         self.bridge = self.graph.run(BRIDGE, [self.bridge_script, "--ros-args", *words])
 
     def restart_bridge(self) -> None:
-        """Start a new bridge and wait until it is up; services of the dead one may seem to be there for a while."""
+        """Start a new bridge and wait until it is up; services of the dead one may seem to persist for a while."""
         times_up = self.graph.log(BRIDGE).count(": up")
         self.start_bridge()
         self.participant.until(lambda: self.graph.log(BRIDGE).count(": up") > times_up)
 
     def command(self, line: str, commander: str = "commander") -> None:
-        """Tell a commander what to command."""
+        """Send a commander its instruction."""
         self.graph.tell(commander, line)
 
     def fault(self, line: str) -> float:
-        """Put a fault into the emulated rig and return the time from which it acts [s]."""
+        """Inject a fault into the emulated rig and return the time from which it acts [s]."""
         self.emulator.stdin.write(f"{line}\n".encode())
         self.emulator.stdin.flush()
         return self.participant.journal.note("fault", line, float(self.emulator.stdout.readline().split()[1]))
 
     def live(self, seconds: float) -> None:
-        """Let the rig run for a while by its own clock; it has no faults then."""
+        """Let the rig run for a while by its clock, without faults."""
         end = time.monotonic() + seconds
         while self.fault("clear") < end:
             self.participant.rest(self.pace.period)
@@ -178,7 +178,7 @@ class CommandedRig:
         return time.monotonic()
 
     def acknowledge(self) -> None:
-        """Acknowledge the last stop; right after the stop that is refused."""
+        """Acknowledge the last stop; right after the stop this is refused."""
         self.stop = acknowledged(self.participant, self.stop)
 
     def transition(self, label: str) -> bool:
@@ -190,7 +190,7 @@ class CommandedRig:
         return str(self.participant.state_of(BRIDGE))
 
     def said(self) -> dict[str, str]:
-        """Return the values and the message of diagnostics that the bridge publishes after this call."""
+        """Return the values and the message of the diagnostics that the bridge publishes after this call."""
         called = time.time_ns()
         self.diagnostics.clear()
 
@@ -217,13 +217,13 @@ class CommandedRig:
             self.participant.rest(0.2 * STOP_TIME)
 
     def was_late(self) -> bool:
-        """Tell whether the gate has tripped since this computer was late; if it follows the commands, it has not."""
+        """Return whether the gate has tripped since this computer was late; if it follows the commands, it has not."""
         said = self.said()
         assert said["state"] == "active" or said.get("cause_1", "").startswith(LATE), said["message"]
         return said["state"] != "active"
 
     def bears(self, attack: Callable[[], None]) -> None:
-        """Check that the valve follows the commands after an attack, repeated where the computer itself was late."""
+        """Check that the valve follows the commands after an attack, repeated if the computer itself was late."""
         deadline = time.monotonic() + PATIENCE
         attack()
         while self.was_late():
@@ -244,7 +244,7 @@ class CommandedRig:
         return Truth(trace.moments, trace.command, self.pace.period, check(trace))
 
     def trace(self) -> Trace:
-        """Stop the emulator and return what happened."""
+        """Stop the emulator and return its trace."""
         self.emulator.send_signal(signal.SIGINT)
         output, _ = self.emulator.communicate(timeout=PATIENCE)
         self.counts = json.loads(output.splitlines()[-1])
@@ -278,12 +278,12 @@ class Truth(NamedTuple):
         return self.command[(self.time >= since) & (self.time < until)]
 
     def time_to_null(self, since: float, until: float = np.inf) -> float:
-        """Return how long the valve stayed open after ``since``, looking up to ``until`` [s]."""
+        """Return the time for which the valve stayed open after ``since``, looking up to ``until`` [s]."""
         rows = (self.time >= since) & (self.time < until)
         moving = self.time[rows][self.command[rows] != 0.0]
         return float(moving[-1] - since) + self.period if moving.size else 0.0
 
     def said_of(self, policy: str, since: float, until: float = np.inf) -> bool:
-        """Return whether a policy says something of a period."""
+        """Return whether a policy was evaluated in a period."""
         times = self.verdicts[policy].margins.time
         return bool(np.any((times >= since) & (times < until)))

@@ -1,9 +1,10 @@
-"""A simple controller that answers each snapshot as the last line on stdin says: `commander.py NAME PERIOD`, period in s.
+"""Simple controller that answers each snapshot according to the last line on stdin: `commander.py NAME PERIOD`, period in s.
 
 While another drives, it stands by. ``sine A F`` commands A sin(2 pi F t) [m, Hz] plus a little towards mid-stroke, ``constant
-U`` commands U [m], ``mute`` nothing, ``skip N`` null on every Nth snapshot only. ``duplicate U`` does as the line before and
-sends U for the same cycle as well, ``early N U`` for a cycle to come, ``late N U`` for one that is past; ``slow S`` does as the
-line before, S seconds later; ``intrude U`` sends U to the valve whoever drives. It prints ``up`` once it is running.
+U`` commands U [m], ``mute`` nothing, ``skip N`` null on every Nth snapshot only. The other lines act in addition to the last
+of these: ``duplicate U`` sends U for the same cycle as well, ``early N U`` for a future cycle, ``late N U`` for a past one.
+``slow S`` answers S seconds later, and ``intrude U`` sends U to the valve even if another drives. It prints ``up`` once it is
+running.
 """
 
 import math
@@ -20,7 +21,7 @@ STIFFNESS, MOST = 1e-3, 1e-4
 """Feedback of the position to the command [m/m], and its limit [m]."""
 
 BASIC = ("sine", "constant", "mute", "skip")
-"""Lines that say what to command; the others do something in addition."""
+"""Lines that define the command; the others add to it."""
 
 
 def main() -> None:
@@ -59,7 +60,7 @@ def main() -> None:
 
 
 def basic_command(line: list[str], time: float, position: float, snapshots: int) -> float | None:
-    """Return the command [m] of a basic line at a time [s] and position [m]; None: none for this snapshot."""
+    """Return the command [m] of a basic line at a time [s] and position [m]; None: no command for this snapshot."""
     match line:
         case ["sine", amplitude, frequency]:
             back = max(-MOST, min(MOST, -STIFFNESS * position))

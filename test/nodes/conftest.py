@@ -1,4 +1,4 @@
-"""Nodes as processes, and the test's own participant."""
+"""Nodes as processes, and the test's participant in the graph."""
 
 import contextlib
 import os
@@ -32,10 +32,10 @@ FORCE = "{name: sine, amplitude: 1.0e+4, frequency: 0.5}"
 POSITION = "{name: velocity_sweep, velocities: [0.02], travel: 2.0e-3, rest: 0.02}"
 
 GRACE = 120.0
-"""Time the nodes have to exit before they are killed [s]."""
+"""Time that the nodes have to exit before they are killed [s]."""
 
 ASK_AGAIN, LOOK_AGAIN = 3.0, 0.5
-"""Time after which an unanswered request is repeated, and one that changes nothing [s]."""
+"""Time after which an unanswered request is repeated, and one without effect [s]."""
 
 GOALS = {
     "configure": "inactive",
@@ -57,7 +57,7 @@ def ros() -> None:
 
 
 class Graph:
-    """The processes a test starts: nodes by the server, if there is one, and other programs by themselves."""
+    """The processes that a test starts: nodes by the server, if there is one, and other programs directly."""
 
     def __init__(self, folder: Path, server: NodeServer | None = None) -> None:
         self.folder, self._server = folder, server
@@ -91,14 +91,14 @@ class Graph:
         return self.processes[name]
 
     def note_ended(self) -> None:
-        """Note the processes that have ended since, without having been asked to."""
+        """Note the processes that have ended unprompted since."""
         for name, process in self.processes.items():
             ended = any(h.code == process.pid and h.what == "gone" for h in self.journal.happenings)
             if process.poll() is not None and not ended:
                 self.journal.note("gone", name, code=process.pid)
 
     def limit_files(self, name: str, size: int) -> None:
-        """Let no file that a process writes grow beyond ``size`` bytes from now on."""
+        """Limit any file that a process writes to ``size`` bytes from now on."""
         resource.prlimit(self.processes[name].pid, resource.RLIMIT_FSIZE, (size, size))
 
     def tell(self, name: str, line: str) -> None:
@@ -124,7 +124,7 @@ class Graph:
         return self.journal.note("frozen", self._name_of(process))
 
     def wake(self, process: Any) -> float:
-        """Let a process go on that was stopped, and return the monotonic time before that [s]."""
+        """Resume a stopped process, and return the monotonic time before that [s]."""
         woken = self.journal.note("woken", self._name_of(process))
         process.send_signal(signal.SIGCONT)
         return woken
@@ -138,7 +138,7 @@ class Graph:
         process.send_signal(number)
         code = process.wait(PATIENCE)
         self.journal.note("killed" if number == signal.SIGKILL else "ended", name, code=code)
-        # One that hangs stays, and is killed after the test.
+        # A hung one stays, and is killed after the test.
         del self.processes[name]
         return code
 
@@ -147,7 +147,7 @@ class Graph:
 
 
 def _state_of(task: Path) -> str:
-    """Return the state of a thread, as /proc has it; X if it has ended."""
+    """Return the state of a thread according to /proc; X if it has ended."""
     try:
         return (task / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
     except OSError:
@@ -191,7 +191,7 @@ def write_spec() -> Callable[..., Path]:
 
 @pytest.fixture
 def spec_file(write_spec: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
-    """Return the same for the test's own folder."""
+    """Return a function that writes an experiment file into the test's folder and returns its path."""
     return partial(write_spec, tmp_path)
 
 
@@ -200,8 +200,8 @@ class Heard(list[Any]):
 
     Attributes:
         published_ns: when each was published, by the system's clock [ns].
-        publishers: returns the number of publishers that it hears by now. What they sent before may be lost to it, except
-            for the newest messages of those that keep some.
+        publishers: returns the number of publishers it has discovered. Their earlier messages may be lost to it, except for
+            the newest messages of those that keep some.
     """
 
     def __init__(self) -> None:
@@ -249,7 +249,7 @@ class Participant:
             self.executor.spin_once(timeout_sec=remaining)
 
     def until(self, condition: Callable[[], bool], seconds: float = PATIENCE) -> None:
-        """Spin until a condition holds; ``seconds`` end a test that hangs."""
+        """Spin until a condition holds; ``seconds`` end a hung test."""
         deadline = time.monotonic() + seconds
         while not condition():
             self.executor.spin_once(timeout_sec=0.05)
@@ -260,7 +260,7 @@ class Participant:
         return self.ask(kind, service, request)[0]
 
     def ask(self, kind: Any, service: str, request: Any) -> tuple[Any, bool]:
-        """Do the same, and return as well whether an earlier request may have been followed whose answer got lost."""
+        """Return a service's answer, and whether an earlier request whose answer got lost may have been carried out."""
         client = self.node.create_client(kind, service)
         sent = time.monotonic()
         deadline = sent + PATIENCE
@@ -274,19 +274,19 @@ class Participant:
             assert time.monotonic() < deadline, f"{service} does not answer"
             self.until(client.service_is_ready)
             asked.append(client.call_async(request))
-            # A killed server still seems to be there for a while, and swallows requests; a new one may lose its answer.
+            # A killed server still seems to be present for a while, and swallows requests; a new one may lose its answer.
             again = time.monotonic() + wait
             self.until(lambda again=again: answers() or time.monotonic() > again)
             wait *= 2.0
         self.node.destroy_client(client)
         repeated = not asked[0].done()
         call = _call_of(service, request, sent, answers()[0])
-        # A refusal says nothing of an earlier request whose answer got lost.
+        # A refusal gives no information on an earlier request whose answer got lost.
         self.journal.calls.append(call._replace(success=None) if repeated and not call.success else call)
         return answers()[0], repeated
 
     def note_unanswered(self, service: str, request: Any) -> None:
-        """Note a request whose answer nobody waits for; to be called before it is sent."""
+        """Note a request whose answer is not awaited; call it before sending."""
         self.journal.calls.append(_call_of(service, request, time.monotonic(), None))
 
     def change(self, node: str, transition: str) -> bool:
@@ -308,7 +308,7 @@ class Participant:
         from ehls_ros.nodes.transport import RECORDER_DEPTH, control_qos
 
         heard = Heard()
-        # A graph in lockstep is faster than this executor: what waits for it must not be overwritten.
+        # A graph in lockstep is faster than this executor: waiting messages must not be overwritten.
         qos = control_qos(RECORDER_DEPTH) if not topic.startswith("/") else 10
         heard.publishers = self.node.create_subscription(kind, topic, heard.add, qos).get_publisher_count
         return heard
@@ -337,7 +337,7 @@ class Participant:
 
 
 def _call_of(service: str, request: Any, sent: float, answer: Any) -> Call:
-    """Return the note of a request and its answer, None if there is none; a parameter is noted by name and value."""
+    """Return the record of a request and its answer, None if there is none; a parameter is recorded by name and value."""
     fields = {name: getattr(request, name) for name in request.get_fields_and_field_types()}
     if "transition" in fields:
         fields["transition"] = request.transition.label

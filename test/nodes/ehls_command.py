@@ -1,4 +1,4 @@
-"""The command `ehls` as a process, and what it recorded."""
+"""The command `ehls` as a process, and its recording."""
 
 import json
 import subprocess

@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PERIOD = 1e-3
 
 BLEND_IN = 0.1
-"""Time over which the gate blends the commands in after it was enabled, short because a test enables it many times [s]."""
+"""Time over which the gate blends the commands in after enabling, short because a test enables it many times [s]."""
 
 SPEC = {
     "title": "a rig to put faults into",
@@ -41,14 +41,14 @@ SPEC = {
 
 
 def own_port() -> int:
-    """Return a UDP port that nobody else takes: one of the test's ROS domain, beyond those of 100 participants."""
+    """Return an unused UDP port: one of the test's ROS domain, beyond those of 100 participants."""
     return 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"]) + 249
 
 
 def acknowledged(participant: Any, stop: str) -> str:
     """Acknowledge a stop, and return the stop that is still engaged, if any."""
     answer = participant.call(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
-    # The request to stop may have been repeated, for want of an answer.
+    # The stop request may have been repeated, for lack of an answer.
     engaged = re.match(r"the engaged stop is ([\w-]+)", answer.message)
     return "" if answer.success else engaged[1] if engaged else stop
 
@@ -62,7 +62,7 @@ def columns_of(log: Path) -> dict[str, np.ndarray]:
 
 
 def trace_of(setup: Setup, log: dict[str, np.ndarray], ear: Ear, graph: Any, participant: Any) -> Trace:
-    """Return a run's trace, of what was noted and heard."""
+    """Return a run's trace, from the notes and the messages received."""
     graph.note_ended()
     journals = graph.journal, participant.journal
     calls = [call for journal in journals for call in journal.calls]
@@ -100,7 +100,7 @@ class EmulatedRig:
         if spoil:
             graph.run("spoil_commands", [str(Path(__file__).with_name("spoil_commands.py")), "1"])
         self.start("hardware_bridge_node")
-        # The emulator last: it is waited for, and the others start meanwhile.
+        # The emulator last: the others start while it is awaited.
         self.start_emulator()
 
     def start(self, name: str, **options: Any) -> subprocess.Popen[bytes]:
@@ -127,7 +127,7 @@ class EmulatedRig:
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
 
     def enable(self) -> None:
-        """Enable the gate as soon as it allows that."""
+        """Enable the gate as soon as it permits."""
         deadline = time.monotonic() + PATIENCE
         while True:
             if self.stop:
@@ -147,11 +147,11 @@ class EmulatedRig:
         return time.monotonic()
 
     def acknowledge(self) -> None:
-        """Acknowledge the last stop; right after the stop that is refused."""
+        """Acknowledge the last stop; right after the stop this is refused."""
         self.stop = acknowledged(self.participant, self.stop)
 
     def fault(self, line: str) -> float:
-        """Put a fault into the emulated rig and return the monotonic time from which it acts [s]."""
+        """Inject a fault into the emulated rig and return the monotonic time from which it acts [s]."""
         self.emulator.stdin.write(f"{line}\n".encode())
         self.emulator.stdin.flush()
         told = self.emulator.stdout.readline().decode()
@@ -160,7 +160,7 @@ class EmulatedRig:
         return self.participant.journal.note("fault", line, float(when))
 
     def spoil_commands(self, mode: str) -> float:
-        """Change what the node between controller and bridge does to the commands; return the time from which it does [s]."""
+        """Change how the node between controller and bridge spoils the commands; return the time from which it does [s]."""
         before = len(self._spoilt())
         self.graph.tell("spoil_commands", mode)
         self.participant.until(lambda: len(self._spoilt()) > before)
@@ -169,7 +169,7 @@ class EmulatedRig:
         return float(when)
 
     def _spoilt(self) -> list[list[str]]:
-        """Return what that node has said: times and modes, without a line it is still writing."""
+        """Return that node's output: times and modes, without an incomplete line."""
         return [line.split() for line in self.graph.log("spoil_commands").split("\n")[:-1]]
 
     def stop_emulator(self, number: int = signal.SIGINT) -> dict[str, Any]:
@@ -179,7 +179,7 @@ class EmulatedRig:
         return json.loads(output.splitlines()[-1]) if number == signal.SIGINT else {}
 
     def trace(self) -> Trace:
-        """Return what happened, once the emulator has stopped."""
+        """Return the run's trace, once the emulator has stopped."""
         self.ear.listen()
         return trace_of(self.setup, columns_of(self.log), self.ear, self.graph, self.participant)
 
@@ -189,7 +189,7 @@ class EmulatedRig:
         return dict(trace.log), check(trace)
 
     def close(self) -> None:
-        """Kill what still runs of it."""
+        """Kill its remaining processes."""
         self.ear.close()
         if self.emulator.poll() is None:
             self.emulator.kill()

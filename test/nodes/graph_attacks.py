@@ -1,8 +1,8 @@
 """Attacks on whole graphs in lockstep: sources, controllers, programme, lifecycle, apart and in one process.
 
-Time is that of the cycles, so a busy computer changes nothing. A sequence begins with the graph as it was started and takes
-some actions: second sources of every input, hand-overs between sources and between controllers, a programme that is stopped,
-resumed, skipped and killed, transitions, deaths, accepted rigs, and requests to the gate.
+Time is that of the cycles, so a busy computer changes nothing. A sequence begins with the graph as started, and takes some
+actions: second sources of every input, hand-overs between sources and between controllers, transitions, deaths, accepted
+rigs, and requests to the gate. A programme is stopped, resumed, skipped and killed.
 """
 
 import json
@@ -42,7 +42,7 @@ COMPOSED = "composed"
 """Name of the process that several nodes share."""
 
 SECOND_LAW = "second_law_node"
-"""Name of the controller that stands by first."""
+"""Name of the controller that is on standby first."""
 
 TWICE = {
     "reference": "reference_node",
@@ -50,7 +50,7 @@ TWICE = {
     "estimator": "friction_estimator_node",
     "plant": "plant_sim_node",
 }
-"""Nodes of which a second one is started, by what they are."""
+"""Nodes with a possible second source, by kind."""
 
 PROGRAMME_NODE = "programme_node"
 
@@ -70,13 +70,13 @@ SPEED = 1.5
 """Largest speed of a simulated plant: the test must keep up with the messages."""
 
 SETTLES = 60
-"""Control cycles after which a graph that was brought back certainly goes on."""
+"""Control cycles after which a restored graph certainly continues."""
 
 COMES_BACK = 120.0
-"""Longest time until a graph goes on whose nodes all run and are active [s]."""
+"""Longest time until a graph continues whose nodes all run and are active [s]."""
 
 STALLED = 0.7
-"""Longest wait for cycles of a graph that may rightly stand still, as where a source is missing [s]."""
+"""Longest wait for cycles of a graph that may rightly stand still, for example without a source [s]."""
 
 
 class Configuration(NamedTuple):
@@ -145,7 +145,7 @@ KINDS = {
 
 
 class GraphAttacks:
-    """Attacks a graph.
+    """Attacks on a graph.
 
     Attributes:
         done: number of times each action was taken.
@@ -153,7 +153,7 @@ class GraphAttacks:
     """
 
     def __init__(self, graph: Any, participant: Any, folder: Path, chosen: Configuration) -> None:
-        """Start the graph and wait until its cycles go on."""
+        """Start the graph and wait until its cycles advance."""
         self.graph, self.participant, self.folder, self.chosen = graph, participant, folder, chosen
         self.done: Counter[str] = Counter()
         self.spans: list[tuple[float, float]] = []
@@ -206,7 +206,7 @@ class GraphAttacks:
     # Processes
 
     def _base(self) -> list[str]:
-        """Return the processes that the graph consists of, the plant last."""
+        """Return the processes of the graph, the plant last."""
         if self.chosen.composed:
             return [SECOND_LAW, COMPOSED]
         return [*self.chosen.partners, f"{self.chosen.law}_node", SECOND_LAW, self.chosen.plant]
@@ -259,7 +259,7 @@ class GraphAttacks:
         assert b"listening" in self.emulator.stdout.readline(), (self.folder / "emulator.err").read_text()
 
     def _process_of(self, node: str) -> str:
-        """Return the name of the process that a node runs in."""
+        """Return the name of the process that runs a node."""
         apart = {SECOND_LAW, PROGRAMME_NODE, *(f"{name} again" for name in TWICE)}
         return COMPOSED if self.chosen.composed and node not in apart else node
 
@@ -278,7 +278,7 @@ class GraphAttacks:
     # Sequences
 
     def run(self, attack: Attack) -> None:
-        """Bring the graph back, then take the actions."""
+        """Restore the graph, then take the actions."""
         begin = time.monotonic()
         self.come_back()
         for action in attack:
@@ -289,7 +289,7 @@ class GraphAttacks:
         self.spans.append((begin, time.monotonic()))
 
     def come_back(self) -> None:
-        """Start what is missing, activate it, end what is too much, and wait until the cycles go on."""
+        """Start missing processes, activate them, end superfluous ones, and wait until the cycles advance."""
         for name in (PROGRAMME_NODE, *(f"{what} again" for what in TWICE)):
             self._end(name)
         self.graph.note_ended()
@@ -327,7 +327,7 @@ class GraphAttacks:
             self.participant.change(node, label)
 
     def trace(self) -> Trace:
-        """End the run, and return what happened."""
+        """End the run, and return its trace."""
         for name in (PROGRAMME_NODE, *(f"{what} again" for what in TWICE)):
             self._end(name)
         columns: dict[str, Any] = {}
@@ -345,7 +345,7 @@ class GraphAttacks:
         return found.with_load_cycles([(int(row["load_cycle"]), int(row["first"]), int(row["last"])) for row in rows])
 
     def close(self) -> None:
-        """End what still runs."""
+        """End the remaining processes."""
         self.ear.close()
         if self.emulator is not None and self.emulator.poll() is None:
             self.emulator.kill()
@@ -364,7 +364,7 @@ class GraphAttacks:
         return len(states) >= known + cycles
 
     def second_source(self, what: str) -> None:
-        """Start a second source of an input; one that runs already stays."""
+        """Start a second source of an input, unless it runs already."""
         name, node = f"{what} again", TWICE[what]
         if name in self.graph.processes or node not in (*self.chosen.partners, self.chosen.plant):
             return
@@ -409,7 +409,7 @@ class GraphAttacks:
             self.participant.call(Trigger, f"programme_{request}", Trigger.Request())
 
     def programme_dies(self, number: signal.Signals) -> None:
-        """End the programme's node and start it again."""
+        """End the programme's node and restart it."""
         if self._runs(PROGRAMME_NODE):
             self._end(PROGRAMME_NODE, number)
             self._start(PROGRAMME_NODE)
@@ -448,7 +448,7 @@ class GraphAttacks:
             self.graph.wake(process)
 
     def accept_rig(self, key: str, factor: float) -> None:
-        """Let the controllers know the rig otherwise."""
+        """Publish an accepted rig with a changed coefficient to the controllers."""
         rig = rig_to_mapping(self.setup.rig)
         rig["plant"][key] *= factor
         self.accepted.publish(String(data=rig_text(rig)))
@@ -472,7 +472,7 @@ class GraphAttacks:
             self.stop = self.participant.call(Trigger, "emergency_stop", Trigger.Request()).message.partition(";")[0]
 
     def look_at_states(self) -> None:
-        """Note the lifecycle state of all nodes that run."""
+        """Record the lifecycle state of all running nodes."""
         for name in self._nodes():
             process = self._process_of(name)
             self.participant.journal.note("state", f"{name} {process} {self.participant.state_of(name)}")

@@ -1,7 +1,7 @@
-"""Sequences of attacks, chosen by how close those before came to violating a policy.
+"""Sequences of attacks, guided by the distance of earlier ones from violating a policy.
 
 After PGFuzz (Kim et al., NDSS 2021): a sequence that came closer to violating some policy than those before is kept, and
-changed to come closer still; the policies take turns. Without such feedback, attacks are drawn blindly.
+mutated to come closer still; the policies take turns. Without such feedback, attacks are drawn blindly.
 """
 
 import math
@@ -11,16 +11,16 @@ from random import Random
 from typing import Any, NamedTuple
 
 LENGTH = 8
-"""Actions of a new sequence."""
+"""Number of actions of a new sequence."""
 
 LONGEST = 12
-"""Most actions of a sequence that was changed."""
+"""Maximum number of actions of a mutated sequence."""
 
 KEPT = 6
 """Sequences kept for each policy."""
 
 FRESH = 0.2
-"""Fraction of sequences that are drawn anew, although there is one to change."""
+"""Fraction of sequences that are drawn anew although there is one to mutate."""
 
 PAUSES = (0.0, 1.0, 2.0, 5.0, 20.0, 60.0)
 """Times between two actions, in control periods."""
@@ -43,29 +43,29 @@ Attack = tuple[Action, ...]
 
 
 class Kind(NamedTuple):
-    """A kind of action: how often it is drawn, relative to others, and how its arguments are."""
+    """A kind of action: its relative frequency, and the draw of its arguments."""
 
     weight: float
     draw: Callable[[Random], tuple[Any, ...]] = lambda _: ()
 
 
 class Kept(NamedTuple):
-    """A sequence with the smallest robustness that a policy had in it."""
+    """A sequence with the smallest robustness of a policy in it."""
 
     robustness: float
     attack: Attack
 
 
 class Search:
-    """Draws and changes sequences.
+    """Draws and mutates sequences.
 
     Attributes:
         closest: for each policy, the sequences that came closest to violating it, the closest first.
-        origins: number of sequences by how they were made.
+        origins: number of sequences by origin.
     """
 
     def __init__(self, random: Random, kinds: Mapping[str, Kind], *, blind: bool = False) -> None:
-        """Begin without feedback.
+        """Start without feedback.
 
         Args:
             random: source of all choices.
@@ -94,20 +94,20 @@ class Search:
         return self._changed(parent)
 
     def learn(self, attack: Attack, robustness: Mapping[str, float]) -> None:
-        """Take in how close a sequence came to violating each policy that said something of it."""
+        """Record how close a sequence came to violating each policy evaluated in it."""
         for policy, value in robustness.items():
             if not math.isfinite(value):
                 continue
             kept = self.closest.setdefault(policy, [])
             self._farthest[policy] = max(value, self._farthest.get(policy, value))
-            # Of equally close ones the last: there may be a way on from it.
+            # Of equally close ones the last: further progress may be possible from it.
             if len(kept) < KEPT or value <= kept[-1].robustness:
                 kept.insert(0, Kept(value, attack))
                 kept.sort(key=lambda entry: entry.robustness)
                 del kept[KEPT:]
 
     def _policy(self) -> str | None:
-        """Return the policy to push at, in turn: one whose robustness depends on the sequence."""
+        """Return the policy to target, in turn: one whose robustness depends on the sequence."""
         graded = [name for name, kept in sorted(self.closest.items()) if kept[0].robustness < self._farthest[name]]
         if not graded:
             return None
@@ -115,7 +115,7 @@ class Search:
         return graded[self._turn % len(graded)]
 
     def _fresh(self) -> Attack:
-        """Draw a sequence; each kind of action is the first in turn, when nothing else has happened yet."""
+        """Draw a sequence; each kind of action is the first in turn, in an undisturbed state."""
         names = list(self._kinds)
         self._drawn += 1
         return (self._of(names[self._drawn % len(names)]), *(self._draw() for _ in range(LENGTH - 1)))
@@ -165,6 +165,6 @@ class Search:
         actions[place] = self._of(actions[place].name)._replace(pause=actions[place].pause)
 
     def _joined(self, actions: list[Action]) -> list[Action]:
-        """Return the beginning of a sequence with the end of another that is kept."""
+        """Return the beginning of a sequence joined with the end of another kept one."""
         other = self._random.choice([kept.attack for name in sorted(self.closest) for kept in self.closest[name]])
         return [*actions[: 1 + self._place(actions)], *other[self._random.randrange(len(other)) :]]

@@ -1,4 +1,4 @@
-"""What is heard on a graph: every message that a policy needs, read in bulk once the run is over."""
+"""Recorder of a graph: every message that a policy needs, read in bulk once the run is over."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ from ehls_ros.recording.topics import (
 )
 
 CYCLE_TOPICS = ("loader_state", "valve_command", "controller_status", "force_reference", "programme_point")
-"""Topics with a message per cycle of which policies say something."""
+"""Topics with a message per cycle that policies evaluate."""
 
 OCCASIONAL = 1000
 """Queue depth of the other topics."""
@@ -58,12 +58,12 @@ class Ear:
         }
 
     def listen(self) -> None:
-        """Take in what has come since the last call; more than a minute at 1 kHz would be lost."""
+        """Read the messages since the last call; more than a minute at 1 kHz would be lost."""
         for name, inbox in self._inboxes.items():
             heard = self._heard.setdefault(name, [])
             while (taken := inbox.take_raw()) is not None:
                 when = taken[1]["source_timestamp"] / NANOSECONDS - self._offset
-                # The inbox's own way to decode, with the time of sending beside it.
+                # The inbox's decoder, with the time of sending added.
                 decoded = inbox._decode(taken[0])
                 if decoded is None:
                     continue
@@ -74,7 +74,7 @@ class Ear:
 
     @property
     def messages(self) -> dict[str, list[tuple[Any, ...]]]:
-        """What was heard by topic: time of sending [s], stamp [ns] and fields."""
+        """Messages received, by topic: time of sending [s], stamp [ns] and fields."""
         return self._heard
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""A node that takes long to configure itself, in the process that runs it."""
+"""A node that takes long to configure, in the process that runs it."""
 
 import time
 from pathlib import Path
@@ -8,7 +8,7 @@ from ehls_ros.nodes.reference_node import ReferenceNode
 
 
 def hold_up(until: str) -> None:
-    """Let a reference node configure itself only once a file is there."""
+    """Delay the configuration of a reference node until a file exists."""
     prepare = ReferenceNode.prepare
 
     def prepare_late(node: Any) -> None:

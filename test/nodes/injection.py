@@ -25,7 +25,7 @@ CLASSES = {
 }
 
 BASES = "ehls_ros.nodes."
-"""Classes of other modules, such as rclpy's, are left alone."""
+"""Classes of other modules, such as rclpy's, are excluded."""
 
 
 class Injected(Exception):
@@ -40,7 +40,7 @@ def class_of(node: str) -> type:
 
 
 def methods_of(node: str) -> Iterator[str]:
-    """Yield the names of all methods of a node's class that are written in this project."""
+    """Yield the names of all methods of a node's class that are defined in this project."""
     seen = set()
     for base in class_of(node).__mro__:
         if not base.__module__.startswith(BASES):
@@ -52,14 +52,14 @@ def methods_of(node: str) -> Iterator[str]:
 
 
 def inject(node: str, method: str, call: int, mark: str, writes: str = "") -> None:
-    """Let a method of a node raise.
+    """Make a method of a node raise.
 
     Args:
         node: name of the node.
         method: name of the method.
         call: number of the call that raises, counted from 1.
-        mark: file that is made just before.
-        writes: file to which each command is written that a device is given; empty: none.
+        mark: file that is created just before.
+        writes: file to which each command for a device is written; empty: none.
     """
     if writes:
         _record_commands(Path(writes))
@@ -75,7 +75,7 @@ def inject(node: str, method: str, call: int, mark: str, writes: str = "") -> No
             raise Injected(method)
         return original(self, *arguments, **words)
 
-    # A transition's guard is around the method, and so around the exception.
+    # Reapply a transition's guard around the raising method, so that it handles the exception.
     setattr(owner, method, raising if decorated is original else transition(raising))
 
 

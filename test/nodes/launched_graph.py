@@ -1,6 +1,6 @@
-"""What `launch_test test/nodes/launched_graph.py` starts and asks: the launch file's graph, in a namespace of its own.
+"""Test description for `launch_test test/nodes/launched_graph.py`: the launch file's graph, in a separate namespace.
 
-``test_launch.py`` runs it. In lockstep, so that it does not depend on how fast the machine is.
+``test_launch.py`` runs it. In lockstep, so that it does not depend on the speed of the machine.
 """
 
 import tempfile
@@ -99,7 +99,7 @@ class TestGraph(unittest.TestCase):
         return self.ask(GetParameters, f"/{NAMESPACE}/{node}/get_parameters", GetParameters.Request(names=[name])).values[0]
 
     def test_it_runs_in_its_namespace_with_one_clock_and_the_files_parameters(self, proc_output) -> None:
-        """Ask the graph that the arguments describe; then stop it."""
+        """Check the graph that the arguments describe; then stop it."""
         state = self.first(LoaderState, f"/{NAMESPACE}/loader_state")
         assert abs(state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec - 1e-3 * state.cycle) < 1e-6
         assert self.first(Clock, "/clock").clock.sec < 10**6
@@ -109,7 +109,7 @@ class TestGraph(unittest.TestCase):
         assert self.value("sic_node", "compensation").double_value == 1.0
         assert self.value("sic_node", "use_sim_time").bool_value
         assert self.value("plant_sim_node", "telemetry_rate").double_value == 20.0
-        # The launch argument comes before the file.
+        # The launch argument takes precedence over the file.
         assert self.value("plant_sim_node", "timing").string_value == "lockstep"
 
         assert self.ask(Trigger, f"/{NAMESPACE}/emergency_stop", Trigger.Request()).success

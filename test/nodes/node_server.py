@@ -1,7 +1,7 @@
-"""Starts node processes as forks of one process that has imported everything: a start takes a tenth of the time.
+"""Starts node processes as forks of one process with all imports done: a start takes a tenth of the time.
 
-As a program, it reads a request per line, and answers with the number of each process it starts and the exit code of each that
-ends. :class:`NodeServer` is its client.
+As a program, it reads a request per line, and answers with the number of each process it starts and the exit code of each
+that ends. :class:`NodeServer` is its client.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ PARENT = "EHLS_PARENT"
 
 
 class ServedProcess:
-    """A process that the server has started; as far as the tests need it, like one of ``subprocess``."""
+    """A process started by the server, with the part of the ``subprocess`` interface that the tests need."""
 
     stdin = None
 
@@ -101,7 +101,7 @@ class NodeServer:
         return ServedProcess(self, self._begun.pop())
 
     def listen(self, seconds: float) -> None:
-        """Take in the server's answers, waiting for one at most for a time [s]."""
+        """Read the server's answers, waiting for one at most for a time [s]."""
         while select.select([self._from], [], [], seconds)[0]:
             read = os.read(self._from.fileno(), 65536)
             if not read:
@@ -184,7 +184,7 @@ def _become(request: Mapping[str, Any]) -> None:
     for target, source in ((0, null), (1, log), (2, log)):
         os.dup2(source, target)
     faulthandler.enable()
-    # Python 3.11 leaves the number that the thread has in the parent.
+    # Python 3.11 keeps the thread number of the parent.
     threading.main_thread()._set_native_id()  # type: ignore[attr-defined]
     os.environ.clear()
     os.environ.update(request["environment"])

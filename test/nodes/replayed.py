@@ -1,4 +1,4 @@
-"""What `ros2 bag play` does with a bag, where there is no rosbag2."""
+"""Replacement for `ros2 bag play` where rosbag2 is not installed."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +16,7 @@ DEFAULT_PROFILE = QoSProfile(depth=10)
 
 
 def stored_profile(connection: Connection) -> QoSProfile:
-    """Return the profile stored with a topic; as rosbag2 does, with the default's depth."""
+    """Return the profile stored with a topic, with the default's depth, like rosbag2."""
     (stored,) = connection.ext.offered_qos_profiles
     return QoSProfile(
         depth=DEFAULT_PROFILE.depth,
@@ -43,7 +43,7 @@ class Replay:
         return sum(publisher.get_subscription_count() for publisher in self._publishers.values())
 
     def play(self, rest: Callable[[float], None]) -> Iterator[tuple[str, int]]:
-        """Publish the messages at the recorded pace, or slower as the caller likes.
+        """Publish the messages at the recorded pace, or at a slower pace set by the caller.
 
         Args:
             rest: waits for a time [s].

@@ -1,6 +1,6 @@
-"""A node between controller and bridge that spoils commands as the last line on stdin says: `spoil_commands.py SEED`.
+"""Node between controller and bridge that spoils commands according to the last line on stdin: `spoil_commands.py SEED`.
 
-It prints each mode and the monotonic time from which it spoils all commands so.
+It prints each mode and the monotonic time from which it spoils all commands in that way.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""A controller is told of a rig that an operator has accepted, if it was started so."""
+"""A controller receives a rig that an operator has accepted, if it was started with that option."""
 
 import pytest
 
@@ -37,7 +37,7 @@ def test_a_controller_that_accepts_knows_the_rig_from_the_next_cycle_on_and_refu
     participant.until(lambda: KNOWN in graph.log("sic_node"))
     cycle = states[-1].cycle
     participant.until(lambda: states[-1].cycle > cycle + 100)
-    # Of two monitors, neither is believed.
+    # Two monitors are both ignored.
     second = participant.node.create_publisher(String, ACCEPTED_RIG.name, control_qos(ACCEPTED_RIG.depth))
     second.publish(String(data=rig_text(rig_to_mapping(load_spec(path).rig))))
     participant.until(lambda: "/ehls/participant, /ehls/participant publish accepted_rig" in graph.log("sic_node"))

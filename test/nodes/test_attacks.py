@@ -48,13 +48,13 @@ def tell(attack, null):
 
 
 def judge(attack, truth, since, policy, until=np.inf):
-    """Check that a policy judged the valve after an attack; that it holds has been checked with all others."""
+    """Check that a policy evaluated the valve after an attack; it is known to hold, like all others."""
     assert np.any(truth.between(0.0, since)), "the valve was never open"
     assert truth.said_of(policy, since, until), f"{attack}: {policy} says nothing of that time"
     tell(attack, truth.time_to_null(since, until))
 
 
-# What a client can send
+# Inputs from a client
 
 
 INVALID = {
@@ -85,7 +85,7 @@ def set_raw(rig, name, value):
 
 
 def test_invalid_requests_are_refused_and_the_stop_still_works(rig):
-    # ROS time stands still, as nobody publishes /clock.
+    # ROS time stands still, as there is no /clock publisher.
     running = rig(use_sim_time=True)
 
     def send_all():
@@ -144,7 +144,7 @@ def test_a_dead_service_thread_or_an_exception_in_the_loop_closes_the_valve_and_
 
 def test_each_change_of_the_gate_is_reported_at_once_whatever_else_there_is_to_report(rig):
     running = rig()
-    # From now on there are cycles without an answer to report.
+    # From now on there are unanswered cycles to report.
     running.command("mute")
     running.participant.rest(3.0 * SLOW.period)
     running.command("sine 1e-4 0.7")
@@ -175,7 +175,7 @@ def test_outside_active_the_valve_is_at_null_and_returning_takes_reset_and_enabl
         running.live(0.3)
         for label in ("configure", "activate")[len(labels) == 1 :]:
             assert running.transition(label)
-        # Where this computer was late, the gate had tripped before.
+        # If this computer was late, the gate had tripped before.
         expected = tuple(f"tripped by {cause}" for cause in ("left active", *LATE))
         running.participant.until(lambda expected=expected: running.enable().message.startswith(expected))
         moments.append((" and ".join(labels), left, time.monotonic()))
@@ -224,13 +224,13 @@ def test_after_a_freeze_or_a_lost_link_the_valve_stays_at_null(rig, graph):
 
     def trial(what, cause, seconds, policy, line="clear", frozen=None):
         since = running.fault(line) if frozen is None else graph.freeze(frozen)
-        # The rig, too, must have run for that long; it tells its time with every fault.
+        # The rig, too, must have run for that long; it reports its time with every fault.
         while running.fault(line) < since + seconds:
             running.participant.rest(SLOW.period)
         running.fault("clear")
         if frozen is not None:
             graph.wake(frozen)
-        # Where this computer was late, that is the cause.
+        # If this computer was late, that is the cause.
         expected = tuple(f"tripped by {cause}" for cause in (cause, "gap", "device_null"))
         assert any(words in running.tripped() for words in expected), what
         running.live(0.3)
@@ -321,7 +321,7 @@ def weaken_the_gate(running):
 
 def spam_resets_and_enables(running):
     stopped = running.emergency_stop()
-    # An enable that nobody answers ends what the policy says of the stop.
+    # An unanswered enable ends the policy's span after the stop.
     running.live(0.1)
     node = running.participant.node
     clients = [node.create_client(Trigger, "reset_trips"), node.create_client(SetBool, "enable")]
@@ -367,10 +367,10 @@ def forge_snapshots_and_measurements(running):
 def slow_the_controller(running):
     running.graph.stop(BRIDGE)
     closed = time.monotonic()
-    # A tenth must be answered. Fewer are, and still some in each window.
+    # A tenth must be answered. Fewer are, but some in each window.
     running.gate["least_answered"] = 0.1
     running.command("skip 15")
     running.restart_bridge()
-    # In a window without any answer, as where this computer is late, the controller counts as missing instead.
+    # In a window without any answer, for example because this computer is late, the controller counts as missing instead.
     running.participant.until(lambda: running.enable().message.startswith("too slow: "))
     return "controller too slow for a new bridge", closed, "end_of_process", np.inf

@@ -35,7 +35,7 @@ def test_a_plant_that_slept_stamps_with_the_clock_again_and_tells_the_jump(graph
     plant.send_signal(signal.SIGCONT)
 
     def behind():
-        """Return how far the stamps sent since are behind the times of sending [s]."""
+        """Return the lag of the stamps sent since behind the times of sending [s]."""
         published = zip(states, states.published_ns, strict=True)
         return [1e-9 * when - seconds(state) for state, when in published if when > woken_ns]
 
@@ -76,7 +76,7 @@ def test_in_lockstep_all_nodes_have_the_cycles_time(graph, participant, spec_fil
         assert participant.get_parameter(name, "use_sim_time").bool_value
 
     def told():
-        """Return who has reported at a time of the cycles."""
+        """Return the nodes that have reported at a time of the cycles."""
         return {status.name for array in diagnostics for status in array.status if 0.0 < seconds(array) < 1000.0}
 
     participant.until(lambda: told() == set(nodes) and states and references)

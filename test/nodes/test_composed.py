@@ -29,7 +29,7 @@ SERVO = "disturbance: {name: position_servo, signal: {name: sine, amplitude: 0.0
 
 
 def assert_same_digits(one, other):
-    """All signals but the time of the answer, which is not simulated."""
+    """Compare all signals but the time of the answer, which is not simulated."""
     assert set(one.signals) - {"response_s"} == set(other.signals) - {"response_s"}
     for name in set(one.signals) - {"response_s"}:
         assert np.array_equal(one[name], other[name], equal_nan=True), name
@@ -56,7 +56,7 @@ def test_composed_apart_and_without_ros_are_the_same_to_the_digit(spec_file, tmp
 
 
 def assert_contiguous(messages):
-    """Each cycle since the first one heard, once."""
+    """Check that each cycle since the first one received occurs once."""
     cycles = [message.cycle for message in messages]
     assert cycles == list(range(cycles[0], cycles[0] + len(cycles)))
 
@@ -78,7 +78,7 @@ def test_each_node_keeps_its_name_topics_parameters_and_diagnostics(graph, parti
     participant.until(lambda: len(commands) > 300 and len(states) > 300)
     assert_contiguous(commands)
     assert commands[0].sender == f"/ehls/fasmc_node-{process.pid}"
-    # What the law is tuned to changes at a cycle, as in a process of its own.
+    # The tuning of the law changes at a cycle, as in a separate process.
     assert participant.set_parameter("fasmc_node", "k", 14.0).successful
     assert not participant.set_parameter("fasmc_node", "k", -1.0).successful
     told.clear()
@@ -99,19 +99,19 @@ def test_a_controller_apart_takes_over_and_gives_back(graph, participant, spec_f
     drivers = participant.collect(Driver, "driver")
     shadows = participant.collect(ValveCommand, STANDBY_COMMAND.name)
     process = start_together(graph, spec, timing="lockstep", speed=1.0)
-    # Two that answer the first cycle would both be heard, until the plant says whom it obeys.
+    # If two answered the first cycle, both would be accepted until the plant names its driver.
     participant.until(lambda: len(commands) > 100 and drivers)
     graph.start("sic_node", spec=spec, timing="lockstep")
     participant.until(lambda: any("sic_node" in shadow.sender for shadow in shadows))
     for name, node in (("sic_node", "/ehls/sic_node-"), ("fasmc_node", f"/ehls/fasmc_node-{process.pid}")):
-        # The plant notices within a second that somebody stands by.
+        # The plant notices a standby controller within a second.
         request = SwitchController.Request(controller=name)
         participant.until(lambda request=request: participant.call(SwitchController, "switch_controller", request).success)
         participant.until(lambda node=node: drivers[-1].sender.startswith(node))
         first = drivers[-1].cycle
         participant.until(lambda first=first: commands[-1].cycle > first + 100)
-    # No cycle is left out, and each has one answer of the controller that drives. One that the word of a switch has not reached
-    # may answer beside it, and those of two controllers may arrive in any order.
+    # No cycle is left out, and each has one answer of the controller that drives. A controller that has not received the driver
+    # message may answer beside it, and answers of two controllers may arrive in any order.
     every = range(commands[0].cycle, commands[-1].cycle + 1)
     participant.until(lambda: set(every) <= {command.cycle for command in commands})
 
@@ -147,7 +147,7 @@ def test_an_estimator_apart_is_waited_for(spec_file, graph, participant, tmp_pat
     commands = participant.collect(ValveCommand, "valve_command")
     names = TOGETHER.replace("friction_estimator_node+", "")
     start_together(graph, spec, names, timing="lockstep", partners="friction_estimator_node")
-    # The first cycle is to find the test's reader.
+    # The first cycle must find the test's reader.
     participant.until(commands.publishers)
     graph.start("friction_estimator_node", spec=spec, timing="lockstep")
     participant.until(lambda: len(commands) >= 501)
@@ -214,7 +214,7 @@ def test_a_node_that_is_shut_down_takes_no_other_node_of_its_process_with_it(gra
 PAIRS = [
     (plant, partner) for plant in HOSTS for partner in PARTNERS if (plant, partner) != ("hardware_bridge_node", "fasmc_node")
 ]
-"""Every two nodes that can share a process; the law of fasmc needs a velocity, which the rig does not measure."""
+"""Every pair of nodes that can share a process; the law of fasmc needs a velocity, which the rig does not measure."""
 
 
 @pytest.mark.long

@@ -18,7 +18,7 @@ def test_late_messages_of_a_stopped_node_are_ignored(participant, monkeypatch):
         publisher = participant.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
         def report(*names):
-            # Without a stamp, as that may be of any clock: the time of sending counts.
+            # Without a stamp, which may be of any clock: the time of sending counts.
             return DiagnosticArray(
                 status=[DiagnosticStatus(name=name, message="running", hardware_id="ehls") for name in names]
             )
@@ -38,7 +38,7 @@ def test_late_messages_of_a_stopped_node_are_ignored(participant, monkeypatch):
         participant.until(lambda: saying(report("ended", "late"), "late"))
         assert heard() == ["late", "other"]
         link.forget(["ended"])
-        # A restarted node of that name is heard.
+        # A restarted node of that name is accepted.
         participant.until(lambda: saying(report("ended"), "ended"))
     finally:
         link.close()

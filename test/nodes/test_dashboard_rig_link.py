@@ -1,4 +1,4 @@
-"""What a monitor publishes arrives on the dashboard, and its button reaches the monitor."""
+"""The monitor's messages arrive on the dashboard, and its button reaches the monitor."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -32,7 +32,7 @@ def test_the_health_is_heard_with_its_trend_and_is_gone_with_the_monitor(partici
     publisher.publish(said(100, 4e-12))
     link = Link("ehls")
     try:
-        # What was published before it joined arrives too.
+        # Messages from before it joined arrive too.
         participant.until(lambda: link.rig_health() is not None)
         publisher.publish(said(160, 0.0, told=False))
         participant.until(lambda: len(link.rig_health().coefficients[0].times) == 2)
@@ -66,7 +66,7 @@ def test_acknowledging_reaches_the_monitor(participant):
         with ThreadPoolExecutor(1) as pool:
 
             def answered():
-                # Its patience is some seconds; DDS may take longer to find the service, or lose the answer.
+                # It waits for some seconds; DDS may take longer to find the service, or lose the answer.
                 if not pressed or (pressed[-1].done() and not pressed[-1].result().done):
                     pressed.append(pool.submit(link.acknowledge_changes))
                 return pressed[-1].done() and pressed[-1].result().done

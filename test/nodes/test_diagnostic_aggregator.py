@@ -12,7 +12,7 @@ GROUPS = {name: group for name, group in PARAMETERS.items() if name != "path"}
 
 
 def groups_of(status: str) -> list[str]:
-    """Return the groups that take a status of this name, as GenericAnalyzer does with what names contain."""
+    """Return the groups that include a status of this name, like GenericAnalyzer with its name filters."""
     return [name for name, group in GROUPS.items() if any(part in status for part in group["contains"])]
 
 

@@ -1,6 +1,6 @@
 """An unforeseen exception in a node: one line with the place and the traceback's file, exit code 1, the valve at null first.
 
-`benchmarks/injected_exceptions.py` has every method of every node.
+`benchmarks/injected_exceptions.py` covers every method of every node.
 """
 
 import re

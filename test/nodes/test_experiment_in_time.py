@@ -1,4 +1,4 @@
-"""Experiments over DDS in time: in real time, interrupted, and with a node that dies."""
+"""Experiments over DDS with timing: in real time, interrupted, and with a node that dies."""
 
 import json
 import os
@@ -34,11 +34,11 @@ def test_realtime_keeps_the_wall_clock_and_loses_no_sample(spec_file, tmp_path):
     with Reader(tmp_path / "run" / "bag") as reader:
         states = [connection for connection in reader.connections if connection.topic == LOADER_STATE.resolve()]
         sent_s = np.array([stamp_ns for _, stamp_ns, _ in reader.messages(states)]) * 1e-9
-    # A loop faster than the wall clock departs from it by as much as the run lasts; one that was held up regains two cycles.
+    # A loop faster than the wall clock departs from it by up to the duration of the run; a delayed one regains two cycles.
     late_s = sent_s - recorded.time_s
     assert np.max(np.maximum.accumulate(late_s) - late_s) < 0.05
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))
-    # So does a slower one, unless the computer is slow; then the pace says so, which is that of the bag.
+    # So does a slower one, unless the computer is slow; then the pace shows it, which is that of the bag.
     assert np.ptp(late_s) < 0.5 or not metrics["in_real_time"]
     assert metrics["cycles_per_second_asked"] == pytest.approx(100.0)
     reached = (200 - metrics["missed_cycles"]) / recorded.metadata["wall_s"]
@@ -47,7 +47,7 @@ def test_realtime_keeps_the_wall_clock_and_loses_no_sample(spec_file, tmp_path):
 
 
 def long_run_under_way(spec_file, out: Path) -> subprocess.Popen[str]:
-    """Start an experiment that does not end, and wait until its bag has more than the definitions and the first cycles."""
+    """Start an endless experiment, and wait until its bag has more than the definitions and the first cycles."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", "experiment", str(spec_file(duration=1000.0))]
     process = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + PATIENCE

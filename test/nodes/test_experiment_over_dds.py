@@ -61,7 +61,7 @@ def over_dds(write_spec, tmp_path_factory):
         folder = tmp_path_factory.mktemp(controller)
         spec = write_spec(folder, controller=controller)
         if controller == "fasmc_output_feedback":
-            # The rig it is made for. config/experiments/ uses the same loop, which takes longest to compile.
+            # The rig for which it is designed. config/experiments/ uses the same loop, which takes longest to compile.
             feeling_the_loader(spec)
             spec.write_text(f"{spec.read_text()}\neffects: [{{name: command_delay, delay: 1.0e-3}}]\n")
         if controller == "fasmc_predictive":
@@ -172,7 +172,7 @@ def test_every_series_of_the_layouts_is_a_number_in_the_bag_of_a_whole_graph(ove
 
 @pytest.mark.parametrize("profile", [stored_profile, lambda _: DEFAULT_PROFILE], ids=["stored", "default"])
 def test_a_replayed_bag_drives_estimator_and_controller(over_dds, graph, participant, profile):
-    """As `ros2 bag play` does it, whose default profile is volatile."""
+    """Like `ros2 bag play`, whose default profile is volatile."""
     spec, done = over_dds("fasmc")
     recorded = trajectory_of(done)
     for name in ("friction_estimator_node", "fasmc_node"):
@@ -183,7 +183,7 @@ def test_a_replayed_bag_drives_estimator_and_controller(over_dds, graph, partici
     participant.until(lambda: replay.readers() >= 3 and len(participant.publishers("friction_estimate")) == 1)
     for topic, count in replay.play(participant.rest):
         if topic.endswith("loader_state"):
-            # A reader that is held up must not miss messages: the publisher keeps the last ten.
+            # A delayed reader must not miss messages: the publisher keeps the last ten.
             participant.until(lambda count=count: len(estimates) > count - DEFAULT_PROFILE.depth // 2)
     participant.until(lambda: len(estimates) >= len(recorded) and commands)
     for field, signal in (("gms_force", "friction_gms_n"), ("viscous_force", "friction_viscous_n")):

@@ -1,7 +1,7 @@
 """The fault table: the valve's reaction to faults, in running processes over DDS and UDP.
 
 In lockstep the rig's time stands still while a process is slow, so the times to the safe state are those of the design, not
-of the machine; faults that involve time itself are in test_attacks.py. Starting a graph takes longer than most faults, so a
+of the machine. Faults that concern timing are in test_attacks.py. Starting a graph takes longer than most faults, so a
 test starts one and injects several in turn, resetting and enabling the gate in between.
 
 ``pytest -s test/nodes/test_faults.py | grep '^|'`` prints the table.
@@ -37,13 +37,13 @@ MARGIN = 5e-3
 """Tolerance of a limit [s]."""
 
 SEEN_AFTER = 3
-"""Cycles after which a fault of a sensor is certainly in what the gate compares."""
+"""Cycles after which a sensor fault certainly affects the gate's comparisons."""
 
 UNTIL_NULL = round((GATE.hold_time + GATE.ramp_time) / PERIOD) + 10
 """Cycles after a trip in which the gate has certainly closed."""
 
 BLENDED_IN = round(2.0 * BLEND_IN / PERIOD)
-"""Cycles after which the commands act in full on a gate that was enabled."""
+"""Cycles after which the commands act fully on a gate that was enabled."""
 
 AFTER_CUT = 15
 """The same when the gate cuts at once for lack of answers; then each cycle takes the bridge's patience."""
@@ -51,7 +51,7 @@ AFTER_CUT = 15
 PARAMETERS_TRIED = 80
 
 COMPARED = 500
-"""Cycles of a recovered bag that are compared at least."""
+"""Minimum number of cycles compared in a recovered bag."""
 
 
 def longest_rest(command):
@@ -120,7 +120,7 @@ class Trial:
         )
 
     def trips_it(self, fault, put_in, limit, end=lambda: None, span=0.0, cycles=UNTIL_NULL):
-        """Inject a fault, wait for the trip, end the fault, and go on; ``put_in`` returns the time from which it acts [s]."""
+        """Inject a fault, wait for the trip, end the fault, and continue; ``put_in`` returns its starting time [s]."""
         since = put_in()
         self.told("tripped by")
         self.run(cycles)
@@ -184,7 +184,7 @@ def trial(graph, participant, tmp_path):
 def test_controller_and_reference_freeze_die_and_return(trial, graph):
     running = trial()
     controller = graph.processes[CONTROLLER]
-    # While it is frozen, time stands still until the bridge gives the present cycle up.
+    # While it is frozen, time stands still until the bridge abandons the present cycle.
     running.trips_it(
         "controller frozen",
         lambda: graph.freeze(controller),
@@ -273,11 +273,11 @@ def test_foreign_packets_second_controllers_and_random_parameters(trial, graph):
             for _ in range(50):
                 for size in (0, 1, 56, 64, 1400):
                     stranger.sendto(b"EHLS\x01\x03\x01\x00" + chance.randbytes(size), ("127.0.0.1", running.rig.port))
-                # By the second cycle the rig has read them: none is lost for want of room.
+                # By the second cycle the rig has read them: none is lost because of a full buffer.
                 running.run(2)
 
     def second():
-        # It sends nothing to the valve, and is not offered for a switch: this rig does not measure what it needs.
+        # It sends nothing to the valve, and is not offered for a switch: this rig lacks a reading that it needs.
         running.rig.start("sic_node")
         running.told("needed but not measured: velocity")
 
@@ -309,7 +309,7 @@ def test_a_killed_recorder_and_a_full_disk(trial, graph, tmp_path):
     def flushed(bag):
         return read_note(bag).get("/ehls/loader_state", Flushed(0, 0)) if (bag / NOTE).exists() else Flushed(0, 0)
 
-    # The recorder joined a running graph: of what was sent before, it may miss any. From the first flush on it is there.
+    # The recorder joined a running graph and may miss any earlier message. From the first flush on it is complete.
     running.rig.participant.until(lambda: flushed(died).messages > 0)
     joined = flushed(died).messages
     running.rig.participant.until(lambda: flushed(died).messages > joined + COMPARED)

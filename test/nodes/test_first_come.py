@@ -1,4 +1,4 @@
-"""Controllers that start before the plant: the first to answer drives, the others stand by and know all that happened."""
+"""Controllers that start before the plant: the first to answer drives, the others stand by with full information."""
 
 import time
 
@@ -24,7 +24,7 @@ LAWS = ("sic", "fasmc_output_feedback")
 CYCLES = 200
 
 EXACT = 1e-12
-"""How far what stands by may be from the law in one process [m]."""
+"""Permitted deviation of a standby command from the law in one process [m]."""
 
 
 def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_stands_by(graph, participant, spec_file):
@@ -46,7 +46,7 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
         graph.start(name, spec=path, timing="lockstep")
     graph.start("plant_sim_node", spec=path, timing="lockstep", speed=0.5, partners=",".join(partners))
     participant.until(lambda: all(len(heard) > CYCLES for heard in (states, references, commands, shadows)))
-    # On a busy machine it may miss cycles until the plant knows that it stands by, or the first one altogether; then none.
+    # On a busy machine it may miss cycles until the plant registers it as standby, or the first one altogether; then none.
     participant.until(lambda: shadows[-1].cycle - shadows[-CYCLES].cycle == CYCLES - 1)
 
     [nobody, first] = told
@@ -57,11 +57,11 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
     stood_by = {message.cycle: message.spool for message in shadows}
     answered_first = standing_by in {message.sender for message in commands}
     whole = answered_first and all(cycle in stood_by for cycle in range(1, CYCLES))
-    # A command that the other sent before it could know who drives is no fault.
+    # A command that the other sent before it could learn of the driver is no fault.
     participant.until(lambda: any(int(figures["cycle"]) > CYCLES for figures in told_by_plant()))
     assert told_by_plant()[-1]["fault_second_sender"] == "warn, 0 times"
 
-    # What it would command is that of the law which has followed from the first cycle on; the test may miss messages as well.
+    # Its standby command is that of the law that has followed from the first cycle on; the test may miss messages as well.
     sent = {message.cycle: message.spool for message in commands if message.sender == first.sender}
     wanted = {message.cycle: message for message in references}
     seen = {message.cycle: message for message in states}
@@ -84,7 +84,7 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
 
 
 def test_a_driver_that_is_heard_late_is_stood_by_for(graph, participant, spec_file):
-    """The test is plant and driver at once, and says nothing as driver for longer than one may that passes commands on."""
+    """The test is plant and driver at once, and stays silent as driver for longer than a relay may."""
     path = spec_file(duration=1000.0, controller="sic")
     publishers = {
         topic: participant.node.create_publisher(kind, topic, control_qos())

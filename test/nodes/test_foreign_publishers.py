@@ -1,4 +1,4 @@
-"""Publishers that are not of this project: matched with ROS's default profile, else named."""
+"""Publishers from outside this project: matched if they use ROS's default profile, otherwise reported."""
 
 import pytest
 
@@ -27,7 +27,7 @@ def test_a_controller_with_the_default_profile_drives_the_plant_and_one_that_is_
     def told(words):
         return lambda: any(words in status.message for array in diagnostics for status in array.status)
 
-    # The first snapshot is sent before anybody can receive it.
+    # The first snapshot is sent before any reader can receive it.
     participant.until(told("waiting for the controller"))
     node = participant.node
     commands = node.create_publisher(ValveCommand, "valve_command", DEFAULT)
@@ -38,7 +38,7 @@ def test_a_controller_with_the_default_profile_drives_the_plant_and_one_that_is_
         if waiting and waiting[-1] in references:
             cycle = waiting.pop()
             answered.append(cycle)
-            # The first disturbance gets lost, as one does that is sent before it can be received.
+            # The first disturbance gets lost, being sent before it can be received.
             if len(answered) > 1:
                 disturbances.publish(Disturbance(cycle=cycle))
             commands.publish(ValveCommand(cycle=cycle))

@@ -28,7 +28,7 @@ def numbers(element, attribute):
 
 
 def placed(joints, rig, position):
-    """Return each link's place and rotation in the base's frame when the piston is at a position [m]."""
+    """Return each link's position and rotation in the base's frame when the piston is at a position [m]."""
     where = {BASE: np.eye(4)}
     for joint in joints.values():
         origin = joint.find("origin")

@@ -1,4 +1,4 @@
-"""The search for attacks: what came closer to a violation is kept and changed, deterministically."""
+"""The search for attacks: sequences closer to a violation are kept and mutated, deterministically."""
 
 import itertools
 import random
@@ -14,7 +14,7 @@ KINDS = {
 
 
 def robustness(attack):
-    """Come closest to one policy by many strong pushes, to another by pulls in succession; a third is indifferent."""
+    """Approach one policy by many strong pushes, another by pulls in succession; a third is indifferent."""
     pushes = sum(action.arguments[0] for action in attack if action.name == "push")
     pairs = sum(one.name == other.name == "pull" for one, other in itertools.pairwise(attack))
     return {"pushed": 6.0 - pushes, "pulled": 6.0 - pairs, "indifferent": 1.0, "unsaid": float("inf")}

@@ -1,4 +1,4 @@
-"""The launch file starts the graph it describes; `launch_testing` asks it."""
+"""The launch file starts the graph it describes; `launch_testing` checks it."""
 
 import subprocess
 import sys
@@ -17,7 +17,7 @@ HERE = Path(__file__).resolve().parent
 
 @pytest.fixture(autouse=True)
 def installed() -> None:
-    """Skip where launch would not find this package."""
+    """Skip if launch would not find this package."""
     try:
         get_package_prefix("ehls_ros")
     except PackageNotFoundError:

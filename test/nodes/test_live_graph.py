@@ -51,7 +51,7 @@ def figure(participant, diagnostics, node, name, holds):
 
 def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(running, participant, graph, spec_file):
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
-    # With the recorder and the test's own participant.
+    # With the recorder and the test's participant.
     figure(participant, diagnostics, "recorder_node", "nodes_known", lambda _, known: known >= len(NODES) + 3)
     tuned_after = a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics)
     the_estimator_may_go_and_come_back(running, participant, diagnostics, graph, spec_file(duration=1000.0))

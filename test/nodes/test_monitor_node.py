@@ -1,4 +1,4 @@
-"""The monitor follows a graph without being of it: it finds what changed, survives a kill, and keeps what led to a trip."""
+"""The monitor follows a graph without joining it: it finds changes, survives a kill, and keeps the record before a trip."""
 
 import json
 import math
@@ -33,11 +33,11 @@ GRAPH = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 WALL = 1_700_000_000 * 10**9
 ADDED = 2.0e-12
-"""Leakage that the rig has beyond its file [m^5/(N s)]."""
+"""Leakage of the rig in excess of its file [m^5/(N s)]."""
 
 
 class Replay:
-    """Sends a trajectory's messages, as the graph in which it was recorded would have."""
+    """Sends a trajectory's messages, like the graph in which it was recorded."""
 
     def __init__(self, participant: Any, trajectory: Trajectory) -> None:
         self._node = participant.node
@@ -54,7 +54,7 @@ class Replay:
         self._clock = participant.node.create_publisher(Clock, "/clock", control_qos(1))
 
     def _counting(self, topic: Topic) -> PublisherEventCallbacks:
-        """Count who has ever joined a topic: one that was killed seems to be there for a while."""
+        """Count all readers that ever joined a topic: a killed one seems to be present for a while."""
 
         def joined(matched: Any) -> None:
             self.readers[topic.name] = matched.total_count
@@ -62,7 +62,7 @@ class Replay:
         return PublisherEventCallbacks(matched=joined)
 
     def has(self, readers: int) -> bool:
-        """Tell whether as many have joined each topic."""
+        """Return whether as many have joined each topic."""
         return len(self.readers) == len(self._topics) and min(self.readers.values()) >= readers
 
     def send(self, first: int, last: int, epoch_ns: int = WALL) -> None:
@@ -74,7 +74,7 @@ class Replay:
                 publisher.handle.publish_raw(encode(epoch_ns + cycle * 10**6, cycle, *row))
 
     def close(self) -> None:
-        """End, as a rig's process does: a publisher that is there repeats what it sent to who joins."""
+        """End, as a rig's process does: a live publisher repeats its messages to new readers."""
         for *_, publisher in self._topics:
             self._node.destroy_publisher(publisher)
 
@@ -85,7 +85,7 @@ class Replay:
 
 @pytest.fixture(scope="module")
 def leaky(tmp_path_factory: pytest.TempPathFactory) -> Trajectory:
-    """Return 75 s of a rig that leaks more than its file says."""
+    """Return 75 s of a rig whose leakage exceeds its file's."""
     text = (
         "title: a leaky rig\nduration: 75.0\nrig: {rig}\neffects: [{{name: internal_leakage_shift, added: {added}}}]\n"
         "reference: {{name: sine, amplitude: 1.0e+4, frequency: 0.5}}\ncontroller: {{name: fasmc}}\n"
@@ -101,7 +101,7 @@ def newest(heard: list[Any], condition: Callable[[Any], bool]) -> Callable[[], b
 
 
 def says(diagnostics: list[DiagnosticArray], level: int, sentence: str) -> bool:
-    """Tell whether the monitor's newest diagnostics have a level, and begin with a sentence."""
+    """Return whether the monitor's newest diagnostics have a level, and begin with a sentence."""
     own = [s for array in diagnostics for s in array.status if s.name == "monitor_node"]
     return bool(own) and own[-1].level == bytes([level]) and own[-1].message.startswith(sentence)
 
@@ -115,7 +115,7 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     replay = Replay(participant, leaky)
     start()
     participant.until(lambda: replay.has(readers=1))
-    # More than it needs: a reader drops what comes before it knows of the sender.
+    # More than it needs: a reader drops messages that arrive before it has discovered the sender.
     replay.send(0, 45_000)
     participant.until(newest(heard, lambda health: bool(health.changes)))
     replay.send(45_000, 55_000)
@@ -139,7 +139,7 @@ def test_it_finds_what_differs_and_goes_on_after_a_kill(graph, participant, spec
     replay.close()
     heard.clear()
 
-    # The rig was started anew meanwhile, and its clock was set back.
+    # The rig was restarted meanwhile, and its clock was set back.
     replay = Replay(participant, leaky)
     participant.until(lambda: replay.has(readers=1))
     start()
@@ -157,7 +157,7 @@ def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, par
     spec = spec_file(duration=1000.0)
     folder = tmp_path / "monitor"
     folder.mkdir()
-    # Neither a memory that is spoilt nor files of others keep it from starting, or are lost.
+    # Neither a spoilt memory nor foreign files keep it from starting, and they are preserved.
     make_monitor(folder, "memory.json")
     (folder / "learnt_0.npz").write_bytes(b"")
     (folder / "mine.npz").write_bytes(b"mine")
@@ -168,7 +168,7 @@ def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, par
     assert f"the monitor learns anew: {folder / 'learnt_0.npz'}: the healthy rig cannot be used (it is empty)" in graph.log(
         "monitor_node"
     )
-    # A second one in the folder would remove the files of the first.
+    # A second monitor in the folder would remove the files of the first.
     words = [word for key, value in own.items() for word in ("-p", f"{key}:={value}")]
     second = graph.run("second", ["-m", "ehls_ros.nodes.monitor_node", "--ros-args", *words, "-r", "__node:=monitor_node_2"])
     assert second.wait(PATIENCE) != 0
@@ -176,7 +176,7 @@ def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, par
     for name in (*GRAPH, "plant_sim_node"):
         more = {"partners": ",".join(GRAPH), "speed": 4.0} if name == "plant_sim_node" else {}
         graph.start(name, spec=spec, timing="lockstep", **more)
-    # Who has just joined may miss the first messages of another.
+    # A node that has just joined may miss the first messages of another.
     participant.until(lambda: bool(states))
     first = states[-1].cycle
     participant.until(lambda: states[-1].cycle > first + 12_000)
@@ -184,7 +184,7 @@ def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, par
     participant.until(lambda: any(is_closed(bag) for bag in folder.glob("flights/*/bag")))
     [flight] = folder.glob("flights/*")
     found = read_bag(flight / "bag")
-    # The monitor gives way to all others: what a busy machine does not let it hear is a gap.
+    # The monitor yields to all others: messages missed on a busy machine are a gap.
     assert 2.0 < found.time_s[-1] <= 3.001
     assert np.mean(np.isfinite(found["valve_command_m"])) > 0.5
     assert "emergency stop" in found.metadata["trip"]["cause"]

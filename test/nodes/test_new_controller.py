@@ -1,4 +1,4 @@
-"""A controller of another distribution has its node without a line in this project: by `ehls run`, and in the launch file."""
+"""A controller of another distribution has a node without a line in this project: by `ehls run`, and in the launch file."""
 
 import os
 import runpy
@@ -58,7 +58,7 @@ def test_its_node_answers_and_is_tuned(site, graph, participant, tmp_path, monke
     participant.until(lambda: states.get_subscription_count() and references.get_subscription_count())
 
     def answer(cycle):
-        """Let the plant open a cycle and return the command."""
+        """Open a cycle as the plant and return the command."""
         references.publish(ForceReference(cycle=cycle, force=WANTED))
         states.publish(LoaderState(cycle=cycle, force=FORCE))
         participant.until(lambda: commands and commands[-1].cycle == cycle)
@@ -78,7 +78,7 @@ def test_its_node_answers_and_is_tuned(site, graph, participant, tmp_path, monke
 
 @pytest.fixture
 def installed(site, monkeypatch):
-    """Let this process find the package."""
+    """Make the package importable in this process."""
     monkeypatch.syspath_prepend(site)
     offered.cache_clear()
     yield
@@ -88,7 +88,7 @@ def installed(site, monkeypatch):
 
 @pytest.fixture
 def launch_file():
-    """Return what the launch file defines; where there is no `launch`, it gets stand-ins that keep what they are given."""
+    """Return the definitions of the launch file; without `launch` installed, it gets stand-ins that record their arguments."""
     stand_ins = {name: mock.MagicMock() for name in LAUNCH_MODULES}
     stand_ins["launch.substitutions"].LaunchConfiguration = lambda name: SimpleNamespace(perform=lambda chosen: chosen[name])
     stand_ins["launch_ros.actions"].Node = SimpleNamespace

@@ -44,7 +44,7 @@ def test_the_command_does_as_ros2_param_does(graph, participant, spec_file, caps
         code = main(["param", *words])
         return code, "".join(capsys.readouterr())
 
-    # Of the nodes that run it names those that it has found, which on a busy machine may take longer than it looks.
+    # The complaint lists the nodes discovered so far; on a busy machine, discovery may outlast the command's search.
     complaints = []
 
     def names_those_that_run():
@@ -117,7 +117,7 @@ def test_a_file_is_read_like_a_live_change_and_what_was_dumped_can_be_loaded(gra
     values = participant.call(GetParameters, "fasmc_node/get_parameters", GetParameters.Request(names=names)).values
     dumped = {name: parameter_value_to_python(value) for name, value in zip(names, values, strict=True)}
     assert (dumped["k"], dumped["phi2"]) == (9.0, 1e-6)
-    # As `ros2 param load` reads back what `ros2 param dump` has written.
+    # As `ros2 param load` reads the output of `ros2 param dump`.
     loaded = [Parameter(name=name, value=get_parameter_value(str(value))) for name, value in dumped.items() if value != ""]
     results = participant.call(SetParameters, "fasmc_node/set_parameters", SetParameters.Request(parameters=loaded)).results
     assert [result.reason for result in results if not result.successful] == []

@@ -1,4 +1,4 @@
-"""The nodes of docs/how_to/own_node.md close the loop against the simulated rig, as the page's reader has them."""
+"""The nodes of docs/how_to/own_node.md close the loop against the simulated rig, as published on the page."""
 
 import os
 import shutil
@@ -20,10 +20,10 @@ SETTLED = 500
 """Cycle from which on the error counts."""
 
 HEARD = 500
-"""Settled cycles that are compared at least: half a period of the disturbance."""
+"""Minimum number of settled cycles compared: half a period of the disturbance."""
 
 LARGEST_ERROR = 500.0
-"""What the page promises [N]."""
+"""Error bound stated on the page [N]."""
 
 PREFIXES = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
 
@@ -41,7 +41,7 @@ def folder(tmp_path):
 def largest_error(graph, participant):
     """Run the simulated rig in lockstep beside the node and return the largest settled force error [N].
 
-    The rig runs on until enough has been heard: what is sent before the test's own reader is matched may be lost to it.
+    The rig runs on until enough has been received: messages sent before the test's reader is matched may be lost to it.
     """
     path = config_folder() / "experiments" / "sine_fd2.yaml"
     spec = load_spec(path)

@@ -14,7 +14,7 @@ FORCE = 1500.0
 """Reference of the first source; the second's is the opposite [N]."""
 
 FOLLOWED = 100.0
-"""Force error of the law at a constant reference, at most [N]."""
+"""Maximum force error of the law at a constant reference [N]."""
 
 PROGRAMME = f"""
 title: other
@@ -24,7 +24,7 @@ blocks:
 
 
 class TwoSources:
-    """A graph in lockstep, and further sources of its inputs under names of their own."""
+    """A graph in lockstep, and further sources of its inputs under different names."""
 
     def __init__(self, graph, participant, spec_file, folder):
         self.graph, self.participant, self.folder = graph, participant, folder
@@ -87,7 +87,7 @@ def test_a_second_reference_is_refused_and_taken_only_after_the_first_has_left(s
     two.second("reference_node", "reference_node_2")
     participant.until(lambda: two.is_refused("reference_node_2", "/ehls/reference_node-"))
     participant.until(lambda: participant.state_of("reference_node_2") == "inactive")
-    # A reader named it, and all went on with the first.
+    # A reader named it, and all continued with the first.
     assert two.was_named("/ehls/reference_node_2-")
     two.states.clear()
     participant.until(lambda: two.follows(FORCE))
@@ -102,7 +102,7 @@ def test_what_was_refused_does_not_count_once_its_sender_has_left(sources):
     two.second("reference_node", "reference_node_2")
     participant.until(lambda: two.is_refused("reference_node_2", "/ehls/reference_node-"))
     participant.until(lambda: participant.state_of("reference_node_2") == "inactive")
-    # The second one owns nothing, although what it sent was kept.
+    # The second one owns nothing, although its messages were kept.
     for transition in ("deactivate", "activate"):
         assert participant.change("reference_node", transition)
     two.states.clear()
@@ -162,6 +162,6 @@ def test_a_reference_that_was_killed_is_replaced_by_one_of_another_name(sources)
     two.graph.kill("reference_node")
     two.second("reference_node", "reference_node_2")
     participant.until(lambda: two.follows(-FORCE))
-    # It was not refused in the name of the one that was killed.
+    # It was not refused on behalf of the killed one.
     assert participant.state_of("reference_node_2") == "active"
     assert "is refused" not in two.graph.log("reference_node_2")

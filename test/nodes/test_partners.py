@@ -1,4 +1,4 @@
-"""A plant that is to start with others activates itself once they are active."""
+"""A plant with partners activates itself once they are active."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The simulated rig in realtime waits for what its graph provides, command and disturbance."""
+"""The simulated rig in realtime waits for the inputs from its graph, command and disturbance."""
 
 import gc
 import time
@@ -22,7 +22,7 @@ TURNS = 20
 
 @pytest.fixture
 def plant(spec_file, ros_domain_id, monkeypatch):
-    # However slow the machine, an answer is waited for; the loop looks around often enough for a short test.
+    # However slow the machine, an answer is awaited; the loop polls often enough for a short test.
     monkeypatch.setattr(simulated_clock, "HOPE", 1e9)
     monkeypatch.setattr(plant_sim_node, "WAIT", 0.01)
     rclpy.init(args=["--ros-args", "-p", f"spec:={spec_file()}"], signal_handler_options=SignalHandlerOptions.NO)

@@ -1,4 +1,4 @@
-"""In realtime every node requests its priority, and receiver threads are never held up by normal work."""
+"""In realtime every node requests its priority, and receiver threads are never blocked by normal work."""
 
 import contextlib
 import os

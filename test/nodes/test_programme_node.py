@@ -1,4 +1,4 @@
-"""A programme over DDS: each load cycle is counted once over a stop, a resume, and a node that is killed twice."""
+"""A programme over DDS: each load cycle is counted once across a stop, a resume, and two kills of the node."""
 
 import time
 from types import SimpleNamespace
@@ -24,7 +24,7 @@ from ehls_ros.recording.topics import DEPTH
 CYCLES = 500
 
 GONE = DEPTH + LEAD + 100
-"""Control cycles after which the rig has neither reference nor the snapshots from when the node went."""
+"""Control cycles after which the rig has neither reference nor the snapshots from before the node ended."""
 
 
 def test_no_load_cycle_is_lost_or_counted_twice(ros_domain_id, tmp_path):
@@ -47,7 +47,7 @@ blocks:
 
 
 def test_a_programme_begins_with_the_snapshot_of_now_and_stops_on_its_limits(graph, participant, spec_file, tmp_path):
-    """A rig that has run for a while before, whose earlier snapshots are still there to be had."""
+    """A rig that has run for a while before, whose earlier snapshots are still available."""
     file, spec = tmp_path / "programme.yaml", spec_file(duration=100.0, controller="sic")
     file.write_text(PROGRAMME, encoding="utf-8")
     states, points = participant.collect(LoaderState, "loader_state"), participant.collect(ProgrammePoint, "programme_point")
@@ -62,7 +62,7 @@ def test_a_programme_begins_with_the_snapshot_of_now_and_stops_on_its_limits(gra
     killed_ns = time.time_ns()
 
     def out():
-        """Return the diagnostics of a controller for whose next cycle there is no reference."""
+        """Return the diagnostics of a controller that lacks the reference of its next cycle."""
         reported = [status for array in diagnostics.after(killed_ns) for status in array.status]
         return [status for status in reported if status.message == "no force reference for the present cycle"]
 
@@ -71,7 +71,7 @@ def test_a_programme_begins_with_the_snapshot_of_now_and_stops_on_its_limits(gra
     last = answered + 1
     graph.start("programme_node", **common, programme=file, folder=tmp_path / "run", autostart=False)
     assert participant.change("programme_node", "configure")
-    # It publishes the points of a stopped programme, too: the first one is gone soon.
+    # It publishes the points of a stopped programme, too: the first one is soon gone.
     participant.until(points.publishers)
     assert participant.change("programme_node", "activate")
     participant.until(lambda: points and points[-1].state == State.STOPPED)
@@ -92,7 +92,7 @@ CYCLES_PER_LOAD_CYCLE = 50
 
 
 def assert_a_second_is_refused(graph, own, tmp_path):
-    """Start another node in the folder of the one that runs: even ``anew`` takes nothing from it."""
+    """Start another node in the folder of the running one: even ``anew`` takes nothing from it."""
     words = [word for key, value in (own | {"anew": True}).items() for word in ("-p", f"{key}:={value}")]
     names = ["-r", "__node:=programme_node_2"]
     second = graph.run("second", ["-m", "ehls_ros.nodes.programme_node", "--ros-args", *words, *names])
@@ -105,7 +105,7 @@ def assert_a_second_is_refused(graph, own, tmp_path):
 
 
 def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(graph, participant, spec_file, tmp_path):
-    """In realtime, after its node was killed and had been away for long; the rig's gate closes meanwhile, its cycles go on."""
+    """In realtime, after its node was killed and absent for long; the rig's gate closes meanwhile, its cycles continue."""
     file, spec = tmp_path / "programme.yaml", spec_file(duration=100.0, controller="sic")
     file.write_text(STEADY, encoding="utf-8")
     states, points = participant.collect(LoaderState, "loader_state"), participant.collect(ProgrammePoint, "programme_point")
@@ -115,7 +115,7 @@ def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(grap
     participant.until(lambda: states and points and points[-1].load_cycles >= 5)
     assert_a_second_is_refused(graph, own, tmp_path)
     graph.kill("programme_node")
-    # The state tells what was published last: a node that is killed takes with it what it had not delivered yet.
+    # The state contains the last published cycle: a killed node loses the messages not yet delivered.
     saved = read_state(tmp_path / "run")
     assert saved is not None
     participant.until(lambda: states[-1].cycle > saved.published + GONE)
@@ -158,7 +158,7 @@ def test_a_programme_stops_where_its_records_cannot_be_written():
     assert runner.motions[-1].kind == "stop"
     assert runner.motions[-1].reason == "state.json: cannot be written (No space left on device)"
     assert len(log) == 2
-    # Once they can be written again, it can go on.
+    # Once they can be written again, it can continue.
     with ProgrammeNode._writing(node):
         node.unwritten = ""
     assert runner.resume(900)

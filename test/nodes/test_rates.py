@@ -28,7 +28,7 @@ REFERENCE = {"name": "sine", "amplitude": 4e3, "frequency": 1.0}
 
 
 def at(period: float, path: Path, **other: object) -> Path:
-    """Write an experiment with a control period on the rig that its controller is made for, whose command is 1 ms late."""
+    """Write an experiment with a control period on the rig for which its controller is designed, with 1 ms of command delay."""
     disturbance = {"name": "force", "signal": {"name": "sine", "amplitude": 1e3, "frequency": 0.5}}
     rig = {"rig": str(MEASURED), "effects": [{"name": "command_delay", "delay": 1e-3}]}
     spec = {"title": "fast", **rig, "reference": REFERENCE, "disturbance": disturbance}
@@ -37,7 +37,7 @@ def at(period: float, path: Path, **other: object) -> Path:
 
 
 def assert_even(trajectory, cycles, period):
-    """All cycles are there, at their times."""
+    """Check that all cycles are there, at their times."""
     assert len(trajectory) == cycles
     assert np.max(np.abs(np.diff(trajectory.time_s) - period)) < 1e-9
     assert not np.isnan(trajectory["valve_command_m"]).any()
@@ -93,7 +93,7 @@ def test_a_rig_at_4_khz_is_followed_through_the_bridge(graph, participant, tmp_p
     participant.until(lambda: participant.call(SetBool, "enable", SetBool.Request(data=True)).success)
 
     def is_followed() -> bool:
-        """For the last fifth of a second."""
+        """Return whether the reference has been followed for the last fifth of a second."""
         newest = states[-800:]
         time = np.array([state.cycle for state in newest]) * period
         wanted = REFERENCE["amplitude"] * np.sin(2.0 * np.pi * REFERENCE["frequency"] * time)
@@ -108,7 +108,7 @@ def test_a_rig_at_4_khz_is_followed_through_the_bridge(graph, participant, tmp_p
 
 
 def test_a_rig_with_another_rate_than_the_experiments_is_not_enabled(graph, participant, tmp_path, emulator):
-    """The law would take a sample of one millisecond for one of half a millisecond."""
+    """The law would mistake a sample of one millisecond for one of half a millisecond."""
     bridge = emulator(at(1e-3, tmp_path / "rig.yaml", controller="sic"))
     spec = at(5e-4, tmp_path / "fast.yaml", controller="sic", duration=1000.0)
     graph.start("reference_node", spec=spec)

@@ -1,4 +1,4 @@
-"""Realtime nodes take no more of the machine than they need: little memory, and no processor to themselves."""
+"""Realtime nodes use no more of the machine than they need: little memory, and no processor exclusively."""
 
 import itertools
 import os
@@ -21,7 +21,7 @@ from ehls_ros.hardware.realtime import LOWEST, Part, memory
 OVERLOADED = Path(__file__).resolve().parents[2] / "benchmarks" / "realtime_citizens.py"
 
 MEMORY = 200.0
-"""Most memory a node may lock, and have resident [MiB]."""
+"""Maximum memory that a node may lock, and have resident [MiB]."""
 
 
 def memory_of(process: int, key: str) -> float:
@@ -121,9 +121,9 @@ def test_a_simulated_rig_waits_for_a_controller_that_is_too_slow_and_says_so(gra
         cycles, missed, slipped = (float(after[key]) - float(before[key]) for key in ("cycle", "missed", "slipped_s"))
         return cycles > 50 and missed < 0.1 * cycles and slipped > 0.0
 
-    # From now on each cycle waits for its own command; only if this process is held up, its commands are not waited for.
+    # From now on each cycle waits for its command; unless this process is delayed: then its commands are not awaited.
     until(lambda: any(itertools.starmap(hardly_misses, itertools.pairwise(figures(heard)[begun:]))))
-    # The gate does not trip, unless this process was held up for nearly as long as the gate waits.
+    # The gate does not trip, unless this process was delayed for nearly as long as the gate waits.
     said = figures(heard)[begun]["message"], figures(heard)[-1]["message"]
     complaint = "too slow: ", "the simulated time runs slower than the wall's"
     assert all(words in said[0] for words in complaint) or controller.away > 0.4

@@ -1,4 +1,4 @@
-"""The security policy matches the graph, and a node stays on this host unless told otherwise."""
+"""The security policy matches the graph, and a node stays on this host unless configured otherwise."""
 
 import contextlib
 import os
@@ -30,7 +30,7 @@ Rights = dict[str, set[str]]
 
 
 def policy() -> dict[str, Rights]:
-    """Return what each node may publish, subscribe, reply and request, by full names."""
+    """Return the topics and services that each node may publish, subscribe, reply and request, by full names."""
     rights: dict[str, Rights] = {}
     for profile in ET.parse(POLICY).iter("profile"):
         name, namespace = profile.attrib["node"], profile.attrib["ns"]
@@ -114,7 +114,7 @@ def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_pat
                 "reply": ask.get_service_names_and_types_by_node,
                 "request": ask.get_client_names_and_types_by_node,
             }
-            # The recorder asks whom it finds, the test's own node as well.
+            # The recorder queries every node it discovers, the test's as well.
             return {found for found, _ in asked[right](name, "/ehls") if not found.startswith(f"/ehls/{ask.get_name()}/")}
 
         # Discovery is gradual: a node is complete once its control-path topic is known.

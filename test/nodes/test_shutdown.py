@@ -1,4 +1,4 @@
-"""The end of a node: by the lifecycle's shutdown, after which it is silent for good, and with the process that started it."""
+"""The end of a node: by the lifecycle's shutdown, after which it stays silent, and with the process that started it."""
 
 import os
 import time
@@ -57,7 +57,7 @@ def test_a_node_that_ends_leaves_nothing_in_shared_memory(graph, spec_file, name
     while ": up" not in graph.log(name):
         assert time.monotonic() < deadline, graph.log(name)
         time.sleep(0.05)
-    # Without a participant of the test, whose segments it would use too. Ports may be those of others, and of killed ones.
+    # Without a participant of the test, whose segments it would use too. Ports may belong to other processes, or killed ones.
     segments = [file for file in used_by(node.pid) if file.name.startswith("fast") and "_port" not in file.name]
     assert segments
     assert graph.stop(name) == 0

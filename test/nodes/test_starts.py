@@ -1,4 +1,4 @@
-"""Lifecycle requests to nodes that are just starting themselves: none ends a node, and none waits for good."""
+"""Lifecycle requests to nodes that are just starting themselves: none ends a node, and none waits forever."""
 
 import time
 
@@ -25,7 +25,7 @@ def test_a_request_while_a_node_configures_itself_ends_no_node(graph, participan
     assert client.wait_for_service(PATIENCE)
     participant.until(lambda: state_of(participant) == "configuring")
     request = client.call_async(ChangeState.Request(transition=Transition(label=label)))
-    # It arrives while the node is at it.
+    # It arrives during the configuration.
     participant.rest(0.5)
     go_on.touch()
     participant.until(request.done)
@@ -52,7 +52,7 @@ def test_a_request_that_is_faster_than_a_node_itself_ends_no_node(graph, partici
 
 
 def state_of(participant):
-    """Return the state that the node says it is in, as long as it answers within a second."""
+    """Return the state reported by the node, if it answers within a second."""
     client = participant.node.create_client(GetState, "reference_node/get_state")
     asked = client.call_async(GetState.Request())
     deadline = time.monotonic() + 1.0

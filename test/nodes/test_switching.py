@@ -1,6 +1,6 @@
-"""The valve goes from one running controller to another and back, without a bump and without a trip.
+"""Bumpless switch of the valve between running controllers and back, without a trip.
 
-In lockstep the run is that of the same switches in one process.
+In lockstep the run equals that of the same switches in one process.
 """
 
 import numpy as np
@@ -25,11 +25,11 @@ from ehls_ros.physics.rig import SENSED
 FIRST, SECOND = "fasmc_output_feedback", "sic"
 WITHOUT_COUPLING = "fasmc_output_feedback, coupling_stiffness: 0.0, coupling_damping: 0.0"
 PHASE = 500
-"""Cycles that each controller drives at least."""
+"""Minimum number of cycles that each controller drives."""
 
 
 def law_of(sender):
-    """Return the law of a sender, which names its node and process."""
+    """Return the law of a sender, whose name contains its node and process."""
     return sender.rpartition("/")[2].rpartition("_node-")[0]
 
 
@@ -93,10 +93,10 @@ def test_a_controller_takes_over_gives_back_and_succeeds_one_that_leaves(graph, 
     assert "does not stand by" in refused.message
     graph.start(f"{SECOND}_node", spec=path, timing="lockstep", autostart=False)
     assert participant.change(f"{SECOND}_node", "configure")
-    # It counts which cycle is the first that it follows.
+    # It determines the first cycle that it follows.
     participant.until(lambda: shadows.publishers() >= 2)
     assert participant.change(f"{SECOND}_node", "activate")
-    # The plant waits for the new one as soon as it knows of it; until then it may miss cycles.
+    # The plant waits for the new one as soon as it has discovered it; until then it may miss cycles.
     participant.until(lambda: len(shadows) > PHASE and shadows[-1].cycle == shadows[-PHASE].cycle + PHASE - 1)
     assert switch(f"{SECOND}_node").success
     drives(SECOND)
@@ -124,7 +124,7 @@ def test_a_controller_takes_over_gives_back_and_succeeds_one_that_leaves(graph, 
     heard = np.array([(message.cycle, message.force) for message in states])
     assert min(np.histogram(heard[:, 0], [*turns, np.inf])[0]) >= PHASE
     apart = np.abs(heard[:, 1] - forces[heard[:, 0].astype(int)])
-    # Only who joins may miss cycles: who drove until now follows the other at once.
+    # Only the joining controller may miss cycles: the previous driver follows the other at once.
     assert np.max(apart) <= 1e-6
 
     settings = spec.settings._replace(duration=cycles * spec.settings.control_period)

@@ -1,4 +1,4 @@
-"""What the plant node tells the tools everybody has: the right quantity in the right unit, and only what is measured."""
+"""The plant node's standard messages: the right quantity in the right unit, and only for measured signals."""
 
 from types import SimpleNamespace
 
@@ -25,7 +25,7 @@ READ = {
 
 
 class StandIn:
-    """A node that keeps what is published."""
+    """A node that records its publications."""
 
     def __init__(self, namespace="/ehls"):
         self.namespace = namespace

@@ -1,4 +1,4 @@
-"""Two rigs on one machine in one ROS domain, each in its own namespace, do not affect each other."""
+"""Two rigs on one machine in one ROS domain, each in a separate namespace, do not affect each other."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from ehls_ros.recording.topics import DEPTH
 NODES = ("reference_node", "disturbance_node", "sic_node", "plant_sim_node")
 AMPLITUDES = {"ehls": 1.0e4, "rig2": 4.0e3}
 CYCLES = {"ehls": 750, "rig2": 600}
-"""Different numbers, so that the rigs' times differ; no more than writers keep, so that a late listener misses none."""
+"""Different numbers, so that the rigs' times differ; at most the writers' depth, so that a late listener misses none."""
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def start(graph, rig, spec):
     for name in NODES:
         parameters = ["-p", f"spec:={spec}", "-p", "timing:=lockstep"]
         parameters += ["-p", f"cycles:={CYCLES[rig]}"] if name == "plant_sim_node" else []
-        # All of ROS reads /clock: of two rigs in lockstep, one has its time elsewhere.
+        # All of ROS reads /clock: one of two rigs in lockstep has its time elsewhere.
         remaps = ["-r", f"__ns:=/{rig}", *(["-r", "/clock:=/rig2/clock"] if rig == "rig2" else [])]
         arguments = ["-m", f"ehls_ros.nodes.{name}", "--ros-args", *remaps, *parameters]
         graph.run(f"{rig}_{name}", arguments)

@@ -1,4 +1,4 @@
-"""A node of a test in a process of its own, which does what the last line on its standard input says."""
+"""A test node in a separate process, controlled by the last line on its standard input."""
 
 import contextlib
 import signal

@@ -24,7 +24,7 @@ def paper_mapping() -> dict[str, Any]:
 
 @pytest.fixture
 def rig_data(paper_mapping: dict[str, Any]) -> dict[str, Any]:
-    """Content of the paper's rig file, to be changed at will."""
+    """Content of the paper's rig file, for modification."""
     return copy.deepcopy(paper_mapping)
 
 
@@ -43,7 +43,7 @@ def make_rig(paper_mapping: dict[str, Any]) -> Callable[..., Rig]:
 
 @pytest.fixture(scope="session")
 def simulated(make_rig: Callable[..., Rig]) -> Callable[..., Floats]:
-    """Return the states of a case of the reference solver, as the package gives them."""
+    """Return the package's states for a case of the reference solver."""
 
     def simulate(case: Case, step: float | None = None, friction: dict[str, Any] | None = None) -> Floats:
         rig = make_rig(friction={"model": case.law, **(friction or {})}, effects=case.effects)
@@ -105,7 +105,7 @@ def drive(velocity, period, steps, friction, y, mode, states, modes, total):
 
 
 class Driven:
-    """A friction model that followed a velocity: the state of its elements, their modes and the total force."""
+    """A friction model driven along a velocity: the state of its elements, their modes and the total force."""
 
     def __init__(self, module: ModuleType, count: int, velocity: Floats, friction: Any, steps: int) -> None:
         y, mode = np.zeros(count), np.zeros(count)

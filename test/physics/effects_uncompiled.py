@@ -1,4 +1,4 @@
-"""Run the effects named without compiling them, neutral and not, and print as JSON what differs from the rig without them.
+"""Run the named effects without compiling, neutral and not, and print as JSON their differences from the rig without them.
 
 Uncompiled, because compiling one kernel takes longer than running all of them; started with ``NUMBA_DISABLE_JIT=1``.
 """

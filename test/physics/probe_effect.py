@@ -1,4 +1,4 @@
-"""Every hook at once, each with a parameter of its own; and the position, found again by integration."""
+"""Every hook at once, each with a separate parameter; and the position, recomputed by integration."""
 
 from typing import Annotated, NamedTuple
 
@@ -18,7 +18,7 @@ REACH = 0.0
 
 
 class Parameters(NamedTuple):
-    """One a hook."""
+    """One parameter per hook."""
 
     received: Annotated[float, quantity("1", "fraction that arrives", minimum=0.0, maximum=2.0)] = 1.0
     command: Annotated[float, quantity("1", "gain of the command", minimum=0.0, maximum=2.0)] = 1.0

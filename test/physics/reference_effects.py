@@ -1,7 +1,7 @@
-"""The reference solver's plant with effects, written anew from what they are physically.
+"""The reference solver's plant with effects, derived independently from their physics.
 
-Where the package has a closed form or a state of its own, this has another way to the same: the supply's loss by a root
-finder, the second-order spool as the state xv itself, the flexible mass by its own position.
+Where the package has a closed form or an additional state, this uses a different formulation: the supply's loss by a root
+finder, the second-order spool as the state xv itself, the flexible mass by its position.
 """
 
 import math
@@ -15,12 +15,12 @@ ATMOSPHERE = 101325.0
 
 
 def plant_with(**numbers: Any) -> type[Plant]:
-    """Return a kind of plant with some effects' numbers set; the others change nothing."""
+    """Return a plant class with the coefficients of some effects set; the others are neutral."""
     return type("PlantWithEffects", (EffectsPlant,), numbers)
 
 
 class EffectsPlant(Plant):
-    """Own states: rate of the second-order spool, loss of the supply, position and velocity of the flexible mass."""
+    """Additional states: rate of the second-order spool, loss of the supply, position and velocity of the flexible mass."""
 
     own_tolerance = (1e-15, 1e-6, 1e-15, 1e-14)
     delay, bias = 0.0, 0.0
@@ -32,7 +32,7 @@ class EffectsPlant(Plant):
     cubic, gap, stop, stop_stiffness, stop_damping = 0.0, 0.0, 10.0, 1e7, 0.0
     mass, taken, mode_frequency, mode_damping = 0.0, 0.0, 10.0, 0.0
     ripple, ripple_frequency, weight = 0.0, 1.0, 0.0
-    # A piston parted from the load: its mass, and the joint. It takes the flexible mass's place among the states.
+    # A piston separated from the load: its mass, and the joint. It replaces the flexible mass among the states.
     piston, play, rounding, joint_stiffness, joint_damping = 0.0, 0.0, 0.0, 0.0, 0.0
 
     def __init__(self, c: Constants, law: str) -> None:
@@ -62,7 +62,7 @@ class EffectsPlant(Plant):
         return max(s, 1.0)
 
     def flow_lost(self, y: Floats, pressure: float) -> float:
-        """Return what flows through the spool at a supply pressure [m^3/s]."""
+        """Return the flow through the spool at a supply pressure [m^3/s]."""
         across = pressure - math.copysign(1.0, y[3]) * y[2]
         return float(self.c.Cd * self.c.w * abs(y[3]) * math.sqrt(max(across, 0.0) / self.c.rho))
 
@@ -93,7 +93,7 @@ class EffectsPlant(Plant):
     def leakage(self, y: Floats) -> float:
         pL = float(y[2])
         scratch = math.copysign(self.scratch * math.sqrt(abs(pL)), pL)
-        # What the piston sweeps beyond the load leaves the balance as a leakage does.
+        # The piston's sweep beyond the load's enters the balance like a leakage.
         swept = self.c.Ac * float(y[self.first + 3] - y[1]) if self.piston else 0.0
         return super().leakage(y) + swept + self.outward * self.chambers(y)[0] / 2.0 + scratch
 
@@ -104,7 +104,7 @@ class EffectsPlant(Plant):
         return float(self.mass * (omega**2 * (at - y[0]) + 2.0 * self.mode_damping * omega * (speed - y[1])))
 
     def joint(self, y: Floats) -> float:
-        """Return the force by which a parted piston pushes the load [N]."""
+        """Return the force by which a separated piston pushes the load [N]."""
         stretch, rate = (y[self.first + 2 : self.first + 4] - y[:2]).tolist()
         if self.play == 0.0:
             return float(self.joint_stiffness * stretch + self.joint_damping * rate)

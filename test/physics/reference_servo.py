@@ -1,4 +1,4 @@
-"""Loader and position servo as one system, for the independent solver: two plants, a spring and a damper between them.
+"""Loader and position servo as one system, for the independent solver: two plants, coupled by a spring and a damper.
 
 Like :mod:`reference_solver`, it shares no code with the package.
 """
@@ -22,7 +22,7 @@ from reference_solver import (
 
 @dataclass(frozen=True)
 class Coupling:
-    """The beam between the pistons, and the servo's own numbers; the package's defaults."""
+    """The beam between the pistons, and the servo's parameters; the package's defaults."""
 
     stiffness: float = 2e6
     damping: float = 2e3
@@ -33,7 +33,7 @@ class Coupling:
 
 
 class Pulled(Plant):
-    """A plant with a further force on its piston."""
+    """A plant with an additional force on its piston."""
 
     pull = 0.0
 
@@ -52,7 +52,7 @@ class Pair:
         self.sampled = (0.0, 0.0)
 
     def parts(self, y: Floats) -> tuple[Floats, Floats]:
-        """Return both states, and let the pistons pull at each other as they are there."""
+        """Return both states, and couple the pistons according to them."""
         first, second = y[: self.size], y[self.size :]
         c = self.coupling
         self.loader.pull = float(c.stiffness * (second[0] - first[0]) + c.damping * (second[1] - first[1]))
@@ -125,7 +125,7 @@ def solve_pair(
         period: time between two cycles [s].
         start: positions of loader and servo [m].
         coupling: the beam and the servo.
-        rtol: relative tolerance; the absolute ones go along.
+        rtol: relative tolerance; the absolute ones scale with it.
 
     Returns:
         The solution; a state is the loader's, then the servo's.

@@ -1,8 +1,8 @@
-"""An independent solution of the plant to hold the package's own against.
+"""Independent solution of the plant, as a reference for the package's.
 
-It shares no code with the package: the equations (1)-(8) are written anew from their source, the integrator is scipy's
-DOP853 at tight tolerance, and each change of mode (orifice, dead zone, stick, slip) is a terminal event at which the
-integration is started afresh. Between two cycles the command is held and the disturbance goes on at its rate.
+It shares no code with the package: the equations (1)-(8) are written anew from their source, and the integrator is scipy's
+DOP853 at tight tolerance. Each change of mode (orifice, dead zone, stick, slip) is a terminal event at which the
+integration is restarted. Between two cycles the command is held and the disturbance changes at its rate.
 """
 
 import math
@@ -23,7 +23,7 @@ FORCE_TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class Constants:
-    """The paper's Tables 1 and 2 in its own symbols, SI units."""
+    """The paper's Tables 1 and 2 in the paper's symbols, SI units."""
 
     ps: float = 7e6
     rho: float = 840.0
@@ -140,7 +140,7 @@ class Stribeck:
 
 
 class LuGre:
-    """One bristle; |v| has its kink where the integration starts afresh."""
+    """One bristle; |v| has its kink where the integration restarts."""
 
     def __init__(self, c: Constants) -> None:
         self.c = c
@@ -168,9 +168,9 @@ LAWS: dict[str, Callable[[Constants], Any]] = {"gms": GeneralisedMaxwellSlip, "s
 
 
 class Plant:
-    """(1)-(4) with modes; the state is x, v, pL, xv, then the friction law's forces, then a subclass's own states.
+    """(1)-(4) with modes; the state is x, v, pL, xv, then the friction law's forces, then a subclass's additional states.
 
-    A subclass with effects overrides what they change.
+    A subclass with effects overrides the affected methods.
     """
 
     own_tolerance: tuple[float, ...] = ()
@@ -182,14 +182,14 @@ class Plant:
         self.t0, self.u, self.fd, self.fd_rate = 0.0, 0.0, 0.0, 0.0
 
     def sample(self, y: Floats) -> None:
-        """Take the state at the start of a cycle, for what is sampled; nothing is."""
+        """Sample the state at the start of a cycle; the base class samples nothing."""
 
     def begin(self, t: float, u: float, fd: float, fd_rate: float) -> None:
         """Take the inputs of a cycle."""
         self.t0, self.u, self.fd, self.fd_rate = t, u, fd, fd_rate
 
     def until(self, t: float, end: float) -> float:
-        """Return how far the command stands as it is, and make it the one that holds from t on."""
+        """Return the time until which the command stays constant, and apply the one that holds from t on."""
         return end
 
     def level(self, y: Floats) -> float:
@@ -262,18 +262,18 @@ class Plant:
         return action
 
     def events(self, y: Floats) -> list[Event]:
-        """Return all that may happen next."""
+        """Return all possible next events."""
         return self.valve_events(y) + self.law.events(self)
 
     def start(self, t: float, y: Floats) -> None:
-        """Leave a mode at which inputs that jumped, or a velocity set to zero, do not let it stay."""
+        """Leave a mode that is invalid after a jump of the inputs, or after a velocity was set to zero."""
         if self.side == 0 and not any(self.c.overlap):
             self.side = 1 if self.spool_rate(y) >= 0 else -1
         self.law.start(float(y[1]), self.other_force(t, y), float(self.rhs(t, y)[1]))
 
 
 class Solution(NamedTuple):
-    """States at the cycles, shape (cycles + 1, states), and how often the modes changed."""
+    """States at the cycles, shape (cycles + 1, states), and the number of mode changes."""
 
     y: Floats
     events: int
@@ -295,7 +295,7 @@ def solve(
         law: friction law, a key of :data:`LAWS`.
         inputs: spool command [m], disturbance force [N] and its rate [N/s] at each cycle, shape (cycles, 3).
         period: time between two cycles [s].
-        rtol: relative tolerance; the absolute ones go along.
+        rtol: relative tolerance; the absolute ones scale with it.
         position: initial position [m].
         kind: the plant, with its effects.
 
@@ -311,7 +311,7 @@ def solve(
 
 
 def integrate(plant: Any, y: Floats, inputs: Floats, period: float, rtol: float, atol: Floats) -> Solution:
-    """Integrate a plant, or what has its methods, from a state.
+    """Integrate a plant, or an object with its methods, from a state.
 
     Args:
         plant: the plant.
@@ -355,7 +355,7 @@ def integrate(plant: Any, y: Floats, inputs: Floats, period: float, rtol: float,
 
 @dataclass(frozen=True)
 class Case:
-    """A motion both solvers run: constants and law, the rig file's words for them, and the inputs."""
+    """A motion that both solvers run: constants and law, their names in the rig file, and the inputs."""
 
     name: str
     law: str

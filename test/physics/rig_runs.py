@@ -1,4 +1,4 @@
-"""Running the simulator through given inputs, and effects by stage."""
+"""Runs of the simulator with given inputs, and effects by stage."""
 
 from collections.abc import Mapping
 from pathlib import Path

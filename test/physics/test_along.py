@@ -15,7 +15,7 @@ TIME = PERIOD * np.arange(SAMPLES)
 
 
 def still(**signals):
-    """Return a recording in which nothing moves but the signals given."""
+    """Return a recording in which only the given signals change."""
     rest = dict.fromkeys(Motion._fields, np.zeros(SAMPLES)) | {"time": TIME, "temperature": np.full(SAMPLES, 313.15)}
     return Motion(**(rest | {name: np.array(values, dtype=np.float64) for name, values in signals.items()}))
 
@@ -72,7 +72,7 @@ def test_elements_that_stick_are_springs(make_rig):
 
 def test_a_static_model_at_rest_holds_what_is_applied(make_rig):
     rig = make_rig(friction={"model": "stribeck"}, plant={"gravity": 0.0})
-    # It moves, stops, and is pushed less than it holds.
+    # It moves, stops, and is pushed with less than the holding force.
     velocity = np.where(np.arange(SAMPLES) < 20, 1e-3, 0.0)
     nothing = FrictionInputs(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0)
     motion = still(velocity=velocity, pressure=np.full(SAMPLES, 1e5))

@@ -32,7 +32,7 @@ def twice(x):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A cache folder of the test's own."""
+    """A separate cache folder for the test."""
     monkeypatch.setenv("EHLS_CACHE_DIR", str(tmp_path / "kernels"))
     return tmp_path / "kernels"
 
@@ -75,7 +75,7 @@ def test_the_cache_folder_is_the_users(monkeypatch, tmp_path):
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package in which the sources of kernels are empty."""
+    """A package with empty kernel sources."""
     made = tmp_path / "package"
     made.mkdir()
     for part in KERNEL_SOURCES:
@@ -115,7 +115,7 @@ FORKING.set_forkserver_preload(["ehls_ros.physics.composition"])
 
 
 def in_another_process(source):
-    """Return what a new process gets from the kernel, and whether it compiled it; then what it complained of."""
+    """Return a new process's result of the kernel, and whether it compiled it; then its complaints."""
     mine, its = FORKING.Pipe(duplex=False)
     child = FORKING.Process(target=run_twice, args=(its, source, os.environ["EHLS_CACHE_DIR"], current_umask()))
     child.start()
@@ -133,7 +133,7 @@ def current_umask():
 
 
 def run_twice(answer, source, folder, umask):
-    """Send what :func:`in_another_process` returns; runs in a process of its own."""
+    """Send the result of :func:`in_another_process`; runs in a separate process."""
     os.environ["EHLS_CACHE_DIR"] = folder
     os.umask(umask)
     out, complaints = io.StringIO(), io.StringIO()
@@ -200,7 +200,7 @@ def planted(content):
 
 
 class Planted:
-    """Says so when it is loaded."""
+    """Announces when it is loaded."""
 
     def __reduce__(self):
         return print, ("666.0 666",)

@@ -1,4 +1,4 @@
-"""What data sheets say, in the model's coefficients: checked by the simulator's own laws."""
+"""Data sheet values converted to the model's coefficients, checked by the simulator's laws."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Effects without memory, each against a number worked out by hand; and those that shift parameters."""
+"""Effects without memory, each against a number worked out by hand; and effects that shift parameters."""
 
 import math
 from operator import attrgetter
@@ -90,7 +90,7 @@ WORKED = [
     ("temperature_dependent_friction", {"viscous_slope": -60.0}, "force", 1.0, {"T": 323.15, "v": 0.1}, 61.0),
     ("spring_hardening", {"cubic": 1e7}, "force", 0.0, {"x": -0.02}, 80.0),
     ("spring_hardening", {"cubic": 1e7, "quintic": 1e10}, "force", 0.0, {"x": -0.02}, 112.0),
-    # ks x is in (3) already; what comes on top takes it off within the gap, and half a gap's worth beyond.
+    # ks x is in (3) already; the additional force cancels it within the gap, and half a gap's worth beyond.
     ("hinge_backlash", {"gap": 4e-3}, "force", 0.0, {"x": 1e-3}, 40.0),
     ("hinge_backlash", {"gap": 4e-3}, "force", 0.0, {"x": -0.05}, -80.0),
     ("end_stop", {"upper": 0.1, "stiffness": 1e6, "damping": 1e3}, "force", 7.0, {"x": 0.099, "v": 1.0}, 7.0),
@@ -130,7 +130,7 @@ def test_a_hook_gives_what_was_worked_out(name, parameters, hook, before, given,
     assert got == pytest.approx(after, rel=1e-12, abs=1e-18)
 
 
-# Effect, parameters, what of the rig changes, and to what from the paper's value.
+# Effect, parameters, the rig's changed coefficient, and its change from the paper's value.
 SHIFTED = [
     ("valve_gain_shift", {"gain": 0.8}, "plant.valve_gain", 0.8),
     ("valve_gain_shift", {"flow_gain": 1.5}, "plant.discharge_coefficient", 0.93),
@@ -176,7 +176,7 @@ def test_two_shifts_add_up(make_rig):
 
 
 def test_a_mass_taken_over_by_a_flexible_mode_weighs_what_it_did(make_rig):
-    """At rest, where the mode pulls with nothing but the weight."""
+    """At rest, where the mode pulls only with the weight."""
     rig = make_rig(effects=[{"name": "flexible_mode", "mass": 20.0, "taken": 1.0}]).effective()
     force = EFFECTS.load("flexible_mode").force.py_func
     p = rig.effects[0].parameters

@@ -1,4 +1,4 @@
-"""What every effect's file has to provide, and that it does nothing until it is asked to."""
+"""Contract of every effect's file, and neutrality by default."""
 
 import inspect
 import json
@@ -24,7 +24,7 @@ from ehls_ros.schema import declarations
 from ehls_ros.trajectory import SIGNALS
 
 NAMES = EFFECTS.names()
-# The names users have in rig files and diagnoses, by group.
+# The names used in rig files and diagnoses, by group.
 CONTRACT = {
     "valve": """valve_dead_zone valve_null_bias valve_gain_asymmetry valve_gain_shift valve_saturation valve_bandwidth_shift
         valve_second_order valve_hysteresis command_delay""",
@@ -42,7 +42,7 @@ HOOK_ARGUMENTS = ["value", "t", "y", "w", "z", "p", "plant"]
 
 @pytest.fixture(scope="session")
 def uncompiled(request, tmp_path_factory):
-    """What each effect under test changes, run without compiling."""
+    """Changes due to each effect under test, run without compiling."""
     names = {
         item.callspec.params["name"] for item in request.session.items if "uncompiled" in getattr(item, "fixturenames", ())
     }

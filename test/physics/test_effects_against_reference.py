@@ -17,7 +17,7 @@ STEP = 2.5e-5
 
 @dataclass(frozen=True)
 class Case:
-    """Effects of a rig file, the numbers that are the same to the reference, and the largest deviation."""
+    """Effects of a rig file, the corresponding coefficients of the reference, and the largest deviation."""
 
     effects: list[dict[str, Any]]
     numbers: dict[str, Any]
@@ -108,7 +108,7 @@ CASES = {
             "mode_damping": 0.05,
             "taken": 0.75,
         },
-        # Damping sets in at once where the stop is met, in the middle of a step.
+        # Damping sets in abruptly at the stop, in the middle of a step.
         5e-4,
         replace(PAPER, m0=PAPER.m0 - 15.0),
     ),

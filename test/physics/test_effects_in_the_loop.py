@@ -1,4 +1,4 @@
-"""Effects in the closed loop of one kernel: what looks back on commands, and what is read at the supply."""
+"""Effects in the closed loop of one kernel: those that depend on past commands, and the reading of the supply."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Effects of the flow in steady motion and by balance of the oil."""
+"""Effects of the flow in steady motion and by the oil balance."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ SUPPLY = SENSED.index("supply_pressure")
 
 @pytest.fixture
 def steady(make_rig):
-    """Return the state and the supply sensor's reading where nothing changes any more."""
+    """Return the state and the supply sensor's reading in steady state."""
 
     def settle(spool, **changed):
         simulator = Simulator(make_rig(plant=FREE, effects=stage_effects("flow", changed)), PERIOD)
@@ -31,7 +31,7 @@ def steady(make_rig):
 def test_the_supply_sensor_reads_what_the_flow_leaves(resistance, quadratic, time_constant, spool, steady):
     loss = {"resistance": resistance, "quadratic": quadratic, "time_constant": time_constant}
     y, reading = steady(spool, supply_pressure_droop=loss)
-    # What the cylinder takes and leaks, and what (1) passes at the pressure read.
+    # The cylinder's flow and leakage, and the flow by (1) at the pressure read.
     flow = abs(2.6e-3 * y[V] + 4.7e-12 * y[PL])
     assert reading == pytest.approx(7e6 - resistance * flow - quadratic * flow**2, rel=1e-9)
     assert 7e6 - reading > 4e5

@@ -8,7 +8,7 @@ from rig_runs import PERIOD, stage_effects
 from ehls_ros.physics.plant import PL, V, X
 from ehls_ros.physics.simulator import Simulator
 
-# Nothing but friction holds the piston: in steady motion the force Ac pL is the friction.
+# Only friction holds the piston: in steady motion the force Ac pL is the friction.
 FREE = {"gravity": 0.0, "leakage_coefficient": 0.0, "viscous_damping": 0.0, "spring_stiffness": 0.0}
 
 

@@ -1,4 +1,4 @@
-"""What every friction model has to do."""
+"""Contract of every friction model."""
 
 import math
 
@@ -19,12 +19,12 @@ PERIOD = 1e-3
 
 @pytest.fixture
 def friction_of(make_rig):
-    """Return the parameters that a model has on the paper's rig, with some keys changed."""
+    """Return the parameters of a model on the paper's rig, with some keys changed."""
     return lambda name, **keys: make_rig(friction={**keys, "model": name}).friction
 
 
 def level_of(rig):
-    """Return s(v): the Stribeck curve written out anew where the model has one, else what the model says."""
+    """Return s(v): the Stribeck curve written out anew where the model has one, otherwise the model's own level."""
     return Constants().s if hasattr(rig.friction, "stribeck_exponent") else rig.friction_level
 
 
@@ -81,7 +81,7 @@ def test_it_is_odd_in_velocity(name, drive, friction_of):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_it_never_drives_the_motion(name, drive, make_rig):
-    """Over a closed path friction takes work, and the contact holds no more than its force at break-away."""
+    """Over a closed path friction dissipates work, and the contact holds no more than its force at break-away."""
     rig = make_rig(friction={"model": name})
     t = np.arange(4001) * PERIOD
     velocity = 0.01 * np.sin(2.0 * np.pi * t)
@@ -151,7 +151,7 @@ def test_it_agrees_with_another_integrator(name, drive, friction_of):
             part = solve_ivp(slopes, (now, PERIOD), forces, events=crossing, rtol=1e-10, atol=1e-9, max_step=PERIOD / 4)
             forces, now = part.y[:, -1].copy(), part.t[-1]
             if part.status == 1 or crossing(now, forces) > 0.0:
-                # Just behind the event, as the package's own scheme.
+                # Just behind the event, like the package's scheme.
                 v = v_at(now + 1e-12)
                 switch(v, pushed(v), level(v, friction) * (1.0 - 1e-12), forces, mode, friction)
                 now += 1e-12
@@ -174,7 +174,7 @@ def test_near_rest_it_is_as_stiff_as_it_says(name, drive, friction_of):
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("velocity", [1e-3, -0.2])
 def test_no_force_relaxes_faster_than_the_relaxation_rate(name, velocity, friction_of):
-    """And some force does as fast: the largest slope of the rates over the force, at a flat level."""
+    """Some force relaxes that fast: the largest slope of the rates over the force, at a flat level."""
     model, friction = FRICTION_MODELS.load(name), friction_of(name, static_force=640.8)
     count, step = model.states(friction), 1e-3
 

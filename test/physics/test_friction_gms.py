@@ -1,4 +1,4 @@
-"""What sets the generalised Maxwell slip model apart."""
+"""Distinguishing features of the generalised Maxwell slip model."""
 
 import numpy as np
 import pytest
@@ -94,7 +94,7 @@ def test_friction_lags_behind_velocity(drive, make_rig):
 
 
 def test_an_element_that_is_being_unloaded_does_not_slip(drive, make_rig):
-    """Even where a fast reversal leaves it above the Stribeck curve, which at speed lies lower."""
+    """Even if a fast reversal leaves it above the Stribeck curve, which is lower at speed."""
     friction = make_rig().friction
     velocity = np.concatenate([np.full(6000, 2e-4), [0.0, -0.2]])
     driven = drive("gms", velocity, friction)

@@ -26,7 +26,7 @@ def test_stribeck_stands_still_up_to_the_static_force(make_rig, direction):
 
 
 def test_stribeck_stops_and_stands_to_the_bit(make_rig):
-    """Released at speed with the valve closed, it swings out and then does not move any more."""
+    """Released at speed with the valve closed, it swings out and then stays at rest."""
     simulator = Simulator(make_rig(plant=CLOSED, friction={"model": "stribeck"}))
     simulator.y[1], simulator.mode[1] = 0.2, 1.0
     states = run(simulator, ramp(0.0, 300))
@@ -68,7 +68,7 @@ def test_lugre_presliding_stiffness_is_that_of_all_elements(drive, make_rig):
 
 
 def test_lugre_force_depends_on_distance_alone_at_constant_level(drive, make_rig):
-    """F = s (1 - exp(-sigma0 x/s)), the closed form while s stands."""
+    """F = s (1 - exp(-sigma0 x/s)), the closed form while s is constant."""
     friction = make_rig(
         friction={"model": "lugre", "coulomb_force": 700.0, "static_force": 700.0, "viscous_coefficient": 0.0}
     ).friction

@@ -1,4 +1,4 @@
-"""Events: located to the tolerance whatever their scale, each in its turn, and counted when they come too densely."""
+"""Events: located to the tolerance at any scale, each in order, and counted when they are too dense."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def advance(t, y, mode, c, step, steps, work):
     return run(t, y, mode, c, step, steps, work)
 '''
 
-# A ball on the floor: y is height and speed; with restitution c[1] its bounces come ever more densely.
+# A ball on the floor: y is height and speed; with restitution c[1] its bounces become ever more frequent.
 _BALL = '''"""A bouncing ball, generated."""
 from numba import njit
 from bouncing_ball import evaluate, switch

@@ -1,4 +1,4 @@
-"""Which step resolves a rig: the rates of its parts, and where the scheme fails."""
+"""The step that resolves a rig: the rates of its parts, and the limits of the scheme."""
 
 import math
 
@@ -128,7 +128,7 @@ def test_an_undamped_oscillation_keeps_its_amplitude_at_the_step_asked_for_and_g
 
 @pytest.mark.parametrize(("stiffness", "steps"), [(4e6, 4), (1e8, 10), (1e12, 20)], ids=["slow", "fast", "too fast"])
 def test_the_default_step_follows_the_fastest_part_down_to_what_is_plausible(free, stiffness, steps):
-    """On 1 kg, 1e8 N/m swings at 1e4 rad/s, so 0.1 ms are needed; 1e12 N/m is refused."""
+    """On 1 kg, 1e8 N/m oscillates at 1e4 rad/s, so 0.1 ms are needed; 1e12 N/m is refused."""
     rig = free(stiffness, 0.0)
     assert steps_per_period(rig, 1e-3) == steps
     assert steps_per_period(rig, 1e-3, 5e-4) == 2

@@ -1,4 +1,4 @@
-"""The integrator for lanes: every lane has the numbers it has alone, events included."""
+"""The integrator for lanes: every lane gives the same numbers as alone, events included."""
 
 from typing import Any, NamedTuple
 

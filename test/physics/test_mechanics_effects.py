@@ -11,7 +11,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.plant import FRICTION, INPUTS, V, X
 from ehls_ros.physics.simulator import Simulator
 
-# Oil that does not press and a contact that gives way: nothing acts on the piston but what the test adds.
+# Oil that exerts no pressure and a compliant contact: only the test's forces act on the piston.
 LOOSE = {"bulk_modulus": 1e-6, "leakage_coefficient": 0.0, "viscous_damping": 0.0, "gravity": 0.0, "spring_stiffness": 0.0}
 SLIPPERY = {
     "coulomb_force": 1.0,
@@ -21,12 +21,12 @@ SLIPPERY = {
     "element_weight": [0.5, 0.3, 0.2],
 }
 OWN = FRICTION + 3
-"""Where the effects' own states start; the flexible mode's come first, by its name."""
+"""Index of the first of the effects' states; the flexible mode's come first, by its name."""
 
 
 @pytest.fixture
 def loose(make_rig):
-    """Return a simulator of a piston that nothing holds, with effects of the mechanics."""
+    """Return a simulator of a free piston, with effects of the mechanics."""
 
     def make(changed, period=PERIOD, **plant):
         effects = stage_effects("mechanics", changed)
@@ -73,11 +73,11 @@ def test_a_piston_pressed_against_a_stop_stands_as_deep_as_the_stop_gives(loose)
 
 
 def test_free_play_leaves_the_piston_alone_around_the_middle(loose):
-    """With ks the piston swings; half a turn of it lies on either side of the gap."""
+    """With ks the piston oscillates; half a cycle of it lies on either side of the gap."""
     simulator = loose({"hinge_backlash": {"gap": 0.01}}, 1e-4, spring_stiffness=4e4)
     simulator.y[X] = 0.02
     x = run(simulator, np.zeros((8000, 3)))[:, X]
-    # From rest at 15 mm beyond the gap: a quarter turn, the gap at constant speed, a quarter turn.
+    # From rest at 15 mm beyond the gap: a quarter cycle, the gap at constant speed, a quarter cycle.
     omega = math.sqrt(4e4 / 70.0)
     half = math.pi / omega + 0.01 / (0.015 * omega)
     crossings = np.flatnonzero(np.diff(np.sign(x)) != 0) * 1e-4
@@ -132,7 +132,7 @@ def test_a_flexible_mass_on_a_held_piston_rings_down_by_its_damping(loose):
 
 
 def test_a_mass_taken_over_changes_nothing_where_the_mode_is_stiff(loose):
-    """At a frequency far above the motion's, both masses move as the one the rig file has."""
+    """At a frequency far above the motion's, both masses move as the rig file's single one."""
     t = np.arange(300) * PERIOD
     inputs = np.column_stack([np.zeros_like(t), 2e3 * np.sin(20.0 * t), 4e4 * np.cos(20.0 * t)])
     mode = {"mass": 30.0, "frequency": 300.0, "damping": 0.3, "taken": 1.0}
@@ -156,10 +156,10 @@ def test_a_loose_load_flies_through_the_play_and_is_thrown_back_by_the_piston(lo
     simulator = loose({"hinge_backlash": hinge}, 1e-4)
     simulator.y[V] = 0.1
     states = run(simulator, np.zeros((400, 3)))
-    # The hinge's own states follow the flexible mode's two: the held far side, then the piston.
+    # The hinge's states follow the flexible mode's two: the held far side, then the piston.
     ahead, piston = states[:, OWN + 3], states[:, OWN + 4]
     np.testing.assert_allclose(0.7 * states[:, V] + 0.3 * piston, 0.07, rtol=1e-9)
-    # 1 mm at 0.1 m/s; then half a swing of both on the faces' spring.
+    # 1 mm at 0.1 m/s; then half an oscillation of both on the faces' spring.
     assert np.ptp(states[:100, V]) < 1e-12
     bounced = 100 + math.ceil(math.pi * math.sqrt(0.7 * 0.3 * 70.0 / 1e7) / 1e-4) + 1
     np.testing.assert_allclose(states[bounced : bounced + 100, V] - piston[bounced : bounced + 100], -0.1, rtol=1e-5)

@@ -1,4 +1,4 @@
-"""One new file is enough: an effect of another distribution is found, and each of its hooks acts where it says."""
+"""One new file is enough: an effect of another distribution is found, and each of its hooks acts as documented."""
 
 import sys
 from dataclasses import replace
@@ -21,7 +21,7 @@ PROBE = Path(__file__).with_name("probe_effect.py")
 
 PAPER = Constants()
 SWEPT = 0.8
-# Each hook's parameter, and the constants of the paper that do the same.
+# Each hook's parameter, and the equivalent constants of the paper.
 SAME = {
     "received": (0.6, replace(PAPER, Kv=0.6)),
     "command": (0.7, replace(PAPER, Kv=0.7)),
@@ -31,7 +31,7 @@ SAME = {
     "leakage": (3e-11, replace(PAPER, Ctc=PAPER.Ctc + 3e-11)),
     "friction_level": (1.6, replace(PAPER, Fc=1.6 * PAPER.Fc, Fs=1.6 * PAPER.Fs)),
     "force": (6e4, replace(PAPER, ks=PAPER.ks + 6e4)),
-    # What the piston sweeps is 0.8 of what the area gives; so does an area of 0.8, with every pressure 1/0.8 of what it was.
+    # The swept flow is 0.8 of the area's; so it is with an area of 0.8, with every pressure 1/0.8 of its value.
     "piston_velocity": (
         0.8,
         replace(
@@ -45,7 +45,7 @@ SAME = {
     ),
 }
 PRESSURES = {"piston_velocity": SWEPT}
-"""What the pressures of those constants have to be multiplied with."""
+"""Factor for the pressures of those constants."""
 
 ADDED = ("leakage", "force")
 
@@ -84,7 +84,7 @@ def test_a_hook_acts_where_it_says(hook, probe, make_rig):
     value, constants = SAME[hook]
     t = np.arange(150) * PERIOD
     inputs = np.column_stack([3e-4 * np.sin(25.0 * t), 2e3 * np.sin(30.0 * t), 6e4 * np.cos(30.0 * t)])
-    # Half of it twice: effects act one after the other, each on states of its own.
+    # Half of it twice: effects act one after the other, each on separate states.
     part = value / 2.0 if hook in ADDED else value**0.5
     rig = make_rig(effects=[{"name": probe, hook: part}, {"name": probe, hook: part}])
     states = run(Simulator(rig, PERIOD, 5e-5), inputs)

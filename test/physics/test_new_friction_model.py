@@ -1,4 +1,4 @@
-"""The how-to followed: a friction model in a folder of its own is parsed, simulated, observed and found everywhere."""
+"""The how-to followed: a friction model in a separate folder is parsed, simulated, observed and found everywhere."""
 
 import sys
 
@@ -23,7 +23,7 @@ PAGE = "docs/how_to/friction_model.md"
 
 @pytest.fixture
 def model(tmp_path, monkeypatch):
-    """Put the page's model into a folder that the family looks into, and return its name."""
+    """Put the page's model into a folder that the family searches, and return its name."""
     [block] = [block for block in docs_snippets.blocks(PAGE) if block.mark == "file" and block.language == "python"]
     name = block.note.rsplit("/", 1)[1].removesuffix(".py")
     (tmp_path / f"{name}.py").write_text(block.text, encoding="utf-8")

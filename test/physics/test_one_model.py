@@ -1,4 +1,4 @@
-"""One model: run along the simulator's own noise-free recording, it leaves no residual in any stage.
+"""Consistency of the model: run along the simulator's noise-free recording, it leaves no residual in any stage.
 
 Every effect is tested with every friction model; none is listed here. Between samples the measured states are linear, an
 error of (ω h)²/8 of a signal, so the recording has a sample every few microseconds. Where forces are integrated, the error
@@ -55,13 +55,13 @@ EXACT = 1e-9
 """Largest residual, relative to the stage's largest term."""
 
 LOCATED = 2e-7
-"""The same of the force balance once the load has started, stopped or turned within a sample. The Stribeck level jumps there,
-by as much as an effect makes it differ by direction, 200 N; the model along the recording has a straight line, so that slipping
-elements follow a wrong level for a sample: C 200 N/s(v) 2.5 µs = 1 mN of 10 kN."""
+"""Largest residual of the force balance once the load has started, stopped or reversed within a sample. The Stribeck level
+jumps there, by up to an effect's difference between directions, 200 N. The model along the recording has a straight line,
+so slipping elements follow a wrong level for a sample: C 200 N/s(v) 2.5 µs = 1 mN of 10 kN."""
 
 
 def build(friction, elements, states, chains):
-    """Build a simulator that also records what no sensor measures."""
+    """Build a simulator that also records unmeasured quantities."""
     end = FRICTION + elements
     evaluate_inlined, switch_inlined = system(friction, elements, chains)
     equations = relations(chains)
@@ -121,7 +121,7 @@ def simulated(rig):
     w[PERIOD], w[TEMPERATURE] = STEP, WARM
     angle = 2.0 * np.pi * 25.0 * TIME
     load, servo = 800.0 * np.sin(angle), 2e-4 * np.sin(angle)
-    # The simulator's disturbance goes straight between samples; so that it does between every other one, too.
+    # The simulator's disturbance is linear between samples, and so between every other one, too.
     load[1::2] = 0.5 * (load[:-1:2] + load[2::2])
     given = np.column_stack(
         [3e-4 * np.sin(0.5 * angle), load, np.append(np.diff(load), 0.0) / STEP, servo, 2e-4 * 50.0 * np.pi * np.cos(angle)]
@@ -143,7 +143,7 @@ def motion(given, out):
 
 
 def along(part, rig, measured, given=None, every=1):
-    """Run a part along every so many samples of a recording; return its columns."""
+    """Run a part along every ``every``-th sample of a recording; return its columns."""
     effective = rig.effective()
     effects, history = PARTS[part].effects, earlier_commands(rig, STEP) if part == "spool" else 0
     measured = Motion(*(np.ascontiguousarray(values[::every]) for values in measured))
@@ -163,7 +163,7 @@ def _nothing(every):
 
 
 def extrapolated(part, rig, measured, given=_nothing):
-    """Run a part along a recording and along every other sample; return the columns without the error of straight lines."""
+    """Run a part along a recording and along every other sample; return the columns without the linearisation error."""
     fine, coarse = (along(part, rig, measured, given(every), every) for every in (1, 2))
     return (4.0 * fine[::2] - coarse) / 3.0
 
@@ -224,7 +224,7 @@ def test_the_simulators_own_recording_leaves_nothing(name, model, make_rig, plai
         assert worst(supply - out[:, SUPPLY], supply) < EXACT
 
         if dense:
-            # Here the simulator itself has not located what switches: the level of a static model differs at standstill.
+            # Here the simulator itself does not locate the event: the level of a static model differs at standstill.
             continue
         given, out = given[::2], out[::2]
         pushed, weight = plant.piston_area * out[:, P], plant.moving_mass * plant.gravity

@@ -10,7 +10,7 @@ from ehls_ros.physics.cylinder import load_pressure_rate
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.physics.valve import load_flow
 
-# A contact too weak to be felt, so that what is left of the plant is linear.
+# A negligible contact, so that the remaining plant is linear.
 SLIPPERY = {
     "coulomb_force": 1e-9,
     "static_force": 1e-9,
@@ -54,7 +54,7 @@ def test_spool_lags_exponentially(make_rig):
 
 
 def linear(make_rig, step, cycles=400):
-    """Return position, velocity and pressure of the locked cylinder let go, and the closed form of them."""
+    """Return position, velocity and pressure of the locked cylinder after its release, and their closed form."""
     rig = make_rig(
         plant={"gravity": 0.0, "leakage_coefficient": 0.0, "viscous_damping": 0.0, "spring_stiffness": 0.0},
         friction=SLIPPERY,
@@ -90,7 +90,7 @@ def test_order_is_5_where_nothing_switches(make_rig):
 
 @pytest.fixture(scope="module")
 def sampled_motion(make_rig):
-    """States each 0.1 ms, inputs standing, after break-away and before any reversal."""
+    """Return states each 0.1 ms, with constant inputs, after break-away and before any reversal."""
     simulator = Simulator(make_rig(), period=1e-4, step=2.5e-5)
     for _ in range(1500):
         simulator.advance(3e-4, 1000.0, 0.0, 0.0, 0.0)
@@ -103,7 +103,7 @@ def sampled_motion(make_rig):
 
 
 def test_oil_is_neither_made_nor_lost(sampled_motion):
-    """(2) integrated: what flowed in moved the piston, was pressed together or leaked."""
+    """(2) integrated: the inflow moved the piston, was compressed or leaked."""
     x, _, pressure, spool = sampled_motion[:, :4].T
     flow = 0.62 * 0.0267 * spool * np.sqrt((7e6 - pressure) / 840.0)
     entered = integral(flow, 1e-4)

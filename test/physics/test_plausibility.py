@@ -1,4 +1,4 @@
-"""What a rig's numbers imply: relations that have to hold, impossible states."""
+"""Implications of a rig's numbers: necessary relations, impossible states."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A rig that is wrong is refused in one line that names file, section, key, value and what was expected."""
+"""A wrong rig is refused in one line that names file, section, key, value and the expected value."""
 
 import json
 
@@ -236,7 +236,7 @@ def test_an_own_stiffness_goes_before_that_of_other_models_elements(rig_data):
 
 
 def pairs(acting):
-    """Yield each effect on coefficients of friction with each model that has, or has none of, what it shifts."""
+    """Yield each effect on friction coefficients with each model that has, or has none of, the coefficients it shifts."""
     for name in EFFECTS.names():
         shifts = set(getattr(EFFECTS.load(name), "SHIFTS", ()))
         for model in FRICTION_MODELS.names():
@@ -272,5 +272,5 @@ def test_an_effect_without_anything_to_act_on_is_refused(effect, model, rig_data
 
 
 def test_some_effect_finds_nothing_to_act_on_in_some_model():
-    """Else the test above is run for no pair."""
+    """Otherwise the test above is run for no pair."""
     assert list(pairs(acting=False))

@@ -68,7 +68,7 @@ def number(rig: Rig, path: str) -> float:
 
 
 STEP = 2e-5
-"""Integration step [s]. Where an event passes into the next step, a trajectory bends by the method's own error."""
+"""Integration step [s]. Where an event moves into the next step, a trajectory bends by the method's error."""
 
 
 def largest_error(rig: Rig, paths: Sequence[str], inputs: Inputs, change: float) -> float:
@@ -85,7 +85,7 @@ def largest_error(rig: Rig, paths: Sequence[str], inputs: Inputs, change: float)
         step = by * number(rig, path)
         ends = [sensitivities(moved(rig, path, s * by), paths, inputs, step=STEP).readings for s in (-2, -1, 1, 2)]
         differences = (8.0 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12.0 * step)
-        # Of smaller changes, rounding leaves less than seven digits.
+        # For smaller changes, rounding leaves less than seven digits.
         told = step * largest > 1e-9 * size
         seen += int(np.sum(told) >= 3)
         error = np.max(np.abs(found.derivatives[:, :, index] - differences), axis=0)
@@ -160,7 +160,7 @@ def test_a_delayed_step_of_the_spool_has_the_closed_form(stopped: Rig) -> None:
         np.ones(60),
     ]
     for column, expected in zip(found.T, exact, strict=True):
-        # The Runge-Kutta step's own error is (ω h)^4 / 120.
+        # The Runge-Kutta step's error is (ω h)^4 / 120.
         assert column == pytest.approx(expected, abs=2e-6 * float(np.max(np.abs(expected))))
 
 

@@ -1,4 +1,4 @@
-"""Effects on the sensors: what is read of a state that is known."""
+"""Effects on the sensors: readings of a known state."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_a_lag_of_the_pressure(read):
 
 
 def arrivals(found):
-    """Return after how many cycles each signal that jumps has jumped."""
+    """Return the delay in cycles of each signal that jumps."""
     return {
         name: int(np.argmax(found[name] != found[name][0])) - 1 for name in ("position", "velocity", "load_pressure", "force")
     }

@@ -1,4 +1,4 @@
-"""Each imperfection of a sensor, measured."""
+"""Measurement of each imperfection of a sensor."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ ROW = SENSED.index("force")
 
 
 def read(signal, noise=None, **imperfections):
-    """Return what the force sensor makes of a signal, and the positions read beside it."""
+    """Return the force sensor's output for a signal, and the positions read beside it."""
     state = sensors.prepare({"force": Sensor(**imperfections)}, PERIOD)
     truth, measured = np.zeros(len(SENSED)), np.zeros(len(SENSED))
     readings, beside = [], []

@@ -1,4 +1,4 @@
-"""The position servo joined to the loader, against a solution that shares no code with it, balances and closed forms."""
+"""The position servo coupled to the loader, against a solution that shares no code with it, balances and closed forms."""
 
 import math
 
@@ -71,14 +71,14 @@ def test_other_friction_of_both_is_the_references(make_rig, model, own, toleranc
 
 
 def test_shorter_steps_change_nothing(make_rig):
-    """Nothing is exchanged once per step or cycle: the order is the integrator's."""
+    """No quantity is exchanged only once per step or cycle: the order is the integrator's."""
     rig = make_rig(friction={"stribeck_exponent": 2.0})
     exact, coarse, fine = (run(joined(rig, step=step), INPUTS) for step in (2.5e-5, 1e-3, 2.5e-4))
     assert deviation(fine, exact) < 1e-7
     assert 4.0 < np.log(deviation(coarse, exact) / deviation(fine, exact)) / np.log(4.0) < 6.0
 
 
-# Neither oil nor friction: what is left is two masses and the spring between them.
+# Neither oil nor friction: only two masses and the spring between them remain.
 FREE = {"bulk_modulus": 1e-6, "leakage_coefficient": 0.0, "viscous_damping": 0.0, "spring_stiffness": 0.0, "gravity": 0.0}
 SMOOTH = {
     "coulomb_force": 1e-9,
@@ -90,7 +90,7 @@ SMOOTH = {
 
 
 def test_the_spring_pulls_both_alike(make_rig):
-    """Apart by 5 mm and let go, they swing about their centre of mass, which stays where it was."""
+    """Separated by 5 mm and released, they oscillate about their centre of mass, which stays where it was."""
     p = PARAMETERS._replace(moving_mass=30.0, damping=0.0, position_gain=0.0)
     simulator = joined(make_rig(plant=FREE, friction=SMOOTH), p, start=5e-3)
     states = run(simulator, np.zeros((200, 3)))
@@ -144,7 +144,7 @@ def test_the_step_resolves_the_servo_too(make_rig):
     rig, p = make_rig(), PARAMETERS._replace(moving_mass=0.5)
     loader, light = rig.with_effects(position_servo.loader_effects(p)), position_servo.servo(p, rig, 0.0)
     found = {part.what: part for part in rates(loader, light)}
-    # Both pistons swing against each other, where the loader's alone would be slower.
+    # Both pistons oscillate against each other, where the loader's alone would be slower.
     stiff = [part for part in rates(loader, light) if part.further.startswith("stiffness")]
     assert [part.rate for part in stiff] == [pytest.approx(math.sqrt(2e6 * (2.0 + 1.0 / 70.0)))]
     assert found["position servo's oil column"].rate == pytest.approx(math.sqrt(140.0) * found["oil column"].rate)

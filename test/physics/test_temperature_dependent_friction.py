@@ -11,15 +11,15 @@ from ehls_ros.physics.plant import PL, TEMPERATURE, V
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.physics.simulator import Simulator
 
-# Nothing but friction holds the piston: in steady motion the force Ac pL is the friction.
+# Only friction holds the piston: in steady motion the force Ac pL is the friction.
 FREE = {"gravity": 0.0, "leakage_coefficient": 0.0, "viscous_damping": 0.0, "spring_stiffness": 0.0}
 SETTLED = 12000
-"""Cycles after which the elements, at C/s(v) = 1.9 to 7.9 1/s, have forgotten where they came from."""
+"""Cycles after which the elements, at C/s(v) = 1.9 to 7.9 1/s, have forgotten their initial state."""
 
 
 @pytest.fixture(scope="module")
 def make_free_rig(make_rig: Callable[..., Rig]) -> Callable[..., Rig]:
-    """Return the rig with nothing but friction, changed by the temperature as told."""
+    """Return the rig with only friction, changed by the temperature as given."""
 
     def make(coulomb_slope: float, viscous_slope: float, **values: float) -> Rig:
         slopes = {"coulomb_slope": coulomb_slope, "viscous_slope": viscous_slope}
@@ -58,7 +58,7 @@ def test_the_rig_files_friction_holds_at_the_reference_temperature(make_free_rig
     rig = make_free_rig(-4.0, -60.0, reference_temperature=293.15)
     v, force = steady(Simulator(rig, PERIOD, temperature=293.15), 5e-5)
     assert force == pytest.approx(friction(v, 0.0, 0.0), rel=1e-7)
-    # Where nothing is said the oil has 313.15 K, 20 K more.
+    # By default the oil has 313.15 K, 20 K more.
     v, force = steady(Simulator(rig, PERIOD), 5e-5)
     assert force == pytest.approx(friction(v, -80.0, -1200.0), rel=1e-7)
 

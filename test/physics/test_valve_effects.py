@@ -25,7 +25,7 @@ def spool(make_rig):
 
 
 def responses(commands, period, delay, step):
-    """Add up the responses to the commands' steps, each ``delay`` late, at the cycles."""
+    """Sum the responses to the commands' steps, each ``delay`` late, at the cycles."""
     t = np.arange(len(commands) + 1) * period
     sizes = np.diff(commands, prepend=0.0)
     return sum(size * step(np.maximum(t - k * period - delay, 0.0)) for k, size in enumerate(sizes))
@@ -96,7 +96,7 @@ def test_hysteresis_loses_its_width_at_each_reversal(spool):
 
 
 def test_plays_in_parallel_round_the_corners_of_the_loop_and_leave_its_width(spool):
-    """Narrow plays turn round at once, wide ones late; each is by itself what one play of its width is."""
+    """Narrow plays reverse at once, wide ones late; each alone is equivalent to one play of its width."""
     t = np.arange(3000) * PERIOD
     commands = 4e-4 * np.sin(2.0 * math.pi * 0.7 * t)
     # Small steps, as a play that begins to follow is a bend that no event marks.
@@ -107,7 +107,7 @@ def test_plays_in_parallel_round_the_corners_of_the_loop_and_leave_its_width(spo
 
 
 def test_the_loop_of_a_sampled_sine_is_as_wide_as_the_hysteresis(spool):
-    """On the way up and on the way down the spool, slow in the sine, is half a width behind the command."""
+    """Rising and falling, the spool is half a width behind the command for a slow sine."""
     t = np.arange(4000) * PERIOD
     commands = 4e-4 * np.sin(2.0 * math.pi * 0.5 * t)
     wide, plain = spool(commands, valve_hysteresis={"width": 1e-4}), spool(commands)

@@ -1,4 +1,4 @@
-"""The monitor: evaluates all policies that say something about a log."""
+"""The monitor: evaluates all policies that apply to a log."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class Verdict(NamedTuple):
 
     Attributes:
         policy: the policy.
-        margins: robustness at each instant at which it says something.
+        margins: robustness at each instant at which the policy applies.
     """
 
     policy: Policy
@@ -28,12 +28,12 @@ class Verdict(NamedTuple):
 
     @property
     def evaluated(self) -> int:
-        """Number of instants at which it says something."""
+        """Number of instants at which the policy applies."""
         return len(self.margins.margin)
 
     @property
     def robustness(self) -> float:
-        """Smallest robustness; infinite if it says nothing."""
+        """Smallest robustness; infinite if the policy never applies."""
         return float(np.min(self.margins.margin, initial=np.inf))
 
     @property
@@ -47,7 +47,7 @@ class Verdict(NamedTuple):
         return float(self.margins.time[np.argmin(self.margins.margin)]) if self.evaluated else np.nan
 
     def __str__(self) -> str:
-        """Say how close it came."""
+        """Summarise the smallest robustness."""
         return (
             f"{self.policy.name}: {self.policy.formula.text}; robustness {self.robustness:.6g} {self.policy.formula.unit}"
             f" at {self.worst_time:.6f} s, {self.violations} of {self.evaluated} instants violated"
@@ -72,7 +72,7 @@ def check(trace: Trace) -> dict[str, Verdict]:
 
 
 def listed() -> str:
-    """Return the list of all policies as the documentation has it."""
+    """Return the list of all policies in the form of the documentation."""
     lines = ["| policy | formula | unit | promised in |", "|---|---|---|---|"]
     for policy in POLICIES:
         text = (

@@ -18,22 +18,22 @@ RIG = "hardware.md"
 SWITCHING = "how_to/switching.md"
 
 LASTING = 0.05
-"""Time at null that is no mere zero crossing, at least 20 cycles [s]."""
+"""Minimum time at null that is no mere zero crossing, at least 20 cycles [s]."""
 
 SMOOTHED = 3.0 * SPEED_TIME
 """Time after which a speed computed from positions is known to 5 % [s]."""
 
 NEARLY = 1.05
-"""Excess over a limit of the speed that is certainly seen within that time [1]."""
+"""Relative excess of the speed over a limit that is certainly detected within that time [1]."""
 
 TOLD = 3
-"""Measurements after which the bridge certainly knows what they say, unless it sleeps, and then it reads the newest first."""
+"""Measurements after which the bridge has certainly read their content, unless it sleeps; then it reads the newest first."""
 
 WITHIN = 0.5
 """Longest time until a change of the gate's state is reported, half of that between two reports in any case [s]."""
 
 STARTED = 3
-"""Reports after which a node has started."""
+"""Reports after which a node counts as started."""
 
 UNTIL_TOLD = 1.0
 """Longest time between two reports of a node [s]."""
@@ -44,7 +44,7 @@ def lasting(trace: Trace) -> int:
     return max(20, round(LASTING / trace.setup.period))
 
 
-# What conditions and bounds are made of
+# Terms of conditions and bounds
 
 OPEN = Condition("open", lambda trace: trace.open)
 ALWAYS = Condition("true", lambda trace: np.ones(trace.command.size, dtype=bool))
@@ -78,7 +78,7 @@ def reaction_time(name: str) -> Quantity:
 
 
 def column(name: str) -> Callable[[Trace], Array]:
-    """Return what finds a column of the log."""
+    """Return a function that selects a column of the log."""
     return lambda trace: trace.log[name]
 
 
@@ -86,14 +86,14 @@ def column(name: str) -> Callable[[Trace], Array]:
 
 
 def _opened_by(trace: Trace) -> Array:
-    """Return by how much the command moved away from null since the row before [m]; across it, all of its change."""
+    """Return how far the command moved away from null since the previous row [m]; across null, its full change."""
     before = np.concatenate([trace.command[:1], trace.command[:-1]])
     turned = trace.command * before < 0.0
     return np.where(turned, np.abs(trace.command - before), np.abs(trace.command) - np.abs(before))
 
 
 def _reach(trace: Trace) -> Array:
-    """Return by how much the gate may open in the commands sent since the last one accepted [m]."""
+    """Return how far the gate may open in the commands sent since the last one accepted [m]."""
     sent = np.diff(trace.sequence, prepend=trace.sequence[:1])
     # A new session counts from the beginning.
     sent = np.where(sent < 0.0, trace.sequence, sent)
@@ -130,8 +130,8 @@ def _opening_number(trace: Trace) -> np.ndarray[tuple[int, ...], np.dtype[np.int
 def _ramp_of_opening(trace: Trace) -> Array:
     """Return the largest command while the gate blends it in [m].
 
-    It is that fraction of what was commanded meanwhile which belongs to the time since the first opening, with what the gate
-    may catch up in one step and what may be lost on the wire.
+    It is the fraction of the largest command meanwhile that corresponds to the time since the first opening. Allowed for are
+    one step's catch-up of the gate and losses on the wire.
     """
     first, number = _first_open(trace), _opening_number(trace)
     wanted = np.array([_largest_commanded(trace, row) for row in first] or [0.0])
@@ -141,7 +141,7 @@ def _ramp_of_opening(trace: Trace) -> Array:
 
 
 def _largest_commanded(trace: Trace, row: int) -> float:
-    """Return the largest command of any controller around an opening [m]; the rig's limit where none was heard."""
+    """Return the largest command of any controller around an opening [m]; the rig's limit if none was received."""
     spool = trace.setup.rig.limits.spool
     begin, until = trace.moments[row] - 1.0, trace.moments[min(row + round(10.0 / trace.setup.period), len(trace.moments) - 1)]
     heard = [abs(m[3]) for m in trace.heard("valve_command") if begin <= m[0] <= until and np.isfinite(m[3])]
@@ -150,7 +150,7 @@ def _largest_commanded(trace: Trace, row: int) -> float:
     return max(sound, default=spool)
 
 
-# What closes the valve
+# Causes that close the valve
 
 
 def _answers(calls: Iterable[Call]) -> list[float]:
@@ -167,7 +167,7 @@ def _ends(trace: Trace, what: str) -> list[float]:
 
 
 def _gaps(trace: Trace) -> list[float]:
-    """Return when the loop woke up after it had slept for longer than the gate allows."""
+    """Return the times at which the loop woke up after sleeping for longer than the gate allows."""
     if trace.setup.lockstep:
         return []
     slept = [(woken, woken - since) for since, woken in trace.frozen(trace.setup.hosts)]
@@ -177,17 +177,17 @@ def _gaps(trace: Trace) -> list[float]:
 
 
 def _reported(trace: Trace, *states: str) -> list[float]:
-    """Return when the plant's diagnostics said that its gate is in one of some states."""
+    """Return the times at which the plant's diagnostics reported its gate in one of some states."""
     return [r.time for r in trace.reports if r.node == trace.setup.plant and r.values.get("state") in states]
 
 
 def _untold(trace: Trace) -> list[float]:
-    """Return when the plant said that commands do not reach the valve."""
+    """Return the times at which the plant announced that commands do not reach the valve."""
     return [message[0] for message in trace.driving if not message[1]]
 
 
 def _shut(trace: Trace) -> list[float]:
-    """Return when the target had closed the valve itself for some cycles while it sent measurements, which say so."""
+    """Return the times at which the target had closed the valve for some cycles while its measurements reported it."""
     if not trace.command.size:
         return []
     shut = (trace.log["output_status"] == Status.WATCHDOG) & ~_spoilt(trace)
@@ -229,7 +229,7 @@ UNHEARD = constant(f"{DEAF:g} s + a second", "s", lambda trace: DEAF + 1.0)
 
 
 def _faults(trace: Trace) -> list[tuple[str, float, float]]:
-    """Return each fault put into the rig with the times from which and until which it acted, by this computer's clock [s]."""
+    """Return each injected fault with the start and end of its effect, by this computer's clock [s]."""
     lines = trace.happenings_of("fault")
     found = []
     for number, fault in enumerate(lines):
@@ -239,7 +239,7 @@ def _faults(trace: Trace) -> list[tuple[str, float, float]]:
 
 
 def _lasted(trace: Trace, since: float, until: float) -> float:
-    """Return how long a fault acted by the rig's time [s]."""
+    """Return the duration of a fault by the rig's time [s]."""
     first, last = trace.at(np.array([since, until]))
     return float(last - first)
 
@@ -255,7 +255,7 @@ def _may_warn(trace: Trace, name: str, moment: float) -> bool:
 
 
 def _blind(trace: Trace) -> list[float]:
-    """Return since when no measurement arrived, where that lasted for longer than the gate allows."""
+    """Return the starts of periods without measurements that lasted longer than the gate allows."""
     words = ("silent", "nan ")
     return [
         since
@@ -266,7 +266,7 @@ def _blind(trace: Trace) -> list[float]:
 
 
 def _lies(trace: Trace) -> list[float]:
-    """Return when a sensor began to contradict the others, where that lasted for longer than the gate allows."""
+    """Return the starts of contradictions between sensors that lasted longer than the gate allows."""
     found = []
     for line, since, until in _faults(trace):
         match line.split():
@@ -284,7 +284,7 @@ def _lies(trace: Trace) -> list[float]:
 
 
 def _stuck(trace: Trace) -> list[float]:
-    """Return when a sensor had been stuck for so long, and over such a span of the command, that it is a fault."""
+    """Return the times at which a sensor had been stuck long enough, over a large enough command span, to be faulty."""
     found = []
     for line, since, until in _faults(trace):
         if not line.startswith("stick") or _may_warn(trace, "on_sensor_frozen", since):
@@ -309,7 +309,7 @@ STUCK = _closing("a sensor stuck while the command moved", _stuck)
 
 
 def _spoilt(trace: Trace, *signals: str) -> Flags:
-    """Return the rows in which the gate could not see a signal as it was."""
+    """Return the rows in which the gate could not see the true value of a signal."""
     found = np.zeros(trace.command.size, dtype=bool)
     for line, since, until in _faults(trace):
         words = line.split()
@@ -319,7 +319,7 @@ def _spoilt(trace: Trace, *signals: str) -> Flags:
 
 
 def _beyond(name: str, exceeds: Callable[[Trace], Flags], *signals: str) -> During:
-    """Return the spans that begin once a limit has been exceeded for ``limit_time`` by signals that were as measured."""
+    """Return the spans that begin once a limit has been exceeded for ``limit_time`` by correctly measured signals."""
 
     def begins(trace: Trace) -> list[float]:
         if not trace.command.size:
@@ -375,19 +375,19 @@ SPEED = _beyond("speed", _too_fast, "position", "velocity")
 POSITION = _beyond("position, moving out,", _moves_out, "position")
 
 SEEN = Quantity("sensor_timeout + 2 periods", "s", lambda trace: trace.parameter("sensor_timeout") + 2.0 * trace.setup.period)
-"""Time after which the gate has seen a sample, or has tripped for want of one [s]."""
+"""Time after which the gate has received a sample, or has tripped for lack of one [s]."""
 
 SEEN_SMOOTHED = SEEN + constant(f"{SMOOTHED:g} s", "s", lambda trace: SMOOTHED)
 
 
-# The controller that drives
+# The driver
 
 
 def _candidates(trace: Trace) -> tuple[Array, Array]:
-    """Return the commands that may reach the valve, and when they were sent.
+    """Return the commands that may reach the valve, and their sending times.
 
-    They are of the controller that drove then, and the first answer to each cycle. One that was sent before the plant had
-    opened the cycle may be refused, as it lies in the future, or be read only after that.
+    They are those of the driver at that time, and the first answer to each cycle. A command sent before the plant had opened
+    its cycle may be refused, as it lies in the future, or be read only after that.
     """
     drivers = trace.heard("driver")
     grace = float(np.max(trace.parameter("command_timeout"), initial=0.0)) + LASTING
@@ -421,7 +421,7 @@ def _active(states: Iterable[str]) -> list[bool]:
 
 
 def _follows(trace: Trace) -> Flags:
-    """Return the rows in which the output is a command as it came: neither blended in, nor on a ramp, nor limited."""
+    """Return the rows in which the output equals a received command: neither blended in, nor on a ramp, nor limited."""
     reports = sorted((r.time, r.values["state"]) for r in trace.reports if r.node == trace.setup.plant and "state" in r.values)
     driven = np.array([False, *_active(state for _, state in reports)])
     rows = trace.open & driven[np.searchsorted([when for when, _ in reports], trace.moments)]
@@ -442,7 +442,7 @@ CHUNK = 4096
 
 
 def _obeyed(trace: Trace) -> Margins:
-    """Return how far the output is from the nearest command of who drives that is not too old, less the resolution [m]."""
+    """Return the resolution less the distance of the output from the driver's nearest command that is not too old [m]."""
     if trace.setup.lockstep or not trace.command.size or not trace.messages.get("driver"):
         return NOTHING
     sent, spool = _candidates(trace)
@@ -485,7 +485,7 @@ STALE = (
 
 
 def _stops_lasted(trace: Trace) -> Margins:
-    """Return for each acknowledgement by how much the stop was older than it has to be [s]."""
+    """Return for each acknowledgement the excess of the stop's age over its minimum [s]."""
     stops = {name_of_stop(call): call for call in trace.called("emergency_stop")}
     found = []
     for call in trace.called("acknowledge_stop"):
@@ -496,14 +496,14 @@ def _stops_lasted(trace: Trace) -> Margins:
 
 
 def _named(trace: Trace) -> Margins:
-    """Return 1 for each acknowledgement that was followed and named an engaged stop, and -1 for one that named another."""
+    """Return 1 for each acknowledgement that succeeded and named an engaged stop, and -1 for one that named another."""
     names = {name_of_stop(call) for call in trace.calls if call.service == "emergency_stop"}
     acknowledged = trace.called("acknowledge_stop")
     return as_margins((call.answered, 1.0 if call.fields.get("stop") in names else -1.0) for call in acknowledged)
 
 
 def _enabled_after_stop(trace: Trace) -> Margins:
-    """Return for each stop how long before the next enabling its acknowledgement and a reset had been asked for [s]."""
+    """Return for each stop the lead of its acknowledgement and of a reset request over the next enabling [s]."""
     found = []
     started = [h.time for h in trace.happenings_of("started", trace.setup.hosts)]
     for stop in trace.called("emergency_stop"):
@@ -525,7 +525,7 @@ def _enabled_after_stop(trace: Trace) -> Margins:
 
 
 def _bounded(trace: Trace) -> Margins:
-    """Return for each accepted parameter with a bound how far it is within, as a fraction of the range [1]."""
+    """Return for each accepted parameter with a bound its margin within it, as a fraction of the range [1]."""
     bounds = bounds_of(trace.setup.rig, trace.setup.period)
     found = []
     for call in trace.changes:
@@ -562,7 +562,7 @@ def _weaker(trace: Trace) -> Margins:
 
 
 def _outside_active(trace: Trace) -> Margins:
-    """Return 1 for each enabling of an active node, and -1 for one that was answered outside of active."""
+    """Return 1 for each enabling of an active node, and -1 for one that was answered while not active."""
     changes = [
         (call.answered, call.fields.get("transition"))
         for call in trace.calls
@@ -579,12 +579,12 @@ def _outside_active(trace: Trace) -> Margins:
 
 
 def _changes_told(trace: Trace) -> Margins:
-    """Return for each change between driving and not how much earlier than it has to a report said so [s]."""
+    """Return for each change between driving and not driving the margin of its report before the deadline [s]."""
     told = trace.driving
     reports = [r for r in trace.reports if r.node == trace.setup.plant and "state" in r.values]
     found = []
     times = np.array([report.time for report in reports])
-    # A node that has just started has other things to do.
+    # A node that has just started is busy otherwise.
     first = times[STARTED] if times.size > STARTED else np.inf
     for number, (when, driving) in enumerate(told):
         if number == 0 or when < first or bool(driving) == bool(told[number - 1][1]):
@@ -595,9 +595,9 @@ def _changes_told(trace: Trace) -> Margins:
         last = max((report.time for report in reports), default=-np.inf)
         if following - when < WITHIN or asleep or ends or when + WITHIN > last:
             continue
-        # The service thread may have seen the change before the loop told it.
+        # The service thread may have seen the change before the loop published it.
         said = [r.time for r in reports if r.time >= when - LASTING and (r.values["state"] in DRIVING) == bool(driving)]
-        # A machine that is held up, so that even the reports each second are late, cannot be at once.
+        # A delayed machine, on which even the reports each second are late, cannot report at once.
         near = times[(times > when - 2.0 * UNTIL_TOLD) & (times < when + 2.0 * UNTIL_TOLD)]
         late = max(float(np.max(np.diff(near), initial=0.0)) - UNTIL_TOLD, 0.0) + trace.lateness
         found.append((when, WITHIN + 3.0 * late - max(min(said, default=np.inf) - when, 0.0)))
@@ -605,7 +605,7 @@ def _changes_told(trace: Trace) -> Margins:
 
 
 def _claims(trace: Trace) -> Margins:
-    """Return for each report of a driven valve how much longer it could have been at null, against commands, unreported [s]."""
+    """Return for each report of a driven valve the remaining permitted time at null, against commands, unreported [s]."""
     if not trace.command.size or trace.setup.lockstep:
         return NOTHING
     commands = trace.heard("valve_command")
@@ -724,7 +724,7 @@ POLICIES = (
         "the age of a snapshot includes its transport delay",
         1e-2,
     ),
-    # What closes the valve, and keeps it closed
+    # Causes that close the valve, and keep it closed
     Policy("emergency_stop", always(STOP.holds, STOP.null_within()), RIG, "`emergency_stop`, from anywhere in the graph", 1e-3),
     Policy(
         "disable",
@@ -933,4 +933,4 @@ POLICIES = (
         0.1,
     ),
 )
-"""All of them; `docs/policies.md` lists them."""
+"""All policies of the gate; `docs/policies.md` lists them."""

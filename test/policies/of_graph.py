@@ -24,19 +24,19 @@ COMPOSED = "how_to/composed.md"
 DESIGN = "design.md"
 
 EXACT = 1e-3
-"""Difference between two references that are the same [N]; those of two sources differ by far more."""
+"""Tolerance for two equal references [N]; those of two sources differ by far more."""
 
 REFUSED_WITHIN = 10.0
-"""Longest time that a refused node takes to fall silent [s]; 0.1 s where the machine is not overloaded."""
+"""Longest time in which a refused node falls silent [s]; 0.1 s where the machine is not overloaded."""
 
 PUBLISHED = 1.0
-"""Longest time for which what a node of a shared process sends gathers before it is published [s]."""
+"""Longest time for which messages of a node in a shared process gather before they are published [s]."""
 
 NEIGHBOURS = 250
-"""Cycles on both sides of a switch in which the commands' usual changes are looked for."""
+"""Cycles on both sides of a switch in which the usual changes of the commands are determined."""
 
 HANDOVER = 1.2
-"""Change of the command in a switch, as a multiple of the largest usual one [1]."""
+"""Permitted change of the command in a switch, as a multiple of the largest usual one [1]."""
 
 GOALS = {
     "configure": "inactive",
@@ -52,14 +52,14 @@ GOALS = {
 
 
 class Departures:
-    """When senders left: they said so, or their process was gone."""
+    """Departures of senders: announced, or by the end of their process."""
 
     def __init__(self, trace: Trace) -> None:
-        """Find them in a trace."""
+        """Find the departures in a trace."""
         self._times: dict[str, list[float]] = defaultdict(list)
         for message in trace.heard("leaving"):
             self._times[message[1]].append(message[0])
-        # A killed process is as good as gone once it is told to end: what it sent before may be read later.
+        # A killed process counts as gone once the signal is sent: its earlier messages may be read later.
         numbers = [(h.whom, h.code, h.time) for h in trace.happenings_of("started")]
         self._gone: dict[int, float] = {}
         for happening in trace.happenings:
@@ -84,9 +84,9 @@ def _references(trace: Trace) -> Mapping[int, list[tuple[float, float, str]]]:
 
 
 def _one_reference(trace: Trace) -> Margins:
-    """Return for each answered cycle how far the reference that the law followed is from its owner's, less what is exact [N].
+    """Return for each answered cycle the tolerance less the error of the followed reference against the owner's [N].
 
-    The law's reference is the force that was measured less the force error that it reports.
+    The law's reference is the measured force less the reported force error.
     """
     references, departures = _references(trace), Departures(trace)
     named = {message[4] for message in trace.heard("refused") if message[2] == "force_reference"}
@@ -98,7 +98,7 @@ def _one_reference(trace: Trace) -> Margins:
     found = []
     for status in trace.heard("controller_status"):
         when, cycle, controller = status[0], status[2], status[-1]
-        # Nodes of one process publish a little later than they act. What was sent last holds.
+        # Nodes of one process publish a little later than they act. The last message sent holds.
         known = {sender: force for sent, force, sender in references.get(cycle, []) if sent <= when + PUBLISHED}
         since_run = max((begun for begun in trace.runs if begun <= when), default=-math.inf)
         snapshots = [force for opened, force in measured.get(cycle, []) if since_run <= opened <= when]
@@ -108,7 +108,7 @@ def _one_reference(trace: Trace) -> Margins:
         apart = {sender: abs(followed - force) for sender, force in known.items()}
         owner, nearest = owners.get(controller), min(apart, key=apart.__getitem__)
         if apart[nearest] > EXACT and named - set(known):
-            # Of an owner that was refusing others already, not all may have been heard.
+            # Not all messages of an owner that was refusing others already may have been received.
             continue
         if owner not in apart or apart[owner] > EXACT:
             restarted = owner is not None and node_of(owner) == node_of(nearest)
@@ -123,7 +123,7 @@ def _one_reference(trace: Trace) -> Margins:
 
 
 def _refused(trace: Trace) -> Margins:
-    """Return for each refused sender how much earlier than it has to it fell silent [s]."""
+    """Return for each refused sender the margin of its silence before the deadline [s]."""
     found = []
     refusals: dict[tuple[str, str], float] = {}
     for when, _, topic, sender, owner in trace.heard("refused"):
@@ -138,16 +138,16 @@ def _refused(trace: Trace) -> Margins:
     return as_margins(found)
 
 
-# Who drives
+# The driver
 
 
 def _turns(trace: Trace) -> list[tuple[float, int, bool, str, str]]:
-    """Return each word of who drives: time [s], first cycle, whether that reaches the valve, sender and plant."""
+    """Return each driver message: time [s], first cycle, whether commands reach the valve, sender and plant."""
     return [(when, first, driving, sender, plant) for when, _, first, driving, sender, plant in trace.heard("driver")]
 
 
 def _changes_of_driver(trace: Trace) -> Iterable[tuple[tuple[Any, ...], tuple[Any, ...]]]:
-    """Yield the words of who drives before and after each change from one controller to another of the same plant."""
+    """Yield the driver messages before and after each change from one controller to another of the same plant."""
     turns = _turns(trace)
     for before, after in itertools.pairwise(turns):
         if before[4] == after[4] and before[3] and after[3] and before[3] != after[3]:
@@ -155,7 +155,7 @@ def _changes_of_driver(trace: Trace) -> Iterable[tuple[tuple[Any, ...], tuple[An
 
 
 def _driver_changes(trace: Trace) -> Margins:
-    """Return 1 for each change of the driver that was asked for or followed a departure or a closed gate, and -1 for others."""
+    """Return 1 for each change of driver that was requested or followed a departure or a closed gate, and -1 for others."""
     departures = Departures(trace)
     asked = [call for call in trace.calls if call.service == "switch_controller" and call.success is not False]
     found = []
@@ -168,10 +168,10 @@ def _driver_changes(trace: Trace) -> Margins:
 
 
 def _handovers(trace: Trace) -> Margins:
-    """Return for each change between controllers that follow each other by how much its step is below the usual changes [m].
+    """Return for each hand-over between controllers that follow each other the margin of its step below the usual changes [m].
 
-    The usual changes are those of both, and those with which the new one would have gone on from the old one's commands while
-    it stood by. A sender of commands without a status is no controller of this package, and promises nothing.
+    Usual changes are those of both controllers, and those by which the new one would have continued the old one's commands
+    while on standby. A sender of commands without a status is no controller of this package, and gives no guarantees.
     """
     begun = np.array(trace.runs)
     commands: dict[tuple[str, int], dict[int, float]] = defaultdict(dict)
@@ -198,7 +198,7 @@ def _handovers(trace: Trace) -> Margins:
 
 
 def _standing_by(trace: Trace) -> Margins:
-    """Return for each command of a controller that stands by how many more cycles it could have not known of it [cycles]."""
+    """Return for each standby controller's command the remaining cycles of permitted unawareness of the driver [cycles]."""
     ours = {message[-1] for message in (*trace.heard("standby_command"), *trace.heard("controller_status"))}
     grace = math.ceil(trace.setup.gate.command_timeout / trace.setup.period)
     turns, states, found = _turns(trace), trace.of_plant(), []
@@ -208,7 +208,7 @@ def _standing_by(trace: Trace) -> Margins:
             continue
         last = [turn for turn in turns if turn[0] <= sent and turn[1] <= cycle][-1:]
         if last and last[0][3] not in {"", sender}:
-            # The word came in the cycle that had been opened by then, or is of one to come.
+            # The message arrived in the cycle open at that time, or is about a later one.
             known = states[max(int(np.searchsorted(opened, last[0][0])) - 1, 0)][2] if states else 0
             found.append((sent, float(grace - (cycle - max(last[0][1], known)))))
     return as_margins(found)
@@ -217,7 +217,7 @@ def _standing_by(trace: Trace) -> Margins:
 def _switches(trace: Trace) -> Margins:
     """Return 1 for each switch of an open gate in lockstep that left it open, and -1 for one that closed it.
 
-    A gate that closes for want of a reference, without which no controller answers, was not closed by the switch.
+    A gate that closes for lack of a reference, without which no controller answers, was not closed by the switch.
     """
     told = trace.driving
     closing = [
@@ -243,9 +243,9 @@ def _switches(trace: Trace) -> Margins:
 
 
 def _in_order(trace: Trace) -> Margins:
-    """Return by how many cycles each snapshot goes on from the one before, less 1; a repetition or a new run goes on by 1.
+    """Return the increment of each snapshot's cycle over the previous one, less 1; a repetition or a new run counts as 1.
 
-    A simulated plant that was deactivated opens the cycle again in which it stood.
+    A simulated plant that was deactivated reopens the cycle in which it stopped.
     """
     newest: dict[str, tuple[Any, ...]] = {}
     departures, found = Departures(trace), []
@@ -263,7 +263,7 @@ def _new_session(trace: Trace) -> Flags:
 
 
 def _silence(trace: Trace) -> Array:
-    """Return the time for which no command had been accepted before each row [s], less what rounding to rows may take away."""
+    """Return the time for which no command had been accepted before each row [s], less the possible rounding to rows."""
     accepted = trace.time[trace.arrived & (trace.sequence > 0.0)]
     before = np.searchsorted(accepted, trace.time, side="left") - 1
     return trace.time - np.concatenate([[-np.inf], accepted])[before + 1]
@@ -279,9 +279,9 @@ def _by_programme(trace: Trace) -> list[tuple[Any, ...]]:
 
 
 def _counts_once(trace: Trace) -> Margins:
-    """Return for each load cycle by how many control cycles it begins after the end of the one before, less 1 [cycles].
+    """Return for each load cycle the gap in control cycles to the end of the previous one, less 1 [cycles].
 
-    Where its number does not follow, it is how many load cycles are missing or counted twice, as a negative number.
+    If its number is not consecutive, return the number of load cycles missing or counted twice, as a negative number.
     """
     if len(trace.happenings_of("started", trace.setup.hosts)) > 1:
         return as_margins([])
@@ -293,7 +293,7 @@ def _counts_once(trace: Trace) -> Margins:
 
 
 def _continuous(trace: Trace) -> Margins:
-    """Return for each two following references how far the step is below what rate and acceleration bear [N]."""
+    """Return for each two consecutive references the margin of the step below the limits on rate and acceleration [N]."""
     period, found = trace.setup.period, []
     messages = _by_programme(trace)
     for last, message in itertools.pairwise(messages):
@@ -306,7 +306,7 @@ def _continuous(trace: Trace) -> Margins:
 
 
 def _same_again(trace: Trace) -> Margins:
-    """Return for each reference sent again in lockstep how near it is to the one sent before, less what is exact [N]."""
+    """Return for each reference repeated in lockstep the tolerance less its distance from the earlier one [N]."""
     plants = list(trace.happenings_of("started", trace.setup.hosts))
     if not trace.setup.lockstep or len(plants) > 1:
         return as_margins([])
@@ -320,7 +320,7 @@ def _same_again(trace: Trace) -> Margins:
 
 
 def _stands(trace: Trace) -> Margins:
-    """Return for each point of a stopped programme 0 if it counted no load cycle, and else how many."""
+    """Return for each point of a stopped programme minus the number of load cycles that it counted."""
     found = []
     points = trace.heard("programme_point")
     for last, point in itertools.pairwise(points):
@@ -333,7 +333,7 @@ def _stands(trace: Trace) -> Margins:
 
 
 def _go_on(trace: Trace) -> Margins:
-    """Return 1 for each process that ran until it was asked to end, and -1 for one that ended by itself."""
+    """Return 1 for each process that ran until it was asked to end, and -1 for one that ended unprompted."""
     found = []
     started = trace.happenings_of("started")
     for begun in started:
@@ -344,7 +344,7 @@ def _go_on(trace: Trace) -> Margins:
 
 
 def _expected_states(trace: Trace, node: str, process: str, until: float) -> set[str]:
-    """Return the lifecycle states in which a node may be at a time: what was asked of it, or inactive where it was refused."""
+    """Return the permitted lifecycle states of a node at a time: as requested, or inactive if it was refused."""
     began = max((h.time for h in trace.happenings_of("started", {process}) if h.time <= until), default=-math.inf)
     asked = [
         call
@@ -359,7 +359,7 @@ def _expected_states(trace: Trace, node: str, process: str, until: float) -> set
 
 
 def _stay(trace: Trace) -> Margins:
-    """Return 1 for each lifecycle state that was as it had been asked for, and -1 for another."""
+    """Return 1 for each lifecycle state that was as requested, and -1 for another."""
     found, active = [], set()
     for happening in trace.happenings_of("state"):
         node, process, state = happening.whom.split()
@@ -367,7 +367,7 @@ def _stay(trace: Trace) -> Margins:
         expected = _expected_states(trace, node, process, happening.time)
         if state in expected:
             active.add((node, begun))
-        # A node that has just started is on its way there.
+        # A node that has just started is still in transition.
         if (node, begun) in active:
             found.append((happening.time, 1.0 if state in expected else -1.0))
     return as_margins(found)
@@ -479,4 +479,4 @@ POLICIES = (
         1.0,
     ),
 )
-"""All of them; `docs/policies.md` lists them."""
+"""All policies of the graph; `docs/policies.md` lists them."""

@@ -1,4 +1,4 @@
-"""What a policy is."""
+"""Definition of a policy."""
 
 from typing import NamedTuple
 
@@ -6,12 +6,12 @@ from policies.temporal import Formula
 
 
 class Policy(NamedTuple):
-    """A promise, as a formula.
+    """A guarantee, as a formula.
 
     Attributes:
-        name: by which tables name it.
-        formula: what must hold always.
-        page: page of the documentation that promises it, below ``docs/``.
+        name: in tables.
+        formula: temporal formula that must always hold.
+        page: page of the documentation that states it, below ``docs/``.
         promise: words of that page.
         weight: robustness at which a run counts as close, in the formula's unit; makes policies comparable.
     """

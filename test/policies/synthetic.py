@@ -1,4 +1,4 @@
-"""Synthetic logs for the test of the policies: one that holds, and what is changed in it."""
+"""Synthetic logs for the test of the policies: one that holds, and variations of it."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -23,10 +23,10 @@ OPENED = 100
 """Row in which the valve opens."""
 
 AMPLITUDE = 1e-4
-"""What is commanded [m]."""
+"""Amplitude of the command [m]."""
 
 EVENT = 1000
-"""Row of what happens."""
+"""Row of the event."""
 
 COMMANDER, PLANT = "commander", "/ehls/hardware_bridge_node-1"
 
@@ -58,7 +58,7 @@ def trace(
     columns: dict[str, Array] | None = None,
     load_cycles: Iterable[tuple[int, int, int]] = (),
 ) -> Trace:
-    """Return a run; what is not given is as in a run without events."""
+    """Return a run; omitted parts are as in a run without events."""
     command = opened() if command is None else command
     row = np.arange(command.size, dtype=float)
     signals = ("force_n", "load_pressure_pa", "velocity_m_s", "position_m", "output_status")

@@ -1,12 +1,12 @@
 """Temporal formulas over sampled signals, and their robustness: the signed distance to violation.
 
-A formula is ``always(condition -> quantity <= bound)``. Its conditions look into the past: an event, such as a stop, begins a
+A formula is ``always(condition -> quantity <= bound)``. Its conditions refer to the past: an event, such as a stop, begins a
 span that another event ends, and within it the time since the beginning is a quantity like any other. With conditions that are
 true or false, robustness is ``bound - quantity``, in that quantity's unit; at the border it is 0, and the formula holds.
 
-A few numpy operations are all that this takes. Of the libraries for signal temporal logic, rtamt pins antlr 4.7 and Python
-below 3.13, and evaluates sample by sample in Python; none has the bounds that depend on other signals, such as what is still in
-flight.
+The evaluation needs only a few numpy operations. Of the libraries for signal temporal logic, rtamt pins antlr 4.7 and Python
+below 3.13, and evaluates sample by sample in Python. None supports bounds that depend on other signals, such as messages
+still in flight.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ ROWS = "rows of the rig's log"
 
 
 class Margins(NamedTuple):
-    """Robustness at each instant at which a formula says something.
+    """Robustness at each instant at which a formula applies.
 
     Attributes:
         time: the instants, by this computer's clock [s], shape (n,).
@@ -44,8 +44,8 @@ class Condition:
     """A truth value per row.
 
     Attributes:
-        text: as formulas show it.
-        of: finds the values in a trace.
+        text: as displayed in formulas.
+        of: computes the values from a trace.
     """
 
     text: str
@@ -73,7 +73,7 @@ class Quantity:
         return Quantity(f"{self.text} + {other.text}", self.unit, lambda trace: self.of(trace) + other.of(trace))
 
     def __le__(self, bound: "Quantity") -> "Inequality":
-        """Bound it."""
+        """Bound the quantity."""
         return Inequality(self, bound)
 
 
@@ -85,7 +85,7 @@ class Inequality(NamedTuple):
 
 
 class Formula(NamedTuple):
-    """What must hold always.
+    """A formula that must always hold.
 
     Attributes:
         text: in plain temporal form.
@@ -113,7 +113,7 @@ def always(condition: Condition, claim: Inequality) -> Formula:
 
 
 def each(text: str, unit: str, margins: Callable[[Trace], Margins]) -> Formula:
-    """Return a formula over requests or messages, which have no common time axis: its margins are found by a function."""
+    """Return a formula over requests or messages, which have no common time axis: a function computes its margins."""
     return Formula(text, unit, margins)
 
 
@@ -127,7 +127,7 @@ class During:
     """Spans of time that events begin and end.
 
     Attributes:
-        text: as formulas show it.
+        text: as displayed in formulas.
         spans: finds them in a trace, by this computer's clock.
     """
 
@@ -142,7 +142,7 @@ class During:
     def null_within(self, takes: Quantity | None = None) -> Inequality:
         """Claim that the valve comes to null within a time of the beginning.
 
-        What was sent before may arrive later, and the rig holds it for its watchdog time. Neither counts.
+        Earlier commands may arrive later, and the rig holds them for its watchdog time. Neither counts.
 
         Args:
             takes: the time [s]; None: none.
@@ -152,7 +152,7 @@ class During:
         return Inequality(elapsed, Quantity(text, "s", lambda trace: self._deadlines(trace, takes)))
 
     def _open_since(self, trace: Trace) -> Array:
-        """Return the time since the span of a row began where the valve is open, 0 where it is not [s]."""
+        """Return the time since the start of a row's span if the valve is open, else 0 [s]."""
         number, begins = self._number(trace), trace.at(self.spans(trace).begins)
         return np.where(trace.open, trace.time - np.append(begins, np.inf)[number], 0.0)
 
@@ -161,7 +161,7 @@ class During:
         return Spans(trace.at(spans.begins), trace.at(spans.ends)).index(trace.time)
 
     def _deadlines(self, trace: Trace, takes: Quantity | None) -> Array:
-        """Return for each row within which time of its span's beginning the valve must be at null [s]."""
+        """Return for each row the time from its span's beginning within which the valve must be at null [s]."""
         allowed = np.zeros(trace.command.size) if takes is None else takes.of(trace)
         number, begins = self._number(trace), trace.at(self.spans(trace).begins)
         found = np.full(trace.command.size, np.inf)

@@ -1,4 +1,4 @@
-"""The monitor: a log that violates a policy by a little is caught, one that comes as near without doing so is not."""
+"""The monitor: a log that violates a policy slightly is caught, one that comes as close without a violation is not."""
 
 from pathlib import Path
 
@@ -35,10 +35,10 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 NAMES = {policy.name: policy for policy in POLICIES}
 ROWS = 4000
 SEEN = GATE.sensor_timeout + 2.0 * PERIOD
-"""Time after which the gate has seen a sample, as in the policies [s]."""
+"""Time after which the gate has received a sample, as in the policies [s]."""
 
 IN_FLIGHT = 2
-"""Rows in which the valve may be open after it had to be closed, where a command arrives in each."""
+"""Rows in which the valve may be open after it had to be closed, if a command arrives in each."""
 
 
 def with_row(row, value, command=None):
@@ -48,7 +48,7 @@ def with_row(row, value, command=None):
 
 
 def closes(takes, **parts):
-    """Return the run in which the valve is open for too long after an event, by whole rows, or for as long as it may be."""
+    """Return the run in which the valve is open after an event for too long, by whole rows, or for the permitted time."""
 
     def make(excess, begins=EVENT):
         last = begins + round(takes / PERIOD) + IN_FLIGHT - 1 + (excess > 0.0)
@@ -178,7 +178,7 @@ def refused(excess):
 
 
 def switched(excess, step=0.0):
-    """Return a run in which another controller takes over in a cycle, asked for or not, with a step beside the usual change."""
+    """Return a run in which another controller takes over in a cycle, requested or not, with a step beside the usual change."""
     usual = 1e-6
     values = {cycle: usual * (cycle % 2) for cycle in range(EVENT - 300, EVENT)}
     sent = [(at(cycle), 0, cycle, value, "/ehls/a-1") for cycle, value in values.items()]
@@ -218,7 +218,7 @@ def standing_by(excess):
 def in_order(excess):
     messages = driven()
     row = messages["loader_state"][EVENT]
-    # It comes once more, as it was or otherwise.
+    # It is repeated, unchanged or changed.
     again = (at(EVENT), *row[1:3], 1.0, *row[4:]) if excess > 0.0 else (at(EVENT), *row[1:])
     return trace(messages={**messages, "loader_state": [*messages["loader_state"][: EVENT + 1], again]})
 

@@ -1,4 +1,4 @@
-"""The log of a run with all that was asked, done and heard meanwhile."""
+"""The log of a run, with all requests, actions and messages."""
 
 import itertools
 import math
@@ -18,10 +18,10 @@ LOOKBACK = 1.0
 """Time for which the more permissive value of a parameter still counts after a change: longer than any time of the gate [s]."""
 
 IN_FLIGHT = 2
-"""Commands from before the valve was closed that may arrive after it: one on the wire, one that the bridge is sending."""
+"""Commands from before the closing of the valve that may arrive after it: one on the wire, one that the bridge is sending."""
 
 ROUNDING = 1e-9
-"""What rounding may take from a time or a robustness, in any unit."""
+"""Rounding tolerance of a time or a robustness, in any unit."""
 
 UNDER_WAY = 0.5
 """Longest time that a message takes on a busy machine [s]."""
@@ -37,8 +37,8 @@ class Call(NamedTuple):
         service: its name below the namespace.
         fields: of the request.
         sent: time of the request, of the first one where it was repeated [s].
-        answered: time of the answer; infinite if nobody waited for one [s].
-        success: whether it was followed; None if unknown.
+        answered: time of the answer; infinite if it was not awaited [s].
+        success: whether it was carried out; None if unknown.
         message: of the answer.
     """
 
@@ -51,12 +51,12 @@ class Call(NamedTuple):
 
 
 class Happening(NamedTuple):
-    """Something done to a process, or a fault put into the rig.
+    """An action on a process, or an injected fault of the rig.
 
     Attributes:
         what: ``started``; ``stopped``, asked to end or broken on purpose; ``ended`` or ``killed``, when it was certainly gone;
             ``gone``, found to have ended by itself; ``frozen``, ``woken``; ``deaf``, its services hang; ``fault``, of the rig;
-            ``state``, a node's lifecycle state was asked for.
+            ``state``, a query of a node's lifecycle state.
         whom: name of the process, line of the fault, or node and state.
         time: when it was certainly done [s].
         code: process number of one that was started or is gone; exit code of one that ended.
@@ -69,10 +69,10 @@ class Happening(NamedTuple):
 
 
 class Journal:
-    """What a test does to a graph, in order."""
+    """Actions of a test on a graph, in order."""
 
     def __init__(self) -> None:
-        """Begin empty."""
+        """Start empty."""
         self.calls: list[Call] = []
         self.happenings: list[Happening] = []
 
@@ -94,7 +94,7 @@ class Report(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What a run was begun with.
+    """Configuration of a run.
 
     Attributes:
         period: control period [s].
@@ -106,7 +106,7 @@ class Setup(NamedTuple):
         second_plants: names of processes that run another plant node for a while.
         lockstep: whether the rig waits for each answer: its time is then that of its cycles.
         resolution: of the valve's converter [m].
-        gentle: whether no controller commands more than the rig's limits bear.
+        gentle: whether no controller exceeds the rig's limits with its commands.
     """
 
     period: float
@@ -122,7 +122,7 @@ class Setup(NamedTuple):
 
 
 class Spans(NamedTuple):
-    """Periods of time, which do not overlap, in order.
+    """Disjoint periods of time, in order.
 
     Attributes:
         begins: their beginnings [s], shape (n,).
@@ -134,7 +134,7 @@ class Spans(NamedTuple):
 
     @classmethod
     def of(cls, spans: Iterable[tuple[float, float]]) -> "Spans":
-        """Join spans that overlap, and sort them."""
+        """Join overlapping spans, and sort them."""
         joined: list[list[float]] = []
         for begin, end in sorted(spans):
             if joined and begin <= joined[-1][1]:
@@ -145,7 +145,7 @@ class Spans(NamedTuple):
         return cls(table[:, 0], table[:, 1])
 
     def index(self, times: Array) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Return the number of the span that each time is in; -1 outside."""
+        """Return the index of the span that contains each time; -1 outside."""
         number = np.searchsorted(self.begins, times, side="right") - 1
         inside = (number >= 0) & (times < self.ends[np.maximum(number, 0)]) if self.begins.size else np.zeros(len(times), bool)
         return np.where(inside, number, -1)
@@ -153,14 +153,14 @@ class Spans(NamedTuple):
 
 @dataclass(frozen=True)
 class Trace:
-    """A run: the rig's log, what was asked and done, and what was heard on the graph; times are of ``time.monotonic`` [s].
+    """A run: the rig's log, requests, actions, and the messages on the graph; times are of ``time.monotonic`` [s].
 
     Attributes:
-        setup: what it was begun with.
+        setup: its configuration.
         log: the truth log by column; empty without an emulated rig.
         calls: requests to services, in the order of their answers.
-        happenings: what was done to processes and rig.
-        messages: what was heard, by topic: time of publication [s], header stamp [ns] and fields.
+        happenings: actions on processes and rig.
+        messages: messages received, by topic: time of publication [s], header stamp [ns] and fields.
         reports: the diagnostics.
         load_cycles: number, first and last control cycle of each load cycle in a programme's log.
     """
@@ -207,7 +207,7 @@ class Trace:
 
     @cached_property
     def lateness(self) -> float:
-        """Longest time for which the rig itself was held up [s]; a machine that is too busy shows in it."""
+        """Longest delay of the rig itself [s]; it reveals a machine that is too busy."""
         return float(np.max(np.diff(self.moments), initial=0.0)) - self.setup.period if self.moments.size > 1 else 0.0
 
     @cached_property
@@ -257,7 +257,7 @@ class Trace:
         return found
 
     def _settings(self, name: str) -> Iterator[tuple[Any, float, float]]:
-        """Yield each value of a parameter with the time in which it may have held; a new process begins as the first did."""
+        """Yield each value of a parameter with its possible validity period; a new process starts with the initial values."""
         value, since = getattr(self.setup.gate, name), -math.inf
         for change in self._changes_of(name):
             yield value, since, change[2]
@@ -270,7 +270,7 @@ class Trace:
         started = [(getattr(self.setup.gate, name), h.time, h.time) for h in self.happenings_of("started", self.setup.hosts)]
         return sorted([*changes, *started], key=lambda change: change[1])
 
-    # What was asked
+    # Requests
 
     @cached_property
     def changes(self) -> list[Call]:
@@ -292,7 +292,7 @@ class Trace:
     def openings(self) -> list[tuple[float, float]]:
         """Requests that may have opened the gate, each with its time and that of its answer [s].
 
-        One is left out if it was refused by the only plant, or if a stop was engaged that nobody had acknowledged.
+        One is left out if it was refused by the only plant, or if an unacknowledged stop was engaged.
         """
         found = []
         for call in self.calls:
@@ -306,12 +306,12 @@ class Trace:
         return sorted(found)
 
     def _certainly_done(self, call: Call) -> float:
-        """Return the time by which a request was followed [s]: that of the next answer to a request sent after it."""
+        """Return the time by which a request was carried out [s]: that of the next answer to a request sent after it."""
         later = [c.answered for c in self.calls if c.service == call.service and c.sent >= call.sent and c.success is not None]
         return min([call.answered, *later])
 
     def _answered_by_another(self, call: Call) -> bool:
-        """Return whether another node answers the same services: its refusal says nothing of the plant."""
+        """Return whether another node answers the same services: its refusal gives no information on the plant."""
         others = [h for h in self.happenings if h.what == "started" and h.whom.endswith("again")]
         return any(h.time <= call.answered for h in others)
 
@@ -331,7 +331,7 @@ class Trace:
     def until_opened(self, begins: Iterable[float]) -> Spans:
         """Return the periods from each of some times to the next request that may have opened the gate.
 
-        A request that was under way at the beginning ends the period at once: it may have been followed after it.
+        A request under way at the beginning ends the period at once: it may have been carried out after it.
         """
         spans = []
         for begin in begins:
@@ -345,7 +345,7 @@ class Trace:
         return [h for h in self.happenings if h.what == what and (names is None or h.whom in names)]
 
     def frozen(self, whom: Iterable[str]) -> list[tuple[float, float]]:
-        """Return from when to when processes were frozen."""
+        """Return the periods in which processes were frozen."""
         names, found = set(whom), []
         for number, happening in enumerate(self.happenings):
             if happening.what == "frozen" and happening.whom in names:
@@ -354,7 +354,7 @@ class Trace:
                     found.append((happening.time, woken.time))
         return found
 
-    # What was heard
+    # Messages
 
     def heard(self, topic: str) -> list[tuple[Any, ...]]:
         """Return the messages of a topic in the order of publication: time [s], stamp [ns], fields."""
@@ -362,9 +362,9 @@ class Trace:
 
     @cached_property
     def driving(self) -> list[tuple[float, bool]]:
-        """When the plant said that commands reach the valve, or no longer do, in order: time [s], whether they do.
+        """Announcements that commands reach the valve, or no longer do, in order: time [s], whether they do.
 
-        The message does not name its sender. A second plant, whose gate is closed, says that they do not.
+        The message does not name its sender. A second plant, whose gate is closed, announces that they do not.
         """
         second = self.setup.second_plants
         lives = [
@@ -379,12 +379,12 @@ class Trace:
         ]
 
     def with_load_cycles(self, load_cycles: Iterable[tuple[int, int, int]]) -> "Trace":
-        """Return the same with a programme's log of load cycles."""
+        """Return the trace with a programme's log of load cycles added."""
         return replace(self, load_cycles=tuple(load_cycles))
 
     @cached_property
     def runs(self) -> list[float]:
-        """Times at which the plant's cycles began anew [s]."""
+        """Times at which the plant's cycles restarted [s]."""
         states = self.of_plant()
         return [state[0] for before, state in itertools.pairwise(states) if state[2] < before[2]]
 

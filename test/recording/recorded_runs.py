@@ -1,4 +1,4 @@
-"""Runs to record, and bags as recorded by others."""
+"""Runs to record, and bags in the form of other recorders."""
 
 import os
 import tempfile
@@ -36,7 +36,7 @@ def make_trajectory(samples: int = 20, *, start_s: float = 0.0) -> Trajectory:
 
 
 def same(first: Trajectory, second: Trajectory) -> bool:
-    """Tell whether two trajectories are bitwise equal."""
+    """Return whether two trajectories are bitwise equal."""
     return (
         list(first.signals) == list(second.signals)
         and first.time_s.tobytes() == second.time_s.tobytes()

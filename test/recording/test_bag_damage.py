@@ -1,4 +1,4 @@
-"""A damaged bag is refused in one line or gives exactly what was recorded."""
+"""A damaged bag is refused in one line or gives exactly the recorded data."""
 
 import random
 import sqlite3

@@ -81,7 +81,7 @@ def test_the_configuration_is_in_the_metadata_as_json(tmp_path: Path, storage: S
 
 
 def profiles(topic: str, bag: Path) -> list[tuple[str, int, str, str]]:
-    """Return what metadata.yaml and the storage say of a topic's publishers, after checking that they agree."""
+    """Return the publisher profiles of a topic in metadata.yaml and in the storage, after checking that they agree."""
     content = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
     (entry,) = (t["topic_metadata"] for t in content["topics_with_message_count"] if t["topic_metadata"]["name"] == topic)
     offered = entry["offered_qos_profiles"]

@@ -79,7 +79,7 @@ def test_encoding_gives_the_bytes_of_rosbags(elements: int, frame: str):
             [1.0, 2.0, 3.0],
             [1, 0, 1],
         ),
-        (  # padding holds whatever was in memory
+        (  # padding has arbitrary content
             (
                 "000100000300000007000000070000006c6f616465720025f00015050900000000000000000000000000f03f"
                 "000000000000000002000000660034a0000000000000000005060518"

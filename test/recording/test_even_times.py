@@ -1,4 +1,4 @@
-"""Times of receiving scatter; those of even sending are found from them."""
+"""Arrival times scatter; the evenly spaced sending times are reconstructed from them."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def sent(lost=(), count=6000, drift=3e-5):
 
 
 def received(times, scatter, seed=0):
-    """Return when they arrive, in order, after delays with this mean and spread."""
+    """Return their arrival times, in order, after delays with this mean and spread."""
     return np.maximum.accumulate(times + scatter * np.random.default_rng(seed).exponential(1.0, len(times)))
 
 
@@ -22,7 +22,7 @@ def received(times, scatter, seed=0):
 def test_scattered_times_become_even_again_and_lost_messages_stay_lost(lost):
     times = sent(lost)
     even = sent_evenly(received(times, 1e-4))
-    # But for the mean delay, which nobody can tell.
+    # Except for the mean delay, which is unobservable.
     np.testing.assert_allclose(even - times, 1e-4, atol=3e-5)
 
 

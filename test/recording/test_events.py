@@ -1,4 +1,4 @@
-"""What was done to a run is read from its bag."""
+"""The events of a run are read from its bag."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -68,7 +68,7 @@ def diagnostics(node: str, level: int, message: str, *, of_gate: bool) -> bytes:
 
 
 def record(path: Path, told: Callable[[Callable[[str, float, bytes], None]], None], storage: Storage = "mcap") -> Path:
-    """Record ten snapshots, 1 ms apart, each sent 2 ms after it was taken, and what ``told`` tells at times since the first."""
+    """Record ten snapshots, 1 ms apart, each sent 2 ms after its sample, and the messages of ``told`` at relative times."""
     with BagWriter.create(path, storage) as writer:
         for cycle in range(10):
             message = serialized(loader_state(cycle, stamp_ns=START_NS + cycle * 10**6))
@@ -87,7 +87,7 @@ def a_tuned_run(write: Callable[[str, float, bytes], None]) -> None:
     write(transition_topic(LAW).name, 0.0, transition((13, "activating"), (3, "active")))
     write(events, 0.0021, parameters(law, new=[parameter("k", 3, double_value=12.0), parameter("law", 4, string_value="a")]))
     write(events, 0.0052, parameters(law, changed=[parameter("k", 3, double_value=15.0)]))
-    # Set again, and never told before.
+    # Set again, and never published before.
     write(events, 0.0062, parameters(law, changed=[parameter("k", 3, double_value=15.0), parameter("g", 2, integer_value=7)]))
     write(transition_topic(LAW).name, 1.0, transition((3, "active"), (14, "deactivating")))
 
@@ -153,7 +153,7 @@ def test_a_message_that_is_none_is_bad_input(tmp_path: Path, message: bytes):
 
 def test_times_without_a_driver_are_read_from_the_bag(tmp_path):
     def tell(write):
-        # Snapshots are sent at 2, 3, … ms; what is told thrice is one pause.
+        # Snapshots are sent at 2, 3, … ms; three announcements are one pause.
         for after_s, driven in ((0.0001, True), (0.0041, False), (0.0052, False), (0.0071, True), (0.0095, False)):
             message = typestore().serialize_cdr(made(DRIVING.type, data=driven), DRIVING.type)
             write(DRIVING.name, after_s, bytes(message))

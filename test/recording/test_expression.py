@@ -1,4 +1,4 @@
-"""Signals made of several columns: arithmetic, and nothing that a map from elsewhere could do harm with."""
+"""Signals computed from several columns: arithmetic only, so that a foreign map can do no harm."""
 
 from pathlib import Path
 

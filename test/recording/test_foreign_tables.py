@@ -1,4 +1,4 @@
-"""Files as other programs write them: read as they are meant, with what was understood, and nothing guessed."""
+"""Files in the formats of other programs: read as intended, with a report of the interpretation, and without guessing."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +22,7 @@ def written(path: Path, text: str, encoding: str = "utf-8") -> Path:
 
 
 def by_proposal(path: Path) -> Trajectory:
-    """Read a file by the map that is proposed for it."""
+    """Read a file by the proposed map."""
     text = proposed_map(look(path)).text
     (path.parent / "map.yaml").write_text(text, encoding="utf-8")
     return load(path, read_columns(path.parent / "map.yaml"))
@@ -95,7 +95,7 @@ LAYOUTS: dict[str, tuple[str, str, str]] = {
         "",
     ),
 }
-"""Text, encoding and what is said of it."""
+"""Text, encoding and the report on it."""
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -191,7 +191,7 @@ def as_parquet(path: Path) -> Path:
 
 @pytest.fixture
 def a_quarter_of_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave a small file less memory than its library takes by itself."""
+    """Leave less memory for a small file than its library takes by itself."""
     monkeypatch.setattr(limits, "EXPANDED", limits.EXPANDED // 4)
 
 

@@ -1,4 +1,4 @@
-"""What headers of measured data are taken for, and what is left to the user."""
+"""Interpretation of the headers of measured data, and the parts left to the user."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ STATED = {
     "log.motion.x_mm": ("position_m", "mm"),
     "Drehzahl [1/min]": ("angular_velocity_rad_s", "rpm"),
 }
-"""Headers that say both quantity and unit; None for one with a letter that is not known."""
+"""Headers that give both quantity and unit; None for one with an unknown letter."""
 
 LEFT_OPEN = {
     "p": "no unit",
@@ -75,7 +75,7 @@ LEFT_OPEN = {
     "PG_1": "the name says nothing",
     "": "the name says nothing",
 }
-"""Headers that leave something open, with what."""
+"""Headers that leave a part open, with that part."""
 
 
 @pytest.mark.parametrize("header", STATED)
@@ -147,7 +147,7 @@ def test_a_proposed_map_can_be_used_as_it_is(tmp_path: Path):
     text = proposed_map([table]).text
     (tmp_path / "columns.yaml").write_text(text, encoding="utf-8")
     given = read_columns(tmp_path / "columns.yaml")
-    # What is not sure is not in it: neither the pressure without a unit nor the name with a word that is not known.
+    # Uncertain columns are left out: the pressure without a unit and the name with an unknown word.
     assert set(given.columns) == {"time_s", "force_n", "oil_temperature_k"}
     assert '# load_pressure_pa: {name: "p"' in text
     assert '# "Datum" is not a column of numbers' in text

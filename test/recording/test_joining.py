@@ -1,4 +1,4 @@
-"""Tables of one recording, each with its own rate and time stamps, on one clock."""
+"""Tables of one recording, each with a different rate and clock, on one time axis."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def table(rate, duration=4.0, start=0.0, **signals):
 
 
 def lag(t, values):
-    """Return by how much a sine is late [s]."""
+    """Return the delay of a sine [s]."""
     angle = 2.0 * np.pi * FREQUENCY * t
     (into, across), *_ = np.linalg.lstsq(np.column_stack([np.sin(angle), np.cos(angle)]), values, rcond=None)
     return -np.arctan2(across, into) / (2.0 * np.pi * FREQUENCY)
@@ -32,7 +32,7 @@ def lag(t, values):
 
 @pytest.mark.parametrize(("fast", "base"), [(1000.0, "slow"), (1000.0, "fast"), (9700.0, "slow"), (9700.0, "")])
 def test_a_sine_keeps_its_phase_to_a_hundredth_of_the_fast_sample(fast, base):
-    # The slow clock runs through the fast one's samples at ever other places.
+    # The slow clock drifts through the fast one's sample intervals.
     tables = {"fast": table(fast, force_n=sine), "slow": table(437.0, start=0.00137, position_m=sine)}
     joined = join(tables, base, "it")
     for name in ("force_n", "position_m"):

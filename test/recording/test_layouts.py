@@ -1,4 +1,4 @@
-"""The layouts hold what Foxglove, Lichtblick and PlotJuggler read, and every path in them is a field of a published message.
+"""The layouts match the formats of Foxglove, Lichtblick and PlotJuggler, and every path is a field of a published message.
 
 test/nodes/test_experiment_over_dds.py compares the paths with a bag of the whole graph.
 """
@@ -86,7 +86,7 @@ LICHTBLICK_TITLE = "lichtblickPanelTitle"
 
 
 def keys_of(kind: Any) -> set[str]:
-    """Return the keys that a class of Foxglove's own layout library writes."""
+    """Return the keys written by a class of Foxglove's layout library."""
     required = {field.name: None for field in dataclasses.fields(kind) if field.default is dataclasses.MISSING}
     return set(kind(**required)._to_dict())
 
@@ -189,7 +189,7 @@ def test_every_element_of_the_plotjuggler_layout_is_one_that_plotjuggler_knows()
         assert set(element.attrib) <= PLOTJUGGLER[element.tag], element.tag
     assert [widget.attrib for widget in root.iter("tabbed_widget")] == [{"name": "Main Window", "parent": "main_window"}]
     for splitter in root.iter("DockSplitter"):
-        # It splits as often as the count says, and reads as many sizes and children.
+        # PlotJuggler reads as many splits, sizes and children as the count states.
         assert {len(splitter), len(splitter.attrib["sizes"].split(";"))} == {int(splitter.attrib["count"])}
         assert splitter.attrib["orientation"] in {"-", "|"}
     for plot in root.iter("plot"):

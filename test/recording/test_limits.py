@@ -38,7 +38,7 @@ MEASURED = {
     "Parquet, 1.9·10^7 equal rows",
     "Excel, two cells 10^10 apart",
 }
-"""Inputs that would cost time or memory if a check failed; each is read in a process of its own."""
+"""Inputs that would cost time or memory if a check failed; each is read in a separate process."""
 
 LARGE = {
     "CSV, 100 MB in the second line",
@@ -72,7 +72,7 @@ HOSTILE = imported("hostile_inputs")
 
 @pytest.fixture(scope="module")
 def table():
-    """Prints a table row by row."""
+    """Print a table row by row."""
     print(f"\n{HOSTILE.HEADER}")
     return lambda name, answer: print(HOSTILE.row(name, answer))
 

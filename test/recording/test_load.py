@@ -1,4 +1,4 @@
-"""Every format of the data contract, recognised by the path."""
+"""Every format of the data contract, recognised by its path."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Bags of other recorders whose topics a map of columns names: each with its own rate, type and time stamps."""
+"""Bags of other recorders whose topics are named in a map of columns: each with a different rate, type and time stamps."""
 
 from pathlib import Path
 
@@ -48,7 +48,7 @@ def number(topic: str, t: float, value: float) -> Message:
 
 
 def bag_of(folder: Path, storage: str = "mcap") -> Path:
-    """A pressure of 1 kHz without stamps, a position of 100 Hz and a force of 500 Hz with theirs, the force 5 ms under way."""
+    """Return a bag: a pressure of 1 kHz without stamps, stamped position of 100 Hz and force of 500 Hz, the force 5 ms late."""
     messages = [number("/pressure_bar", k / 1000, 10.0 * np.sin(k / 100)) for k in range(2000)]
     messages += [joints(k / 100, k / 100) for k in range(200)]
     messages += [wrench(k / 500, 3.0 * k / 500, late=0.005) for k in range(1000)]
@@ -75,7 +75,7 @@ def test_topics_at_their_own_rates_come_to_one_clock(tmp_path: Path, storage: st
     np.testing.assert_allclose(joined["load_pressure_pa"], 1e6 * np.sin(10.0 * t), atol=1.0)
     inside = t < 1.98
     np.testing.assert_allclose(joined["position_m"][inside], 1e-3 * t[inside], atol=1e-9)
-    # By its stamps, although every message was 5 ms under way.
+    # By its stamps, although every message had 5 ms of latency.
     np.testing.assert_allclose(joined["force_n"][inside], 3e3 * t[inside], atol=1e-6)
     own = joined.preparation.interpolated
     assert {name: round(1.0 / of.period) for name, of in own.items()} == {"position_m": 100, "force_n": 500}

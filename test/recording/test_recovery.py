@@ -67,7 +67,7 @@ def command(cycle: int) -> bytes:
 
 
 def cut_off(bag: Path, storage: Storage, cycles: int = 300, unflushed: int = 0, **metadata: object) -> Path:
-    """Return a bag's folder as it is during the recording, flushed every hundred cycles; unflushed cycles are all alike."""
+    """Return a bag's folder as during the recording, flushed every hundred cycles; unflushed cycles are all equal."""
     writer = BagWriter.create(bag.with_name("at work") / bag.name, storage, metadata or METADATA)
     for cycle in range(cycles + unflushed):
         writer.write(LOADER_STATE.name, stamp_of(cycle), state(min(cycle, cycles)))

@@ -1,4 +1,4 @@
-"""What the tests of reports share."""
+"""Shared fixtures of the report tests."""
 
 import pytest
 
@@ -17,5 +17,5 @@ def written(tmp_path):
 
 @pytest.fixture
 def without_plotly(monkeypatch):
-    """Pages without the five megabytes of plotly.js."""
+    """Generate pages without the five megabytes of plotly.js."""
     monkeypatch.setattr("ehls_ros.report.page.plotly_js", lambda: "")

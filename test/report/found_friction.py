@@ -1,4 +1,4 @@
-"""A small identification for tests of its report: made up, no recording is run through."""
+"""A small identification for tests of its report: made up, without a run along a recording."""
 
 import numpy as np
 
@@ -45,7 +45,7 @@ ALIKE = "viscous_damping and viscous_coefficient act alike; only their sum is id
 
 
 def filled(kind, **given):
-    """A named tuple whose other fields are zero."""
+    """Return a named tuple whose other fields are zero."""
     return kind(**(dict.fromkeys(kind._fields, 0.0) | given))
 
 
@@ -112,7 +112,7 @@ def make_fit(residuals, friction=FRICTION):
 
 
 def make_motions(blocks=400):
-    """A sweep and a small sine with their residuals; the sine's elements pull with 500 N against the way."""
+    """A sweep and a small sine with their residuals; the sine's elements pull with 500 N against the motion."""
     phase = np.linspace(0.0, 8.0 * np.pi, blocks)
     sign = np.sign(np.cos(phase) + 1e-9)
     motions, residuals = [], []
@@ -137,7 +137,7 @@ def ends(friction=FRICTION):
 
 
 def make_found(**changed):
-    """Everything found, nothing vague; fields by name to change that."""
+    """A complete result without uncertain coefficients; changes are fields by name."""
     motions, residuals = make_motions()
     correlations = np.eye(len(ESTIMATES))
     correlations[1, 2] = correlations[2, 1] = -0.9962
@@ -167,7 +167,7 @@ def make_found(**changed):
 
 
 def without_presliding():
-    """What a sweep alone gives."""
+    """Result of a sweep alone."""
     motions, residuals = make_motions()
     names = [name for name in ESTIMATES if not name.startswith("element")]
     return make_found(
@@ -184,7 +184,7 @@ def without_presliding():
 
 
 def without_sliding():
-    """What a small sine alone gives."""
+    """Result of a small sine alone."""
     motions, residuals = make_motions()
     names = ["coulomb_force", "attraction_rate", "element_stiffness_1", "gravity"]
     return make_found(

@@ -1,4 +1,4 @@
-"""What tests read out of a report's page."""
+"""Parsers of a report's page for tests."""
 
 import base64
 import html
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def figures(text):
-    """Title, traces and layout of every figure; a number JSON does not know is an error, as in a browser."""
+    """Return title, traces and layout of every figure; a number unknown to JSON is an error, as in a browser."""
 
     def refuse(constant):
         raise ValueError(constant)
@@ -21,7 +21,7 @@ def figures(text):
 
 
 def panels(text):
-    """Traces and layout of every figure by its title."""
+    """Return traces and layout of every figure by its title."""
     return {title: (traces, layout) for title, traces, layout in figures(text)}
 
 
@@ -38,7 +38,7 @@ def drawn_axes(layout):
 
 
 def check(text):
-    """What must hold of every figure of every report."""
+    """Check the invariants of every figure of every report."""
     for title, traces, layout in figures(text):
         for name, axis in drawn_axes(layout).items():
             counts = "ticktext" in axis
@@ -50,12 +50,12 @@ def check(text):
 
 
 def parts(text):
-    """Headings of the parts, in order."""
+    """Return the headings of the parts, in order."""
     return re.findall(r'<h2 class="part"[^>]*>(.*?)</h2>', html.unescape(text))
 
 
 def rows(text, part):
-    """Rows of the tables of one part, a list of texts each; the second line of a cell follows after a bar."""
+    """Return the rows of the tables of one part, a list of texts each; the second line of a cell follows after a bar."""
     start = text.index(f">{html.escape(part)}</h2>")
     end = text.find('<h2 class="part"', start)
     found = re.findall(r"<tr>(.*?)</tr>", text[start:end])
@@ -69,12 +69,12 @@ def rows(text, part):
 
 
 def row(text, part, name):
-    """The row of that name."""
+    """Return the row of that name."""
     return next(cells for cells in rows(text, part) if cells[0].split(" | ")[0] == name)
 
 
 def effort(work):
-    """What some work gives, and the processor time it takes [s]: of a whole machine or a busy one much the same."""
+    """Return the result of some work and its processor time [s], which is nearly the same on an idle or a busy machine."""
     begin = time.process_time()
     given = work()
     return given, time.process_time() - begin

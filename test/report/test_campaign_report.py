@@ -17,7 +17,7 @@ def varied(path, unit, *, numeric=True, drawn=False):
 
 
 def table(count, **columns):
-    """A table of runs that all went well, with what the test gives in place."""
+    """Return a table of successful runs, with the given columns replaced."""
     ordinary = {
         "run": list(range(count)),
         "draw": [0] * count,
@@ -38,7 +38,7 @@ def page(tmp_path, results, *columns):
 
 @pytest.fixture
 def draws(tmp_path):
-    """Two references, fifty draws each: the error grows with k and does not know the mass."""
+    """Two references, fifty draws each: the error grows with k and is independent of the mass."""
     random = np.random.default_rng(1)
     k, mass = random.uniform(1.0, 2.0, 100), random.uniform(60.0, 80.0, 100)
     results = table(
@@ -57,7 +57,7 @@ def test_draws_show_their_distribution_and_what_the_error_goes_with(draws, tmp_p
     drawn = panels(text)
     assert list(drawn) == ["Distribution of the largest error", "Correlation with the largest error", K, MASS]
     traces, layout = drawn["Correlation with the largest error"]
-    # The strongest stands on top; the seed is no parameter.
+    # The strongest comes first; the seed is no parameter.
     assert layout["yaxis"]["ticktext"] == [MASS, K]
     for trace in traces:
         mass, k = numbers(trace["x"])

@@ -1,4 +1,4 @@
-"""The report of a diagnosis, from diagnoses made by hand."""
+"""The report of a diagnosis, from hand-made diagnoses."""
 
 import html
 import re
@@ -285,7 +285,7 @@ def test_the_verdicts_without_a_cause():
 @pytest.mark.parametrize("name", EFFECTS.names())
 def test_an_effects_words_fit_the_sentences_they_stand_in(name):
     words = EFFECTS.load(name).WORDS
-    # Names stand in lists and before brackets, advice in a cell of a table.
+    # Names occur in lists and before brackets, advice in a cell of a table.
     assert re.fullmatch(r"(the |an? )?[^\s,;.()][^,;.()]*", words.noun)
     for advice in (words.inspect, words.measure, words.change):
         assert re.fullmatch(r"[a-z][^.]*[^.\s]( \d[^.]*)?", advice.replace("limits.", "").replace("sensors.", "")), (

@@ -34,11 +34,11 @@ TITLES = {
     "Friction against velocity": {"friction_gms_n", "velocity_m_s"},
     "Force against position": {"force_n", "position_m"},
 }
-"""Every panel with a smallest set of signals it can be drawn from."""
+"""Every panel with a minimum set of signals for drawing it."""
 
 
 def make_run(count=600, **metadata):
-    """A run with every signal, each with its own noise so that no series becomes shorter than others."""
+    """Return a run with every signal, each with different noise so that no series becomes shorter than others."""
     random = np.random.default_rng(1)
     time_s = np.arange(count) * PERIOD
     wave = np.sin(2 * np.pi * time_s)

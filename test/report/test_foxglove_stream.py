@@ -1,4 +1,4 @@
-"""What a viewer gets from `ehls foxglove`, asked over a WebSocket as Foxglove asks."""
+"""Output of `ehls foxglove` to a viewer, requested over a WebSocket like Foxglove."""
 
 import json
 import signal
@@ -46,7 +46,7 @@ class Received(NamedTuple):
 
 
 class Viewer:
-    """Asks for every topic and reads what comes with nothing but the schemas it is told."""
+    """Subscribes to every topic and decodes the messages with only the advertised schemas."""
 
     def __init__(self, address: str) -> None:
         self._opening = connect(address, subprotocols=["foxglove.sdk.v1"], open_timeout=PATIENCE, ping_interval=None)
@@ -76,7 +76,7 @@ class Viewer:
         self._topic_of = topics
 
     def take(self, count: int) -> list[Received]:
-        """Return the next messages, so many."""
+        """Return the next ``count`` messages."""
         taken: list[Received] = []
         while len(taken) < count:
             data = self.connection.recv(PATIENCE)
@@ -90,7 +90,7 @@ class Viewer:
 
 @pytest.fixture
 def stream() -> Iterator[Callable[..., str]]:
-    """Return a function that starts the command and returns its address; in the end it has to end well."""
+    """Return a function that starts the command and returns its address; the command must exit with success."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: object) -> str:
@@ -128,12 +128,12 @@ def spec(tmp_path: Path) -> Path:
 
 
 def messages_in(trajectory: Trajectory) -> int:
-    """Return how many messages say something of every sample of a trajectory."""
+    """Return the number of messages, one per sample and topic with a signal of the trajectory."""
     return len(trajectory) * sum(bool(trajectory.signals.keys() & set(topic.signals.values())) for topic in CYCLE_TOPICS)
 
 
 def assert_shows(received: list[Received], namespace: str, wanted: Trajectory) -> None:
-    """Check that the messages of a namespace say what a trajectory says, to the last bit."""
+    """Check that the messages of a namespace equal a trajectory, to the last bit."""
     by_topic: dict[str, list[Received]] = defaultdict(list)
     for message in received:
         by_topic[message.topic].append(message)
@@ -180,7 +180,7 @@ def test_who_comes_after_all_have_left_sees_it_from_the_start_and_only_this_mach
 
 
 class Clock:
-    """A wall's clock that waits for nobody; it stands in for the event that ends a play as well."""
+    """A wall clock without waiting; it also replaces the event that ends a playback."""
 
     def __init__(self) -> None:
         self.now = 0.0

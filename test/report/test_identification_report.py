@@ -67,7 +67,7 @@ def whole_report(tmp_path):
 
 @pytest.fixture
 def report(whole_report, monkeypatch):
-    """The same without the five megabytes of plotly.js."""
+    """Return the report without the five megabytes of plotly.js."""
     monkeypatch.setattr("ehls_ros.report.page.plotly_js", lambda: "")
     return whole_report
 
@@ -132,7 +132,7 @@ def test_elements_asked_for_are_not_called_found():
 def test_all_parts_in_order_with_figures_that_have_units(report):
     text = report(make_found())
     assert tuple(parts(text)) == PARTS
-    assert "(Bayesian information criterion …)" not in text  # told under Presliding
+    assert "(Bayesian information criterion …)" not in text  # stated under Presliding
     assert list(panels(text)) == TITLES
     assert left_out(text) == []
     check(text)

@@ -1,4 +1,4 @@
-"""The page of a monitor: what it says and draws, from what a monitor may know."""
+"""The page of a monitor: its texts and figures for a monitor's possible states."""
 
 import math
 from datetime import UTC, date, datetime
@@ -39,7 +39,7 @@ def reading(name, value, deviation, *, told=True):
 
 @pytest.fixture
 def worn():
-    """A day in which a leakage grows, and a mass that is told in its middle only."""
+    """A day in which a leakage grows, and a mass that is determined only in the middle."""
     history = [
         Past(
             3600.0 * hour,
@@ -124,7 +124,7 @@ def test_what_is_not_told_is_grey_with_the_reason(worn, written, without_plotly)
     told = np.concatenate([numbers(trace["x"]) for trace in traces if trace["name"] == "value"])
     assert (told.min(), told.max()) == pytest.approx((4.0, 11.0))
     assert WHY_NOT in row(text, "Not told", "moving mass")[1]
-    # What has no reading at all stands there as well.
+    # Coefficients without any reading are listed as well.
     assert len(rows(text, "Not told")) == len(COEFFICIENTS)
     assert "velocity_sweep" in text
     assert "run 2 times" in text

@@ -1,4 +1,4 @@
-"""All reports together: each axis says its unit; in Chromium, nothing is wider than the screen or covers anything."""
+"""All reports together: each axis has its unit; in Chromium, nothing is wider than the screen or covers anything."""
 
 import found_friction
 import pytest

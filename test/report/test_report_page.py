@@ -77,7 +77,7 @@ def test_figures_that_were_left_out_leave_no_hole():
 
 
 class WithoutProgram:
-    """plotly as Ubuntu packs it."""
+    """plotly as packaged by Ubuntu."""
 
     @staticmethod
     def get_plotlyjs() -> str:

@@ -197,7 +197,7 @@ def with_beyond(**changes):
 
 
 def with_cell(index, **changes):
-    """Table 3 with one cell changed."""
+    """Return Table 3 with one cell changed."""
     cells = list(make_cells())
     cells[index] = cells[index]._replace(**changes)
     return tuple(cells)
@@ -304,7 +304,7 @@ def test_convergence_stands_beside_the_papers(report):
     assert fasmc[1:] == ["0.600 s | paper –", "0.600 s | paper 0.8 s"]
     assert gms[1:] == ["▲ not reached, ±120 N | paper 0.8 s", "0.600 s | paper 0.8 s"]
     assert "in 2 of 4 cells. Later: SIC constant fd1 and FASMC II constant fd1." in text
-    # The paper's 392 N are outside the band, too: its time is to something wider.
+    # The paper's 392 N are outside the band, too: its time refers to a wider one.
     assert "Not comparable: SIC sine fd2, where" in text
 
 

@@ -1,4 +1,4 @@
-"""The report of a whole rig's identification says what was found, what was not, and how far the residuals came down."""
+"""The report of a whole rig's identification lists the identified and missing coefficients, and the reduction of residuals."""
 
 import html
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The verbs of `ehls`, one file each; ``base`` defines what a file provides."""
+"""The verbs of `ehls`, one file each; ``base`` defines the interface of a file."""
 
 from ehls_ros.cli.verbs.base import Verb
 from ehls_ros.families import Family

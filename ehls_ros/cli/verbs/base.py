@@ -1,4 +1,4 @@
-"""What a verb's file provides: ``HELP``, ``arguments(parser)`` and ``run(options)``.
+"""Interface of a verb's file: ``HELP``, ``arguments(parser)`` and ``run(options)``.
 
 ``run`` returns the exit code: 0 done, 1 the work failed. It raises ``BadInput`` for a user's mistake; the command
 prints it as one line and exits with code 2.
@@ -9,7 +9,7 @@ from typing import Protocol
 
 
 class Verb(Protocol):
-    """What a verb's file provides."""
+    """Interface of a verb's file."""
 
     HELP: str
 

@@ -1,4 +1,4 @@
-"""`ehls columns`: propose a map of columns for a recording with names and units of its own."""
+"""`ehls columns`: propose a map of columns for a recording with foreign names and units."""
 
 import math
 import shlex
@@ -19,7 +19,7 @@ from ehls_ros.recording.proposal import Proposal, Table, look, proposed_map, val
 from ehls_ros.recording.reason import reason
 
 SAID = {"contract": "certain: by its name", "stated": "certain", "unsure": "wants a look", "unknown": "not known"}
-"""How sure a column is."""
+"""Wording of the certainty of a column."""
 
 HELP = "Propose a map of columns from a table's headers or a bag's topics: the map as output, what was understood beside it."
 
@@ -63,7 +63,7 @@ def run(options: Namespace) -> int:
 
 
 def _summary(proposal: Proposal) -> Iterator[str]:
-    """Say what is certain, what wants a look, and what a diagnosis would lack."""
+    """Summarise the certain columns, those to be checked, and the missing inputs of a diagnosis."""
     looks = "; complete or delete their lines, which begin with #" if proposal.unsure else ""
     yield f"columns that are certain: {proposal.certain}; that want a look: {proposal.unsure}{looks}"
     if TIME not in proposal.signals:
@@ -75,7 +75,7 @@ def _summary(proposal: Proposal) -> Iterator[str]:
 
 
 def _print(table: Table, console: Console) -> None:
-    """Print what is understood to the error stream, so that the output can be the map alone."""
+    """Print the interpretation of the columns to standard error, so that the output can be the map alone."""
     rate = "rate unknown: no column of time is sure" if math.isnan(table.rate) else f"{table.rate:.4g} Hz"
     uneven = f", time steps differ by up to {100 * table.unevenness:.2g} %" if table.unevenness > 0.01 else ""
     printed = Printed(title=f"{table.name}: {table.rows} rows, {rate}{uneven}")

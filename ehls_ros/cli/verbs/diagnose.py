@@ -1,4 +1,4 @@
-"""`ehls diagnose`: find what is wrong in the simulation, from a recording of the rig."""
+"""`ehls diagnose`: find the model errors of the simulation, from a recording of the rig."""
 
 import json
 import os
@@ -112,7 +112,7 @@ def _source(data: Path, options: Namespace, trajectory: Trajectory) -> str:
 
 
 def _write(folder: Path, found: Diagnosis, follows: Consequences, document: object, rig: Path, source: str) -> None:
-    """Write all results into a scratch folder, then move them into place: an interruption leaves no incomplete set."""
+    """Write all results into a scratch folder, then move them into place, so that an interruption leaves no partial results."""
     experiment = follows.next_experiment
     scratch = Path(tempfile.mkdtemp(prefix=".diagnose-", dir=folder))
     try:

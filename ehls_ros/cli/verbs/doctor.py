@@ -1,4 +1,4 @@
-"""`ehls doctor`: check that everything a run needs is there, and say what to do if not."""
+"""`ehls doctor`: check the prerequisites of a run, and advise on problems."""
 
 import json
 from argparse import ArgumentParser, Namespace
@@ -21,7 +21,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Run the checks; return 1 if something will not work."""
+    """Run the checks; return 1 if there is a problem."""
     if options.clean:
         left = leftovers()
         for file in left:

@@ -75,7 +75,7 @@ def run(options: Namespace) -> int:
     spec = load_spec(options.spec)
     if options.duration is not None:
         spec = _with_duration(spec, options.duration)
-    # A companion's file that is of no use is refused before anything is written or started.
+    # Reject an unusable companion file before anything is written or started.
     learnt_files.recall(company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), str(options.spec)), spec)
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
     with folder.filling():
@@ -98,7 +98,7 @@ def run(options: Namespace) -> int:
 
 
 def _write_adapted(found: Adapted, folder: RunFolder) -> tuple[str, ...]:
-    """Write the rig file that adaptation leaves, if there is anything to change; return what the user is told of it."""
+    """Write the rig file with the adapted values, if there is anything to change; return the lines for the user."""
     text = found.text()
     if text:
         folder.rig_adapted.write_text(text, encoding="utf-8")
@@ -111,7 +111,7 @@ def _write_adapted(found: Adapted, folder: RunFolder) -> tuple[str, ...]:
 
 
 class _Done(NamedTuple):
-    """A run, and why it failed if it did; its results are kept in any case."""
+    """A run, and the reason for its failure if any; its results are kept in any case."""
 
     trajectory: Trajectory
     wall_s: float

@@ -80,7 +80,7 @@ def _check(options: Namespace) -> None:
 
 
 def _sources(options: Namespace) -> tuple[list["Source"], dict[str, list[Topic]]]:
-    """Return what to stream, and its topics by namespace."""
+    """Return the sources to stream, and their topics by namespace."""
     from ehls_ros.report.foxglove import Source, in_stretches, topics_of
 
     sources: list[Source] = []

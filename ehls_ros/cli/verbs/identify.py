@@ -1,4 +1,4 @@
-"""`ehls identify`: from a rig's recordings to a rig file with uncertainties."""
+"""`ehls identify`: identify a rig from recordings; write a rig file with uncertainties."""
 
 import json
 import sys
@@ -34,7 +34,7 @@ from ehls_ros.trajectory import Trajectory
 HELP = "Identify a rig, or its friction alone, from recordings: a rig file, identification.json and a report."
 
 RIG, RESULT, REPORT = "rig_identified.yaml", "identification.json", "report.html"
-"""What the folder receives."""
+"""Files in the folder of the results."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -103,7 +103,7 @@ def _friction(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace
 
 
 def _offer(missing: Missing, rig: Rig, path: Path, folder: Path) -> None:
-    """Write the experiments that deliver what is missing, and say how to run them."""
+    """Write the experiments for the missing strokes, and print the commands to run them."""
     try:
         for asked in stroke_experiments(missing, rig, path.resolve(), folder.resolve()):
             (folder / asked.file).write_text(asked.text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`ehls monitor`: watch recordings as if the rig ran: what changed, since when, and how each coefficient went."""
+"""`ehls monitor`: replay recordings through the monitor: changes, their onset, and the history of each coefficient."""
 
 import csv
 import json
@@ -127,7 +127,7 @@ def run(options: Namespace) -> int:
 
 
 def _part(data: Path, columns: ColumnMap | None) -> Part:
-    """Read a recording; of a bag of ours, also when no command reached the valve."""
+    """Read a recording and, from a bag of this package, the pauses in which no command reached the valve."""
     place = recording_in(data)
     ours = columns is None and not holds_tables(place)
     return Part(data.name or str(data), load(place, columns, USED), tuple(read_pauses(place)) if ours else ())
@@ -155,7 +155,7 @@ def _limits(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _write(folder: Path, watched: Watched, document: object, source: str, rig: Path) -> None:
-    """Write all results into a scratch folder, then move them into place: an interruption leaves no incomplete set."""
+    """Write all results into a scratch folder, then move them into place, so that an interruption leaves no partial results."""
     scratch = Path(tempfile.mkdtemp(prefix=".monitor-", dir=folder))
     try:
         (scratch / RESULT).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
@@ -175,7 +175,7 @@ def _write(folder: Path, watched: Watched, document: object, source: str, rig: P
 
 
 def _write_table(path: Path, watched: Watched) -> None:
-    """Write the coefficients over time, a row each; what is not told is empty, with the reason."""
+    """Write the coefficients over time, one row per value; undetermined values are empty, with the reason."""
     with path.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(["time_s", "coefficient", "value", "std", "unit", "why_not"])

@@ -1,4 +1,4 @@
-"""`ehls new-rig`: a rig file from the figures of data sheets, asked for on the terminal or read from a file."""
+"""`ehls new-rig`: make a rig file from data sheet values, entered on the terminal or read from a file."""
 
 import json
 import sys
@@ -61,7 +61,7 @@ def run(options: Namespace) -> int:
 
 
 def template() -> str:
-    """Return a file of answers with nothing but questions in it."""
+    """Return an answer file with the questions only."""
     remarks = {name: _question(note, options) for name, note, options, _ in _questions()}
     lines = commented(dict.fromkeys(DataSheet._fields), remarks).replace(": null ", ":      ").splitlines()
     needed = [line for line, name in zip(lines, DataSheet._fields, strict=True) if name not in DataSheet._field_defaults]
@@ -85,7 +85,7 @@ def _question(note: Note, choices: tuple[str, ...]) -> str:
 
 
 def _asked(console: Console) -> dict[str, Any]:
-    """Ask every question until its answer fits."""
+    """Ask each question until its answer is valid."""
     console.print(
         "Figures of the data sheets; another unit may follow the number. Enter alone takes what is in brackets.", soft_wrap=True
     )
@@ -109,7 +109,7 @@ def _asked(console: Console) -> dict[str, Any]:
 
 
 def _offered(note: Note, default: Any) -> str:
-    """Return what Enter alone takes."""
+    """Return the value that Enter alone selects."""
     if default is ...:
         return ""
     usual = f"{note.typical:g} {note.unit}, assumed" if note.typical is not None else "unknown"
@@ -147,7 +147,7 @@ def _document(values: Mapping[str, Mapping[str, Source]], content: Mapping[str, 
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file, all of it or nothing."""
+    """Write a file atomically."""
     scratch = path.with_name(f".{path.name}.new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

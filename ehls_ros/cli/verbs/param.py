@@ -1,4 +1,4 @@
-"""`ehls param`: parameters of running nodes, where there is no `ros2 param`."""
+"""`ehls param`: parameters of running nodes, without `ros2 param`."""
 
 import json
 from argparse import ArgumentParser, Namespace
@@ -20,7 +20,7 @@ USES = {
     "describe": ("NODE NAME [NAME ...]", 2, None),
     "dump": ("NODE", 1, 1),
 }
-"""What follows each action, and how many words that may be."""
+"""Arguments of each action, with their minimum and maximum number."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -50,7 +50,7 @@ def run(options: Namespace) -> int:
 
 
 def _answer(ask: "Requests", action: str, *words: str) -> tuple[Any, str]:
-    """Return the answer as data and in the words of `ros2 param`."""
+    """Return the answer as data and in the output format of `ros2 param`."""
     if action == "list":
         return _listed(ask, [ask.resolve(word) for word in words])
     node, names = ask.resolve(words[0]), words[1:]
@@ -69,7 +69,7 @@ def _answer(ask: "Requests", action: str, *words: str) -> tuple[Any, str]:
 
 
 def _listed(ask: "Requests", chosen: list[str]) -> tuple[Any, str]:
-    """Return the parameters of one node, or of all under their names."""
+    """Return the parameters of one node, or of all nodes by name."""
     content = {node: ask.names(node) for node in chosen or ask.nodes()}
     lines = [
         line for node, names in content.items() for line in ([] if chosen else [f"{node}:"]) + [f"  {name}" for name in names]
@@ -78,7 +78,7 @@ def _listed(ask: "Requests", chosen: list[str]) -> tuple[Any, str]:
 
 
 def _description(described: "Described") -> str:
-    """Return a description in the words of `ros2 param`."""
+    """Return a description in the output format of `ros2 param`."""
     lines = [f"Parameter name: {described.name}", f"  Type: {described.type}"]
     lines += [f"  Description: {described.description}"] if described.description else []
     lines += ["  Constraints:"]

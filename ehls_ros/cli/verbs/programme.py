@@ -1,4 +1,4 @@
-"""`ehls programme`: check a test programme and say what it holds."""
+"""`ehls programme`: check a test programme and summarise its contents."""
 
 import json
 from argparse import ArgumentParser, Namespace

@@ -13,7 +13,7 @@ from ehls_ros.recording.recovery import Recovery, recover
 HELP = "Restore a bag that is damaged or whose recorder was killed: intact messages are kept, lost ones are listed."
 
 LISTED = 5
-"""Most ranges of lost messages listed per topic."""
+"""Maximum number of ranges of lost messages listed per topic."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -40,7 +40,7 @@ def run(options: Namespace) -> int:
 
 
 def told(recovery: Recovery, out: Path) -> list[str]:
-    """Return lines that list what was recovered and what was lost.
+    """List the recovered and the lost messages, one line each.
 
     Args:
         recovery: result of the recovery.

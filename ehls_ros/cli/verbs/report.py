@@ -1,4 +1,4 @@
-"""`ehls report`: show recorded data."""
+"""`ehls report`: write the HTML report of recorded data."""
 
 from argparse import ArgumentParser, Namespace
 from datetime import date
@@ -30,7 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Write it."""
+    """Write the report."""
     data: Path = options.data
     if is_kept(data):
         return _of_day(data, options.day or today(), options.out)

@@ -1,4 +1,4 @@
-"""`ehls reproduce`: run the paper's simulation study again, and compare the numbers."""
+"""`ehls reproduce`: repeat the paper's simulation study, and compare the numbers."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""`ehls rig-emulator`: a process that behaves as the rig does over UDP."""
+"""`ehls rig-emulator`: emulate the rig over UDP in a process."""
 
 import json
 import signal
@@ -36,7 +36,7 @@ HELP = "Emulate the rig over UDP: plant, converters and sensors; for tests of th
 COMMAND_DELAY = "command_delay"
 
 ROUNDING = 1e-9
-"""A delay up to this is taken as zero [s]."""
+"""Delay up to which it is taken as zero [s]."""
 
 PRIORITY = 40
 """SCHED_FIFO priority of the loop, where permitted."""
@@ -169,7 +169,7 @@ def _spec(options: Namespace) -> Spec:
 
 
 def _without_own_delay(rig: Rig, period: float) -> Rig:
-    """Subtract the one-cycle delay of the wire from the rig's own command delay, so a spec means the same on every plant."""
+    """Subtract the one-cycle delay of the wire from the rig's command delay, so that a spec has one meaning on every plant."""
     effects = []
     for use in rig.effects:
         if use.name == COMMAND_DELAY:

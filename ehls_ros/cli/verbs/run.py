@@ -1,4 +1,4 @@
-"""`ehls run`: start one node, where there is no `ros2 run`, or several as one process."""
+"""`ehls run`: start one node, without `ros2 run`, or several as one process."""
 
 import sys
 from argparse import REMAINDER, ArgumentParser, Namespace
@@ -12,12 +12,12 @@ HELP = "Start one node, as `ros2 run ehls_ros NODE` does, or several as one proc
 
 
 class _Joinable(tuple[str, ...]):
-    """Names of nodes, and what PLUS makes of them."""
+    """Names of nodes, single or joined by PLUS."""
 
     __slots__ = ()
 
     def __contains__(self, names: object) -> bool:
-        """Tell whether this is the name of a node, or several names, which are looked at one by one later."""
+        """Return whether this is a node's name or several joined names, which are checked one by one later."""
         return PLUS in str(names) or tuple.__contains__(self, names)
 
 
@@ -29,7 +29,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Start it, or them, and return the exit code."""
+    """Start the nodes, and return the exit code."""
     names = options.node.split(PLUS)
     together = len(names) > 1
     names = in_order(names) if together else names

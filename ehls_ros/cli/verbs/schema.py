@@ -1,4 +1,4 @@
-"""`ehls schema`: the JSON Schema of a kind of YAML file, for editors."""
+"""`ehls schema`: print the JSON Schema of a kind of YAML file, for editors."""
 
 from argparse import ArgumentParser, Namespace
 

@@ -1,4 +1,4 @@
-"""`ehls switch`: hand the valve to another controller that runs, where there is no `ros2 service`."""
+"""`ehls switch`: hand the valve over to another running controller, without `ros2 service`."""
 
 import json
 from argparse import ArgumentParser, Namespace

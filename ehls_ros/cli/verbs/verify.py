@@ -1,4 +1,4 @@
-"""`ehls verify`: how well a recording's force follows its reference, block by block, with uncertainties."""
+"""`ehls verify`: verify how well a recording's force follows its reference, block by block, with uncertainties."""
 
 import json
 import shutil
@@ -84,7 +84,7 @@ def run(options: Namespace) -> int:
 
 
 def _write(folder: Path, found: Verification, document: Any, source: str) -> None:
-    """Write both results into a scratch folder, then move them into place: an interruption leaves no incomplete set."""
+    """Write both results into a scratch folder, then move them into place; an interruption leaves no partial results."""
     try:
         scratch = Path(tempfile.mkdtemp(prefix=".verify-", dir=folder))
         try:

@@ -1,7 +1,7 @@
-"""Change of a running controller's model to that of an accepted rig, within the bounds and at the rate of adaptation.
+"""Transition of a running controller's model to an accepted rig, within the bounds and at the rate of adaptation.
 
-All coefficients move together along a straight line, so that what holds of both rigs, such as weights that sum to 1, holds of
-each in between. The one that changes most sets the pace.
+All coefficients move together along a straight line. Relations that hold in both rigs, such as weights that sum to 1, therefore
+hold in each intermediate model. The coefficient with the largest relative change determines the duration.
 """
 
 import math
@@ -16,23 +16,23 @@ from ehls_ros.errors import BadInput
 WHERE = "accepted rig"
 
 MOVING = ("command_delay", "coupling_stiffness", "coupling_damping")
-"""Numbers of a model that move beside plant and friction."""
+"""Numbers of a model that move besides plant and friction."""
 
 NO_SIZES: Mapping[str, float] = MappingProxyType({})
 
 ROUNDING = 1e-9
-"""Part of a bound by which rounding may exceed it."""
+"""Fraction of a bound by which rounding may exceed it."""
 
 
 class _Coefficient(NamedTuple):
     """A coefficient in three models.
 
     Attributes:
-        name: its key in a rig file.
+        name: key in a rig file.
         nominal: value in the rig file that the controller was started with.
         present: value in use.
         wanted: value in the accepted rig.
-        size: what changes are relative to, where the nominal value is smaller.
+        size: reference of relative changes if the nominal value is smaller.
         least: smallest change that is always allowed.
     """
 
@@ -45,7 +45,7 @@ class _Coefficient(NamedTuple):
 
     @property
     def constant(self) -> bool:
-        """Whether it does not move: all three are equal, or not known."""
+        """Whether the coefficient does not move: all three values are equal, or unknown."""
         unknown = math.isnan(self.nominal) and math.isnan(self.wanted)
         return unknown or self.nominal == self.present == self.wanted
 
@@ -54,7 +54,7 @@ class Transition:
     """Interpolation from the model in use to that of an accepted rig.
 
     Attributes:
-        duration: of the transition [s].
+        duration: duration of the transition [s].
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Transition:
             present: the model in use.
             wanted: the model of the accepted rig.
             caution: how far and how fast coefficients may move.
-            sizes: what changes are relative to, by name, of coefficients that may be about zero, such as a leakage.
+            sizes: references of relative changes, by name, for coefficients that may be near zero, such as a leakage.
 
         Raises:
             BadInput: the accepted rig is of another kind, or a coefficient differs by more than ``caution`` allows.
@@ -91,7 +91,7 @@ class Transition:
         return self._elapsed >= self.duration
 
     def after(self, elapsed: float) -> Model:
-        """Return the model after some more time [s]; from ``duration`` on, exactly that of the accepted rig."""
+        """Return the model after a further time [s]; from ``duration`` on, exactly that of the accepted rig."""
         self._elapsed += elapsed
         if self.complete:
             return self._wanted
@@ -104,7 +104,7 @@ class Transition:
 
 
 def with_own_sensors(original: Model, wanted: Model) -> Model:
-    """Return the model of an accepted rig for a running controller, whose sensors' noise and period stay as they are."""
+    """Return the model of an accepted rig with the sensor noise and period of the running controller."""
     return wanted._replace(noise=original.noise, period=original.period)
 
 

@@ -1,6 +1,6 @@
-"""The piston's area, from load cell and load pressure: F = Ac pL + o.
+"""Estimate the piston area from load cell and load pressure: F = Ac pL + o.
 
-A load cell's offset is known to be small, so a constant force tells the area too.
+A load cell's offset is known to be small, so even a constant force determines the area.
 """
 
 import math
@@ -14,17 +14,17 @@ from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.rig_scale import PAPER_FORCE, largest_force
 
 ROW = 3
-"""Entries of a row: the force of the rig file's area [N], the offset's size [N], the load cell's force [N]."""
+"""Entries of a row: force by the rig file's area [N], size of the offset [N], force of the load cell [N]."""
 
 OFFSET_KNOWN = 20.0
-"""Standard deviation of a load cell's offset on the paper's rig [N], in proportion to the rig's force."""
+"""Standard deviation of a load cell's offset on the paper's rig [N], scaled with the rig's force."""
 
 FLOOR = 5e-4
-"""Least standard error of the area: linearity of the two sensors."""
+"""Least standard error of the area, due to the linearity of the two sensors."""
 
 
 class Found(NamedTuple):
-    """Piston area over the rig file's, and its standard error."""
+    """Piston area relative to the rig file's, and its standard error."""
 
     area: float
     area_std: float
@@ -32,13 +32,13 @@ class Found(NamedTuple):
 
 @kernel
 def compare(force: float, pressure: float, area: float, fading: float, row: Array, sums: Array, count: Array) -> None:
-    """Take in a reading of the load cell [N] and one of the load pressure [Pa]; ``area`` is the rig file's [m^2]."""
+    """Add a reading of load cell [N] and load pressure [Pa] to the sums; ``area`` is the rig file's [m^2]."""
     row[0], row[1], row[2] = area * pressure, 1.0, force
     gather(row, fading, sums, count)
 
 
 def find(model: Model, sums: Array, count: float) -> Found | None:
-    """Return the area that explains the load cell; None where the pressure does not tell it. ``model`` is the rig file's."""
+    """Return the area that fits the load cell; None if the pressure does not determine it. ``model`` is the rig file's."""
     noise = np.array([(model.plant.piston_area * model.noise.load_pressure) ** 2, 0.0])
     known = OFFSET_KNOWN * in_python(largest_force)(model.plant) / PAPER_FORCE
     fit = solve(whole(sums), count, noise, np.array([0.0, 1.0 / known]))

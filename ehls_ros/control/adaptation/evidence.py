@@ -1,4 +1,4 @@
-"""What the cycles tell of every stage, gathered by one compiled function."""
+"""Accumulate the regression data of all stages by one compiled function."""
 
 import math
 from collections.abc import Callable
@@ -16,22 +16,22 @@ from ehls_ros.physics.friction import gms
 from ehls_ros.physics.parameters import Plant
 
 VALVE, FLOW, AREA, STAGES = range(4)
-"""Indices of the stages' counts; and their number."""
+"""Indices of the stages' counts, and the number of stages."""
 
 SINCE, SPOOL_READ, FLAGS = range(3)
-"""Where the flags hold the cycles since the last interruption, and whether the spool was ever read; their number."""
+"""Indices of flags: cycles since the last interruption, whether the spool was ever read; and the number of flags."""
 
 
 class Basis(NamedTuple):
-    """What the rig file says, which all estimates are relative to.
+    """Reference of all estimates, from the rig file.
 
     Attributes:
-        plant: its coefficients.
-        delay: of the command [s].
+        plant: coefficients of the rig file.
+        delay: command delay [s].
         bank: delays to compare, with the bandwidth in use.
-        fading: what remains of the weight of a reading after a cycle.
-        settled: cycles after an interruption before the valve's state counts.
-        travel: motion back after which a reversal counts [m].
+        fading: forgetting factor of a reading's weight per cycle.
+        settled: cycles after an interruption before the valve's state is used.
+        travel: motion back after which a reversal is detected [m].
     """
 
     plant: Plant
@@ -43,16 +43,16 @@ class Basis(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What was gathered; every array is updated in place.
+    """Accumulated data of all stages; every array is updated in place.
 
     Attributes:
         flags: by the indices above.
-        past: of :func:`ehls_ros.control.adaptation.valve.follow`.
-        block: of :func:`ehls_ros.control.adaptation.flow.balance`.
+        past: memory of :func:`ehls_ros.control.adaptation.valve.follow`.
+        block: open block of :func:`ehls_ros.control.adaptation.flow.balance`.
         valve, flow, area: sums of the stages.
-        counts: weights of their rows, shape (STAGES, 1).
+        counts: total weights of their rows, shape (STAGES, 1).
         row: scratch.
-        track, ring: of :func:`ehls_ros.control.adaptation.friction.follow`.
+        track, ring: memory of :func:`ehls_ros.control.adaptation.friction.follow`.
     """
 
     flags: Array
@@ -85,7 +85,7 @@ def memory(basis: Basis) -> Memory:
 
 
 def interrupt(memory: Memory) -> None:
-    """Let what is half gathered not count."""
+    """Discard incomplete data after an interruption."""
     memory.flags[SINCE] = 0.0
     memory.past[:] = 0.0
     memory.block[:] = 0.0
@@ -93,12 +93,12 @@ def interrupt(memory: Memory) -> None:
 
 
 def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
-    """Return what a rig file says.
+    """Return the reference of the estimates from a rig file's model.
 
     Args:
         model: the rig file's.
-        reach: largest relative change of a delay that is looked for.
-        forgetting: time constant with which readings are forgotten [s].
+        reach: largest relative change of the delay to search for.
+        forgetting: time constant of the forgetting of readings [s].
     """
     cycles = model.command_delay / model.period
     first = max(math.floor((1.0 - reach) * cycles) - 1, 0)
@@ -112,7 +112,7 @@ def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
 
 
 def relined(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
-    """Return a basis with another bandwidth of the valve [rad/s]; what was gathered of the valve does not count."""
+    """Return a basis with another bandwidth of the valve [rad/s], and discard the valve's accumulated data."""
     memory.valve[:] = memory.counts[VALVE] = memory.past[:] = 0.0
     memory.flags[SINCE] = 0.0
     bank = basis.bank._replace(bandwidth=bandwidth)
@@ -152,13 +152,13 @@ def _take_one(measured: Array, basis: Basis, memory: Memory) -> None:
 
 @kernel
 def take(measured: Array, command: Array, basis: Basis, memory: Memory) -> None:
-    """Take in cycles.
+    """Add cycles to the accumulated data.
 
     Args:
         measured: readings in the order of ``SENSED``, shape (n, 7).
         command: spool commands [m], shape (n,).
-        basis: what the rig file says.
-        memory: what was gathered.
+        basis: reference from the rig file.
+        memory: accumulated data, updated in place.
     """
     for i in range(len(command)):
         _take_one(measured[i], basis, memory)

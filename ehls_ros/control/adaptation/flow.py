@@ -1,13 +1,13 @@
-"""The volume balance (2): discharge coefficient and bulk modulus, from spool, pressure and position.
+"""Estimate discharge coefficient and bulk modulus by the volume balance (2), from spool, pressure and position.
 
-Over a block of cycles the oil that the valve lets through moves the piston, is compressed, and leaks:
+Over a block of cycles, the oil through the valve moves the piston, is compressed, and leaks:
 
     Cd w int q dt = Ac dx + Vt/(4 beta_e) dpL + Ctc int pL dt,    q = sqrt((ps - sgn(xv) pL)/rho) xv
 
-so no reading is differentiated, and the velocity's is not needed. With the rig file's coefficients on both sides, the
-regression tells Ac/Cd, Vt/(beta_e Cd) and Ctc/Cd relative to the rig file, and an offset, the spool's bias. The area is known
-from the load cell. Valve area gradient and density are part of what is called the discharge coefficient, the volume of the
-bulk modulus: only the products are seen.
+No reading is differentiated, and no velocity reading is needed. With the rig file's coefficients on both sides, the regression
+yields Ac/Cd, Vt/(beta_e Cd) and Ctc/Cd relative to the rig file, and an offset, the spool's bias. The area is known from the
+load cell. Only products are identifiable: valve area gradient and density are included in the discharge coefficient, the volume
+in the bulk modulus.
 """
 
 import math
@@ -24,29 +24,29 @@ BLOCK = 10
 """Cycles in a block."""
 
 MOTION, COMPRESSION, LEAKAGE, OFFSET, VALVE, ROW = range(6)
-"""Volumes in a row [m^3]: of motion, compression, leakage and the offset, and that through the valve; and their number."""
+"""Volumes in a row [m^3]: motion, compression, leakage, offset, and flow through the valve; and their number."""
 
 LEAST_MOTION = 0.1
-"""Least ratio of area and discharge coefficient to the rig file's that is believed."""
+"""Least plausible ratio of area to discharge coefficient, relative to the rig file's."""
 
 STARTED, THROUGH, LEAKED, LAST_FLOW, LAST_PRESSURE, FIRST_POSITION, FIRST_PRESSURE, OPEN = range(8)
-"""Where an open block holds its cycles, volumes [m^3], last flow [m^3/s] and pressure [Pa], and its start; its length."""
+"""Indices of an open block: its cycles, volumes [m^3], last flow [m^3/s] and pressure [Pa], and its start; and its length."""
 
 OFFSET_FLOW = 1e-6
-"""Size of the offset for the sums [m^3/s]."""
+"""Scale of the offset in the sums [m^3/s]."""
 
 LEAKAGE_KNOWN = 1.0
-"""Standard deviation of the leakage's relative error before anything is measured."""
+"""Prior standard deviation of the leakage's relative error."""
 
 FLOW_FLOOR, COMPRESSION_FLOOR = 1e-3, 1e-2
-"""Least standard errors of discharge coefficient and bulk modulus: what the trapezoidal rule over a cycle leaves."""
+"""Least standard errors of discharge coefficient and bulk modulus, due to the trapezoidal rule over a cycle."""
 
 LEAST_DROP = 0.01
-"""Least pressure drop over the valve that counts, as a fraction of the supply pressure."""
+"""Least usable pressure drop over the valve, as a fraction of the supply pressure."""
 
 
 class Found(NamedTuple):
-    """What the flow turns out to be, over the rig file's, with standard errors.
+    """Estimates of the flow stage relative to the rig file, with standard errors.
 
     Attributes:
         discharge, discharge_std: discharge coefficient per piston area.
@@ -61,7 +61,7 @@ class Found(NamedTuple):
 
 @kernel
 def valve_flow(spool: float, pressure: float, supply: float, plant: Plant) -> float:
-    """Return the flow (1) [m^3/s]; NaN where the drop is too small to tell it."""
+    """Return the flow (1) [m^3/s]; NaN if the pressure drop is too small to determine it."""
     drop = supply - math.copysign(pressure, spool * pressure)
     if drop < LEAST_DROP * plant.supply_pressure:
         return math.nan
@@ -70,7 +70,7 @@ def valve_flow(spool: float, pressure: float, supply: float, plant: Plant) -> fl
 
 @kernel
 def begin(position: float, pressure: float, flow: float, block: Array) -> None:
-    """Open a block at a reading; without it if that is not finite."""
+    """Open a block at a reading, or none if the reading is not finite."""
     block[STARTED] = 1.0 if math.isfinite(position + pressure + flow) else 0.0
     block[THROUGH] = block[LEAKED] = 0.0
     block[LAST_FLOW], block[LAST_PRESSURE] = flow, pressure
@@ -90,19 +90,19 @@ def balance(
     sums: Array,
     count: Array,
 ) -> None:
-    """Take in one cycle.
+    """Add one cycle to the open block, and the completed block to the sums.
 
     Args:
-        position: [m].
+        position: piston position [m].
         pressure: load pressure [Pa].
-        flow: through the valve by the rig file's coefficients [m^3/s].
+        flow: flow through the valve by the rig file's coefficients [m^3/s].
         plant: the rig file's coefficients.
-        period: of the cycles [s].
-        fading: what remains of earlier blocks' weight.
+        period: control period [s].
+        fading: forgetting factor of earlier blocks' weight.
         block: the open block, shape (OPEN,); updated.
         row: scratch, shape (ROW,).
-        sums: of :func:`~ehls_ros.control.adaptation.least_squares.gather`.
-        count: of the same.
+        sums: sums of :func:`~ehls_ros.control.adaptation.least_squares.gather`.
+        count: total weight of the sums.
     """
     if block[STARTED] == 0.0 or not math.isfinite(position + pressure + flow):
         begin(position, pressure, flow, block)
@@ -123,15 +123,15 @@ def balance(
 
 
 def find(model: Model, sums: Array, count: float) -> Found | None:
-    """Return the flow that explains the blocks, against the rig file's ``model``; None where they do not tell it."""
+    """Return the flow estimates from the blocks, relative to the rig file's ``model``; None if not determined."""
     sums, noise = whole(sums), _noise(model.plant, model.noise)
     unit = np.eye(ROW - 1)
     free = audible(np.diag(sums)[:-1], count, noise)
-    # A rig without leakage in its file has no size for it.
+    # A rig without leakage in its file gives no scale for it.
     free[LEAKAGE] = model.plant.leakage_coefficient > 0.0
     if not free[MOTION]:
         return None
-    # About the rig file's leakage, which is known to some degree, and its compression where it is not told.
+    # Prior about the rig file's leakage, and its compression fixed if the data do not determine it.
     expected = unit[LEAKAGE] + (0.0 if free[COMPRESSION] else unit[COMPRESSION])
     shift = np.eye(ROW)
     shift[:-1, -1] = -expected
@@ -151,7 +151,7 @@ def find(model: Model, sums: Array, count: float) -> Found | None:
 
 
 def _noise(plant: Plant, noise: Noise) -> Array:
-    """Return the variance of each regressor's noise, a difference of two readings."""
+    """Return the noise variance of each regressor, a difference of two readings."""
     moved = plant.piston_area * noise.position
     compressed = plant.total_volume / (4.0 * plant.bulk_modulus) * noise.load_pressure
     return 2.0 * np.array([moved, compressed, 0.0, 0.0]) ** 2

@@ -1,18 +1,18 @@
-"""The friction's level and viscous coefficient and the mass, from what the force does after reversals of the motion.
+"""Estimate friction level, viscous coefficient and mass from the force after reversals of the motion.
 
-Over a short window the force that the balance (3) leaves is friction and the unknown external force:
+Over a short window, the residual force of the balance (3) is friction plus the unknown external force:
 
     Ac pL - (ks + kc) x - (B0 + cc) v - m x'' - m g = F(level) + sigma_f v + d(t)
 
-After a reversal the elements are strained the other way, and after a known travel they break away: the friction stops growing.
-When it does tells the level, whatever the external force is, as long as that has no corner there: within the window it is a
-polynomial. The elements (6), (8) follow the measured motion at a level that is tried, and at one a little higher; the
-difference is the level's regressor. A better level is tried next, so that what is found does not depend on the rig file's. All
-signals go through the same filter, so that a differentiated reading is as late and as smooth as the others.
+After a reversal the elements are strained in the other direction, and after a known travel they break away: the friction stops
+growing. The time of break-away determines the level for any external force without a corner there: within the window the
+external force is a polynomial. The elements (6), (8) follow the measured motion at a trial level and at a slightly higher one;
+the difference is the regressor of the level. A better level is tried next, so the estimate does not depend on the rig file's.
+All signals pass the same filter, so that differentiated readings have the same delay and smoothness as the others.
 
-The actuator under test has a friction of its own, which breaks away at nearly the same time and moves the far end of the
-coupling. Where the window is long enough to tell it from noise, the external force has a corner for it, where that explains
-most. This is no model of the actuator, so the standard error is never below what is left of it.
+The friction of the actuator under test breaks away at nearly the same time and moves the far end of the coupling. In windows
+long enough to distinguish it from noise, the external force therefore has a corner, placed where it explains most. This is not
+a model of the actuator, so the standard error has a lower bound for the remaining error.
 """
 
 import math
@@ -29,92 +29,92 @@ from ehls_ros.physics.friction import gms
 from ehls_ros.physics.friction.gms import level as sliding_level
 
 RING = 4096
-"""Cycles that are kept."""
+"""Cycles in the ring buffer."""
 
 POSITION, FORCE, SIGNALS = range(3)
 """Columns of the ring: position [m] and driving force [N]."""
 
 SEEN, DIRECTION, FURTHEST, FURTHEST_AT, REVERSED_AT, TURNED_AT, TRACKED = range(7)
-"""Where the track holds how many cycles were seen on end, the motion's direction, its furthest position [m] and when that was,
-and the last reversal: when it was, and when the motion back was long enough; its length."""
+"""Indices of the track: number of contiguous cycles, direction of motion, furthest position [m] and its cycle; cycle of the
+last reversal, and cycle when the motion back was long enough; and the length of the track."""
 
 HIGHER_BY = 1.02
-"""The level at which the friction's slope over the level is taken, over that which is tried."""
+"""Ratio of the higher level to the trial level, to form the derivative of friction by the level."""
 
 BEFORE = 2000
-"""Cycles before a window from which on the elements are followed, to forget what they start with."""
+"""Cycles before a window in which the elements follow the motion, to forget their initial forces."""
 
 LEAST_LEVEL, MOST_LEVEL = 0.4, 2.5
-"""Levels between which one is sought, over the rig file's."""
+"""Bounds of the trial level, relative to the rig file's."""
 
 STEPS, SETTLED = 5, 2e-4
-"""Most levels tried for a reversal, and the change below which no other is."""
+"""Most levels tried for a reversal, and the change below which the iteration stops."""
 
 MOST_HALF = 10
-"""Longest average of the position, in cycles, of which the velocity is formed."""
+"""Longest half-width of the position average that yields the velocity, in cycles."""
 
 VELOCITY_NOISE = 0.15
-"""Largest noise of the velocity, over the Stribeck velocity, which it has to resolve."""
+"""Largest velocity noise relative to the Stribeck velocity, which it must resolve."""
 
 BACK = 1.3
-"""Motion back after which a reversal counts, over that at which the last element breaks away."""
+"""Motion back after which a reversal is detected, relative to the travel at which the last element breaks away."""
 
 AROUND = 0.8
-"""Half of a window over the time from the reversal to the break-away."""
+"""Half-width of a window relative to the time from reversal to break-away."""
 
 SHORTEST = 12
-"""Least half of a window, in cycles."""
+"""Least half-width of a window, in cycles."""
 
 WIDTH = 6
-"""Half of a window over the filter's width."""
+"""Half-width of a window relative to the filter's width."""
 
 DEGREES = (2, 3, 4)
-"""Of the polynomials that the external force may be."""
+"""Degrees of the polynomials tried for the external force."""
 
 KNOWN = 0.3
-"""Standard deviation of the relative errors of viscous coefficient and mass before anything is measured."""
+"""Prior standard deviation of the relative errors of viscous coefficient and mass."""
 
 LEVEL, VISCOUS, MASS, SOUGHT = range(4)
-"""Where an estimate holds what; and its length."""
+"""Indices of an estimate's entries, and its length."""
 
 POINTS = 60
-"""About how many points a window is thinned out to."""
+"""Approximate number of points to which a window is decimated."""
 
 LEAST_LEFT = 0.05
-"""Least force that is left on the paper's rig, for the weights [N], in proportion to the rig's force."""
+"""Least residual force on the paper's rig, for the weights [N], scaled with the rig's force."""
 
 REVERSALS = 2
-"""Fewest reversals that tell anything."""
+"""Fewest reversals for an estimate."""
 
 LONG = 50
-"""Half of a window, in cycles, from which on a corner of the external force is told from noise."""
+"""Half-width of a window, in cycles, from which on a corner of the external force is distinguished from noise."""
 
 CORNERS = 33
-"""Places in a window that are tried for it."""
+"""Positions of the corner that are tried in a window."""
 
 COUPLED_FLOOR, COUPLED_LONG_FLOOR = 0.04, 0.015
-"""Least standard errors of the level where the actuator under test has a friction of its own, in short and in long windows."""
+"""Least standard errors of the level with friction in the actuator under test, in short and in long windows."""
 
 FLOORS = (5e-3, 1e-2, 1e-2)
-"""Least standard errors, relative."""
+"""Least relative standard errors."""
 
 NONE = gms.Parameters(1.0, 1.0, 1.0, 1.0, 0.0, (1.0,), (1.0,), 1.0)
-"""In place of a friction model whose level is not looked for."""
+"""Placeholder for a friction model whose level is not estimated."""
 
 
 class Found(NamedTuple):
-    """Friction level, viscous coefficient and mass over the rig file's, and their standard errors, shape (SOUGHT,) each."""
+    """Friction level, viscous coefficient and mass relative to the rig file's, and standard errors, shape (SOUGHT,) each."""
 
     values: Array
     std: Array
 
 
 class Surroundings(NamedTuple):
-    """What the balance depends on beside the plant.
+    """Coupling in the force balance, besides the plant.
 
     Attributes:
-        stiffness: of the coupling to the actuator under test [N/m].
-        damping: of it [N s/m].
+        stiffness: stiffness of the coupling to the actuator under test [N/m].
+        damping: damping of the coupling [N s/m].
     """
 
     stiffness: float
@@ -127,7 +127,7 @@ def travel(friction: gms.Parameters) -> float:
 
 
 def half_of(noise: float, period: float, friction: gms.Parameters) -> int:
-    """Return how many readings of the position a velocity is formed of on either side, from their noise [m]."""
+    """Return the number of position readings on either side from which a velocity is formed, given their noise [m]."""
     for half in range(1, MOST_HALF):
         if noise * math.sqrt(2.0 / half) <= VELOCITY_NOISE * friction.stribeck_velocity * (half + 1) * period:
             return half
@@ -136,7 +136,7 @@ def half_of(noise: float, period: float, friction: gms.Parameters) -> int:
 
 @kernel
 def _slide(position: Array, velocity: Array, level: float, period: float, p: gms.Parameters) -> Array:
-    """Return the sum of the elements' forces [N] at a level over the rig file's, along a motion [m, m/s]."""
+    """Return the sum of the elements' forces [N] along a motion [m, m/s], at a level relative to the rig file's."""
     n = len(p.element_stiffness)
     forces, mode = np.zeros(n), np.zeros(n)
     sliding = np.zeros(len(position))
@@ -154,7 +154,7 @@ def _slide(position: Array, velocity: Array, level: float, period: float, p: gms
                 forces[i] += p.element_stiffness[i] * moved  # (6)
                 beyond = direction * (forces[i] - weight * ends)
                 if beyond > 0.0:
-                    # Where both cross within the cycle.
+                    # Fraction of the cycle after the force crosses the break-away limit.
                     remaining = beyond / (beyond + short)
                     forces[i], mode[i] = weight * (ends + remaining * (begins - ends)), direction
             if mode[i] != 0.0:
@@ -167,12 +167,12 @@ def _slide(position: Array, velocity: Array, level: float, period: float, p: gms
 
 @kernel
 def follow(position: float, force: float, longest: float, track: Array, ring: Array) -> None:
-    """Take in one cycle.
+    """Add one cycle to the track and the ring.
 
     Args:
-        position: [m]; where it or the force is not finite, all starts anew.
+        position: piston position [m]; if it or the force is not finite, the track restarts.
         force: driving force [N].
-        longest: motion back after which a reversal counts [m].
+        longest: motion back after which a reversal is detected [m].
         track: by the indices above; updated.
         ring: signals of the last cycles, shape (RING, SIGNALS); updated.
     """
@@ -196,15 +196,15 @@ def follow(position: float, force: float, longest: float, track: Array, ring: Ar
 
 
 class Reversals:
-    """What the reversals so far tell, forgetting old ones."""
+    """Estimates from the reversals so far, with forgetting."""
 
     def __init__(self, model: Model, surroundings: Surroundings, forgetting: float) -> None:
-        """Start with none.
+        """Start without reversals.
 
         Args:
             model: the rig file's.
-            surroundings: of the piston.
-            forgetting: time constant with which reversals are forgotten [s].
+            surroundings: coupling of the piston.
+            forgetting: time constant of the forgetting of reversals [s].
         """
         self._model = model
         self._surroundings = surroundings
@@ -219,14 +219,14 @@ class Reversals:
         self._sums = np.zeros((4, len(DEGREES), SOUGHT))
 
     def look(self, track: Array, ring: Array) -> None:
-        """Try a level on the last reversal, once its window is complete; when none is better, take the reversal in."""
+        """Try a level on the last reversal with a complete window; add it once converged or after :data:`STEPS` trials."""
         reversed_at, turned_at, now = int(track[REVERSED_AT]), int(track[TURNED_AT]), int(track[SEEN])
         if reversed_at <= self._taken or turned_at - reversed_at >= RING // 4:
             return
         back = ring[np.arange(reversed_at, turned_at + 1) % RING, POSITION]
         gone = int(np.argmax(np.abs(back - back[0]) >= self._level * self._travel)) or turned_at - reversed_at
         half = max(int(AROUND * gone), SHORTEST)
-        # Wider windows are smoothed more: what is looked for in them is slower.
+        # Wider windows are smoothed more, as their features are slower.
         width = max(half // (2 * WIDTH), 1) * 2 + 1
         margin, centre = half + width, reversed_at + gone
         if now < centre + margin + MOST_HALF + 1:
@@ -245,12 +245,12 @@ class Reversals:
             self._add(values, variance, weights, 2.0 * half * self._model.period)
 
     def interrupt(self) -> None:
-        """Let the count of cycles start again."""
+        """Reset the state after the cycle count has restarted."""
         self._taken = -1.0
         self._tried = 0
 
     def found(self) -> Found | None:
-        """Return what the reversals tell together; None while they are too few."""
+        """Return the estimate from all reversals; None while there are too few."""
         if self._seen < REVERSALS:
             return None
         weights = self._sums[0]
@@ -259,19 +259,19 @@ class Reversals:
         value = (share * means).sum(axis=0)
         scatter = (share * np.maximum(squares - means**2, 0.0)).sum(axis=0) / max(self._weight - 1.0, 1.0)
         disagreement = (share * (means - value) ** 2).sum(axis=0)
-        # What a window does not tell, it does not tell the next time either: its own variance does not average out.
+        # An error due to poor excitation recurs in the next window: a window's variance does not average out.
         lasting = (share * own).sum(axis=0)
         return Found(value, np.sqrt(scatter + disagreement + lasting))
 
     def _add(self, values: Array, variance: Array, weights: Array, duration: float) -> None:
-        # A reversal is forgotten by the time that reversals take, so that rare ones count as long.
+        # Forgetting is per duration of a reversal, so that rare reversals count equally long.
         fading = math.exp(-duration / self._forgetting)
         self._seen += 1
         self._weight = fading * self._weight + 1.0
         self._sums = fading * self._sums + weights * np.stack((np.ones_like(values), values, values**2, variance))
 
     def _fit(self, rows: Array, before: int, width: int) -> tuple[Array, Array, Array]:
-        """Return what is sought over the rig file's for each degree, the variance of it, and the degrees' weights.
+        """Return per degree the estimates relative to the rig file's, their variance, and the degrees' weights.
 
         The shapes are (DEGREES, SOUGHT), the same, and (DEGREES, 1). The window begins ``before`` cycles after the first row.
         """
@@ -306,25 +306,26 @@ class Reversals:
         corners = _corners(len(window), width)[thin] if coupled and long else None
         least = LEAST_LEFT * in_python(largest_force)(plant) / PAPER_FORCE
         fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing, corners, least) for degree in DEGREES]
-        # What explains the window better counts more.
+        # A degree that explains the window better has a larger weight.
         weights = np.array([1.0 / left**2 for *_, left in fits])
         values, variance = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
         floors = np.array(FLOORS)
         if coupled:
             floors[LEVEL] = COUPLED_LONG_FLOOR if long else COUPLED_FLOOR
-        # How far the degrees and the reversals differ says more of the level than one fit does.
+        # The scatter among degrees and reversals is a better measure of the level's error than one fit.
         variance[:, LEVEL] = 0.0
         return values + np.array([level, 1.0, 1.0]), variance + floors**2, (weights / weights.sum())[:, np.newaxis]
 
 
 def _solved(regressors: Array, missing: Array, corners: Array | None, least: float) -> tuple[Array, Array, float]:
-    """Return the errors of what is sought, their variance, both of shape (SOUGHT,), and what is left [N].
+    """Return the errors of the estimates, their variance, both of shape (SOUGHT,), and the rms residual [N].
 
     Args:
-        regressors: what is sought, then the polynomial, shape (points, n).
-        missing: force that they explain [N], shape (points,).
-        corners: functions of which that counts that explains most of what the others leave, shape (points, m); None: none.
-        least: lower bound of what is left [N].
+        regressors: columns of the estimates, then of the polynomial, shape (points, n).
+        missing: force to explain [N], shape (points,).
+        corners: candidate functions, of which the one that explains most of the residual is used, shape (points, m); None
+            without.
+        least: lower bound of the residual [N].
     """
     if corners is not None:
         span = np.linalg.qr(regressors)[0]
@@ -333,7 +334,7 @@ def _solved(regressors: Array, missing: Array, corners: Array | None, least: flo
         regressors = np.column_stack((regressors, corners[:, np.argmax(explained)]))
     free = np.linalg.lstsq(regressors, missing, rcond=None)[0]
     left = max(float(np.sqrt(np.mean((missing - regressors @ free) ** 2))), least)
-    # What is left is as structured as the friction: all points together count as one.
+    # The residual is as structured as the friction: all points together count as one.
     together = left * math.sqrt(len(missing))
     known = np.zeros((2, regressors.shape[1]))
     known[0, VISCOUS] = known[1, MASS] = together / KNOWN
@@ -342,13 +343,13 @@ def _solved(regressors: Array, missing: Array, corners: Array | None, least: flo
 
 
 def _corners(rows: int, width: int) -> Array:
-    """Return ramps that begin within a window of some rows, as the filter leaves them."""
+    """Return the filter's response to ramps that begin within a window of ``rows`` rows."""
     at = rows * np.linspace(0.1, 0.9, CORNERS)
     return _twice_averaged(np.maximum(np.arange(rows)[:, np.newaxis] - at, 0.0) / rows, width)[1:-1]
 
 
 def _twice_averaged(window: Array, width: int) -> Array:
-    """Return columns averaged over ``width`` rows, twice; shorter by twice ``width`` - 1 rows at both ends together."""
+    """Return columns averaged twice over ``width`` rows; this shortens them by 2 (``width`` - 1) rows in total."""
     for _ in range(2):
         total = np.vstack((np.zeros(window.shape[1]), np.cumsum(window - window[0], axis=0)))
         window = (total[width:] - total[:-width]) / width + window[0]

@@ -1,4 +1,4 @@
-"""Which of the estimates a controller is given, how fast, and what the user is told."""
+"""Select the estimates handed over to a controller, limit their rate, and word the report to the user."""
 
 import math
 from typing import NamedTuple
@@ -8,12 +8,12 @@ from ehls_ros.physics.rig import EffectUse, Rig
 
 
 class Named(NamedTuple):
-    """A coefficient that may be wrong.
+    """Coefficient that may be wrong.
 
     Attributes:
-        words: what it is called.
-        unit: ``""`` for one that is told relative to the rig file; else the unit of its estimate.
-        rough: standard error with which it is worth using, over the others'.
+        words: name in reports.
+        unit: unit of its estimate; ``""`` if it is relative to the rig file.
+        rough: factor on the standard error below which the estimate is used.
     """
 
     words: str
@@ -32,16 +32,16 @@ COEFFICIENTS = {
     "viscous_coefficient": Named("viscous friction", rough=2.0),
     "moving_mass": Named("moving mass", rough=2.0),
 }
-"""What is looked for, by name."""
+"""Coefficients to estimate, by name."""
 
 
 class Estimated(NamedTuple):
-    """An estimate.
+    """Estimate of a coefficient.
 
     Attributes:
-        value: over the rig file's value; a delay in s.
-        std: its standard error.
-        meaning: what it is an estimate of, where that is more than the coefficient alone.
+        value: estimate relative to the rig file's value; for a delay, in s.
+        std: standard error of the value.
+        meaning: the estimated quantity, if it is more than the coefficient alone.
     """
 
     value: float
@@ -50,13 +50,13 @@ class Estimated(NamedTuple):
 
 
 class Caution(NamedTuple):
-    """When a coefficient moves, how far and how fast.
+    """Conditions and bounds on the adaptation of a coefficient.
 
     Attributes:
         reach: largest relative change.
-        rate: largest relative change in a second [1/s].
-        certain: largest relative standard error of an estimate that counts.
-        significance: standard errors by which an estimate must differ from what the controller has.
+        rate: largest relative change per second [1/s].
+        certain: largest relative standard error of a usable estimate.
+        significance: standard errors by which an estimate must differ from the value in use.
     """
 
     reach: float
@@ -66,11 +66,11 @@ class Caution(NamedTuple):
 
 
 class Leeway(NamedTuple):
-    """How far and how fast one coefficient may move.
+    """Bounds on the change of one coefficient.
 
     Attributes:
         change: largest change from its nominal value, in its unit.
-        rate: largest change in a second.
+        rate: largest change per second.
     """
 
     change: float
@@ -78,31 +78,31 @@ class Leeway(NamedTuple):
 
 
 def leeway(caution: Caution, nominal: float, least: float = 0.0) -> Leeway:
-    """Return how far and how fast a coefficient may move.
+    """Return the bounds on the change of a coefficient.
 
     Args:
         caution: relative bounds.
         nominal: the rig file's value.
-        least: smallest change that is always allowed: a delay of none has no relative change.
+        least: smallest change that is always allowed, as a zero delay has no relative change.
     """
     size = max(abs(nominal), least)
     return Leeway(max(caution.reach * size, least), caution.rate * size)
 
 
 class HandedOver:
-    """One coefficient on its way from the rig file's value to the estimate.
+    """Coefficient on its way from the rig file's value to the estimate.
 
     Attributes:
-        value: what the controller is given, over the rig file's value; a delay in s.
+        value: value handed over, relative to the rig file's; for a delay, in s.
     """
 
     def __init__(self, name: str, nominal: float, period: float) -> None:
         """Start with the rig file's value.
 
         Args:
-            name: of the coefficient.
-            nominal: the rig file's value where it is told in its unit, else 1.
-            period: of the cycles [s].
+            name: name of the coefficient.
+            nominal: the rig file's value if estimated in its unit, otherwise 1.
+            period: control period [s].
         """
         self._named = COEFFICIENTS[name]
         self._nominal = nominal
@@ -111,7 +111,7 @@ class HandedOver:
         self._latest: Estimated | None = None
 
     def judge(self, latest: Estimated | None, caution: Caution) -> None:
-        """Choose where to go from the latest estimate; None: there is none."""
+        """Choose the target from the latest estimate; None if there is no estimate."""
         self._latest = latest
         if latest is None or not self._known(latest, caution):
             return
@@ -120,14 +120,14 @@ class HandedOver:
             self._aim = float(min(max(latest.value, self._nominal - reach, 0.0), self._nominal + reach))
 
     def move(self, duration: float, caution: Caution) -> bool:
-        """Go on for a time [s]; return whether anything changed."""
+        """Move towards the target for a time [s]; return whether the value changed."""
         most = leeway(caution, self._nominal, self._least).rate * duration
         change = min(max(self._aim - self.value, -most), most)
         self.value += change
         return change != 0.0
 
     def told(self, caution: Caution) -> str:
-        """Return the sentence for the user."""
+        """Return the report of this coefficient as a sentence."""
         name, latest = self._named.words, self._latest
         if latest is None or not self._known(latest, caution):
             how = (
@@ -148,7 +148,7 @@ class HandedOver:
         return f"{about} seems {amount} {words[int(off < 0.0)]} (± {std}){end}"
 
     def capped(self, caution: Caution) -> bool:
-        """Return whether the latest estimate is known well enough to be used, and out of reach."""
+        """Return whether the latest estimate is certain enough to be used but out of reach."""
         latest = self._latest
         if latest is None or not self._known(latest, caution):
             return False
@@ -156,7 +156,7 @@ class HandedOver:
         return off > max(self._reach(caution), caution.significance * latest.std)
 
     def at_bound(self, caution: Caution) -> str:
-        """Return what is to be done about an estimate that is out of reach."""
+        """Return the sentence with the remedy for an estimate that is out of reach."""
         return f"{self.told(caution)}: correct the rig file, for which the run leaves rig_adapted.yaml"
 
     def _reach(self, caution: Caution) -> float:
@@ -167,7 +167,7 @@ class HandedOver:
         return latest.std <= self._named.rough * caution.certain * max(self._nominal, self._least)
 
     def _relative(self, value: float) -> float:
-        """Return what an estimate is divided by to speak of the rig file's error: it is this much off the truth."""
+        """Return the divisor that converts an estimate's error to the rig file's error, which is relative to the truth."""
         return 1.0 if self._named.unit else value
 
     def _amount(self, value: float) -> str:
@@ -178,12 +178,12 @@ class HandedOver:
 
 
 def corrected(model: Model, original: Model, values: dict[str, float]) -> Model:
-    """Return a model with coefficients handed over.
+    """Return a model with the handed-over coefficients.
 
     Args:
         model: the model in use.
         original: the rig file's.
-        values: by name, over the rig file's; the delay in s.
+        values: values by name, relative to the rig file's; the delay in s.
     """
     plant, friction = original.plant, original.friction
     changed = {name: getattr(plant, name) * value for name, value in values.items() if name in plant._fields}
@@ -198,11 +198,11 @@ def corrected(model: Model, original: Model, values: dict[str, float]) -> Model:
 
 
 SCALED = ("coulomb_force", "static_force", "attraction_rate")
-"""What grows with the friction level: the curve, and the rate at which elements approach it."""
+"""Friction parameters that scale with the level: the curve, and the rate at which elements approach it."""
 
 
 def corrected_rig(rig: Rig, original: Model, values: dict[str, float]) -> Rig:
-    """Return a rig file's content with coefficients handed over; arguments as of :func:`corrected`."""
+    """Return a rig file's content with the handed-over coefficients; arguments as those of :func:`corrected`."""
     model = corrected(original, original, values)
     delay = model.command_delay
     effects = tuple(
@@ -212,5 +212,5 @@ def corrected_rig(rig: Rig, original: Model, values: dict[str, float]) -> Rig:
 
 
 def differs(value: float, nominal: float) -> bool:
-    """Tell whether a value handed over is another than the rig file's."""
+    """Return whether a handed-over value differs from the rig file's."""
     return not math.isclose(value, nominal, rel_tol=1e-12, abs_tol=1e-12)

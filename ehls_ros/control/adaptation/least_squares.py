@@ -1,4 +1,4 @@
-"""Least squares with forgetting, from sums that grow by a row at a time."""
+"""Least squares with forgetting, from sums updated by one row at a time."""
 
 import math
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array, kernel
 
 LARGEST_NOISE = 0.5
-"""Most of a regressor's square that may be its sensor's noise, before it tells nothing."""
+"""Largest noise share of a regressor's mean square for which it is used."""
 
 
 @kernel
@@ -17,8 +17,8 @@ def gather(row: Array, fading: float, sums: Array, count: Array) -> None:
     """Add a row to the sums.
 
     Args:
-        row: regressors, and the value that they explain, last; shape (n,).
-        fading: what remains of the earlier rows' weight [1].
+        row: regressors, and last the value that they explain; shape (n,).
+        fading: forgetting factor of the earlier rows' weight [1].
         sums: sums of the products of any two entries, shape (n, n); the lower triangle is used.
         count: sum of the weights, shape (1,).
     """
@@ -29,12 +29,12 @@ def gather(row: Array, fading: float, sums: Array, count: Array) -> None:
 
 
 class Fit(NamedTuple):
-    """A solution.
+    """Least-squares solution.
 
     Attributes:
         values: coefficients, shape (n,).
-        covariance: theirs, shape (n, n).
-        residual: standard deviation of what is not explained.
+        covariance: covariance of the coefficients, shape (n, n).
+        residual: standard deviation of the residual.
     """
 
     values: Array
@@ -47,12 +47,12 @@ class Fit(NamedTuple):
 
 
 def whole(sums: Array) -> Array:
-    """Return symmetric sums from those that :func:`gather` filled."""
+    """Return the symmetric sums from the lower triangle filled by :func:`gather`."""
     return np.tril(sums) + np.tril(sums, -1).T
 
 
 def audible(squares: Array, count: float, noise: Array) -> NDArray[np.bool_]:
-    """Tell which regressors, by the sums of their squares, are more than their noise of a variance ``noise``; shape (n,)."""
+    """Return a mask of the regressors whose sums of squares exceed their noise of variance ``noise``; shape (n,)."""
     heard: NDArray[np.bool_] = count * noise <= LARGEST_NOISE * squares
     return heard
 
@@ -61,21 +61,21 @@ def solve(sums: Array, count: float, noise: Array, prior: Array) -> Fit | None:
     """Solve for the coefficients of the regressors.
 
     Args:
-        sums: symmetric, shape (n + 1, n + 1).
+        sums: symmetric sums, shape (n + 1, n + 1).
         count: sum of the rows' weights.
         noise: variance of each regressor's noise, shape (n,): without its removal, noise would draw coefficients to 0
             (Fuller, Measurement Error Models, 1987, section 2.2).
-        prior: how well each coefficient is known to be zero, one over its standard deviation, shape (n,).
+        prior: inverse of each coefficient's prior standard deviation about zero, shape (n,).
 
     Returns:
-        The solution; None where the rows do not tell the coefficients apart, are too few, or hold little but noise.
+        The solution; None if the rows do not separate the coefficients, are too few, or contain little but noise.
     """
     n = len(sums) - 1
     squares, products = sums[:n, :n], sums[:n, n]
     if count < 4.0 * n or not np.all(audible(np.diag(squares), count, noise)):
         return None
     removed = count * noise
-    # In units of the regressors' own sizes, as they differ by many powers of ten.
+    # Scaled by the regressors' sizes, as they differ by many powers of ten.
     size = np.sqrt(np.diag(squares))
     if not np.all(size > 0.0):
         return None
@@ -95,6 +95,6 @@ def solve(sums: Array, count: float, noise: Array, prior: Array) -> Fit | None:
 
 
 def _variance(squares: Array, products: Array, total: float, values: Array, count: float) -> float:
-    """Return the mean square of what remains, never below the rounding of its sum."""
+    """Return the residual variance, never below the rounding of its sum."""
     remains = total - 2.0 * float(values @ products) + float(values @ squares @ values)
     return max(remains, 1e-14 * total) / (count - len(values))

@@ -1,7 +1,7 @@
-"""How far a controller's model of the rig may move from the rig file's, whoever moves it: as far as adaptation may.
+"""Check how far a controller's model of the rig departs from the rig file, with the bounds of adaptation for all sources.
 
-A coefficient moves by a share of the rig file's value. Where that is small or zero, as of a leakage, the share is of the value
-at which the coefficient would take up all of the valve's flow or of the rig's force.
+A coefficient may change by a fraction of the rig file's value. If that is small or zero, as for a leakage, the fraction refers
+to another value, at which the coefficient would take up all of the valve's flow or of the rig's force.
 """
 
 import math
@@ -16,16 +16,16 @@ from ehls_ros.physics.parameters import Limits
 from ehls_ros.schema import notes
 
 REACH = notes(adaptation.Parameters)["reach"].maximum or 0.0
-"""Largest change of a coefficient, over its value in the rig file."""
+"""Largest change of a coefficient, relative to its value in the rig file."""
 
 
 class Moved(NamedTuple):
-    """A number of a model that differs from the rig file's.
+    """Number of a model that differs from the rig file's.
 
     Attributes:
-        name: of the coefficient.
-        value: in the model.
-        own: in the rig file.
+        name: name of the coefficient.
+        value: value in the model.
+        own: value in the rig file.
     """
 
     name: str
@@ -39,17 +39,17 @@ def check_reach(model: Model, own: Model, limits: Limits) -> None:
     Args:
         model: the model that a controller is to use.
         own: the model of the rig file.
-        limits: of the rig.
+        limits: limits of the rig.
 
     Raises:
-        ValueError: naming the first coefficient that is not.
+        ValueError: a coefficient is out of reach; the first is named.
     """
     if type(model.friction) is not type(own.friction):
         raise ValueError("it has another friction model")
     largest = sizes(own, limits)
     for moved in _moved(model, own):
         size = max(abs(moved.own), largest.get(moved.name, 0.0))
-        # A delay of none has no share: a control cycle then is its reach.
+        # A zero delay has no relative change: its reach is one control cycle.
         reach = max(REACH * size, own.period if moved.name == "command_delay" else 0.0)
         if not abs(moved.value - moved.own) <= reach * (1.0 + 1e-9):
             share = f"{reach / size:.0%} of {size:.4g}" if size else "nothing"
@@ -61,7 +61,7 @@ def sizes(own: Model, limits: Limits) -> Mapping[str, float]:
 
     Args:
         own: the model of the rig file.
-        limits: of the rig.
+        limits: limits of the rig.
     """
     plant = own.plant
     flow = plant.discharge_coefficient * plant.valve_area_gradient * own.spool_limit
@@ -87,13 +87,13 @@ def _moved(model: Model, own: Model) -> Iterator[Moved]:
 
 
 def _parts(field: str, value: Any) -> Mapping[str, Any]:
-    """Return the parameters of a set by name, or a single one."""
+    """Return the parameters of a set by name, or a single value under the field's name."""
     parts: Mapping[str, Any] = value._asdict() if hasattr(value, "_asdict") else {field: value}
     return parts
 
 
 def _numbers(value: Any, own: Any) -> Iterator[tuple[float, float]]:
-    """Yield the numbers of a value, and the same ones of the rig file's; NaN where one has more of them."""
+    """Yield the numbers of a value paired with the rig file's; NaN if their counts differ."""
     values, given = np.atleast_1d(np.asarray(value, dtype=np.float64)), np.atleast_1d(np.asarray(own, dtype=np.float64))
     if values.shape != given.shape:
         yield math.nan, float(given.flat[0])

@@ -1,4 +1,4 @@
-"""The stages together: from readings to estimates, and to the model that a controller is given."""
+"""Run all stages of the adaptation: from readings to estimates, and to the model for the controller."""
 
 import math
 from collections.abc import Mapping
@@ -11,28 +11,28 @@ from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics.friction import gms
 
 TURNS = 20
-"""Calls in which every stage is solved once, one stage in one call, so that no cycle waits for all of them."""
+"""Calls in which every stage is solved once; each call solves one stage, so that no cycle waits for all of them."""
 
 REVERSALS_TELL = ("friction_level", "viscous_coefficient", "moving_mass")
-"""Names of what is sought in reversals, in the order of :mod:`ehls_ros.control.adaptation.friction`."""
+"""Names of the coefficients estimated from reversals, in the order of :mod:`ehls_ros.control.adaptation.friction`."""
 
 BANDWIDTH_OFF, BANDWIDTH_CERTAIN = 0.03, 0.01
-"""Relative error of the bandwidth in use from which on it is replaced, and how certain it must be."""
+"""Relative error of the bandwidth in use above which it is replaced, and the standard error required for this."""
 
 
 class Search:
-    """What a rig file has wrong, as far as the cycles told."""
+    """Search for errors of a rig file in the cycles so far."""
 
     def __init__(
         self, original: Model, caution: Caution, forgetting: float, around: friction.Surroundings | None = None
     ) -> None:
-        """Start from what the rig file says.
+        """Start from the rig file's values.
 
         Args:
-            original: that.
+            original: the model of the rig file.
             caution: how estimates are used.
-            forgetting: time constant with which readings are forgotten [s].
-            around: surroundings of the piston; None: not known, so that the friction cannot be told.
+            forgetting: time constant of the forgetting of readings [s].
+            around: coupling of the piston; None if unknown, so that friction cannot be estimated.
         """
         self._original = original
         self._caution = caution
@@ -48,17 +48,17 @@ class Search:
         }
 
     def interrupt(self) -> None:
-        """Let what is half gathered not count."""
+        """Discard incomplete data after an interruption."""
         evidence.interrupt(self._memory)
         if self._reversals is not None:
             self._reversals.interrupt()
 
     def take(self, measured: Array, command: Array) -> None:
-        """Take in cycles: readings in the order of ``SENSED``, shape (n, 7), and spool commands [m], shape (n,)."""
+        """Add cycles: readings in the order of ``SENSED``, shape (n, 7), and spool commands [m], shape (n,)."""
         self._take(measured, command, self._basis, self._memory)
 
     def corrected(self, model: Model, cycles: int) -> Model:
-        """Return a model with what was found so far, after some more cycles."""
+        """Return a model with the corrections so far, after a number of further cycles."""
         self._turn = (self._turn + 1) % TURNS
         match self._turn:
             case 1:
@@ -78,26 +78,26 @@ class Search:
         return corrected(model, self._original, self.values())
 
     def values(self) -> dict[str, float]:
-        """Return what the controller is given, over the rig file's values; the delay in s."""
+        """Return the values handed over, relative to the rig file's; the delay in s."""
         return {name: each.value for name, each in self._coefficients.items()}
 
     def changed(self) -> bool:
-        """Tell whether the controller is given anything other than the rig file."""
+        """Return whether any value handed over differs from the rig file."""
         nominal = {"command_delay": self._original.command_delay}
         return any(differs(value, nominal.get(name, 1.0)) for name, value in self.values().items())
 
     def report(self) -> dict[str, float | str]:
-        """Return values and sentences, as of the last time that each stage was solved; asking changes nothing."""
+        """Return values and sentences as of the last solution of each stage, without side effects."""
         figures: dict[str, float | str] = dict(self.values())
         figures.update({f"{name}_told": each.told(self._caution) for name, each in self._coefficients.items()})
         return figures
 
     def at_bounds(self) -> tuple[str, ...]:
-        """Return a sentence for each coefficient that the controller is given at its bound, as the estimate is beyond it."""
+        """Return a sentence for each coefficient that is handed over at its bound, as the estimate is beyond it."""
         return tuple(each.at_bound(self._caution) for each in self._coefficients.values() if each.capped(self._caution))
 
     def solve(self) -> None:
-        """Estimate all coefficients from what was gathered."""
+        """Estimate all coefficients from the accumulated data."""
         for found in (self._valve(), self._area_and_flow(), self._friction()):
             self._judge(found)
 
@@ -116,7 +116,7 @@ class Search:
         return found
 
     def _friction(self) -> dict[str, Estimated | None]:
-        """Return what the reversals tell."""
+        """Return the estimates from the reversals."""
         found: dict[str, Estimated | None] = dict.fromkeys(REVERSALS_TELL)
         if self._reversals is None:
             return found
@@ -127,7 +127,7 @@ class Search:
         return found
 
     def _flow(self, through: flow.Found, size: area.Found | None, found: dict[str, Estimated | None]) -> None:
-        """Add what the flow tells; without a load cell, per piston area."""
+        """Add the estimates of the flow stage; without a load cell, per piston area."""
         usable = size is not None and size.area_std <= self._caution.certain
         scale, scale_std = (size.area, size.area_std) if size is not None and usable else (1.0, 0.0)
         spool_read = self._memory.flags[SPOOL_READ] == 1.0
@@ -152,7 +152,7 @@ class Search:
         scale = bank.bandwidth / self._original.plant.valve_bandwidth
         certain = found.bandwidth_std < BANDWIDTH_CERTAIN and found.bandwidth > 0.0
         if certain and abs(found.bandwidth - 1.0) > BANDWIDTH_OFF:
-            # The slope over the bandwidth holds near it only.
+            # The slope over the bandwidth is valid only near it.
             self._basis = evidence.relined(self._basis, bank.bandwidth * found.bandwidth, self._memory)
         return {
             "valve_gain": Estimated(found.gain, found.gain_std),

@@ -1,12 +1,12 @@
-"""The valve (4): its gain, bandwidth and delay, from the spool and the commands.
+"""Estimate gain, bandwidth and delay of the valve (4) from the spool and the commands.
 
-The spool that the rig file's bandwidth makes of the commands is known without noise. The spool measured is a sum of it at two
-neighbouring delays, which also stands for a delay between them, of its slope over the bandwidth, and of an offset:
+The spool response to the commands by the rig file's bandwidth is free of noise. The measured spool is a weighted sum of this
+response at two neighbouring delays (which covers the delays between them), of its slope over the bandwidth, and of an offset:
 
     xv = c0 z(t - n T) + c1 z(t - (n + 1) T) + c2 omega dz/domega + c3,    Kv = c0 + c1,    c1/Kv from the fraction of a cycle
 
-A command that acts f later than a whole cycle weighs 1 - exp(-omega (T - f)) in the first cycle and the rest in the next, so
-the sum is exact. Of the delays of a bank, that with the smallest residual counts.
+A command that acts f later than a whole cycle has the weight 1 - exp(-omega (T - f)) in the first cycle and the rest in the
+next, so the sum is exact. Among the delays of a bank, the one with the smallest residual is chosen.
 """
 
 import math
@@ -18,33 +18,33 @@ from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.adaptation.least_squares import Fit, gather, solve, whole
 
 SETTLED = 10.0
-"""Time constants of the valve after which its state at the start is forgotten."""
+"""Time constants of the valve after which its initial state is forgotten."""
 
 EXTRA = 2
-"""Cycles of delay beyond those within reach that the bank holds, to tell that the delay is larger."""
+"""Cycles of delay in the bank beyond those within reach, to detect a larger delay."""
 
 OUTSIDE = 0.2
-"""How far, in cycles, a delay may be outside its pair of the bank."""
+"""Distance, in cycles, by which a delay may be outside its pair of the bank."""
 
 OFFSET = 1e-4
-"""Size of the spool's offset, for the sums [m]."""
+"""Scale of the spool's offset in the sums [m]."""
 
 GAIN_FLOOR, BANDWIDTH_FLOOR, DELAY_FLOOR = 1e-3, 5e-3, 0.01
-"""Least standard errors of gain and bandwidth, and of the delay in cycles: linearity of the spool's sensor."""
+"""Least standard errors of gain and bandwidth, and of the delay in cycles, due to the linearity of the spool sensor."""
 
 BANDWIDTH_KNOWN = 0.3
-"""Standard deviation of the bandwidth's relative error before anything is measured."""
+"""Prior standard deviation of the bandwidth's relative error."""
 
 
 class Bank(NamedTuple):
-    """The delays that are compared.
+    """Bank of delays to compare.
 
     Attributes:
-        first: the smallest, in cycles.
-        delays: how many.
-        bandwidth: the valve's, with which the spool is computed [rad/s].
+        first: smallest delay, in cycles.
+        delays: number of delays.
+        bandwidth: valve bandwidth with which the spool is computed [rad/s].
         gain: the rig file's valve gain.
-        period: of the cycles [s].
+        period: control period [s].
     """
 
     first: int
@@ -55,17 +55,17 @@ class Bank(NamedTuple):
 
     @property
     def settled(self) -> int:
-        """Cycles until the state at the start is forgotten."""
+        """Cycles until the initial state is forgotten."""
         return math.ceil(SETTLED / self.bandwidth / self.period) + self.first + self.delays
 
 
 class Found(NamedTuple):
-    """What the valve turns out to be.
+    """Estimates of the valve.
 
     Attributes:
-        gain, gain_std: valve gain over the rig file's, and its standard error.
-        bandwidth, bandwidth_std: bandwidth over the bank's.
-        delay, delay_std: of the command [s].
+        gain, gain_std: valve gain relative to the rig file's, and its standard error.
+        bandwidth, bandwidth_std: bandwidth relative to the bank's, and its standard error.
+        delay, delay_std: delay of the command and its standard error [s].
     """
 
     gain: float
@@ -77,7 +77,7 @@ class Found(NamedTuple):
 
 
 def columns(count: int) -> int:
-    """Return the entries of a row: spools and slopes for each delay, the offset, and the spool measured."""
+    """Return the number of entries of a row: spools and slopes for each delay, the offset, and the measured spool."""
     return 2 * count + 2
 
 
@@ -101,7 +101,7 @@ def follow(command: float, bank: Bank, past: Array) -> None:
 
 @kernel
 def spool_at(delay: float, bank: Bank, past: Array) -> float:
-    """Return the spool computed [m] for a delay [s]."""
+    """Return the computed spool position [m] for a delay [s]."""
     cycles = min(max(delay / bank.period, 0.0), past.shape[1] - 1.0)
     whole_cycles = min(int(cycles), past.shape[1] - 2)
     fraction = cycles - whole_cycles
@@ -110,7 +110,7 @@ def spool_at(delay: float, bank: Bank, past: Array) -> float:
 
 @kernel
 def compare(spool: float, bank: Bank, past: Array, fading: float, row: Array, sums: Array, count: Array) -> None:
-    """Take in one reading of the spool [m]; ``row`` is scratch."""
+    """Add one reading of the spool [m] to the sums; ``row`` is scratch."""
     for i in range(bank.delays):
         row[i] = past[0, bank.first + i]
         row[bank.delays + i] = past[1, bank.first + i]
@@ -120,9 +120,9 @@ def compare(spool: float, bank: Bank, past: Array, fading: float, row: Array, su
 
 
 def find(bank: Bank, sums: Array, count: float) -> Found | None:
-    """Return the valve that explains the spool best; None where the commands do not tell it."""
+    """Return the valve that fits the spool best; None if the commands do not determine it."""
     sums = whole(sums)
-    # Inside its pair first: a delay beyond the bank counts only where none is.
+    # Delays inside their pair take precedence; a delay beyond the bank is used only if there is none.
     candidates: list[tuple[bool, float, int, Fit]] = []
     for i in range(bank.delays - 1):
         pick = np.zeros((len(sums), 5))

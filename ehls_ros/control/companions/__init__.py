@@ -1,4 +1,4 @@
-"""What works beside any controller, one file each; ``base`` says what a file provides."""
+"""Companions that work beside any controller, one file each; ``base`` defines the interface of a file."""
 
 from ehls_ros.control.companions.base import CompanionKind
 from ehls_ros.families import Family

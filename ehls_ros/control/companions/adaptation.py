@@ -1,7 +1,7 @@
-"""What the rig file has wrong, found while running: valve gain, bandwidth and delay, flow, area and friction.
+"""Adapt the rig file's coefficients while running: valve gain, bandwidth and delay, flow, area and friction.
 
-The controller is given a corrected model, within a reach and a rate that keep its margins; the user is told what the rig file
-seems to have wrong. :mod:`ehls_ros.control.adaptation` has the regressions.
+The controller receives a corrected model, within a reach and a rate that preserve its margins. The user receives a report of
+apparent errors in the rig file. :mod:`ehls_ros.control.adaptation` has the regressions.
 """
 
 from collections.abc import Mapping
@@ -21,11 +21,11 @@ from ehls_ros.schema import quantity
 ACTUATOR = False
 
 STRIDE = 10
-"""Cycles between two small steps of the model."""
+"""Cycles between successive small steps of the model."""
 
 
 class Parameters(NamedTuple):
-    """Caution of the adaptation."""
+    """Bounds and thresholds of the adaptation."""
 
     reach: Annotated[
         float, quantity("1", "largest change of a coefficient from the rig file's, relative", minimum=0.0, maximum=0.3)
@@ -45,17 +45,17 @@ class Parameters(NamedTuple):
 
 
 def caution_of(p: Parameters) -> Caution:
-    """Return when a coefficient moves, how far and how fast."""
+    """Return the conditions and bounds on the adaptation of a coefficient."""
     return Caution(p.reach, p.rate, p.certain, p.significance)
 
 
 class Adaptation:
-    """The companion at work."""
+    """Adaptation of the controller's model as a companion."""
 
     corrects = True
 
     def __init__(self, p: Parameters, setting: Setting) -> None:
-        """Start from what the rig file says."""
+        """Start from the rig file's values."""
         self._wait = p.wait
         self._next = 0
         self._started: int | None = None
@@ -63,11 +63,11 @@ class Adaptation:
 
     @property
     def search(self) -> Search:
-        """What is found."""
+        """The search with its estimates."""
         return self._search
 
     def prepare(self) -> None:
-        """Compile or load what gathers the evidence: it takes in no cycle."""
+        """Compile or load the accumulation of evidence by a call without cycles."""
         self._search.take(np.empty((0, len(SENSED))), np.empty(0))
 
     def room(self, first: int, place: Array) -> int:
@@ -75,10 +75,10 @@ class Adaptation:
         return min(STRIDE - first % STRIDE, len(place))
 
     def ahead(self, upcoming: Upcoming) -> None:
-        """Change nothing."""
+        """Leave the rows unchanged."""
 
     def done(self, past: Past, model: Model) -> Model:
-        """Take in what happened; return the model as corrected so far."""
+        """Add the past cycles to the evidence; return the model as corrected so far."""
         if self._started is None or past.first != self._next:
             self._started = past.first if self._started is None else self._started
             self._search.interrupt()
@@ -89,11 +89,11 @@ class Adaptation:
         return self._search.corrected(model, STRIDE)
 
     def interrupt(self) -> None:
-        """Forget what is half gathered."""
+        """Discard incomplete data after an interruption."""
         self._search.interrupt()
 
     def report(self) -> Mapping[str, float | str]:
-        """Return what the controller is given, over the rig file's values, and a sentence for each coefficient."""
+        """Return the values handed over, relative to the rig file's, and a sentence for each coefficient."""
         return self._search.report()
 
     def at_bounds(self) -> tuple[str, ...]:
@@ -101,27 +101,27 @@ class Adaptation:
         return self._search.at_bounds()
 
     def kept(self) -> Kept:
-        """Keep nothing: the rig file to write is in the run's folder."""
+        """Keep nothing, as the corrected rig file is written to the run's folder."""
         return Kept()
 
     def recall(self, kept: Kept) -> None:
-        """Recall nothing."""
+        """Recall nothing, as nothing is kept."""
 
 
 def _surroundings(setting: Setting) -> Surroundings | None:
-    """Return what holds the piston beside its load, as the law knows it; None where that is not known."""
+    """Return the coupling of the piston as modelled by the law; None if it is unknown."""
     if setting.actuator == "force":
         return Surroundings(0.0, 0.0)
-    # A law that was made before rig files knew the coupling has it among its parameters.
+    # Laws written before rig files contained the coupling have it among their parameters.
     knows = setting.model if setting.model.coupling_stiffness > 0.0 else setting.tuning
     stiffness, damping = (getattr(knows, name, 0.0) for name in ("coupling_stiffness", "coupling_damping"))
     return Surroundings(stiffness, damping) if stiffness > 0.0 else None
 
 
 def check(p: Parameters, setting: Setting) -> None:
-    """Refuse nothing: what cannot be told of a rig is left as it is."""
+    """Accept every setting: coefficients that cannot be estimated remain unchanged."""
 
 
 def build(p: Parameters, setting: Setting) -> Adaptation:
-    """Return the companion ready to work."""
+    """Return a new companion."""
     return Adaptation(p, setting)

@@ -1,10 +1,10 @@
-"""What a companion's file provides: something that works beside any controller, on what is known ahead and on what happened.
+"""Interface of the file of a companion, which works beside any controller on known future and past cycles.
 
-``Parameters``; ``ACTUATOR``, whether it uses the command of the actuator under test; ``check(p, setting)``, which refuses what
-it cannot work with; and ``build(p, setting)``, a :class:`Companion`. It serves laws that follow a force. Before some cycles
-run, it may change the rows that the law will follow; after them, it sees what happened and may hand the law another
-:class:`~ehls_ros.control.controllers.base.Model`. A node calls it for every cycle, the loop in one process for many cycles at
-once. What it does depends on the numbers of the cycles alone, so both come to the same.
+A file has ``Parameters``; ``ACTUATOR``, whether it uses the command of the actuator under test; ``check(p, setting)``, which
+rejects settings that it does not support; and ``build(p, setting)``, which returns a :class:`Companion`. It serves laws that
+follow a force. Before some cycles run, it may change the rows that the law will follow. After them, it receives their record
+and may hand the law another :class:`~ehls_ros.control.controllers.base.Model`. A node calls it for every cycle, the loop in one
+process for many cycles at once. Its action depends only on the numbers of the cycles, so the results are equal.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,19 +16,19 @@ from ehls_ros.declared_arrays import Arrays
 from ehls_ros.physics.parameters import Limits
 
 BLOCK, REPETITIONS, PLACE = range(3)
-"""Where a place in a programme holds the number of the block, and the load cycles completed in it with the fraction of the
-present one, NaN where nothing repeats; and its length."""
+"""Indices of a place in a programme: number of the block, and load cycles completed in it, including the fraction of the
+present one (NaN without repetition); and the length of a place."""
 
 
 class Setting(NamedTuple):
-    """What a companion knows before the first cycle.
+    """Information for a companion before the first cycle.
 
     Attributes:
         law: the file of the controller.
         tuning: the controller's parameters.
-        model: what the controller knows of the rig.
-        actuator: what the actuator's command is, ``"force"`` [N] or ``"position"`` [m].
-        limits: of the rig; None: they are not known.
+        model: the controller's model of the rig.
+        actuator: kind of the actuator's command, ``"force"`` [N] or ``"position"`` [m].
+        limits: limits of the rig; None if unknown.
     """
 
     law: ControllerLaw
@@ -39,11 +39,11 @@ class Setting(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Learnt arrays of a companion, to be kept for the next run.
+    """Learnt arrays of a companion, kept for the next run.
 
     Attributes:
-        about: conditions of the learning, by name, in words; another run must have the same.
-        parts: arrays of each part, such as a block of a programme; empty: nothing is learnt.
+        about: conditions of the learning as text, by name; they must be equal in the next run.
+        parts: arrays of each part, such as a block of a programme; empty if nothing is learnt.
     """
 
     about: Mapping[str, str] = {}
@@ -51,13 +51,13 @@ class Kept(NamedTuple):
 
 
 class Upcoming(NamedTuple):
-    """Cycles that will run, a row each.
+    """Upcoming cycles, one per row.
 
     Attributes:
-        first: number of the first.
-        rows: what the law follows, shape (n, :data:`ehls_ros.control.controllers.base.ROW`); to be changed in place.
+        first: number of the first cycle.
+        rows: inputs that the law follows, shape (n, :data:`ehls_ros.control.controllers.base.ROW`); to be changed in place.
         place: place in the programme, shape (n, :data:`PLACE`).
-        actuator: command of the actuator under test and its two derivatives, shape (n, 3); NaN where it is not known.
+        actuator: command of the actuator under test and its two derivatives, shape (n, 3); NaN if unknown.
     """
 
     first: int
@@ -67,16 +67,16 @@ class Upcoming(NamedTuple):
 
 
 class Past(NamedTuple):
-    """Cycles that have run, a row each.
+    """Past cycles, one per row.
 
     Attributes:
-        first: number of the first.
-        rows: what the law followed, shape (n, ROW).
-        wanted: the reference before any companion changed it, shape (n, 3).
+        first: number of the first cycle.
+        rows: inputs that the law followed, shape (n, ROW).
+        wanted: the reference before changes by companions, shape (n, 3).
         place: place in the programme, shape (n, :data:`PLACE`).
         measured: readings in the order of ``SENSED``, shape (n, 7).
         command: spool commands [m], shape (n,).
-        status: the law's, by the indices of :mod:`ehls_ros.control.controllers.base`, shape (n, STATUS_SIZE).
+        status: status of the law, by the indices of :mod:`ehls_ros.control.controllers.base`, shape (n, STATUS_SIZE).
     """
 
     first: int
@@ -89,16 +89,16 @@ class Past(NamedTuple):
 
 
 class Companion(Protocol):
-    """A companion at work; one that hands the law another model of the rig says so with ``corrects = True``."""
+    """Companion at work; one that hands the law another model of the rig has ``corrects = True``."""
 
     def prepare(self) -> None:
-        """Compile, or load, what :meth:`ahead` and :meth:`done` call, so that no cycle waits for it; change nothing."""
+        """Compile or load the code of :meth:`ahead` and :meth:`done`, so that no cycle waits for it; change no state."""
 
     def room(self, first: int, place: Array) -> int:
-        """Return how many of some cycles to come, one at least, may run before :meth:`done` is called.
+        """Return the number of upcoming cycles, at least one, that may run before :meth:`done` is called.
 
         Args:
-            first: number of the first.
+            first: number of the first cycle.
             place: place in the programme, shape (n, :data:`PLACE`).
         """
 
@@ -106,25 +106,25 @@ class Companion(Protocol):
         """Change the rows of the cycles that will run next; called once for each cycle, in order."""
 
     def done(self, past: Past, model: Model) -> Model:
-        """Take in what happened in these cycles; return the model that the law uses from now on."""
+        """Process the record of past cycles; return the model for the law from now on."""
 
     def interrupt(self) -> None:
-        """The valve does not follow the controller, or the plant has started anew: what is half learnt does not count."""
+        """Discard incomplete learning: the valve does not follow the controller, or the plant has restarted."""
 
     def report(self) -> Mapping[str, float | str]:
         """Return figures and sentences for diagnostics and run folders."""
 
     def at_bounds(self) -> Sequence[str]:
-        """Return a sentence for each estimate that stands at its bound, with the remedy."""
+        """Return a sentence for each estimate at its bound, with the remedy."""
 
     def kept(self) -> Kept:
-        """Return the learnt arrays. They are written to the file that the parameter ``file`` names, if there is one."""
+        """Return the learnt arrays, to be written to the file named by the parameter ``file``, if any."""
 
     def recall(self, kept: Kept) -> None:
-        """Take up the learnt arrays of an earlier run; called before the first cycle.
+        """Restore the learnt arrays of an earlier run; called before the first cycle.
 
         Args:
-            kept: with the same ``about``; the arrays may be anything.
+            kept: arrays with the same ``about``, otherwise unchecked.
 
         Raises:
             ValueError: an array is missing, of another type or shape, not finite, or beyond the bounds of the rig.
@@ -132,17 +132,17 @@ class Companion(Protocol):
 
 
 class CompanionKind(Protocol):
-    """The attributes of one companion's file."""
+    """The attributes of a companion's file."""
 
     Parameters: Any
     ACTUATOR: bool
 
     def check(self, p: Any, setting: Setting) -> None:
-        """Refuse what it cannot work with. Whoever reads an experiment checks it: it opens no file.
+        """Reject unsupported settings. Called by every reader of an experiment, so it opens no file.
 
         Raises:
-            BadInput: it cannot work with this controller or rig.
+            BadInput: the companion does not support this controller or rig.
         """
 
     def build(self, p: Any, setting: Setting) -> Companion:
-        """Return the companion ready to work, once its parameters were checked; only where the controller runs."""
+        """Return a new companion for checked parameters; called only where the controller runs."""

@@ -1,8 +1,8 @@
-"""The disturbance to come, where the command of the actuator under test is known before it moves.
+"""Preview of the disturbance, from the command of the actuator under test before it moves.
 
-A force actuator's force is its command. A position servo is simulated ahead with the loader that it moves
-(:mod:`ehls_ros.control.servo_model`); it enters the loader through the coupling that the controller knows, m v' = ... - d with
-d = -(kc x + cc v). The model may be wrong: the law's filter estimates what the foreseen force lacks.
+The force of a force actuator is its command. A position servo is simulated ahead together with the loader that it moves
+(:mod:`ehls_ros.control.servo_model`); it acts on the loader through the modelled coupling, m v' = ... - d with
+d = -(kc x + cc v). The model may be wrong: the law's filter estimates the error of the predicted force.
 """
 
 import math
@@ -22,14 +22,14 @@ from ehls_ros.errors import BadInput
 ACTUATOR = True
 
 BRIDGED = 10
-"""Most cycles left out through which the servo is taken to have followed its command."""
+"""Most omitted cycles over which the servo is assumed to have followed its command."""
 
 SETTLING = 10.0
-"""Time constants of the position loop after which it no longer matters where the servo's model started."""
+"""Time constants of the position loop after which the initial state of the servo's model no longer matters."""
 
 
 class Parameters(NamedTuple):
-    """The position servo, whose valve and cylinder are of the loader's type; a force actuator needs none of them."""
+    """Position servo with valve and cylinder of the loader's type; unused for a force actuator."""
 
     moving_mass: MovingMass = 70.0
     supply_pressure: SupplyPressure = 2.1e7
@@ -37,13 +37,13 @@ class Parameters(NamedTuple):
 
 
 class ForceActuator:
-    """Hands the law the actuator's force."""
+    """Preview for a force actuator, whose force is its command."""
 
     def prepare(self) -> None:
-        """Do nothing: nothing is compiled."""
+        """Do nothing, as nothing is compiled."""
 
     def room(self, first: int, place: Array) -> int:
-        """Return the number of these cycles: nothing is learnt from them."""
+        """Return the number of these cycles, as nothing is learnt from them."""
         return len(place)
 
     def ahead(self, upcoming: Upcoming) -> None:
@@ -51,33 +51,33 @@ class ForceActuator:
         upcoming.rows[:, FORESEEN:] = upcoming.actuator
 
     def done(self, past: Past, model: Model) -> Model:
-        """Return the model as it is."""
+        """Return the model unchanged."""
         return model
 
     def interrupt(self) -> None:
-        """Do nothing: the actuator's command goes on."""
+        """Do nothing, as the actuator's command continues."""
 
     def report(self) -> Mapping[str, float | str]:
-        """Return nothing."""
+        """Return an empty report."""
         return {}
 
     def at_bounds(self) -> tuple[str, ...]:
-        """Return nothing: nothing is estimated."""
+        """Return no sentence, as nothing is estimated."""
         return ()
 
     def kept(self) -> Kept:
-        """Keep nothing: nothing is learnt."""
+        """Keep nothing, as nothing is learnt."""
         return Kept()
 
     def recall(self, kept: Kept) -> None:
-        """Recall nothing."""
+        """Recall nothing, as nothing is kept."""
 
 
 class PositionServo(ForceActuator):
-    """Turns a position servo's command into the force that its motion will bring to the loader."""
+    """Preview for a position servo, by simulating the force of its motion on the loader."""
 
     def __init__(self, p: Parameters, model: Model) -> None:
-        """Put servo and loader at rest."""
+        """Initialise servo and loader at rest."""
         servo = model._replace(plant=servo_plant(model.plant, p.moving_mass, p.supply_pressure))
         self._pair = pair(servo, model, p.position_gain)
         self._foresee = servo_kernel().foresee
@@ -87,13 +87,13 @@ class PositionServo(ForceActuator):
         self._age = 0.0
 
     def prepare(self) -> None:
-        """Compile or load the motion of both: they move through no cycle."""
+        """Compile or load the simulation of both by a call without cycles."""
         self._foresee(np.empty((0, ROW)), np.empty((0, FORESEEN)), self._pair)
 
     def ahead(self, upcoming: Upcoming) -> None:
-        """Move the servo through these cycles, and write the force and its derivatives into the rows.
+        """Simulate the servo over these cycles, and write the force and its derivatives into the rows.
 
-        At cycle 0 the servo is at rest, as its model is. A model that starts later is believed once it has settled.
+        At cycle 0 the servo and its model are at rest. The preview of a model started later is used only after it has settled.
         """
         left_out = upcoming.first - self._next
         if 0 < left_out <= BRIDGED and self._next > 0:
@@ -110,7 +110,7 @@ class PositionServo(ForceActuator):
         self._age = float(age[-1]) + 1.0
 
     def _bridge(self, left_out: int, upcoming: Upcoming) -> None:
-        """Move the servo through cycles that were left out, by what is known of the first one after them."""
+        """Simulate the servo over omitted cycles, by extrapolation from the first one after them."""
         rows = np.full((left_out, ROW), np.nan)
         rows[:, :FORESEEN] = before(upcoming.rows[0, :FORESEEN], left_out, self._period)
         commands = before(upcoming.actuator[0], left_out, self._period)
@@ -119,12 +119,12 @@ class PositionServo(ForceActuator):
 
 
 def before(row: Array, cycles: int, period: float) -> Array:
-    """Return the cycles before a row of a value and its two derivatives, the second taken as constant.
+    """Extrapolate a value and its derivatives to the cycles before a row, with constant second derivative.
 
     Args:
-        row: shape (3,).
-        cycles: how many.
-        period: of the cycles [s].
+        row: value and its two derivatives, shape (3,).
+        cycles: number of cycles.
+        period: control period [s].
 
     Returns:
         The rows in order of time, shape (cycles, 3).
@@ -135,10 +135,10 @@ def before(row: Array, cycles: int, period: float) -> Array:
 
 
 def check(p: Parameters, setting: Setting) -> None:
-    """Refuse a law that uses no preview, and a position servo of whose coupling nothing is known.
+    """Reject a law that uses no preview, and a position servo with unknown coupling.
 
     Raises:
-        BadInput: it is one of both.
+        BadInput: either is the case.
     """
     if not getattr(setting.law, "PREVIEW", False):
         raise BadInput("this controller does not use what is foreseen", "companion disturbance_preview", "one that has PREVIEW")
@@ -148,5 +148,5 @@ def check(p: Parameters, setting: Setting) -> None:
 
 
 def build(p: Parameters, setting: Setting) -> ForceActuator:
-    """Return the preview ready to work."""
+    """Return a new preview companion."""
     return ForceActuator() if setting.actuator == "force" else PositionServo(p, setting.model)

@@ -1,6 +1,6 @@
-"""Learns from load cycle to load cycle what repeats: corrects the reference, and foresees the external force for laws that ask.
+"""Learn from load cycle to load cycle: correct the reference, and foresee the external force for laws with preview.
 
-The family of ways to learn is :mod:`ehls_ros.control.learning`. A reference that never repeats is left as it is.
+The family of learning methods is :mod:`ehls_ros.control.learning`. A reference that never repeats is not changed.
 """
 
 import math
@@ -32,14 +32,14 @@ from ehls_ros.schema import quantity, text
 ACTUATOR = False
 
 FOREIGN = "was learnt on another programme: it is neither used nor written"
-"""What is said of such a file."""
+"""Message about a file from another programme."""
 
 WHOLE = 1e-6
-"""Part of a control cycle by which a load cycle may miss a whole number of them."""
+"""Tolerance of a load cycle's length, in control cycles, for a whole number of them."""
 
 
 class Parameters(NamedTuple):
-    """What repeats, how it is learnt, and what stops it."""
+    """Period, method and limits of the learning."""
 
     method: Annotated[
         Literal["waveform", "harmonics", "peak_valley"],
@@ -84,10 +84,10 @@ class Parameters(NamedTuple):
 
 
 class Learning:
-    """The companion at work."""
+    """Learning as a companion."""
 
     def __init__(self, p: Parameters, setting: Setting) -> None:
-        """Take the parameters and what is known of the controller."""
+        """Set up learning from the parameters and the controller's setting."""
         model = setting.model
         self._p, self._period = p, model.period
         self._bounds = bounds_of(setting)
@@ -114,16 +114,16 @@ class Learning:
         self._previewed = np.empty(0)
         self._why = "no load cycle is complete"
         if p.period > 0.0:
-            # An impossible gain is refused before anything runs.
+            # Reject an impossible gain before anything runs.
             self._learners(np.zeros(_whole_cycles(p.period, model.period)), p.period)
 
     def prepare(self) -> None:
-        """Compile or load the smoother, where a force is foreseen."""
+        """Compile or load the smoother, if a force is foreseen."""
         if self._smoother is not None:
             self._smoother.prepare()
 
     def room(self, first: int, place: Array) -> int:
-        """Return how many cycles may run before :meth:`done`: to the next look at the error, or the end of the load cycle."""
+        """Return the cycles that may run before :meth:`done`: to the next check of the error or the end of the load cycle."""
         count = self._places.together(first, place)
         turn = self._places.turn(first, place[0])
         lesson = None if turn is None else self._lessons.get(turn.block)
@@ -132,7 +132,7 @@ class Learning:
         return min(count, LOOK - (first % LOOK))
 
     def ahead(self, upcoming: Upcoming) -> None:
-        """Add what has been learnt to the rows, while the reference is the one it was learnt on."""
+        """Add the learnt correction to the rows, while the reference is the one it was learnt on."""
         if self._bumpless is None:
             self._add_to(upcoming)
             return
@@ -155,7 +155,7 @@ class Learning:
         rows = upcoming.rows
         at = self._places.phases(upcoming.first, upcoming.place, turn) * lesson.size
         if len(rows) == 1:
-            # In a node, for each cycle.
+            # In a node, called for each cycle.
             low = int(at[0])
             self._add(rows[0], lesson, turn, low, float(at[0]) - low)
             return
@@ -163,7 +163,7 @@ class Learning:
             self._add(row, lesson, turn, int(low), float(part))
 
     def _add(self, row: Array, lesson: Lesson, turn: Turn, low: int, part: float) -> None:
-        """Add to one row what has been learnt, ``part`` of the way from sample ``low`` to the next."""
+        """Add the learnt correction to one row, interpolated by ``part`` from sample ``low`` to the next."""
         if not lesson.stale:
             wanted = lesson.wanted[low] + part * (lesson.wanted[low + 1] - lesson.wanted[low])
             if abs(row[0] - wanted) > lesson.tolerance:
@@ -183,7 +183,7 @@ class Learning:
             self._foretold += 1
 
     def done(self, past: Past, model: Model) -> Model:
-        """Record what happened; learn from a load cycle once it is complete."""
+        """Record the past cycles; learn from a load cycle once it is complete."""
         turn, smoother = self._turn, self._smoother
         if turn is None:
             return model
@@ -209,7 +209,7 @@ class Learning:
         return model
 
     def interrupt(self) -> None:
-        """Let this load cycle and the next whole one not count, nor be changed: the law comes to rest by itself first."""
+        """Exclude this load cycle and the next whole one from learning and correction, until the law has settled."""
         self._interrupted = self._turn is not None
         if self._bumpless is not None:
             self._bumpless.reset()
@@ -219,7 +219,7 @@ class Learning:
         self._settling, self._usual = True, None
 
     def report(self) -> Mapping[str, float | str]:
-        """Return what has been learnt in the present block, and why nothing is corrected where nothing is."""
+        """Return the state of learning in the present block, with the reason if nothing is corrected."""
         lesson = None if self._turn is None else self._lessons.get(self._turn.block)
         file: dict[str, float | str] = {"file": FOREIGN} if self._foreign else {}
         if lesson is None:
@@ -237,16 +237,16 @@ class Learning:
         }
 
     def at_bounds(self) -> tuple[str, ...]:
-        """Return nothing: the report says where a correction ends."""
+        """Return no sentence, as the report contains the end of a correction."""
         return ()
 
     def kept(self) -> Kept:
-        """Return the learnt arrays by block; none if the file is of another programme."""
+        """Return the learnt arrays by block; none if the file is from another programme."""
         learnt = {} if self._foreign else {block: lesson.stored() for block, lesson in self._lessons.items() if lesson.active}
         return Kept(self._about, learnt)
 
     def recall(self, kept: Kept) -> None:
-        """Take up the learnt arrays of an earlier run.
+        """Restore the learnt arrays of an earlier run.
 
         Raises:
             ValueError: they cannot have been learnt with these parameters on this rig.
@@ -256,21 +256,21 @@ class Learning:
             self._restore(block, stored)
 
     def _begin(self, turn: Turn | None) -> None:
-        """Begin a load cycle."""
+        """Start a load cycle."""
         before, self._turn, self._added, self._foretold, self._squares = self._turn, turn, 0, 0, 0.0
         self._recorder.begin(follows=turn is not None and before == turn._replace(number=turn.number - 1))
         if turn is not None and turn.block in self._lessons:
             self._lessons[turn.block].turn_begins()
 
     def _look(self, turn: Turn, lesson: Lesson, samples: int) -> None:
-        """Stop correcting where the error has grown, in a load cycle that follows a usual one without a gap.
+        """Stop correcting if the error has grown, in a load cycle that follows a usual one without a gap.
 
         Args:
             turn: the load cycle.
-            lesson: its block's.
+            lesson: lesson of its block.
             samples: samples of the load cycle so far.
         """
-        # A start from rest has an error of its own.
+        # A start from rest causes an additional error.
         if not (lesson.stale or self._settling) and lesson.withdrawal.exceeds(self._squares, samples):
             self._withdraw(lesson)
             return
@@ -285,7 +285,7 @@ class Learning:
             self._why = f"{what} is no longer what it was in the load cycles before"
 
     def _end(self, turn: Turn) -> None:
-        """Learn from the load cycle that ends."""
+        """Learn from the load cycle that has ended."""
         cycle, settling = self._recorder.complete(), self._settling
         self._usual = None if cycle is None or settling else turn
         if cycle is None:
@@ -311,19 +311,19 @@ class Learning:
         if lesson.stale or lesson.paused:
             self._judge(lesson, turn, cycle, errors)
         elif self._p.method == "peak_valley" and not lesson.withdrawal.repeats:
-            # Three numbers do not tell a transient from an error that repeats.
+            # Three numbers cannot distinguish a transient from an error that repeats.
             lesson.begin(errors)
         elif self._added == (len(cycle.columns) if lesson.active else 0):
             lesson.take(errors, self._p.freeze)
             self._why = "nothing that repeats stands out from the noise"
             if reason := out_of_bounds(lesson, self._p.method, self._bounds):
-                # Nothing of it is kept, the foreseen force included.
+                # Discard all of it, including the foreseen force.
                 del self._lessons[turn.block]
                 self._anew(turn, cycle)
                 self._why = reason
 
     def _judge(self, lesson: Lesson, turn: Turn, cycle: LoadCycle, errors: Errors) -> None:
-        """Take a correction up again, or start anew, after a load cycle without it."""
+        """Resume a correction, or restart learning, after a load cycle without it."""
         if self._added > 0 or self._foretold > 0 or lesson.withdrawal.waiting > 0:
             return
         if lesson.stale or lesson.still_holds(errors):
@@ -333,26 +333,26 @@ class Learning:
             self._lessons[turn.block].withdrawal = lesson.withdrawal
 
     def _withdraw(self, lesson: Lesson) -> None:
-        """Leave reference and law alone, as the error is larger than without a correction."""
+        """Withdraw the correction, as the error is larger than without it."""
         lesson.paused = True
         lesson.withdrawal.withdraw()
         self._why = "the force error is larger than without a correction"
 
     def _anew(self, turn: Turn, cycle: LoadCycle) -> None:
-        """Start to learn a block's load cycle. The one that shows the reference holds a transition, and does not count."""
+        """Restart learning a block's load cycle. The one that shows the reference contains a transition and is not used."""
         self._refuse_file(turn.block)
         size, before = len(cycle.columns), self._lessons.get(turn.block)
         learners = self._learners(cycle.columns[:, repetition.WANTED], cycle.period * self._period)
         lesson = Lesson(cycle, learners, self._period)
         if before is not None and before.foresees and before.size == size and before.period == cycle.period:
-            # The actuator under test moves on as it did, whatever the reference is.
+            # The actuator under test continues its motion whatever the reference is.
             lesson = Lesson(cycle, learners._replace(force=before.learners.force), self._period)
             lesson.limits[1] = before.limits[1]
         self._lessons[turn.block] = lesson
         self._why = "the load cycle has not been seen often enough"
 
     def _refuse_file(self, block: int) -> None:
-        """Leave the file alone where it holds another programme's."""
+        """Neither use nor write the file if it is from another programme."""
         if block in self._unproven:
             self._foreign = True
 
@@ -388,7 +388,7 @@ def _rms(values: Array) -> float:
 
 
 def _out_of_step(lesson: Lesson) -> str:
-    """Return in words that the external force is not foreseen, as it does not repeat; empty: it does."""
+    """Return the message that the external force is not foreseen, as it does not repeat; empty if it repeats."""
     force = lesson.learners.force
     if force is None or force.change <= MOST_CHANGE:
         return ""
@@ -405,14 +405,14 @@ def _whole_cycles(period: float, control_period: float) -> int:
 
 
 def check(p: Parameters, setting: Setting) -> None:
-    """Refuse a period that is no whole number of control cycles, and filters with which learning need not converge.
+    """Reject a period that is not a whole number of control cycles, and filters for which learning may not converge.
 
     Raises:
-        BadInput: it is one of both.
+        BadInput: either is the case.
     """
     Learning(p, setting)
 
 
 def build(p: Parameters, setting: Setting) -> Learning:
-    """Return the companion ready to work."""
+    """Return a new learning companion."""
     return Learning(p, setting)

@@ -1,4 +1,4 @@
-"""Controllers, one file each; ``base`` says what a file provides."""
+"""Controllers, one file each; ``base`` defines the interface of a file."""
 
 from ehls_ros.control.controllers.base import ControllerLaw
 from ehls_ros.families import Family

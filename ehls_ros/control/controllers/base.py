@@ -1,31 +1,29 @@
-"""What a controller's file provides.
+"""Interface of the file of a controller.
 
-``Parameters``, a named tuple declaring its parameters; ``FOLLOWS``, what the reference it follows is, force or
-position; ``FRICTION``, whether it uses the friction estimate; ``NEEDS``, the readings it cannot do without;
-``memory(parameters)``, its state before the first cycle; ``FRICTION_MODEL``, where it contains one friction model
-and serves no other; and a compiled
+A file has ``Parameters``, a named tuple declaring its parameters; ``FOLLOWS``, the kind of its reference, force or position;
+``FRICTION``, whether it uses the friction estimate; ``NEEDS``, the required readings; ``memory(parameters)``, its state before
+the first cycle; ``FRICTION_MODEL``, if it supports only the friction model that it contains; and a compiled
 
 ``step(m, r, f, p, model, memory, status) -> spool command [m]``
 
 with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, ``r`` a row of :data:`ROW` numbers, ``f``
 friction of the elements and viscous friction [N], ``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in
-place, and ``status`` filled in place by the indices below. It keeps the command within ``model.spool_limit``
-without winding up, and finite whatever the measurement; a measurement that is not finite leaves nothing in
-``memory``.
+place, and ``status`` filled in place by the indices below. It keeps the command within ``model.spool_limit`` without windup,
+and finite for any measurement; a non-finite measurement leaves no trace in ``memory``.
 
 A row holds the reference and its first and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position,
-and from :data:`FORESEEN` on the external force that is foreseen, with its first and second derivative [N, N/s, N/s^2]; these
-are NaN where nothing is foreseen. A law that uses them says so with ``PREVIEW = True``. One that reckons with effects of the
-rig which :class:`Model` tells of names them in ``KNOWS``: it may lose the force where the rig has one that it is not told of.
+and from :data:`FORESEEN` on the foreseen external force, with its first and second derivative [N, N/s, N/s^2]; these are NaN
+if nothing is foreseen. A law that uses them has ``PREVIEW = True``. A law that takes effects of the rig from the
+:class:`Model` names them in ``KNOWS``: it may lose control of the force on a rig with such an effect missing in its model.
 
-A law that keeps estimates within bounds names them in ``BOUNDED``, so that one that stands at its bound is reported.
+A law that keeps estimates within bounds names them in ``BOUNDED``, so that an estimate at its bound is reported.
 
-A law that reckons with the commands under way, or adapts to what its own do, adds a compiled
+A law that models the commands in transit, or adapts to the effect of its commands, adds a compiled
 
 ``follow(command, own, memory) -> own``
 
-It is called between two steps while another controller drives, with the command [m] that went to the valve and the one that
-the last step returned. It corrects ``memory`` by that, and returns what the step would then have returned.
+It is called between two steps while another controller drives, with the command [m] that was sent to the valve and the one that
+the last step returned. It corrects ``memory`` accordingly, and returns the command that the step would then have returned.
 """
 
 import math
@@ -39,7 +37,7 @@ from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import Rig
 
 E3, S, ALPHA, BETA, DELTA, U1, U2, U3, FORCE_ERROR, FORCE_BOUND, SATURATED, STATUS_SIZE = range(12)
-"""Where a status holds its quantities; and its size. Pressures and masses are in the paper's units, MPa and t."""
+"""Indices of the quantities in a status, and its size. Pressures and masses are in the paper's units, MPa and t."""
 
 STATUS_TO_SI = np.ones(STATUS_SIZE)
 """SI value of one unit of each quantity, for messages and recordings."""
@@ -47,24 +45,24 @@ STATUS_TO_SI[[E3, S]] = 1e6
 STATUS_TO_SI[[U1, U2, U3]] = 1e9
 
 ELEMENTS_FORCE, VISCOUS_FORCE = 0, 1
-"""Where a friction estimate holds its two forces."""
+"""Indices of the two forces in a friction estimate."""
 
 
 FORESEEN = 3
-"""Where a row of what a law follows holds the foreseen external force and its two derivatives."""
+"""Index in a law's row of the foreseen external force, followed by its two derivatives."""
 
 ROW = 6
-"""Numbers in a row of what a law follows."""
+"""Number of entries in a law's row."""
 
 
 class Noise(NamedTuple):
-    """Standard deviation of one reading of a sensor, rounding included; 0: a perfect sensor, or one not described.
+    """Standard deviation of one reading of a sensor, including rounding; 0 for a perfect sensor or one not described.
 
     Attributes:
-        position: [m].
-        load_pressure: [Pa].
-        spool_position: [m].
-        force: [N].
+        position: of the piston position [m].
+        load_pressure: of the load pressure [Pa].
+        spool_position: of the spool displacement [m].
+        force: of the force [N].
     """
 
     position: float = 0.0
@@ -74,15 +72,15 @@ class Noise(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """An estimate in the status that a law keeps within bounds, which are parameters of the law.
+    """Estimate in the status that a law keeps within bounds, which are parameters of the law.
 
     Attributes:
-        estimate: its symbol.
-        place: index of it in the status.
-        upper: name of the parameter that is its upper bound.
-        lower: name of the lower one; empty: minus the upper one.
-        unit: of the estimate.
-        instead: what may be done beside moving a bound, as the end of a sentence.
+        estimate: symbol of the estimate.
+        place: index of the estimate in the status.
+        upper: name of the parameter with the upper bound.
+        lower: name of the parameter with the lower bound; if empty, minus the upper bound.
+        unit: unit of the estimate.
+        instead: alternative to moving a bound, as the end of a sentence.
     """
 
     estimate: str
@@ -94,16 +92,16 @@ class Bounded(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What a controller knows of the rig.
+    """A controller's model of the rig.
 
     Attributes:
-        plant: its coefficients.
-        friction: parameters of its friction model.
-        period: of the cycles [s].
+        plant: coefficients of the rig.
+        friction: parameters of the friction model.
+        period: control period [s].
         spool_limit: largest command [m].
-        noise: of its sensors.
-        command_delay: time a command takes to the valve [s].
-        coupling_stiffness, coupling_damping: of what holds the piston to the actuator under test [N/m, N s/m].
+        noise: noise of the sensors.
+        command_delay: delay of the command to the valve [s].
+        coupling_stiffness, coupling_damping: those of the coupling to the actuator under test [N/m, N s/m].
     """
 
     plant: Plant
@@ -117,10 +115,10 @@ class Model(NamedTuple):
 
 
 class ControllerLaw(Protocol):
-    """The attributes of one controller's file.
+    """The attributes of a controller's file.
 
-    ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS``, ``BOUNDED`` and ``follow`` may be absent. What is learnt of the force to come is
-    told to a law that has ``PREVIEW`` and ``assumptions``, of its filter.
+    ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS``, ``BOUNDED`` and ``follow`` are optional. The learnt external force is passed to
+    a law that has ``PREVIEW`` and, for its filter, ``assumptions``.
     """
 
     Parameters: Any
@@ -136,11 +134,12 @@ class ControllerLaw(Protocol):
 
 
 def model_of(rig: Rig, period: float) -> Model:
-    """Return what a controller knows of the rig as it believes it to be.
+    """Return a controller's model of the rig from its rig description.
 
     Args:
-        rig: that rig. Of its effects a controller uses the command's delay and the coupling to the actuator under test.
-        period: of the cycles [s].
+        rig: the rig as described to the controller. Of its effects, the delay of the command and the coupling to the actuator
+            under test are used.
+        period: control period [s].
     """
     known = {use.name: use.parameters for use in rig.effects}
     delay, coupling = known.get("command_delay"), known.get("coupling_stiffness")
@@ -162,13 +161,13 @@ def noise_of(sensors: Mapping[str, Sensor]) -> Noise:
 
 
 def _deviation(sensor: Sensor) -> float:
-    """Return the standard deviation of a reading, that of its rounding included."""
+    """Return the standard deviation of a reading, including its rounding."""
     return math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0))
 
 
 @kernel
 def saturate(value: float, limit: float) -> float:
-    """Cut a value to [-limit, limit]; NaN becomes 0."""
+    """Limit a value to [-limit, limit]; NaN becomes 0."""
     if math.isnan(value):
         return 0.0
     return min(max(value, -limit), limit)

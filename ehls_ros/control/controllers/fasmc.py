@@ -1,22 +1,22 @@
 """Finite-time adaptive sliding mode force control, equations (26)-(38).
 
-The law is written in the units in which the paper gives its numbers: N, mm, MPa, t, s. So k = 12, g = 60, h = 25,
+The law is written in the units in which the paper gives its numbers: N, mm, MPa, t, s. Thus k = 12, g = 60, h = 25,
 b = 107.5 are the paper's controller.
 
-The robust term u3 is discretised implicitly (backward Euler): with the paper's numbers the reaching rate K
-is 8.8e4 1/s, and an explicit u3 diverges above K T = 2, which the paper's own 1 ms exceeds by a factor of 44.
-With the law, m0 s' = -m0 K s; stepped backwards, the sliding variable at the end of the cycle is s/(1 + K T).
-The adaptation (36)-(38) acts on this predicted s, and u3 removes what the adaptation leaves: since the
-adaptive terms grow evenly over a cycle, half their step counts. All of this tends to (35)-(38) as T goes to 0.
-The adaptation removes at most all of s in one cycle, which keeps it stable at any phi3.
+The robust term u3 is discretised implicitly (backward Euler). With the paper's numbers the reaching rate K is 8.8e4 1/s, and an
+explicit u3 diverges above K T = 2, which the paper's 1 ms exceeds by a factor of 44. With the law, m0 s' = -m0 K s; stepped
+backwards, the sliding variable at the end of the cycle is s/(1 + K T). The adaptation (36)-(38) acts on this predicted s, and
+u3 removes the part of s that remains after the adaptation. The adaptive terms grow linearly over a cycle, so half their step is
+used. All of this tends to (35)-(38) as T goes to 0. The adaptation removes at most all of s in one cycle, which keeps it stable
+at any phi3.
 
-At 1 ms the predicted s is 89 times smaller than the sampled one, so the adaptation rates are larger than the
-paper's. The paper's own phi1..3 cannot be meant in these units (phi1 = 103 would move alpha by
-3e5 1/s at s = 1 MPa/s); the defaults were chosen once, over all references and disturbances of Table 3.
+At 1 ms the predicted s is 89 times smaller than the sampled one, so the adaptation rates are larger than the paper's. The
+paper's phi1..3 cannot be meant in these units (phi1 = 103 would move alpha by 3e5 1/s at s = 1 MPa/s); the defaults were chosen
+once, over all references and disturbances of Table 3.
 
-The rate of the load pressure in s is the model's (25), corrected by the model's error in the change of
-pressure over the last cycle. Without the correction, a model error of a few MPa/s, 0.2 % of the flow at full
-speed, would be as large as the surface's slope k/2, and the error would grow without bound.
+The rate of the load pressure in s is the model's (25), corrected by the model's error in the change of pressure over the last
+cycle. Without the correction, a model error of a few MPa/s, 0.2 % of the flow at full speed, would be as large as the surface's
+slope k/2, and the error would grow without bound.
 """
 
 import math
@@ -128,7 +128,7 @@ ALPHA, BETA, DELTA, CORRECTION, LAST_PRESSURE, LAST_RATE, STARTED, SINCE, ELEMEN
 
 
 def memory(p: Parameters) -> Array:
-    """Return the paper's start: alpha = beta = 1, D = 0.01 N."""
+    """Return the paper's initial values: alpha = beta = 1, D = 0.01 N."""
     start = np.zeros(MEMORY_SIZE)
     start[ALPHA], start[BETA], start[DELTA] = 1.0, 1.0, 0.01
     return start
@@ -136,9 +136,9 @@ def memory(p: Parameters) -> Array:
 
 @kernel
 def corrected_rate(model_rate: float, pressure: float, part: float, memory: Array) -> float:
-    """Return the load pressure's rate: the model's, plus a fraction of its error since the last good reading.
+    """Return the load pressure rate of the model, corrected by a fraction of its error since the last good reading.
 
-    Model rate [MPa/s] and pressure [MPa] are the present ones; the last ones are kept in ``memory``.
+    Model rate [MPa/s] and pressure [MPa] are the present ones; the previous ones are kept in ``memory``.
     """
     if memory[STARTED] == 1.0:
         measured = (pressure - memory[LAST_PRESSURE]) / memory[SINCE]
@@ -221,7 +221,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     reached = s / (1.0 + implicit * rate)
     share = p.xi * e1 / m0 * follow * period * period / (1.0 + implicit * rate)
     change = period * p.xi * e1 * reached / max(1.0, share)
-    # With (36), (37) alone, the residual of sampling lets alpha and beta drift: hence the sigma-modification.
+    # With (36), (37) alone, the residual of sampling makes alpha and beta drift: hence the sigma-modification.
     forget = p.forgetting * period
     alpha = (memory[ALPHA] + p.phi1 * elements * change + forget) / (1.0 + forget)  # (36)
     beta = (memory[BETA] + p.phi2 * viscous * change + forget) / (1.0 + forget)  # (37)
@@ -261,7 +261,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
 
 @kernel
 def follow(command: float, own: float, memory: Array) -> float:
-    """Give D the value with which (34) has the command [m] of another controller; its error is not this law's to adapt to."""
+    """Set D so that (34) yields another controller's command [m]; this law must not adapt to the other's error."""
     delta = memory[DELTA] + (memory[ALPHA] - 1.0) * memory[ELEMENTS] + (memory[BETA] - 1.0) * memory[VISCOUS]
     delta += memory[STRENGTH] * (command - own)
     if not math.isfinite(delta):

@@ -1,7 +1,7 @@
-"""Finite-time adaptive sliding mode force control from what a rig measures, and with a command that arrives late.
+"""Finite-time adaptive sliding mode force control from a rig's sensors, with a delayed command.
 
-The sliding surface (26), (27) is the paper's. Its law (34) needs velocity, friction and disturbance without delay or noise.
-Here :mod:`ehls_ros.control.state_estimator` supplies them from position, load pressure, spool and force, for the moment the
+The sliding surface (26), (27) is the paper's. Its law (34) requires velocity, friction and disturbance without delay or noise.
+Here :mod:`ehls_ros.control.state_estimator` estimates them from position, load pressure, spool and force, for the moment the
 command acts: friction from its GMS elements, and the external force and its rates in place of the adapted D of (38).
 :mod:`ehls_ros.control.reaching` chooses the command for the whole cycle. The velocity reading is not used and may be NaN.
 """
@@ -88,12 +88,12 @@ class Parameters(NamedTuple):
 
 
 def memory(p: Parameters) -> Array:
-    """Return a filter before its first measurement."""
+    """Return the filter's memory before its first measurement."""
     return np.zeros(state_estimator.MEMORY_SIZE)
 
 
 def tracking(omega: Array, p: Parameters, model: Model) -> NDArray[np.complex128]:
-    """Return the response of the force to the reference at some frequencies [rad/s], of a rig as it is known."""
+    """Return the response of the force to the reference at some frequencies [rad/s], for the modelled rig."""
     return surface_tracking(omega, Surface(p.k, p.g, p.xi, p.reaching_rate), model.period, p.command_delay)
 
 

@@ -1,14 +1,15 @@
-"""Finite-time adaptive sliding mode force control that foresees friction and disturbance by rate and model.
+"""Finite-time adaptive sliding mode force control that predicts friction and disturbance by rate and model.
 
-As in :mod:`~ehls_ros.control.controllers.fasmc_output_feedback`, a filter predicts the state to when the command acts, friction
-elements included, and the command is chosen for the whole cycle. Three things differ. What the law knows of the rig comes from
-the rig file: its sensors' noise, the command's delay, the coupling to the actuator under test. The filter's bandwidth for
-the external force follows how restless that force is (:mod:`ehls_ros.control.unrest`): nothing is assumed of its size or its
-period, so that one tuning serves quiet rigs and rough ones. A force that is foreseen, by a companion, is taken out of the
-force to be estimated: what remains is quieter, and so is the filter.
+As in :mod:`~ehls_ros.control.controllers.fasmc_output_feedback`, a filter predicts the state to the time when the command acts,
+including friction elements, and the command is chosen for the whole cycle. There are three differences.
 
-A calm filter has little noise, so the sliding surface may be steep and leave little of an error; a restless one would make its
-noise the force's. So, third, the surface's steepness follows the unrest too.
+First, the law takes sensor noise, command delay and coupling to the actuator under test from the rig file. Second, the filter's
+bandwidth for the external force follows the unrest of that force (:mod:`ehls_ros.control.unrest`). No assumption is made on its
+size or period, so that one tuning serves quiet rigs and rough ones. A force foreseen by a companion is subtracted from the
+force to be estimated: the remainder is quieter, and so is the filter. Third, the steepness of the sliding surface follows the
+unrest
+too: a calm filter has little noise, so the surface may be steep and leave little error; a restless filter would pass its noise
+on to the force.
 """
 
 from typing import Annotated, NamedTuple
@@ -50,12 +51,12 @@ KNOWS = ("command_delay", "coupling_stiffness")
 follow = reaching.follow
 
 LEAST_POSITION_NOISE, LEAST_PRESSURE_NOISE, LEAST_SPOOL_NOISE, LEAST_FORCE_NOISE = 1e-9, 10.0, 1e-9, 0.03
-"""Lower bounds of the sensors' standard deviations on the paper's rig [m, Pa, m, N], since no model is better than that; those
-of pressure, spool and force in proportion to the rig's."""
+"""Lower bounds of the sensors' standard deviations on the paper's rig [m, Pa, m, N], as no model is more accurate; those of
+pressure, spool and force are scaled with the rig's."""
 
 
 class Parameters(NamedTuple):
-    """Tuning of the law, and what the filter expects of the rig; k, g and xi are the paper's."""
+    """Tuning of the law, and assumptions of the filter on the rig; k, g and xi are the paper's."""
 
     k: Slope = 12.0
     g: Annotated[
@@ -109,18 +110,18 @@ class Parameters(NamedTuple):
 
 
 def memory(p: Parameters) -> Array:
-    """Return a filter before its first measurement, and an external force at rest."""
+    """Return the filter's memory before its first measurement, with an external force at rest."""
     return np.zeros(state_estimator.MEMORY_SIZE + unrest.PARTS)
 
 
 def tracking(omega: Array, p: Parameters, model: Model) -> NDArray[np.complex128]:
-    """Return the response of the force to the reference at some frequencies [rad/s], of a rig as it is known and restless."""
+    """Return the response of the force to the reference at some frequencies [rad/s], for the modelled rig with unrest."""
     return surface_tracking(omega, Surface(p.k, p.g, p.xi, p.reaching_rate), model.period, model.command_delay)
 
 
 @kernel
 def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> Assumptions:
-    """Return the parameters of the filter for the next cycle, and let the unrest take in the estimate there is."""
+    """Return the parameters of the filter for the next cycle, and update the unrest from the present estimate."""
     habits = Habits(p.least_noise, p.rate_noise, p.unrest_memory, p.reversal_factor, p.reversal_travel)
     rate = state.mean[EXTERNAL_RATE] - state.expected[1]
     noise = external_noise(rate, state.mean[V], model.period, habits, restless)

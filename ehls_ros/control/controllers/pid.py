@@ -1,9 +1,8 @@
-"""Position loop for friction identification: feed-forward of the reference motion, and PI on the position error.
+"""Position loop for friction identification: feedforward of the reference motion, and PI on the position error.
 
-The flow of the reference motion and the leakage at the measured load pressure are fed forward through the valve's
-flow equation (1); the reference acceleration compensates the valve's lag. The loop removes only the rest: the
-compression of the oil when friction reverses, and errors of the rig file's valve. The measured velocity is not
-used: a rig has no sensor of it.
+The flow of the reference motion and the leakage at the measured load pressure are fed forward through the valve's flow equation
+(1); the reference acceleration compensates the valve's lag. The loop removes only the remainder: the compression of the oil
+when friction reverses, and errors of the rig file's valve. The measured velocity is not used, as a rig has no sensor for it.
 """
 
 import math
@@ -26,7 +25,7 @@ LEAST_DROP = 0.01
 
 
 class Parameters(NamedTuple):
-    """The loop's gains."""
+    """Gains of the loop."""
 
     proportional: Annotated[float, quantity("1/s", "velocity per position error", minimum=0.0, maximum=1e3)] = 40.0
     integral: Annotated[float, quantity("1/s^2", "rate of that velocity for a lasting error", minimum=0.0, maximum=1e4)] = 400.0
@@ -39,7 +38,7 @@ INTEGRAL = 0
 
 
 def memory(p: Parameters) -> Array:
-    """Return an empty integral."""
+    """Return a zero integral."""
     return np.zeros(1)
 
 

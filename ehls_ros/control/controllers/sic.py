@@ -1,4 +1,4 @@
-"""Structure invariance compensation: the motion's flow fed forward, and a PI force loop.
+"""Structure invariance compensation: feedforward of the motion's flow, and a PI force loop.
 
 The disturbance acts on the load pressure through the piston's velocity, -e1 x2 in (25). A spool that passes
 exactly this flow makes the pressure invariant to the motion; the PI loop does the rest. There is no friction compensation.
@@ -23,7 +23,7 @@ LEAST_DROP = 0.01
 """Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
 
 WINDING_DROP = 0.1
-"""Pressure drop, as a fraction of the supply pressure, below which the valve has no reserve and the integral waits."""
+"""Pressure drop, as a fraction of the supply pressure, below which the valve has no reserve and integration stops."""
 
 
 class Parameters(NamedTuple):
@@ -44,7 +44,7 @@ INTEGRAL, LAST_VELOCITY, STARTED = 0, 1, 2
 
 
 def memory(p: Parameters) -> Array:
-    """Return an empty integral."""
+    """Return a zero integral."""
     return np.zeros(3)
 
 
@@ -66,7 +66,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     acceleration = (velocity - memory[LAST_VELOCITY]) / period
     if math.isfinite(velocity):
         memory[LAST_VELOCITY] = velocity
-    # The valve's lag is made up for by the flow's rate.
+    # The flow's rate compensates the valve's lag.
     motion = plant.piston_area * (velocity + acceleration / plant.valve_bandwidth)
 
     error = pressure - r[0] / plant.piston_area

@@ -1,4 +1,4 @@
-"""What the actuator under test does to the loader, one file a kind; ``base`` says what a file provides."""
+"""Disturbances by the actuator under test, one file per kind; ``base`` defines the interface of a file."""
 
 from ehls_ros.control.disturbances.base import DisturbanceKind
 from ehls_ros.families import Family

@@ -1,4 +1,4 @@
-"""A force on the beam, as in the paper's simulation: fd(t) is the signal itself."""
+"""A force on the beam, as in the paper's simulation: fd(t) is the signal."""
 
 from typing import NamedTuple
 
@@ -13,19 +13,19 @@ REACTS = False
 
 
 class Parameters(NamedTuple):
-    """None: the signal says everything."""
+    """No parameters: the signal defines the disturbance."""
 
 
 def loader_effects(p: Parameters) -> tuple[EffectUse, ...]:
-    """Return none: (3) has fd already."""
+    """Return no effects, as (3) already contains fd."""
     return ()
 
 
 class Force:
-    """The signal as rows."""
+    """Force signal as rows."""
 
     def __init__(self, signal: SampledReference) -> None:
-        """Take the force signal."""
+        """Store the force signal."""
         self._signal = signal
 
     def rows(self, first: int, cycles: int) -> Array:
@@ -36,5 +36,5 @@ class Force:
 
 
 def build(p: Parameters, signal: SampledReference, rig: Rig, period: float) -> Force:
-    """Return the force ready to run."""
+    """Return the source of the force."""
     return Force(signal)

@@ -1,7 +1,6 @@
-"""The actuator under test, as in the paper's experiment: a position servo with its own valve and cylinder.
+"""Actuator under test as in the paper's experiment: a position servo with valve, cylinder and position loop.
 
-It acts on the loader through the elasticity of beam and hinges, feels the loader's reaction, and has its own
-position loop.
+It acts on the loader through the elasticity of beam and hinges, and the loader acts back on it.
 """
 
 from typing import Annotated, NamedTuple
@@ -41,7 +40,7 @@ class Parameters(NamedTuple):
 
 
 def servo_plant(plant: Plant, moving_mass: float, supply_pressure: float) -> Plant:
-    """Return a servo's coefficients: valve and cylinder are the loader's, without its spring and its weight."""
+    """Return a servo's coefficients: valve and cylinder are the loader's, without its spring and weight."""
     return plant._replace(supply_pressure=supply_pressure, moving_mass=moving_mass, spring_stiffness=0.0, gravity=0.0)
 
 
@@ -54,19 +53,19 @@ def servo(p: Parameters, rig: Rig, start: float) -> Servo:
     """Return the servo.
 
     Args:
-        p: its parameters.
-        rig: the loader's rig, whose kind of valve, cylinder and friction the servo has.
-        start: its position at the start [m].
+        p: parameters of the servo.
+        rig: the loader's rig, which provides valve, cylinder and friction of the servo.
+        start: initial position [m].
     """
     plant = servo_plant(rig.plant, p.moving_mass, p.supply_pressure)
     return Servo(rig._replace(plant=plant, effects=(), sensors={}), p.position_gain, start)
 
 
 class PositionReference:
-    """The motion that the servo is to follow, as rows."""
+    """Motion setpoint of the servo, as rows."""
 
     def __init__(self, signal: SampledReference) -> None:
-        """Take the displacement signal."""
+        """Store the displacement signal."""
         self._signal = signal
 
     def rows(self, first: int, cycles: int) -> Array:
@@ -77,5 +76,5 @@ class PositionReference:
 
 
 def build(p: Parameters, signal: SampledReference, rig: Rig, period: float) -> PositionReference:
-    """Return the servo's reference."""
+    """Return the source of the servo's reference."""
     return PositionReference(signal)

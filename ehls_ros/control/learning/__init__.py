@@ -1,1 +1,1 @@
-"""What is learnt from load cycle to load cycle: where a cycle stands, what repeats, and how much of it may be corrected."""
+"""Learning from load cycle to load cycle: position within a cycle, repeating signals, and bounds of the correction."""

@@ -1,4 +1,4 @@
-"""Moving averages over what is periodic."""
+"""Moving averages over periodic signals."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def mean_around(values: NDArray[Any], reach: int) -> NDArray[Any]:
-    """Return the mean of each value and as many on either side; what lies beyond an end is taken from the other."""
+    """Return the mean of each value and ``reach`` values on either side, with periodic continuation at the ends."""
     reach = min(reach, (len(values) - 1) // 2)
     if reach == 0:
         return values

@@ -1,10 +1,10 @@
-"""A correction that grows from load cycle to load cycle: what both ways of learning have in common.
+"""Correction that is learnt from load cycle to load cycle: common part of both ways of learning.
 
 An error that repeats with the load cycle is e = x + n: x repeats, n is new in each cycle. x is estimated from all cycles by a
 Kalman filter with one variance per coordinate. Coordinates are the cycle's samples or its harmonics. The variance R of n is
-learnt from what the cycles have not in common, the variance P of x from R, from how many cycles were seen and from how well the
-effect of a correction is known. What may be noise is not corrected: of x counts what stands out from its own standard
-deviation, which is not known before two cycles have shown what repeats. So the noise that a correction holds falls with the
+learnt from the differences between cycles. The variance P of x follows from R, from the number of cycles, and from the
+uncertainty of a correction's effect. Possible noise is not corrected: only the part of x that exceeds its standard deviation is
+used, which is unknown before two cycles have shown the repeating part. The noise in a correction therefore falls with the
 number of cycles n as n^-1/2, to the bound set by the forgetting.
 
 A correction dc changes x by T dc, with T0 and W from :mod:`ehls_ros.control.learning.robustness`: x := x + T0 dc,
@@ -27,35 +27,35 @@ from ehls_ros.control.learning.averages import mean_around
 from ehls_ros.control.learning.robustness import Design, Spectrum
 
 DOUBTFUL, CERTAIN = 2.0, 4.0
-"""Squared error, over its own variance, up to which nothing is corrected, and from which all of it is."""
+"""Squared error over its variance up to which nothing is corrected, and from which all of it is."""
 
 LEAST_VARIANCE = 1e-12
-"""Lower bound of a variance [N^2]: what is simulated without noise repeats exactly."""
+"""Lower bound of a variance [N^2], as noise-free simulations repeat exactly."""
 
 TRANSITION = 4.0
-"""Largest variance of the noise, over its median, that is believed after a load cycle with a transition."""
+"""Largest accepted variance of the noise, relative to its median, after a load cycle with a transition."""
 
 SMOOTH = 1.0
-"""Frequency on either side within which the response is alike [Hz]."""
+"""Frequency on either side within which the response is assumed constant [Hz]."""
 
 PACE = 0.3
-"""Part of the noise's variance that one load cycle makes out."""
+"""Weight of one load cycle in the noise's variance."""
 
 REMEMBERED = 0.7
-"""Part of the evidence on the response that outlives a load cycle."""
+"""Fraction of the evidence on the response that is kept over a load cycle."""
 
 LEAST_DOUBT = 0.1
-"""Uncertainty of a response that has been seen often."""
+"""Least uncertainty of a response after many observations."""
 
 Coordinates = NDArray[Any]
 """A signal over a load cycle: its samples, or complex amplitudes of its harmonics."""
 
 
 class Corrector(Protocol):
-    """What a lesson asks of whatever corrects the reference; :class:`Learner` says what each does.
+    """Interface between a lesson and any corrector of the reference; :class:`Learner` documents the methods.
 
     Attributes:
-        cycles: load cycles that count.
+        cycles: number of load cycles used.
         table: correction and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
     """
 
@@ -63,46 +63,46 @@ class Corrector(Protocol):
     table: Array
 
     def observe(self, error: Array, *, settled: bool = True) -> None:
-        """Take in the error of one load cycle, shape (size,) [N], under the present correction."""
+        """Process the error of one load cycle, shape (size,) [N], under the present correction."""
 
     def correct(self) -> bool:
-        """Change the correction; return whether there is any."""
+        """Update the correction; return whether there is any."""
 
     def start_over(self) -> None:
-        """Let the next load cycles say what the error is: the law answers otherwise from now on."""
+        """Re-estimate the error from the next load cycles, as the response of the law has changed."""
 
     def without(self) -> Array:
-        """Return the error that is expected without any correction, as :meth:`kept` does."""
+        """Return the expected error without any correction, filtered as by :meth:`kept`."""
 
     def kept(self, error: Array) -> Array:
-        """Return that part of an error that is looked at [N]."""
+        """Return the part of an error that is considered [N]."""
 
     def report(self) -> Mapping[str, float | str]:
         """Return figures for diagnostics."""
 
     def stored(self) -> dict[str, NDArray[Any]]:
-        """Return what has been learnt, by name."""
+        """Return the learnt arrays, by name."""
 
     def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
-        """Take up what :meth:`stored` gave; return whether it fits."""
+        """Restore arrays returned by :meth:`stored`; return whether they fit."""
 
 
 class Learner(ABC):
-    """One correction, of a reference or of a foreseen force.
+    """Learnt correction of a reference or of a foreseen force.
 
     Attributes:
-        design: its filters.
+        design: filters of the learning.
         size: samples of the load cycle.
-        cycles: load cycles that count.
-        spectrum: the correction as ``rfft`` has it.
+        cycles: number of load cycles used.
+        spectrum: the correction as an ``rfft``.
         table: correction and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
     """
 
     NEAR: int
-    """Coordinates on either side over which the significance is taken."""
+    """Coordinates on either side over which the significance is averaged."""
 
     AROUND: int
-    """Coordinates on either side over which the noise's variance is."""
+    """Coordinates on either side over which the noise's variance is averaged."""
 
     STORED = ("spectrum", "_estimate", "_variance", "_noise", "_response", "_doubt", "_cross", "_power")
 
@@ -112,8 +112,8 @@ class Learner(ABC):
         Args:
             design: filters at the harmonics of the load cycle.
             size: samples of the load cycle.
-            period: its length [s].
-            forgetting: fraction of what is known that one load cycle makes doubtful.
+            period: length of the load cycle [s].
+            forgetting: fraction of the knowledge that is lost per load cycle.
         """
         self.design = design
         self.size = size
@@ -138,22 +138,22 @@ class Learner(ABC):
 
     @abstractmethod
     def coordinates(self, spectrum: Spectrum) -> Coordinates:
-        """Return a signal in the coordinates in which it is learnt."""
+        """Return a spectrum in the coordinates of the learning."""
 
     @abstractmethod
     def spectrum_of(self, coordinates: Coordinates) -> Spectrum:
-        """Return a signal's spectrum."""
+        """Return the spectrum of coordinates."""
 
     @abstractmethod
     def noise_per_harmonic(self, variance: float, harmonics: int) -> float:
-        """Return the mean square of the noise's ``rfft`` at one of so many harmonics, from its variance here."""
+        """Return the mean square of the noise's ``rfft`` per harmonic, from its variance and the number of harmonics."""
 
     def observe(self, error: Array, *, settled: bool = True) -> None:
-        """Take in the error of one load cycle, under the present correction.
+        """Process the error of one load cycle, under the present correction.
 
         Args:
-            error: shape (size,) [N].
-            settled: whether it repeats; of a cycle with a transition, only that part is used that the next confirms.
+            error: error [N], shape (size,).
+            settled: whether it repeats; of a cycle with a transition, only the part confirmed by the next cycle is used.
         """
         spectrum = self.design.robustness * np.fft.rfft(error)
         seen = self.coordinates(spectrum)
@@ -166,7 +166,7 @@ class Learner(ABC):
         self._error, self._change = spectrum, None
 
     def _first(self, seen: Coordinates, *, settled: bool) -> None:
-        """Begin with a load cycle, or learn from the second what is noise."""
+        """Start with a load cycle, or estimate the noise from the second."""
         if self._estimate_is_of is None:
             self._estimate, self._estimate_is_of = seen, settled
             return
@@ -178,13 +178,13 @@ class Learner(ABC):
             self._noise_is_settled = True
             self._variance = 0.5 * self._noise
         else:
-            # What the transition adds to the difference is no noise.
+            # The part of the difference due to the transition is not noise.
             self._estimate = seen
             self._noise = np.maximum(np.minimum(noise, TRANSITION * float(np.median(noise))), LEAST_VARIANCE)
             self._variance = self._noise.copy()
 
     def _compare(self, difference: Spectrum) -> None:
-        """Learn the response and the noise from how the error differs from that of the load cycle before."""
+        """Learn the response and the noise from the change of the error since the previous load cycle."""
         if self._change is not None:
             before = self._response
             self._identify(difference, self._change)
@@ -196,7 +196,7 @@ class Learner(ABC):
         self._noise_is_settled = True
 
     def _follow(self, seen: Coordinates) -> None:
-        """Correct the estimate by one more load cycle."""
+        """Update the estimate by one more load cycle."""
         missed = seen - self._estimate
         self._variance = self._variance / (1.0 - self._forgetting)
         weight = self._variance / (self._variance + self._noise)
@@ -204,16 +204,16 @@ class Learner(ABC):
         self._variance = self._variance * (1.0 - weight)
 
     def _identify(self, difference: Spectrum, change: Spectrum) -> None:
-        """Learn the response from what a change of the correction did.
+        """Learn the response from the effect of a change of the correction.
 
-        The response is alike at neighbouring frequencies, within :data:`SMOOTH`. What is known of it beforehand counts as much
-        as its uncertainty over the noise says.
+        The response is assumed constant within :data:`SMOOTH`. The prior response has the weight given by its uncertainty
+        relative to the noise.
         """
         design = self.design
         learnt = design.robustness > 0.0
         self._cross = REMEMBERED * self._cross + mean_around(difference * np.conj(change), self._pool)
         self._power = REMEMBERED * self._power + mean_around(np.abs(change) ** 2, self._pool)
-        # Of both cycles, per harmonic in the band that is learnt.
+        # For the difference of two cycles, per harmonic in the band that is learnt.
         noise = 2.0 * self.noise_per_harmonic(float(np.mean(self._noise)), max(int(np.sum(learnt)), 1))
         prior = noise / np.maximum(np.abs(design.uncertainty * design.response) ** 2, 1e-12)
         total = np.maximum(prior + (2 * self._pool + 1) * self._power, 1e-300)
@@ -223,7 +223,7 @@ class Learner(ABC):
         self._doubt = np.clip(left, LEAST_DOUBT, design.uncertainty)
 
     def correct(self) -> bool:
-        """Change the correction by what is significant; return whether there is any."""
+        """Update the correction by the significant part of the error; return whether there is any correction."""
         if not np.any(np.isfinite(self._noise)):
             return bool(np.any(self.spectrum))
         size = np.maximum(mean_around(np.abs(self._estimate) ** 2, self.NEAR), LEAST_VARIANCE)
@@ -246,38 +246,38 @@ class Learner(ABC):
         self.table[-1] = self.table[0]
 
     def start_over(self) -> None:
-        """Let the next load cycles say what the error and the noise are: the law answers otherwise from now on."""
+        """Re-estimate error and noise from the next load cycles, as the response of the law has changed."""
         self._noise = np.full(self._estimate.shape, np.inf)
         self._estimate_is_of, self._noise_is_settled = None, False
         self._change = None
 
     def without(self) -> Array:
-        """Return the error that is expected without any correction, as far as it repeats, shape (size,) [N]."""
+        """Return the expected repeating error without any correction, shape (size,) [N]."""
         expected: Array = np.fft.irfft(self.spectrum_of(self._estimate) - self._response * self.spectrum, self.size)
         return expected
 
     def kept(self, error: Array) -> Array:
-        """Return that part of an error that is looked at, shape (size,) [N]."""
+        """Return the part of an error within the learning bandwidth, shape (size,) [N]."""
         part: Array = np.fft.irfft(self.design.robustness * np.fft.rfft(error), self.size)
         return part
 
     def report(self) -> Mapping[str, float | str]:
-        """Return how fast errors fall by the design, at worst, and up to which frequency."""
+        """Return the designed and the worst-case convergence rate, and the bandwidth."""
         filters = self.design
         return {"designed_rate": filters.rate, "worst_rate": filters.worst, "bandwidth_hz": filters.bandwidth}
 
     def stored(self) -> dict[str, NDArray[Any]]:
-        """Return what has been learnt, by name."""
+        """Return the learnt arrays, by name."""
         return {"cycles": np.array(self.cycles), **{name.strip("_"): getattr(self, name) for name in self.STORED}}
 
     def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
-        """Take up what :meth:`stored` gave; return whether it fits."""
+        """Restore arrays returned by :meth:`stored`; return whether they fit."""
         values = {name: stored.get(name.strip("_")) for name in self.STORED}
         if any(value is None or value.shape != getattr(self, name).shape for name, value in values.items()):
             return False
         for name, value in values.items():
             setattr(self, name, value)
-        # Beyond the band nothing is learnt.
+        # Nothing is learnt beyond the band.
         self.spectrum = np.where(self.design.robustness > 0.0, self.spectrum, 0.0)
         self.cycles = int(stored["cycles"])
         self.tabulate()

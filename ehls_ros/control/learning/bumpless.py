@@ -1,4 +1,4 @@
-"""Lets a correction of the reference change without a jump of it or of its rate."""
+"""Bumpless changes of a reference correction, without jumps of it or of its rate."""
 
 from collections.abc import Hashable
 
@@ -9,32 +9,32 @@ from ehls_ros.control.references._blend import quintic
 
 
 class Bumpless:
-    """Carries the end of one correction over into the beginning of the next.
+    """Smooth transition from one correction to the next.
 
-    Where the source of the correction changes, the old one goes on straight and gives way to the new one.
+    When the source of the correction changes, the old one is continued along a straight line and faded into the new one.
     """
 
     def __init__(self, period: float) -> None:
-        """Start with no correction; ``period`` is that of the control cycles [s]."""
+        """Start without correction; ``period`` is the control period [s]."""
         self._period = period
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was added."""
+        """Reset to no correction."""
         self._source: Hashable = None
         self._cycle, self._value, self._rate = -1, 0.0, 0.0
         self._began, self._length, self._usual = 0, 0, 0
         self._apart, self._speed = 0.0, 0.0
 
     def smooth(self, first: int, rows: Array, bare: Array, source: Hashable, length: int) -> None:
-        """Make what has been added to some rows go on from what was added before them.
+        """Smooth the correction in some rows, as a continuation of that in previous rows.
 
         Args:
             first: number of their first control cycle.
             rows: reference with its two derivatives, shape (n, 3 or more); changed in place.
-            bare: the same before anything was added, shape (n, 3).
-            source: what was added comes from; rows to which nothing was added come from None.
-            length: control cycles that a change takes; a change to another source takes the longer of both.
+            bare: the reference without correction, shape (n, 3).
+            source: origin of the correction; rows without correction have the source None.
+            length: control cycles of a transition; a change to another source takes the longer of both.
         """
         if source is None and self._source is None and first - self._began >= self._length:
             return
@@ -53,7 +53,7 @@ class Bumpless:
             self._cycle, self._value, self._rate = cycle, float(added[0]), float(added[1])
 
     def _rest(self, cycles: int) -> Array:
-        """Return what is left of the old correction beside the new one, with its two derivatives, shape (3,)."""
+        """Return the remainder of the old correction to add to the new one, with its two derivatives, shape (3,)."""
         since = cycles * self._period
         fade, rate, bend = (float(part[0]) for part in quintic(np.array([since]), self._length * self._period))
         apart = self._apart + self._speed * since

@@ -1,13 +1,14 @@
-"""The external force that repeats with the load cycle, to be handed to the law before it comes.
+"""Foresee the external force that repeats with the load cycle, as a preview for the law.
 
 The smoothed force (:mod:`ehls_ros.control.learning.smoothing`) of a load cycle is d = x + n: x repeats, n does not. It does not
-depend on what is foreseen, so that one load cycle tells all of x but the noise, and later ones only take the mean of it. At
-each harmonic the part of the mean is used that Wiener's filter lets through,
+depend on the foreseen force, so that one load cycle shows all of x but the noise, and later ones only improve the mean. At each
+harmonic the mean is multiplied by the gain of Wiener's filter,
 
     1 - V N / |mean|^2
 
-with the variance N of n, from how much the force differs from one load cycle to the next, and V, what is left of it in the
-mean. N and |mean|^2 are averages over :data:`ALIKE_WITHIN` on either side. So a force that does not repeat is hardly foreseen.
+with the variance N of n, from the differences of the force between successive load cycles, and its fraction V that remains in
+the mean. N and |mean|^2 are averaged over :data:`ALIKE_WITHIN` on either side. A force that does not repeat is therefore hardly
+foreseen.
 
 Source: Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series, 1949, chapter 3.
 """
@@ -24,47 +25,47 @@ from ehls_ros.control.learning.averages import mean_around
 from ehls_ros.control.learning.robustness import ROLL_OFF, Spectrum, falling
 
 ALIKE_WITHIN = 2.0
-"""Frequency on either side within which the noise is alike [Hz]."""
+"""Frequency on either side within which the noise is assumed constant [Hz]."""
 
 DOUBT = 1.5
-"""Noise that the mean is taken to hold, over the noise expected in it."""
+"""Safety factor on the noise expected in the mean."""
 
 RECENT = 2.0
-"""Weight of a load cycle over that of the mean of all: the first ones, not foreseen, moved the actuator otherwise."""
+"""Weight of a load cycle relative to the mean of all: the first ones, without preview, moved the actuator differently."""
 
 MOST_CHANGE = 0.3
-"""Rms difference of the force from one load cycle to the next, over the rms of its alternating part, above which it is not
-foreseen: a law that has a foreseen force follows any other force less closely."""
+"""Rms difference of the force between successive load cycles, over the rms of its alternating part, above which it is not
+foreseen: a law with a foreseen force follows any other force less closely."""
 
 LEAST_NEWS = 0.1
-"""Least part of the noise's variance that one load cycle makes out."""
+"""Least weight of one load cycle in the noise's variance."""
 
 
 LEAST_POWER = 1e-12
-"""Lower bound of a sum of squared amplitudes: a force that never acts does not change."""
+"""Lower bound of a sum of squared amplitudes, for a force that never acts."""
 
 
 class Foresight:
-    """The force that repeats, and how well it is known.
+    """Estimate of the repeating force and its certainty.
 
     Attributes:
         size: samples of the load cycle.
-        cycles: load cycles that count.
+        cycles: number of load cycles used.
         change: rms difference between the last two load cycles, over the rms of the force's alternating part.
-        spectrum: the force to be foreseen as ``rfft`` has it.
+        spectrum: the foreseen force as an ``rfft``.
         table: that force and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
     """
 
     STORED = ("spectrum", "_mean", "_noise", "_latest", "_share")
 
     def __init__(self, size: int, period: float, bandwidth: float, forgetting: float) -> None:
-        """Foresee nothing yet.
+        """Start without a foreseen force.
 
         Args:
             size: samples of the load cycle.
-            period: its length [s].
-            bandwidth: to which the force is foreseen [Hz].
-            forgetting: fraction of what is known that one load cycle makes doubtful.
+            period: length of the load cycle [s].
+            bandwidth: bandwidth of the foreseen force [Hz].
+            forgetting: fraction of the knowledge that is lost per load cycle.
         """
         self.size, self.cycles = size, 0
         self._forgetting = forgetting
@@ -83,10 +84,10 @@ class Foresight:
         self.table = np.zeros((size + 1, 3))
 
     def observe(self, force: Array, *, settled: bool = True) -> None:
-        """Take in the force of one load cycle.
+        """Process the force of one load cycle.
 
         Args:
-            force: smoothed, shape (size,) [N].
+            force: smoothed force [N], shape (size,).
             settled: whether all of it repeats; of a cycle with a transition only the middle is compared with the next.
         """
         seen = np.fft.rfft(force)
@@ -109,7 +110,7 @@ class Foresight:
         self._latest = seen
 
     def correct(self) -> bool:
-        """Foresee what the mean tells; return whether it tells anything."""
+        """Update the foreseen force from the mean; return whether there is any."""
         if np.isinf(self._noise[0]) or self.cycles == 0:
             return bool(np.any(self.spectrum))
         if self.change > MOST_CHANGE:
@@ -129,16 +130,16 @@ class Foresight:
         self.table[-1] = self.table[0]
 
     def expected(self) -> Array:
-        """Return the force that is known to repeat, shape (size,) [N]."""
+        """Return the repeating part of the force, shape (size,) [N]."""
         force: Array = np.fft.irfft(self._mean, self.size)
         return force
 
     def stored(self) -> dict[str, NDArray[Any]]:
-        """Return what has been learnt, by name."""
+        """Return the learnt arrays, by name."""
         return {"cycles": np.array(self.cycles), **{name.strip("_"): getattr(self, name) for name in self.STORED}}
 
     def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
-        """Take up what :meth:`stored` gave; return whether it fits."""
+        """Restore arrays returned by :meth:`stored`; return whether they fit."""
         values = {name: stored.get(name.strip("_")) for name in self.STORED}
         if any(value is None or value.shape != getattr(self, name).shape for name, value in values.items()):
             return False

@@ -1,6 +1,6 @@
-"""Cancels harmonics of the load cycle: one complex number each, its variance and that of the noise.
+"""Learn harmonics of the load cycle: one complex number each, with its variance and that of the noise.
 
-As test machines do it: few numbers, which are quickly told from noise, for errors that are as smooth as the motion.
+This is the usual method of test machines: the few numbers emerge quickly from noise, for errors as smooth as the motion.
 """
 
 import numpy as np
@@ -10,13 +10,13 @@ from ehls_ros.control.learning.robustness import Design, Spectrum
 
 
 class Harmonics(Learner):
-    """A correction by complex amplitudes."""
+    """Correction by complex amplitudes of harmonics."""
 
     NEAR = 0
     AROUND = 3
 
     def __init__(self, design: Design, size: int, period: float, forgetting: float, count: int) -> None:
-        """Start with no correction; ``count`` harmonics are learnt beside the mean, the rest as of :class:`Learner`."""
+        """Start with no correction; ``count`` harmonics are learnt besides the mean, other arguments as of :class:`Learner`."""
         self.count = min(count, size // 2)
         super().__init__(design, size, period, forgetting)
 
@@ -25,11 +25,11 @@ class Harmonics(Learner):
         return spectrum[: self.count + 1] * (2.0 / self.size)
 
     def spectrum_of(self, coordinates: Coordinates) -> Spectrum:
-        """Return the spectrum of amplitudes."""
+        """Return the spectrum of the amplitudes [N]."""
         spectrum = np.zeros(self.size // 2 + 1, dtype=np.complex128)
         spectrum[: self.count + 1] = coordinates * (0.5 * self.size)
         return spectrum
 
     def noise_per_harmonic(self, variance: float, harmonics: int) -> float:
-        """Return the mean square of a harmonic."""
+        """Return the mean square of the noise's ``rfft`` at a harmonic."""
         return 0.25 * variance * self.size**2

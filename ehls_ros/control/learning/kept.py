@@ -1,7 +1,7 @@
-"""Learnt arrays that are kept from one run to the next: the declaration of each block's arrays, and their bounds.
+"""Learnt arrays kept from one run to the next: the declaration of each block's arrays, and their bounds.
 
-The forces are bounded by the rig: a correction is added to the reference from the first load cycle on, before any error could
-show that it is wrong.
+The forces are bounded by the rig, because a correction is added to the reference from the first load cycle on, before any error
+can show that it is wrong.
 """
 
 import math
@@ -23,16 +23,16 @@ SHORTEST = 8
 """Fewest samples of a load cycle."""
 
 MOST_CYCLES = 1e9
-"""Most load cycles that count."""
+"""Largest number of load cycles used."""
 
 LARGEST = 1e15
 """Largest number of any array, in its unit."""
 
 OF_REFERENCE = 0.5
-"""Largest correction of a reference, over its largest magnitude; one by peaks, valleys and phase has its ``reach``."""
+"""Largest correction of a reference relative to its largest magnitude; one by peaks, valleys and phase has its ``reach``."""
 
 OF_LIMIT = 0.05
-"""Largest correction of a small reference, over the rig's largest force."""
+"""Largest correction of a small reference relative to the rig's largest force."""
 
 _COMPLEX = Entry("complex128", ("harmonics",), most=LARGEST)
 _POSITIVE = Entry(shape=("harmonics",), least=0.0, most=LARGEST)
@@ -91,8 +91,8 @@ class Bounds(NamedTuple):
 
     Attributes:
         force: largest force of the rig [N].
-        foreseen: largest external force [N]. Where the piston is coupled to the actuator under test, it is that of the coupling
-            whose far end moves by the whole stroke.
+        foreseen: largest external force [N]. If the piston is coupled to the actuator under test, it includes the coupling
+            force for a far end that moves by the whole stroke.
     """
 
     force: float = math.inf
@@ -100,7 +100,7 @@ class Bounds(NamedTuple):
 
 
 def bounds_of(setting: Setting) -> Bounds:
-    """Return the bounds that a controller's rig implies; infinite where the rig file has no limit."""
+    """Return the bounds implied by a controller's rig; infinite if the rig file has no limit."""
     limits = setting.limits
     if limits is None:
         return Bounds()
@@ -117,7 +117,7 @@ def declared(method: Method, *, foresees: bool) -> dict[str, Entry]:
     """Return the declaration of a block's arrays.
 
     Args:
-        method: of the correction.
+        method: method of the correction.
         foresees: whether an external force is foreseen as well.
     """
     reference = dict(PEAK_VALLEY if method == "peak_valley" else SAMPLED)
@@ -137,13 +137,13 @@ def check_block(arrays: Arrays, method: Method, bounds: Bounds, *, foresees: boo
     """Check the arrays of one block against their declaration.
 
     Args:
-        arrays: by name.
-        method: of the correction.
-        bounds: of the rig.
+        arrays: arrays by name.
+        method: method of the correction.
+        bounds: bounds of the rig.
         foresees: whether an external force is foreseen as well.
 
     Raises:
-        ValueError: naming the first that does not fit.
+        ValueError: an array does not fit; the first is named.
     """
     samples = len(arrays["wanted"]) if "wanted" in arrays and arrays["wanted"].ndim == 1 else 0
     if not SHORTEST <= samples <= LONGEST:
@@ -156,12 +156,12 @@ def check_block(arrays: Arrays, method: Method, bounds: Bounds, *, foresees: boo
 
 
 def out_of_bounds(lesson: Lesson, method: Method, bounds: Bounds) -> str:
-    """Return in words how far a block's correction or foreseen force exceeds its bounds; empty: neither does.
+    """Return as text by how much a block's correction or foreseen force exceeds its bounds; empty if neither does.
 
     Args:
-        lesson: the block's.
-        method: of the correction.
-        bounds: of the rig.
+        lesson: lesson of the block.
+        method: method of the correction.
+        bounds: bounds of the rig.
     """
     correction, foreseen = (_largest(lesson.table[:, column]) for column in (0, FORESEEN))
     bound = bounds.force if method == "peak_valley" else largest_correction(lesson.wanted, bounds)
@@ -173,15 +173,15 @@ def out_of_bounds(lesson: Lesson, method: Method, bounds: Bounds) -> str:
 
 
 def largest_correction(wanted: Array, bounds: Bounds) -> float:
-    """Return the largest correction of a reference, which is also the largest rms error that counts as one of following [N].
+    """Return the largest correction of a reference, also the largest rms error at which the force counts as followed [N].
 
     Args:
         wanted: the reference over a load cycle [N].
-        bounds: of the rig.
+        bounds: bounds of the rig.
     """
     return max(OF_REFERENCE * float(np.max(np.abs(wanted))), OF_LIMIT * bounds.force)
 
 
 def _largest(values: Array) -> float:
-    """Return the largest magnitude; of a table without values (NaN) 0."""
+    """Return the largest magnitude; 0 for a table without values (NaN)."""
     return float(np.max(np.abs(values))) if np.all(np.isfinite(values)) else 0.0

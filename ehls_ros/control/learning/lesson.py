@@ -1,8 +1,8 @@
-"""What is learnt of the load cycle of one block of a programme.
+"""Learn from the load cycle of one block of a programme.
 
-Two things repeat. The force error, as measured, is cancelled by a correction of the reference; and for a law that takes a
-foreseen force, the external force is handed to it before it comes. The force is learnt first, since it changes the error: the
-reference is corrected from the cycle on that had it.
+Two signals repeat. The measured force error is cancelled by a correction of the reference. For a law with preview, the external
+force is handed to the law in advance. The force is learnt first, since it changes the error: the reference is corrected from
+the first cycle with the foreseen force on.
 """
 
 import math
@@ -22,30 +22,30 @@ from ehls_ros.control.learning.withdrawal import Withdrawal
 from ehls_ros.control.references._blend import quintic
 
 SAME = 0.02
-"""Largest difference between two references that count as the same, over their size."""
+"""Largest difference between two references that count as equal, relative to their size."""
 
 LOOK = 10
-"""Samples between two looks at the error within a load cycle."""
+"""Samples between successive checks of the error within a load cycle."""
 
 QUIET = 1e-3
-"""Error that is never too large, over the size of the reference."""
+"""Error that is never too large, relative to the size of the reference."""
 
 FADE = 0.1
-"""Part of a load cycle in which the foreseen force changes from what was learnt before to what is learnt now."""
+"""Fraction of a load cycle over which the foreseen force changes from the previously learnt one to the present one."""
 
 FORCE_SHARE = 0.05
-"""Error of the foreseen force that is never too large, over the range of the force on the piston."""
+"""Error of the foreseen force that is never too large, relative to the range of the force on the piston."""
 
 ALIKE = 0.3
-"""Rms difference, over the rms, between the error without correction and the one expected, at which what was learnt holds."""
+"""Rms difference between the error without correction and the expected one, over its rms, below which learning is valid."""
 
 
 class Learners(NamedTuple):
-    """The learners of one load cycle.
+    """Learners of one load cycle.
 
     Attributes:
         reference: corrects the reference.
-        force: foresees the external force; None where the law takes none.
+        force: foresees the external force; None if the law uses no preview.
     """
 
     reference: Corrector
@@ -56,9 +56,9 @@ class Errors(NamedTuple):
     """Errors of one load cycle, shape (size,) each [N].
 
     Attributes:
-        force: measured force less the reference wanted.
-        foresight: foreseen external force less the one that seemed to act at once.
-        external: external force beyond what others foresaw, NaN where it is not known yet.
+        force: measured force minus the wanted reference.
+        foresight: foreseen external force minus its immediate estimate.
+        external: external force minus that foreseen by others, NaN where not yet known.
         previewed: whether others foresaw a force throughout.
     """
 
@@ -69,25 +69,25 @@ class Errors(NamedTuple):
 
 
 class Lesson:
-    """One load cycle, and what is known of it.
+    """One load cycle, with its learnt corrections.
 
     Attributes:
-        period: its length in control cycles.
+        period: length of the load cycle in control cycles.
         size: samples.
         wanted: reference at the samples, the first again at the end, shape (size + 1,) [N].
-        tolerance: largest difference of a reference that is the same [N].
-        learners: what learns.
-        table: what is added to the law's rows at the samples, the first again at the end, shape (size + 1, ROW).
-        active: whether there is anything to add.
-        paused: whether it is not added, as the error has grown.
-        stale: whether the reference is not corrected, as it is another one at present.
+        tolerance: largest difference between references that count as equal [N].
+        learners: learners of reference and force.
+        table: corrections to the law's rows at the samples, the first again at the end, shape (size + 1, ROW).
+        active: whether there is any correction.
+        paused: whether the correction is suspended, as the error has grown.
+        stale: whether the reference is not corrected, as it has changed.
         limits: rms over :data:`LOOK` samples of the two errors above which they have grown.
-        withdrawal: whether the correction does harm.
-        first_error, last_error: largest repeatable error in the first load cycle that counted, and in the last [N].
+        withdrawal: whether the correction increases the error.
+        first_error, last_error: largest repeatable error in the first and in the last load cycle used [N].
     """
 
     def __init__(self, cycle: LoadCycle, learners: Learners, control_period: float) -> None:
-        """Begin with the reference of a load cycle; ``control_period`` in s."""
+        """Start from the reference of a load cycle; ``control_period`` in s."""
         self.control_period = control_period
         self.period, wanted = cycle.period, cycle.columns[:, WANTED]
         self.size = len(wanted)
@@ -109,30 +109,30 @@ class Lesson:
 
     @property
     def applied(self) -> bool:
-        """Whether the table is added."""
+        """Whether the reference correction is added."""
         return self.active and not self.paused and not self.stale
 
     @property
     def foresees(self) -> bool:
-        """Whether that part of the table is added that foresees the external force: another reference does not change it."""
+        """Whether the foreseen external force is added; another reference does not change it."""
         return self.active and not self.paused and self._was_foreseen
 
     @property
     def cycles(self) -> int:
-        """Load cycles that count."""
+        """Number of load cycles used."""
         return self.learners.reference.cycles
 
     def is_of(self, cycle: LoadCycle) -> bool:
-        """Tell whether a load cycle has the same length and reference."""
+        """Return whether a load cycle has the same length and reference."""
         same_length = len(cycle.columns) == self.size and abs(cycle.period - self.period) < SAME
         return same_length and bool(np.max(np.abs(cycle.columns[:, WANTED] - self.wanted[:-1])) <= self.tolerance)
 
     def take(self, errors: Errors, freeze: float) -> None:
-        """Learn from a load cycle in which the table was added throughout, if there is anything in it.
+        """Learn from a load cycle in which the table, if any, was added throughout.
 
         Args:
-            errors: of that cycle.
-            freeze: error, over the usual one, above which it has grown.
+            errors: errors of that cycle.
+            freeze: ratio of the error to the usual one above which it has grown.
         """
         reference, force = self.learners
         reference.observe(errors.force, settled=not self._begun)
@@ -160,16 +160,16 @@ class Lesson:
             self.first_error = self.last_error
 
     def begin(self, errors: Errors) -> None:
-        """See the errors of a load cycle that holds a transition."""
+        """Process the errors of a load cycle that contains a transition."""
         reference, force = self.learners
         reference.observe(errors.force, settled=False)
         if force is not None:
             force.observe(_known(errors, force), settled=False)
 
     def still_holds(self, errors: Errors) -> bool:
-        """Tell whether a load cycle without correction has the errors that are expected.
+        """Return whether a load cycle without correction has the expected errors.
 
-        Where a force is foreseen, that force tells: without it the force error is another one than was learnt.
+        If a force is foreseen, only that force is compared: without it the force error differs from the learnt one.
         """
         reference, force = self.learners
         if force is not None and self._was_foreseen:
@@ -181,7 +181,7 @@ class Lesson:
         return bool(np.isfinite(self.table[0, FORESEEN]))
 
     def turn_begins(self) -> None:
-        """Let a table that has changed begin with the one before, for this load cycle."""
+        """Start a changed table from the previous foreseen force, for this load cycle."""
         if self._pending is None:
             return
         first, later = self._pending
@@ -192,7 +192,7 @@ class Lesson:
             self.table[:end], self._pending = later, None
 
     def _blend(self, before: Array, *, previewed: bool) -> None:
-        """Prepare the first samples of the next load cycle: from the force foreseen before to the new one, without a jump."""
+        """Prepare a smooth transition to the new foreseen force over the first samples of the next load cycle."""
         end = self._fade
         first, later = self.table[:end].copy(), self.table[:end].copy()
         share = np.arange(end) / end
@@ -216,7 +216,7 @@ class Lesson:
         self.active = bool(np.any(reference.table)) or self._was_foreseen
 
     def stored(self) -> dict[str, NDArray[Any]]:
-        """Return what is to be kept, by name."""
+        """Return the arrays to keep, by name."""
         reference, force = self.learners
         kept = {"period": np.array(self.period), "wanted": self.wanted[:-1], "limits": self.limits, "largest": self._largest}
         kept["errors"] = np.array([self.first_error, self.last_error])
@@ -225,7 +225,7 @@ class Lesson:
         return kept if force is None else kept | {f"force.{name}": value for name, value in force.stored().items()}
 
     def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
-        """Take up what :meth:`stored` gave; return whether it fits."""
+        """Restore arrays returned by :meth:`stored`; return whether they fit."""
         named = zip(("reference.", "force."), self.learners, strict=True)
         for prefix, learner in named:
             part = {name.removeprefix(prefix): value for name, value in stored.items() if name.startswith(prefix)}
@@ -249,10 +249,10 @@ def errors_of(cycle: LoadCycle) -> Errors:
 
 
 def recent_errors(rows: Array) -> tuple[float, float]:
-    """Return the rms of both errors in some control cycles on end [N].
+    """Return the rms of both errors over contiguous control cycles [N].
 
     Args:
-        rows: as a recorder has them, shape (n, COLUMNS).
+        rows: rows of a recorder, shape (n, COLUMNS).
     """
     force, foresight = rows[:, ERROR], rows[:, FORESEEN_FORCE] - rows[:, EXTERNAL]
     missed = 0.0 if math.isnan(foresight[0]) else math.sqrt(foresight @ foresight / len(rows))
@@ -260,7 +260,7 @@ def recent_errors(rows: Array) -> tuple[float, float]:
 
 
 def _known(errors: Errors, force: Foresight) -> Array:
-    """Return the external force of a load cycle; where it is not known yet, the one that has been learnt or that seemed."""
+    """Return the external force of a load cycle; where not yet known, the learnt force or the immediate estimate."""
     external = errors.external
     guess = force.expected() if force.cycles > 0 else -errors.foresight
     known: Array = np.where(np.isnan(external), guess, external)
@@ -277,4 +277,4 @@ def _largest_rms(error: Array) -> float:
 
 
 NewLearners = Callable[[int, float], Learners]
-"""Makes the learners of a load cycle, from its samples and its length [s]."""
+"""Creates the learners of a load cycle, from its samples and its length [s]."""

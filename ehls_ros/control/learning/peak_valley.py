@@ -1,17 +1,18 @@
-"""Brings peaks, valleys and phase to those wanted by three numbers of the reference: its mean, its amplitude and a time shift.
+"""Control peaks, valleys and phase of the force by three numbers of the reference: mean, amplitude and time shift.
 
-Peak-valley and amplitude-phase control, as test machines have it. Nothing of the rig's model is used, and no waveform is
-learnt. The force lags its reference w by the tau at which their correlation is largest. What it has beside w(t - tau) is
-smoothed over a short part of the load cycle, and the errors of peak and valley are told where w(t - tau) is near its own. Half
-their sum, half their difference and tau are the three errors. Each is held against one number of
+This is the peak-valley and amplitude-phase control of test machines. It uses no model of the rig and learns no waveform. The
+force lags its reference w by the tau at which their correlation is largest. The difference between force and w(t - tau) is
+smoothed over a short part of the load cycle. The errors of peak and valley are taken where w(t - tau) is near its extremes. The
+three errors are half their sum, half their difference, and tau. Each is controlled by one number of
 
     w + c,  c(t) = (1 + amplitude / A) (w(t - delay) - m) + m + mean - w(t)
 
-with m the mean of w and A half its range. An error x changes by G du with its number u, each by itself, and G is near 1: for a
-linear loop and a sine the three do not touch each other, and G = 1 of the delay. G lies half way between 1 and the secant of
-what changes of the numbers did. x is estimated by a Kalman filter over the load cycles, and du = -x / (G (1 + W^2)) with
-W = :data:`DOUBT`; that converges for every response of the loop between 0 and 2 (1 + W^2) times the G in use. A number never
-leaves its bound. One that the error does not follow, or follows the wrong way, is taken back.
+with m the mean of w and A half its range. An error x changes by G du with its number u, independently of the others, and G is
+near 1: for a linear loop and a sine the three are decoupled, and G = 1 for the delay. G is the mean of 1 and the secant, which
+is the observed effect of changes of the number. x is estimated by a Kalman filter over the load cycles, and
+du = -x / (G (1 + W^2)) with W = :data:`DOUBT`. This converges for every response of the loop between 0 and 2 (1 + W^2) times
+the G in use. A number is limited to its bound. It is reset to zero if the error does not respond, or responds with the wrong
+sign.
 
 Source: the same filter as :mod:`ehls_ros.control.learning.base`; the secant with forgetting is recursive least squares of one
 coefficient, Åström, Wittenmark, Adaptive Control, 2nd edition, 1995, section 2.2.
@@ -30,69 +31,69 @@ from ehls_ros.control.learning.robustness import MARGIN
 from ehls_ros.errors import BadInput
 
 MEAN, AMPLITUDE, DELAY = range(3)
-"""Where a vector of numbers or of their errors holds each: [N], [N], [s]."""
+"""Indices in a vector of numbers or of their errors: [N], [N], [s]."""
 
 NAMES = ("mean", "amplitude", "phase")
 
 NEAR = 0.1
-"""Part of the reference's range, from its peak or valley, within which the force's may lie."""
+"""Distance from the reference's peak or valley within which that of the force may lie, as a fraction of its range."""
 
 TOP, SMOOTHED = 0.01, 0.25
-"""Part of the range within which a reference is at its peak, and part of that time over which the force is smoothed."""
+"""Fraction of the range within which a reference is at its peak, and fraction of that time over which force is smoothed."""
 
 QUARTER = 0.25
-"""Largest lag that is looked for, in periods of the reference."""
+"""Largest lag that is searched, in periods of the reference."""
 
 SINGULAR = 1e-9
-"""Smallest singular value, over the largest, of equations that are solved."""
+"""Smallest singular value, relative to the largest, used in solving equations."""
 
 FADE = 0.1
-"""Part of a load cycle in which a change comes into force, and of which extremes are not judged where they have others."""
+"""Fraction of a load cycle over which a change is faded in, and in which extremes are ignored if there are others."""
 
 SETTLE = 0.25
-"""Time for which the force follows a change before it is judged [s]; at least to the end of the fade."""
+"""Settling time of the force after a change before it is evaluated [s]; at least to the end of the fade."""
 
 DOUBT = 0.5
 """Relative uncertainty of the response."""
 
 REMEMBERED = 0.7
-"""Part of the evidence on the response that outlives a change."""
+"""Fraction of the evidence on the response that is kept over a change."""
 
 BELIEVED, LARGEST = 0.5, 2.5
-"""Weight of the secant beside 1, as a loop may follow a change slowly at first, and its upper bound there."""
+"""Weight of the secant relative to 1, as a loop may follow a change slowly at first, and the secant's upper bound."""
 
 LEAST_RESPONSE, CERTAIN = 0.2, 3
-"""Secant below which a number is taken back, and after how many changes on end."""
+"""Secant below which a number is reset, and the number of consecutive changes required for this."""
 
 REST = 50
-"""Changes after which a number that was taken back is tried again."""
+"""Changes after which a reset number is tried again."""
 
 LEAST_WEIGHT = 0.3
-"""Weight of a load cycle, at least: a loop may follow a change slowly, and a specimen drifts."""
+"""Least weight of a load cycle, as a loop may follow a change slowly, and a specimen drifts."""
 
 PACE = 0.3
-"""Part of the variance from one load cycle to the next that one of them makes out."""
+"""Weight of one load cycle in the variance between load cycles."""
 
 BLOCKS = 6
-"""Parts of a load cycle, at least, by which its noise is told."""
+"""Least number of parts of a load cycle from which its noise is estimated."""
 
 MEDIAN_OF_SQUARES = 0.4549
 """Median of the square of a normal variable of variance 1."""
 
 UNKNOWN = 1e6
-"""Variance of an error of which nothing is known, over that of the noise."""
+"""Variance of an unknown error, relative to that of the noise."""
 
 LEAST_NOISE = 1e-12
-"""Lower bound of the noise's variance, over that of the bound: what is simulated without noise repeats exactly."""
+"""Lower bound of the noise's variance, relative to the squared bound, as noise-free simulations repeat exactly."""
 
 
 class PeakValley:
-    """A correction by mean, amplitude and delay.
+    """Correction by mean, amplitude and delay.
 
     Attributes:
-        cycles: load cycles that count.
+        cycles: number of load cycles used.
         table: correction and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
-        numbers: mean [N], amplitude [N] and delay [s] that are added.
+        numbers: added mean [N], amplitude [N] and delay [s].
     """
 
     STORED = ("numbers", "_estimate", "_variance", "_wander", "_secant", "_cross", "_power", "_useless", "_rest")
@@ -103,11 +104,11 @@ class PeakValley:
         Args:
             wanted: reference over the load cycle, shape (size,) [N].
             period: length of the load cycle [s].
-            gain: part of an error corrected by one change; 0: by the doubt of the response.
+            gain: fraction of an error corrected by one change; 0 to derive it from the uncertainty of the response.
             reach: largest change of mean and amplitude, over half the range, and of the phase [rad].
 
         Raises:
-            BadInput: with this gain the errors need not fall.
+            BadInput: convergence is not guaranteed with this gain.
         """
         if gain > 0.0 and abs(1.0 - gain) + gain * DOUBT > 1.0 - MARGIN:
             expected = f"gain 0, or {MARGIN / (1.0 - DOUBT):.2g} to {(2.0 - MARGIN) / (1.0 + DOUBT):.2g}"
@@ -124,7 +125,7 @@ class PeakValley:
         self._slope, self._steepest = float(np.mean(slope**2)), float(np.max(np.abs(slope)))
         self._swings = self._half > 0.0 and self._slope > 0.0
         self._turn = math.sqrt(self._slope / float(np.var(wanted))) if self._swings else 0.0
-        """Of the reference [rad/s]: that of a sine."""
+        """Equivalent frequency of the reference [rad/s], that of a sine."""
         largest = float(np.max(np.abs(wanted)))
         self._bounds = reach * (
             np.array([self._half, self._half, 1.0 / self._turn]) if self._swings else np.array([largest, 0.0, 0.0])
@@ -145,11 +146,11 @@ class PeakValley:
         self._anew = True
 
     def observe(self, error: Array, *, settled: bool = True) -> None:
-        """Take in the error of one load cycle, under the present correction.
+        """Process the error of one load cycle, under the present correction.
 
         Args:
-            error: shape (size,) [N].
-            settled: whether it repeats; one with a transition tells nothing.
+            error: error [N], shape (size,).
+            settled: whether it repeats; a cycle with a transition is ignored.
         """
         if not settled:
             return
@@ -164,7 +165,7 @@ class PeakValley:
         else:
             self._identify()
             missed = self._seen - self._estimate
-            # What differs from one load cycle to the next changes sign more often than what the estimate lags behind.
+            # Differences between successive load cycles change sign more often than the lag of the estimate.
             opposed = math.pi * np.maximum(-missed * self._missed, 0.0)
             self._wander, self._missed = self._wander + PACE * (opposed - self._wander), missed
             weight = np.maximum(self._variance / (self._variance + self._noise + self._wander), LEAST_WEIGHT)
@@ -173,7 +174,7 @@ class PeakValley:
         self._change = np.zeros(3)
 
     def _identify(self) -> None:
-        """Learn the response from what the last change did; what is expected beforehand counts as its doubt over the noise."""
+        """Learn the response from the effect of the last change; the prior is weighted by its uncertainty over the noise."""
         change, changed = self._change, self._change != 0.0
         noise = 2.0 * (self._noise + self._wander)
         prior = noise / DOUBT**2
@@ -185,12 +186,12 @@ class PeakValley:
 
     @property
     def _response(self) -> Array:
-        """What an error changes by, over the change of its number, as far as it is believed, shape (3,)."""
+        """Damped estimate of an error's change over the change of its number, shape (3,)."""
         believed: Array = 1.0 + BELIEVED * (np.clip(self._secant, 0.0, LARGEST) - 1.0)
         return believed
 
     def correct(self) -> bool:
-        """Change the numbers by what is known of the errors; return whether there is any correction."""
+        """Update the numbers from the estimated errors; return whether there is any correction."""
         if not self._fresh:
             return bool(np.any(self.numbers))
         self._take_back()
@@ -206,7 +207,7 @@ class PeakValley:
         return bool(np.any(numbers))
 
     def _take_back(self) -> None:
-        """Let a number rest that its error does not follow, and try one again that has rested."""
+        """Reset a number to which its error does not respond, and retry one whose waiting time has passed."""
         tried = self._rest == 1.0
         self._rest = np.maximum(self._rest - 1.0, 0.0)
         self._useless = np.where((self._secant < LEAST_RESPONSE) & (self._rest == 0.0), self._useless + 1.0, 0.0)
@@ -218,7 +219,7 @@ class PeakValley:
         self._variance[begun] = UNKNOWN * self._noise[begun]
 
     def _tabulate(self) -> None:
-        """Fill the table."""
+        """Fill the table from the numbers."""
         mean, amplitude, delay = self.numbers
         scale = 1.0 + amplitude / self._half if self._swings else 1.0
         spectrum = (scale * np.exp(-self._turning * delay) - 1.0) * self._shape
@@ -228,7 +229,7 @@ class PeakValley:
         self.table[-1] = self.table[0]
 
     def _measured(self, error: Array) -> tuple[Array, Array]:
-        """Return the three errors of a load cycle, and the variance that its noise gives them."""
+        """Return the three errors of a load cycle, and their variances due to its noise."""
         if not self._swings:
             return np.array([np.mean(error), 0.0, 0.0]), np.maximum([_noise_of(error, self._size), 0.0, 0.0], self._least)
         lag = self._lag(error)
@@ -255,7 +256,7 @@ class PeakValley:
         bend = left - 2.0 * middle + right
         part = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
         lag = step * (float(near[at + 1]) + min(max(part, -0.5), 0.5))
-        # That holds some of the fade; mean, size and lag of what comes after it do not.
+        # The correlation includes part of the fade; refine with mean, size and lag of the samples after it.
         after = math.ceil(FADE * self._size)
         delayed, slope = self._delayed(lag, 0)[after:], self._delayed(lag, 1)[after:]
         columns = np.column_stack([np.full(len(delayed), self._half), delayed, -slope / self._turn])
@@ -271,25 +272,25 @@ class PeakValley:
         return delayed
 
     def _near(self, values: Array, part: float) -> NDArray[np.bool_]:
-        """Tell which values are within a part of the reference's range of the largest."""
+        """Return a mask of the values within a fraction of the reference's range of the largest."""
         near: NDArray[np.bool_] = values >= np.max(values) - 2.0 * part * self._half
         return near
 
     def _judged(self, extreme: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return those samples at an extreme that are later than the fade, if they are half of all."""
+        """Return the samples at an extreme after the fade, if they are at least half of all."""
         later = extreme & (np.arange(self._size) >= FADE * self._size)
         return later if 2 * np.sum(later) >= np.sum(extreme) else extreme
 
     def start_over(self) -> None:
-        """Let the next load cycle alone say what the errors are: something else has changed them."""
+        """Re-estimate the errors from the next load cycle alone, as another change has affected them."""
         self._anew, self._wait, self._fresh = True, 0, False
 
     def without(self) -> Array:
-        """Return the errors that are expected without any correction, as :meth:`kept` does."""
+        """Return the expected errors without any correction, in the form of :meth:`kept`."""
         return self._as_forces(self._estimate - self._response * self.numbers)
 
     def kept(self, error: Array) -> Array:
-        """Return the errors of peak and valley, and what the lag makes where the reference is steepest, shape (3,) [N]."""
+        """Return the errors of peak and valley, and that due to the lag at the steepest reference, shape (3,) [N]."""
         return self._as_forces(self._measured(error)[0])
 
     def _as_forces(self, errors: Array) -> Array:
@@ -297,7 +298,7 @@ class PeakValley:
         return np.array([mean + amplitude, mean - amplitude, lag * self._steepest])
 
     def report(self) -> Mapping[str, float | str]:
-        """Return the errors last seen, the three numbers, and which of them are at their bound or taken back."""
+        """Return the last errors, the three numbers, and those at their bound or reset."""
         mean, amplitude, lag = self._seen
         at_bound = (np.abs(self.numbers) >= self._bounds) & (self._bounds > 0.0)
         limits = [f"{name} at its reach" for name, stopped in zip(NAMES, at_bound, strict=True) if stopped]
@@ -313,11 +314,11 @@ class PeakValley:
         }
 
     def stored(self) -> dict[str, NDArray[Any]]:
-        """Return what has been learnt, by name."""
+        """Return the learnt arrays, by name."""
         return {"cycles": np.array(self.cycles), **{name.strip("_"): getattr(self, name) for name in self.STORED}}
 
     def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
-        """Take up what :meth:`stored` gave; return whether it fits."""
+        """Restore arrays returned by :meth:`stored`; return whether they fit."""
         values = {name: stored.get(name.strip("_")) for name in self.STORED}
         if any(value is None or value.shape != (3,) for value in values.values()):
             return False
@@ -330,7 +331,7 @@ class PeakValley:
 
 
 def _noise_of(values: Array, samples: int) -> float:
-    """Return the variance of a mean of so many samples on end, from how such means differ from those beside them."""
+    """Return the variance of a mean of contiguous samples, from the differences between neighbouring such means."""
     width = max(min(samples, len(values) // BLOCKS), 1)
     count = len(values) // width
     means = values[: count * width].reshape(count, width).mean(axis=1)

@@ -1,7 +1,7 @@
-"""Where a control cycle stands in its load cycle, and what was recorded of a load cycle once it is complete.
+"""Phase of a control cycle in its load cycle, and the record of a complete load cycle.
 
-The load cycle follows from the number of the control cycle where its period is given, and from the place in the programme
-otherwise. Neither counts what was answered, so that missed cycles do not shift the phase.
+The load cycle follows from the number of the control cycle if its period is given, otherwise from the place in the programme.
+Neither depends on the number of answered cycles, so that missed cycles do not shift the phase.
 """
 
 import math
@@ -16,16 +16,16 @@ LONGEST = 200_000
 """Samples of the longest load cycle that is learnt."""
 
 ROUNDING = 1e-6
-"""Part of a load cycle by which a place may be off."""
+"""Tolerance of a place for rounding, as a fraction of a load cycle."""
 
 PHASE, WANTED, ERROR, EXTERNAL, FORESEEN, PREVIEWED, SMOOTHED, COLUMNS = range(8)
-"""Columns of a record: phase [load cycles], reference [N], force error [N], external force as it seemed at once [N], foreseen
-external force, that part of it which others foresaw, both NaN where nothing is foreseen [N], and external force as it seems
-later, NaN where that is not known yet [N]; and their number."""
+"""Columns of a record, and their number: phase [load cycles], reference [N], force error [N], immediate estimate of the
+external force [N], foreseen external force and its part foreseen by others, both NaN if nothing is foreseen [N], and smoothed
+external force, NaN where not yet known [N]."""
 
 
 SEAM = 32
-"""Samples from which the difference between two load cycles is led over at the end of a load cycle's known part."""
+"""Samples at the end of a load cycle's known part from which the difference between two load cycles is extrapolated."""
 
 
 class Turn(NamedTuple):
@@ -33,7 +33,7 @@ class Turn(NamedTuple):
 
     Attributes:
         block: number of the block.
-        number: of the load cycle.
+        number: number of the load cycle.
     """
 
     block: int
@@ -41,17 +41,17 @@ class Turn(NamedTuple):
 
 
 class Places:
-    """Tells load cycles and phases."""
+    """Map control cycles to load cycles and phases."""
 
     def __init__(self, cycles: int) -> None:
-        """Take the control cycles of a load cycle; 0: the programme's place says where it is."""
+        """Set the control cycles of a load cycle; 0 to follow the place in the programme."""
         self._cycles = cycles
 
     def turn(self, cycle: int, place: Array) -> Turn | None:
-        """Return the load cycle of a control cycle; None where nothing repeats.
+        """Return the load cycle of a control cycle; None if nothing repeats.
 
         Args:
-            cycle: its number.
+            cycle: number of the control cycle.
             place: place in the programme, shape (PLACE,).
         """
         block, repetitions = float(place[BLOCK]), float(place[REPETITIONS])
@@ -62,12 +62,12 @@ class Places:
         return Turn(0 if math.isnan(block) else int(block), math.floor(repetitions + ROUNDING))
 
     def phases(self, cycle: int, place: Array, turn: Turn) -> Array:
-        """Return the phases of control cycles on end in one load cycle, shape (n,), 0 to 1.
+        """Return the phases of contiguous control cycles in one load cycle, shape (n,), 0 to 1.
 
         Args:
-            cycle: number of the first.
+            cycle: number of the first cycle.
             place: places in the programme, shape (n, PLACE).
-            turn: that load cycle.
+            turn: the load cycle.
         """
         if len(place) == 1:
             at = cycle % self._cycles / self._cycles if self._cycles else max(float(place[0, REPETITIONS]) - turn.number, 0.0)
@@ -78,10 +78,10 @@ class Places:
         return phases
 
     def together(self, cycle: int, place: Array) -> int:
-        """Return how many of some control cycles on end, one at least, are of the same load cycle as the first.
+        """Return the number of contiguous control cycles, at least one, in the same load cycle as the first.
 
         Args:
-            cycle: number of the first.
+            cycle: number of the first cycle.
             place: places in the programme, shape (n, PLACE).
         """
         blocks = place[:, BLOCK]
@@ -99,7 +99,7 @@ class LoadCycle(NamedTuple):
     """A complete load cycle, resampled evenly from phase 0 on.
 
     Attributes:
-        period: control cycles it took, not always a whole number.
+        period: length in control cycles, not necessarily a whole number.
         columns: shape (samples, COLUMNS).
     """
 
@@ -119,21 +119,21 @@ class Recorder:
         self.whole = False
 
     def begin(self, *, follows: bool = False) -> None:
-        """Forget what there is: a load cycle begins, which may follow the one recorded, of the same block."""
+        """Start a load cycle, keeping the recorded one if the new one may follow it in the same block."""
         keep = follows and self.whole
         self._before, self._before_next = self._rows[: self._count if keep else 0].copy(), self._next
         self._count, self.whole = 0, True
 
     def spoil(self) -> None:
-        """Let this load cycle not count."""
+        """Mark this load cycle as incomplete."""
         self.whole = False
 
     def add(self, cycle: int, count: int) -> Array:
-        """Return the rows for control cycles on end, to be filled; cycles missed before them spoil the load cycle.
+        """Return the rows for contiguous control cycles, to be filled; missed cycles before them spoil the load cycle.
 
         Args:
-            cycle: number of the first.
-            count: how many.
+            cycle: number of the first cycle.
+            count: number of cycles.
 
         Returns:
             Shape (count, COLUMNS), a view.
@@ -152,7 +152,7 @@ class Recorder:
         return rows
 
     def smoothed(self, first: int, forces: Array) -> None:
-        """Write external forces that have become known, of control cycles from ``first`` on, shape (n,) [N]."""
+        """Write smoothed external forces, now known for control cycles from ``first`` on, shape (n,) [N]."""
         for rows, end in ((self._before, self._before_next), (self._rows[: self._count], self._next)):
             begin = end - len(rows)
             low, high = max(first, begin), min(first + len(forces), end)
@@ -160,13 +160,13 @@ class Recorder:
                 rows[low - begin : high - begin, SMOOTHED] = forces[low - first : high - first]
 
     def latest(self, count: int) -> Array | None:
-        """Return the last rows on end, shape (count, COLUMNS); None if fewer are there."""
+        """Return the last contiguous rows, shape (count, COLUMNS); None if there are fewer."""
         if not self.whole or self._count < count:
             return None
         return self._rows[self._count - count : self._count]
 
     def full(self) -> bool:
-        """Tell whether the next control cycle would be of the next load cycle."""
+        """Return whether the next control cycle belongs to the next load cycle."""
         count = self._count
         if not self.whole or count < 8:
             return False
@@ -175,7 +175,7 @@ class Recorder:
         return bool(last + step > 1.0 - ROUNDING)
 
     def complete(self) -> LoadCycle | None:
-        """Return the load cycle if nothing of it is missing."""
+        """Return the load cycle if it is complete, otherwise None."""
         count, rows = self._count, self._rows
         phase = rows[:count, PHASE]
         if not self.full() or not np.all(np.isfinite(rows[:count, :FORESEEN])):
@@ -194,7 +194,7 @@ class Recorder:
         before = self._before[np.isfinite(self._before[:, SMOOTHED])]
         late = np.isnan(columns[:, SMOOTHED])
         if late.any() and len(before) > 1:
-            # What is not known yet of this load cycle is that of the one before.
+            # Samples not yet known are taken from the previous load cycle.
             late &= (at >= before[0, PHASE]) & (at <= before[-1, PHASE])
             earlier = np.interp(at, before[:, PHASE], before[:, SMOOTHED])
             columns[late, SMOOTHED] = earlier[late] + _led_over(columns[:, SMOOTHED] - earlier, late)
@@ -202,14 +202,14 @@ class Recorder:
 
 
 def _led_over(difference: Array, late: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Array:
-    """Return what leads from the end of a load cycle's known part over to the load cycle before it.
+    """Return the transition from the end of a load cycle's known part to the load cycle before it.
 
-    A force that differs between both would have a step there, which a law that foresees it follows. The load cycle before ends
-    where this one began, so that nothing is added at the end.
+    If the force differs between both, there would be a step, which a law with preview would follow. The previous load cycle
+    ends where this one began, so the transition decays to zero.
 
     Args:
-        difference: force of this load cycle less that of the one before, shape (size,) [N]; unknown where ``late``.
-        late: samples at the end that are not known, shape (size,).
+        difference: force of this load cycle minus that of the previous one, shape (size,) [N]; unknown where ``late``.
+        late: mask of the unknown samples at the end, shape (size,).
     """
     count = int(np.sum(late))
     known = np.flatnonzero(~late)[-SEAM:]

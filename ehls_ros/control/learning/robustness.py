@@ -1,14 +1,14 @@
 """Learning filters for a force loop that is known with an uncertainty.
 
-From load cycle to load cycle a correction c of the reference changes the repeated error by e := e + T dc, T being the response
-of the force to the reference. With dc = -Q L e the error at one frequency becomes 1 - Q L T of itself. T is known as
-T0 (1 + W D), |D| <= 1, so what remains is at most
+From load cycle to load cycle a correction c of the reference changes the repeated error by e := e + T dc, with T the response
+of the force to the reference. With dc = -Q L e the error at one frequency is multiplied by 1 - Q L T. T is known as
+T0 (1 + W D), |D| <= 1, so the remaining fraction is at most
 
     rho = Q (|1 - L T0| + |L T0| W)
 
-and the learning converges for every such loop where rho < 1. L = conj(T0) / (|T0|^2 (1 + W^2)) minimises the mean square of
-what remains for a D of random phase; with it rho = Q W (1 + W) / (1 + W^2). Q has no phase. It is 1 as far as rho keeps
-:data:`MARGIN` of 1, and falls to 0 beyond.
+and the learning converges for every such loop with rho < 1. L = conj(T0) / (|T0|^2 (1 + W^2)) minimises the mean square of the
+remaining fraction for a D of random phase; with it rho = Q W (1 + W) / (1 + W^2). Q has no phase. It is 1 as long as rho keeps
+:data:`MARGIN` from 1, and falls to 0 beyond.
 
 Source: Bristow, Tharayil, Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26, 2006, section on
 robust design; the weight from the relative errors of gain, valve bandwidth and delay.
@@ -28,27 +28,27 @@ from ehls_ros.errors import BadInput
 Spectrum: TypeAlias = NDArray[np.complex128]
 
 MARGIN = 0.2
-"""Distance of rho from 1, at least."""
+"""Least distance of rho from 1."""
 
 ROLL_OFF = 1.5
-"""Frequency at which Q has fallen to 0, over that at which it begins to fall."""
+"""Ratio of the frequency at which Q reaches 0 to that at which it begins to fall."""
 
 GRID = 512
-"""Frequencies at which the condition is checked, beside those of the harmonics."""
+"""Frequencies at which the condition is checked, besides those of the harmonics."""
 
 LEAST_RESPONSE = 0.2
 """Smallest response that is inverted."""
 
 HOLD = 1.5
-"""Periods by which a sampled law acts late: computed once a period and held for one."""
+"""Delay of a sampled law in periods, as it is computed once per period and held for one."""
 
 
 class Loop(NamedTuple):
-    """The force loop as known, at some frequencies.
+    """Known model of the force loop, at some frequencies.
 
     Attributes:
-        response: T0, of the force to the reference.
-        uncertainty: W, largest relative error of it.
+        response: T0, response of the force to the reference.
+        uncertainty: W, its largest relative error.
     """
 
     response: Spectrum
@@ -63,10 +63,10 @@ class Design(NamedTuple):
         uncertainty: W.
         learning: L.
         robustness: Q, real.
-        rate: what remains of the slowest harmonic that is learnt at full strength, after one repetition, if T = T0.
-        worst: the same for the worst T; below 1 - MARGIN.
-        bandwidth: frequency to which Q is 1 [Hz].
-        gain: L T0 where it was given; 0: from the uncertainty.
+        rate: remaining fraction, after one repetition, of the slowest harmonic that is learnt at full strength, if T = T0.
+        worst: largest remaining fraction for the worst T; below 1 - MARGIN.
+        bandwidth: frequency up to which Q is 1 [Hz].
+        gain: L T0 if given; 0 if designed from the uncertainty.
     """
 
     response: Spectrum
@@ -79,20 +79,20 @@ class Design(NamedTuple):
     gain: float
 
     def inverse(self, response: Spectrum, uncertainty: Array) -> Spectrum:
-        """Return L for a response that has become better known."""
+        """Return L for an updated estimate of the response."""
         return learning_filter(Loop(response, uncertainty), self.gain)
 
 
 def force_loop(law: ControllerLaw, tuning: Any, model: Model, uncertainty: float) -> Callable[[Array], Loop]:
     """Return a function from frequencies [rad/s] to the loop of a law.
 
-    A law that says by ``tracking`` how the force follows the reference is believed up to errors of its coefficients. One that
-    does not may lie anywhere between a force that is the reference and one that follows it with the valve's lag and the delay.
+    A law with ``tracking`` provides the response of the force to the reference, correct up to errors of its coefficients. For
+    any other law the response is between 1 and that of the valve's lag and the delay.
 
     Args:
-        law: its file.
-        tuning: its parameters.
-        model: what it knows of the rig.
+        law: file of the controller.
+        tuning: parameters of the controller.
+        model: its model of the rig.
         uncertainty: relative error of valve gain, valve bandwidth and delay.
     """
     tracking = cast(Callable[[Array, Any, Model], Spectrum] | None, getattr(law, "tracking", None))
@@ -110,7 +110,7 @@ def force_loop(law: ControllerLaw, tuning: Any, model: Model, uncertainty: float
 
 
 def remaining(loop: Loop, learning: Spectrum, robustness: Array) -> Array:
-    """Return rho at each frequency."""
+    """Return the largest remaining fraction rho at each frequency."""
     share = learning * loop.response
     return robustness * (np.abs(1.0 - share) + np.abs(share) * loop.uncertainty)
 
@@ -119,13 +119,13 @@ def design(loop_at: Callable[[Array], Loop], size: int, period: float, gain: flo
     """Return the filters for a load cycle.
 
     Args:
-        loop_at: from :func:`force_loop`.
+        loop_at: function from :func:`force_loop`.
         size: samples of the load cycle.
-        period: its length [s].
-        gain: L T0 [1]; 0: designed from the uncertainty.
+        period: length of the load cycle [s].
+        gain: L T0 [1]; 0 to design it from the uncertainty.
 
     Raises:
-        BadInput: with this gain the learning does not converge with :data:`MARGIN`, at no or at hardly any frequency.
+        BadInput: with this gain the learning does not converge with :data:`MARGIN` at the first harmonic.
     """
     base = 2.0 * math.pi / period
     harmonics = base * np.arange(size // 2 + 1)
@@ -162,7 +162,7 @@ def design(loop_at: Callable[[Array], Loop], size: int, period: float, gain: flo
 
 
 def learning_filter(loop: Loop, gain: float) -> Spectrum:
-    """Return L at each frequency; ``gain`` as of :func:`design`."""
+    """Return L at each frequency; ``gain`` as in :func:`design`."""
     inverse = np.conj(loop.response) / np.maximum(np.abs(loop.response) ** 2, LEAST_RESPONSE**2)
     if gain > 0.0:
         return gain * inverse
@@ -170,6 +170,6 @@ def learning_filter(loop: Loop, gain: float) -> Spectrum:
 
 
 def falling(omega: Array, begin: float, end: float) -> Array:
-    """Return 1 up to ``begin`` and 0 from ``end`` on, with half a cosine between, at some frequencies."""
+    """Return 1 up to ``begin`` and 0 from ``end`` on, with a half cosine between, at some frequencies."""
     part = np.clip((omega - begin) / (end - begin), 0.0, 1.0)
     return 0.5 * (1.0 + np.cos(math.pi * part))

@@ -1,13 +1,13 @@
-"""The external force of cycles that have run, from what was read before them and after them: a filter and a smoother.
+"""Estimate the external force of past cycles from earlier and later readings, by a filter and a smoother.
 
-The filter is that of :mod:`ehls_ros.control.state_estimator`, as the law has it that nobody tells what comes. What it estimates
-at once lags behind and is noisy. Some cycles later more readings speak of the same cycle, and a smoother goes back through the
-filter's steps with them. The time of what it finds is right to a fraction of a cycle, which decides about a force that is
-foreseen: one of 5 kN at 1 Hz that comes a millisecond late is 30 N wrong.
+The filter is that of :mod:`ehls_ros.control.state_estimator`, with the assumptions of the law without preview. Its immediate
+estimate lags behind and is noisy. Some cycles later more readings contain information on the same cycle, and a smoother passes
+backwards through the filter's steps with them. The timing of the smoothed force is accurate to a fraction of a cycle, which is
+decisive for a foreseen force: one of 5 kN at 1 Hz that comes a millisecond late is 30 N wrong.
 
-Backwards, with a = 0 behind the last reading, each reading with the innovation e, its variance S and the gain k of what it
-reads, h, makes a := a - h (e/S + k a); each step of the model with the transition Phi makes a := Phi' a. The smoothed mean is
-the filtered one less P a.
+The backward pass starts with a = 0 after the last reading. A reading with innovation e, its variance S, gain k and output
+vector h makes a := a - h (e/S + k a); a step of the model with the transition Phi makes a := Phi' a. The smoothed mean is the
+filtered one minus P a.
 
 Source: Bierman, Fixed interval smoothing with discrete measurements, International Journal of Control 18, 1973.
 """
@@ -44,41 +44,41 @@ from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import PL, XV, X
 
 LATER = 64
-"""Readings after a cycle that speak of its force; the filter's slowest answer is over long before."""
+"""Readings after a cycle that are used for its force; the filter's slowest response has decayed long before."""
 
 BLOCK = 64
 """Cycles that are smoothed together."""
 
 READINGS = 4
-"""Sensors that are read in each cycle."""
+"""Number of sensors read in each cycle."""
 
 READ = 7
-"""Numbers in a row of readings."""
+"""Entries in a row of readings."""
 
 BRIDGED = 50
-"""Most cycles left out through which the filter goes on."""
+"""Most omitted cycles over which the filter is continued."""
 
 INNOVATION = STATES
-"""Where the record of a reading holds the innovation over its variance, after the gain; NaN in it: there was no reading."""
+"""Index, after the gain, of a reading's innovation over its variance; NaN if there was no reading."""
 
 
 class ForeseeingLaw(Protocol):
-    """What a law has that is told the force to come."""
+    """Interface of a law with preview."""
 
     def assumptions(self, state: State, restless: Array, p: Any, model: Model) -> Assumptions:
-        """Return what its filter assumes in the next cycle."""
+        """Return the filter's assumptions for the next cycle."""
 
 
 class History(NamedTuple):
-    """The filter's last steps, one after the other from the end of the last block on.
+    """Last steps of the filter, in order from the end of the last block on.
 
     Attributes:
-        steps: how many there are, shape (1,).
-        transitions: of the model over the cycle before, shape (n, STATES, STATES).
+        steps: number of steps, shape (1,).
+        transitions: transition of the model over the cycle before, shape (n, STATES, STATES).
         readings: gain and innovation of each reading, shape (n, READINGS, STATES + 1).
-        forces: external force as filtered, shape (n,) [N].
-        rows: its row of the covariance, shape (n, STATES).
-        memory: of the filter and the unrest.
+        forces: filtered external force, shape (n,) [N].
+        rows: row of the external force in the covariance, shape (n, STATES).
+        memory: memory of the filter and the unrest.
         work: scratch, shape (2, STATES, STATES).
     """
 
@@ -92,7 +92,7 @@ class History(NamedTuple):
 
 
 def history() -> History:
-    """Return a filter that has seen nothing."""
+    """Return a history without readings."""
     steps = BLOCK + LATER
     return History(
         np.zeros(1),
@@ -127,7 +127,7 @@ def _advance(supply: float, model: Model, p: Assumptions, state: State, transiti
 
 @apart
 def _read(reading: float, signal: int, scale: float, offset: float, noise: float, state: State, kept: Array) -> None:
-    """Take in one reading as :func:`ehls_ros.control.state_estimator.correct` does, and write gain and innovation."""
+    """Process one reading as :func:`ehls_ros.control.state_estimator.correct` does, and write gain and innovation."""
     missed = reading - scale * state.mean[signal] - offset * state.mean[CELL_OFFSET]
     if not math.isfinite(missed):
         kept[INNOVATION] = math.nan
@@ -141,7 +141,7 @@ def _read(reading: float, signal: int, scale: float, offset: float, noise: float
 
 @kernel
 def _back(signal: int, scale: float, offset: float, kept: Array, adjoint: Array) -> None:
-    """Take one reading back into the adjoint."""
+    """Propagate the adjoint backwards through one reading."""
     if math.isnan(kept[INNOVATION]):
         return
     total = kept[INNOVATION]
@@ -156,9 +156,9 @@ def smooth(history: History, area: float, found: Array) -> None:
     """Write the smoothed force of the block, and drop the block.
 
     Args:
-        history: full.
-        area: of the piston [m^2].
-        found: shape (BLOCK,) [N].
+        history: full history.
+        area: piston area [m^2].
+        found: output, shape (BLOCK,) [N].
     """
     steps = BLOCK + LATER
     adjoint, turned = history.work[0, 0], history.work[0, 1]
@@ -193,7 +193,7 @@ class Compiled(NamedTuple):
     """The compiled entry.
 
     Attributes:
-        take: takes in cycles on end, and returns how many smoothed forces it wrote.
+        take: processes contiguous cycles, and returns the number of smoothed forces written.
     """
 
     take: Callable[..., int]
@@ -243,12 +243,12 @@ def build(law: ForeseeingLaw) -> Compiled:
 
 
 class Forces(NamedTuple):
-    """External forces of some cycles on end.
+    """External forces of contiguous cycles.
 
     Attributes:
-        now: as filtered, of the cycles taken in, NaN before the first reading, shape (n,) [N].
-        first: number of the first cycle that has been smoothed meanwhile.
-        smoothed: of that cycle and those after it [N].
+        now: filtered forces of the processed cycles, NaN before the first reading, shape (n,) [N].
+        first: number of the first newly smoothed cycle.
+        smoothed: smoothed forces from that cycle on [N].
     """
 
     now: Array
@@ -257,15 +257,15 @@ class Forces(NamedTuple):
 
 
 class Smoother:
-    """Filter and smoother at work."""
+    """Run filter and smoother."""
 
     def __init__(self, law: ForeseeingLaw, tuning: Any, model: Model) -> None:
-        """Prepare them.
+        """Prepare filter and smoother.
 
         Args:
-            law: the controller's file.
-            tuning: its parameters.
-            model: what it knows of the rig.
+            law: file of the controller.
+            tuning: parameters of the controller.
+            model: its model of the rig.
         """
         self._tuning = tuning
         entries = {"take": "measured, command, tuning, model, history, found, now"}
@@ -277,24 +277,24 @@ class Smoother:
         self.reset()
 
     def prepare(self) -> None:
-        """Compile or load the filter: it takes in no cycle."""
+        """Compile or load the filter by a call without cycles."""
         nothing = np.empty(0)
         self._take(np.empty((0, READ)), nothing, self._tuning, self._model, self._history, self._found, nothing)
 
     def reset(self) -> None:
-        """Forget everything: the valve does not follow the commands, or cycles are missing."""
+        """Reset the filter, if the valve does not follow the commands or cycles are missing."""
         self._history = history()
 
     def take(self, first: int, measured: Array, command: Array, model: Model) -> Forces:
-        """Take in cycles on end.
+        """Process contiguous cycles.
 
-        Through a few cycles left out before them the valve is taken to have held its command.
+        Over a few omitted cycles before them the valve is assumed to have held its command.
 
         Args:
-            first: number of the first.
+            first: number of the first cycle.
             measured: readings in the order of ``SENSED``, shape (n, 7).
             command: spool commands [m], shape (n,).
-            model: what the law knows of the rig.
+            model: the law's model of the rig.
         """
         left_out = first - self._next
         if not 0 <= left_out <= BRIDGED:
@@ -312,6 +312,6 @@ class Smoother:
         done = self._take(measured, command, self._tuning, model, self._history, self._found, now)
         oldest = self._next - int(self._history.steps[0])
         if not math.isfinite(self._history.memory.sum()):
-            # As the law's own, it does not recover from numbers out of range.
+            # Like the law's filter, it does not recover from numbers out of range.
             self.reset()
         return Forces(now[left_out:], oldest - done, self._found[:done].copy())

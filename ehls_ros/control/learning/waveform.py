@@ -1,6 +1,6 @@
-"""Learns a whole waveform, sample by sample.
+"""Learn a whole waveform, sample by sample.
 
-Errors that are short, as at a reversal of the motion, are told from noise where they occur, and little noise is learnt between
+Short errors, as at a reversal of the motion, are distinguished from noise where they occur, and little noise is learnt between
 them.
 """
 
@@ -12,7 +12,7 @@ from ehls_ros.control.learning.robustness import Spectrum
 
 
 class Waveform(Learner):
-    """A correction by samples of the load cycle."""
+    """Correction by samples of the load cycle."""
 
     NEAR = 10
     AROUND = 100
@@ -27,5 +27,5 @@ class Waveform(Learner):
         return np.fft.rfft(coordinates)
 
     def noise_per_harmonic(self, variance: float, harmonics: int) -> float:
-        """Return the mean square of a harmonic, as all of the noise lies in those that are learnt."""
+        """Return the mean square of the noise's ``rfft`` at a harmonic, as all noise lies in the learnt harmonics."""
         return 0.5 * variance * self.size**2 / harmonics

@@ -1,8 +1,9 @@
-"""Withdrawal of a correction that makes the force error larger than it is without.
+"""Withdraw a correction that makes the force error larger than without it.
 
-The error of load cycles without correction is the measure. A load cycle with correction whose squared error runs ahead of that
-measure is left at once, and one that ends with a larger error is not followed by another. A correction that has been withdrawn
-stays away for a number of load cycles that doubles each time, and halves again as corrections prove good.
+The error of load cycles without correction is the reference. If the cumulative squared error of a load cycle with correction
+exceeds it by a margin, the correction is withdrawn at once; if the load cycle ends with a larger error, it is withdrawn for the
+next one. The waiting time of a withdrawn correction, in load cycles, doubles each time, and halves again as corrections prove
+good.
 """
 
 import numpy as np
@@ -10,37 +11,37 @@ import numpy as np
 from ehls_ros.arrays import Array
 
 MARGIN = 0.5
-"""Squared error by which a load cycle may run ahead of those without correction, over the sum of theirs."""
+"""Margin of a load cycle's squared error over that without correction, as a fraction of the latter's sum."""
 
 WORSE = 1.05
-"""Rms error of a load cycle, over that without correction, above which the correction did harm."""
+"""Ratio of a load cycle's rms error to that without correction above which the correction is withdrawn."""
 
 TRANSIENT = 0.5
-"""Squared error of a load cycle, over that of the one before, below which the one before held a transient."""
+"""Ratio of a load cycle's squared error to that of the previous one below which the previous one contained a transient."""
 
 WAIT, LONGEST_WAIT = 4, 64
-"""Load cycles for which a correction that did harm stays away, the first time and at most."""
+"""Load cycles for which a harmful correction is withdrawn, the first time and at most."""
 
 
 class Withdrawal:
-    """The error without correction, and how often a correction has exceeded it.
+    """Error without correction, and the history of corrections that exceeded it.
 
     Attributes:
-        bare: sum of the squared error without correction up to each sample of the load cycle, shape (size,) [N^2]; infinite as
-            long as it is not known.
-        repeats: whether two load cycles in succession have shown an error of that size.
-        waiting: load cycles for which the correction still stays away.
+        bare: cumulative squared error without correction up to each sample of the load cycle, shape (size,) [N^2]; infinite
+            while unknown.
+        repeats: whether two successive load cycles have shown an error of that size.
+        waiting: load cycles for which the correction remains withdrawn.
     """
 
     def __init__(self, size: int) -> None:
-        """Know nothing of a load cycle of ``size`` samples."""
+        """Start without observations, for a load cycle of ``size`` samples."""
         self.bare = np.full(size, np.inf)
         self.repeats = False
         self.waiting = 0
         self._count = self._good = 0
 
     def observe(self, error: Array) -> None:
-        """Take in the error [N] of a load cycle without any correction, shape (size,)."""
+        """Process the error [N] of a load cycle without any correction, shape (size,)."""
         squares, before = np.cumsum(error**2), float(self.bare[-1])
         lasts = bool(squares[-1] >= TRANSIENT * before)
         self.repeats = self.repeats or lasts
@@ -48,19 +49,19 @@ class Withdrawal:
         self.waiting = max(self.waiting - 1, 0)
 
     def exceeds(self, squares: float, samples: int) -> bool:
-        """Return whether the squared error of a load cycle with correction runs ahead of that without.
+        """Return whether the cumulative squared error of a load cycle with correction exceeds the margin.
 
         Args:
-            squares: its sum so far [N^2].
+            squares: cumulative squared error so far [N^2].
             samples: samples so far.
         """
         return squares > float(self.bare[min(samples, len(self.bare)) - 1] + MARGIN * self.bare[-1])
 
     def did_harm(self, error: Array) -> bool:
-        """Return whether a load cycle with correction has a larger error than those without; note if it has a smaller one.
+        """Return whether a load cycle with correction has a larger error than those without; count a smaller one as good.
 
         Args:
-            error: shape (size,) [N].
+            error: error [N], shape (size,).
         """
         if float(error @ error) > WORSE**2 * float(self.bare[-1]):
             return True
@@ -70,6 +71,6 @@ class Withdrawal:
         return False
 
     def withdraw(self) -> None:
-        """Keep the correction away for a while."""
+        """Withdraw the correction for a number of load cycles."""
         self._count, self._good = self._count + 1, 0
         self.waiting = min(WAIT * 2 ** (self._count - 1), LONGEST_WAIT)

@@ -1,12 +1,12 @@
-"""What a friction observer's file provides.
+"""Interface of the file of a friction observer.
 
-``Parameters``, a named tuple that declares its parameters; ``state(model, friction)``, an :class:`ObserverState` before the
-first cycle; and ``updater(model)``, which builds the compiled ``update(velocity, period, friction, p, state)`` for a friction
-model. ``update`` takes one more measured velocity [m/s] and leaves the estimate in ``state.estimate``: force of the elements
-together, viscous force [N], then the force of each element [N], then for each 1 where it slips and 0 where it sticks. A
-velocity that is not finite leaves no trace: the last one is held (:func:`held`).
+A file has ``Parameters``, a named tuple that declares its parameters; ``state(model, friction)``, an :class:`ObserverState`
+before the first cycle; and ``updater(model)``, which builds the compiled ``update(velocity, period, friction, p, state)`` for a
+friction model. ``update`` processes one more measured velocity [m/s] and writes to ``state.estimate``: total force of the
+elements, viscous force [N], then the force of each element [N], then for each element 1 if it slips and 0 if it sticks. A
+velocity that is not finite is replaced by the last one (:func:`held`).
 
-An observer that serves one friction model only names it in ``FRICTION_MODEL``.
+An observer that supports only one friction model names it in ``FRICTION_MODEL``.
 """
 
 import math
@@ -20,16 +20,16 @@ from ehls_ros.physics.friction.base import FrictionModel
 from ehls_ros.physics.integration import WORK_ROWS
 
 ELEMENTS = 2
-"""Where an estimate's element forces start."""
+"""Index of the first element force in an estimate."""
 
 
 class ObserverState(NamedTuple):
-    """Everything an observer keeps.
+    """State of an observer.
 
     Attributes:
         forces: forces of the elements [N].
-        mode: their modes, as in :mod:`ehls_ros.physics.friction.base`.
-        last: last velocity [m/s], and 1 once there was one.
+        mode: modes of the elements, as in :mod:`ehls_ros.physics.friction.base`.
+        last: last velocity [m/s], and 1 after the first velocity.
         work: scratch of the integrator.
         estimate: the result, shape (2 + 2 elements,).
     """
@@ -42,7 +42,7 @@ class ObserverState(NamedTuple):
 
 
 class FrictionObserver(Protocol):
-    """The attributes of one observer's file; ``FRICTION_MODEL`` may be absent."""
+    """The attributes of an observer's file; ``FRICTION_MODEL`` is optional."""
 
     Parameters: Any
 
@@ -62,7 +62,7 @@ def empty_state(elements: int) -> ObserverState:
 
 @kernel
 def held(velocity: float, state: ObserverState) -> float:
-    """Return a measured velocity, or the last good one where it is not finite [m/s], and remember it."""
+    """Return and store a measured velocity [m/s], or the last good one if it is not finite."""
     if not math.isfinite(velocity):
         velocity = state.last[0]
     state.last[0], state.last[1] = velocity, 1.0

@@ -1,4 +1,4 @@
-"""The identified GMS model run along the measured velocity: the compensation of FASMC II."""
+"""Friction compensation of FASMC II: the identified GMS model driven by the measured velocity."""
 
 from ehls_ros.control.observers.rig_model import Parameters, around, driven, state, updater
 

@@ -1,4 +1,4 @@
-"""The rig's own friction model, whichever it is, run along the measured velocity: A^T B of (16)."""
+"""Friction model of the rig, of any kind, driven by the measured velocity: A^T B of (16)."""
 
 import math
 from collections.abc import Callable
@@ -11,14 +11,14 @@ from ehls_ros.physics.integration import integrator
 from ehls_ros.schema import quantity
 
 DRIVING = 1e9
-"""Force that drives the measured motion [N]: more than any friction holds."""
+"""Force that drives the measured motion [N], above any friction."""
 
 MOST_STEPS = 1000
 """Largest number of integration steps between two measurements; no piston's velocity needs more."""
 
 
 class Parameters(NamedTuple):
-    """How finely the model is run."""
+    """Resolution of the model's integration."""
 
     steps: Annotated[
         int, quantity("1", "least number of integration steps between two measurements", minimum=1, maximum=100)
@@ -26,7 +26,7 @@ class Parameters(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Velocity between two measurements: a straight line."""
+    """Linear velocity between two measurements."""
 
     friction: Any
     velocity: float
@@ -63,11 +63,11 @@ def driven(model: FrictionModel) -> tuple[Callable[..., float], Callable[..., No
 
 
 def around(model: FrictionModel) -> tuple[Callable[..., tuple[Motion, int]], Callable[..., None]]:
-    """Build what the update of one friction model does before and after it runs the elements.
+    """Build the parts of the update of one friction model before and after the integration of the elements.
 
     Returns:
         ``before(velocity, period, friction, p, state)``, which returns the :class:`Motion` since the last measurement and the
-        number of steps in which to run it, none at the first; and ``after(friction, state)``, which writes the estimate.
+        number of its integration steps, 0 at the first; and ``after(friction, state)``, which writes the estimate.
     """
     level, force, begin = model.level, model.force, model.begin
     relaxation_rate = kernel(model.relaxation_rate)
@@ -90,7 +90,7 @@ def around(model: FrictionModel) -> tuple[Callable[..., tuple[Motion, int]], Cal
             total += state.forces[i]
             lost = lost or not abs(state.forces[i]) <= most
         if lost:
-            # At an absurd velocity the steps are too long: back to a force that the contact can hold.
+            # At an absurd velocity the steps are too long: reset to a force that the contact can hold.
             begin(total if math.isfinite(total) else math.copysign(most, velocity), most, friction, state.forces)
         for i in range(elements):
             state.estimate[ELEMENTS + i] = state.forces[i]
@@ -111,7 +111,7 @@ def updater(model: FrictionModel) -> Callable[..., None]:
 
     @kernel
     def update(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> None:
-        """Run the elements from the last measurement to this one."""
+        """Integrate the elements from the last measurement to this one."""
         motion, steps = before(velocity, period, friction, p, state)
         if steps > 0:
             advance(0.0, state.forces, state.mode, motion, period / steps, steps, state.work)

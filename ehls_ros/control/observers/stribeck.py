@@ -1,4 +1,4 @@
-"""The friction of steady sliding at the measured velocity, smoothed where it changes sides: the compensation of FASMC I."""
+"""Friction compensation of FASMC I: steady sliding friction at the measured velocity, smoothed about zero velocity."""
 
 import math
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """How the curve is smoothed: s(v) tanh(v/smoothing)."""
+    """Smoothing of the curve: s(v) tanh(v/smoothing)."""
 
     smoothing: Annotated[
         float, quantity("m/s", "velocity over which the curve changes sides", minimum=1e-6, maximum=10.0, scale="speed")
@@ -29,7 +29,7 @@ def updater(model: FrictionModel) -> Callable[..., None]:
 
     @kernel
     def update(velocity: float, period: float, friction: Any, p: Parameters, state: ObserverState) -> None:
-        """Look the curve up."""
+        """Evaluate the curve."""
         velocity = held(velocity, state)
         value = level(velocity, friction) * math.tanh(velocity / p.smoothing)
         state.estimate[0] = value

@@ -1,1 +1,1 @@
-"""Test programmes: blocks of load cycles, ramps, dwells and recorded loads, how they are run, and the count of their cycles."""
+"""Test programmes: blocks of load cycles, ramps, dwells and recorded loads, their execution, and the count of load cycles."""

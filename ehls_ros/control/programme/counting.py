@@ -1,8 +1,9 @@
-"""Counts load cycles from the rig's measurements, and says when one is out of the programme's limits.
+"""Count load cycles from the rig's measurements, and check them against the programme's limits.
 
-A limit is also violated where its quantity cannot be judged: the measured value or the position is not finite for
-:data:`UNMEASURED` control cycles on end, or throughout a shorter load cycle; one of them does not change in a load cycle whose
-stiffness is limited. A load cycle of which no sample was received, as while the counting program was away, is not judged.
+A limit is also violated if its quantity cannot be judged. This is so if the measured value or the position is not finite for
+:data:`UNMEASURED` consecutive control cycles, or throughout a shorter load cycle. It is also so if one of them is constant in a
+load cycle whose stiffness is limited. A load cycle without received samples, as during an outage of the counting program, is
+not judged.
 """
 
 import math
@@ -13,19 +14,19 @@ from ehls_ros.control.programme.expansion import Programme
 from ehls_ros.control.programme.motion import State
 
 UNMEASURED = 10
-"""Control cycles on end without a finite measurement after which each limit on that measurement is violated."""
+"""Consecutive control cycles without a finite measurement after which each limit on that measurement is violated."""
 
 VALUE, POSITION = "measured value", "position of the piston"
-"""Names of the measurements: force or position that the programme prescribes, and the position of the piston."""
+"""Names of the measurements: the force or position that the programme prescribes, and the position of the piston."""
 
 
 class LoadCycle(NamedTuple):
-    """What was measured in a load cycle; NaN where nothing was.
+    """Measurements of a load cycle; NaN if missing.
 
     Attributes:
-        load_cycle: its number since the programme's beginning, from 1.
+        load_cycle: number since the programme's beginning, from 1.
         block: number of its block in the order of the file.
-        cycle: its number in the present pass of the block, from 1.
+        cycle: number in the present pass of the block, from 1.
         peak: largest value.
         valley: smallest value.
         mean: mean over the samples.
@@ -35,9 +36,9 @@ class LoadCycle(NamedTuple):
         lowest_position: smallest position of the piston [m].
         highest_position: largest position of the piston [m].
         stiffness: range of the values over the range of the positions [N/m].
-        samples: control cycles of it that were received.
-        first: the first one of these.
-        last: the last one of these.
+        samples: number of its control cycles that were received.
+        first: first control cycle received.
+        last: last control cycle received.
     """
 
     load_cycle: int
@@ -58,17 +59,17 @@ class LoadCycle(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """A control cycle of a programme, and what was measured in it.
+    """Control cycle of a programme, with its measurements.
 
     Attributes:
-        cycle: its number.
+        cycle: number of the control cycle.
         block: number of the block.
         repetition: load cycles completed in the block's pass.
         load_cycles: load cycles completed since the beginning.
-        phase: 0 to 1 within the load cycle, NaN where nothing repeats.
-        state: what the programme does.
-        reference: value wanted.
-        measured: value measured.
+        phase: 0 to 1 within the load cycle, NaN if nothing repeats.
+        state: state of the programme.
+        reference: wanted value.
+        measured: measured value.
         position: position of the piston [m].
     """
 
@@ -92,19 +93,19 @@ class Stiffness(NamedTuple):
 
 
 class Counter:
-    """Counts load cycles; each is finished by the first sample after it.
+    """Counts load cycles; each is completed by the first sample after it.
 
     Attributes:
-        complaint: the first limit that was exceeded since it was cleared; empty: none.
-        since: first control cycle of the load cycle under way; None: none is.
+        complaint: first violated limit since it was cleared; empty if none.
+        since: first control cycle of the present load cycle; None if there is none.
     """
 
     def __init__(self, programme: Programme, done: int = 0, known: tuple[Stiffness, ...] = ()) -> None:
-        """Begin.
+        """Start counting.
 
         Args:
             programme: the programme.
-            done: load cycles that were counted before; none of them is counted again.
+            done: load cycles counted before, which are not counted again.
             known: stiffness of blocks that ran before.
         """
         self._leaves = programme.leaves
@@ -116,21 +117,21 @@ class Counter:
 
     @property
     def since(self) -> int | None:
-        """First control cycle of the load cycle under way."""
+        """First control cycle of the present load cycle; None if there is none."""
         return self._open.first if self._open else None
 
     @property
     def stiffness(self) -> tuple[Stiffness, ...]:
-        """Stiffness of the blocks that ran so far."""
+        """Stiffness of the blocks run so far."""
         return tuple(self._stiffness.values())
 
     def add(self, sample: Sample) -> list[LoadCycle]:
-        """Take the next control cycle, and return the load cycles that it shows to be finished: more than one after a gap."""
+        """Process the next control cycle, and return the load cycles that it completes: more than one after a gap."""
         finished: list[LoadCycle] = []
         if sample.load_cycles > self.done:
             finished = self._finish(sample)
         if self._open is not None and self._open.block != sample.block:
-            # The rest of the block was skipped.
+            # The remainder of the block was skipped.
             self._open = None
         if sample.load_cycles == self.done and not math.isnan(sample.phase):
             if self._open is None:
@@ -151,7 +152,7 @@ class Counter:
         return made
 
     def _watch(self, sample: Sample) -> None:
-        """Watch what is limited at any time."""
+        """Check the limits that apply at any time."""
         limits = self._leaves[sample.block].limits
         self._without_value = 0 if math.isfinite(sample.measured) else self._without_value + 1
         self._without_position = 0 if math.isfinite(sample.position) else self._without_position + 1
@@ -194,11 +195,11 @@ class Counter:
         self._compare(cycle, limits, where)
 
     def _compare(self, cycle: LoadCycle, limits: Limits, where: str) -> None:
-        """Compare the stiffness with that of the block's first load cycles, of which this one may be."""
+        """Compare the stiffness with that of the block's first load cycles, or include it in these."""
         known = self._stiffness.get(cycle.block, Stiffness(cycle.block, 0.0, 0))
         comparable = known.cycles >= limits.stiffness_cycles
         if math.isnan(cycle.stiffness) or (cycle.stiffness <= 0.0 and not comparable):
-            # Nothing that later load cycles could be compared with.
+            # No valid stiffness for later load cycles to be compared with.
             if limits.stiffness_change is not None:
                 constant = POSITION if math.isnan(cycle.stiffness) else VALUE
                 self._complain(f"the stiffness cannot be judged: the {constant} does not change", cycle.block, where)
@@ -216,7 +217,7 @@ class Counter:
 
 
 class _Open:
-    """A load cycle under way."""
+    """Load cycle in progress."""
 
     def __init__(self, sample: Sample) -> None:
         self.block = sample.block
@@ -263,7 +264,7 @@ class _Open:
 
 
 def _unseen(number: int, sample: Sample) -> LoadCycle:
-    """Return a load cycle of which no sample was received."""
+    """Return a load cycle without received samples."""
     return LoadCycle(number, sample.block, 0, *(math.nan,) * 9, 0, sample.cycle, sample.cycle)
 
 

@@ -1,4 +1,4 @@
-"""What a programme's file declares: its settings, its limits, and the tree of its blocks.
+"""Declaration of a programme's file: its settings, its limits, and the tree of its blocks.
 
 An entry of ``blocks`` is a block or a repeat::
 
@@ -17,11 +17,11 @@ MOST = 10**15
 """Most repeats."""
 
 DEEPEST = 16
-"""Most repeats within each other."""
+"""Largest nesting depth of repeats."""
 
 
 class Limits(NamedTuple):
-    """When the programme stops by itself; what is not given is not watched."""
+    """Limits at which the programme stops; omitted ones are not monitored."""
 
     peak: Annotated[tuple[float, float] | None, text("lowest and highest peak of a load cycle", unit="N or m")] = None
     valley: Annotated[tuple[float, float] | None, text("lowest and highest valley of a load cycle", unit="N or m")] = None
@@ -55,7 +55,7 @@ class Limits(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """Settings of a programme, and its blocks; instead of all of it a spec may name a YAML ``file``."""
+    """Settings of a programme, and its blocks; in place of these a spec may name a YAML ``file``."""
 
     blocks: Annotated[tuple[Mapping[str, Any], ...], text("blocks and repeats, in their order")]
     title: Annotated[str, text("what the programme is called")] = "programme"
@@ -80,14 +80,14 @@ class Parameters(NamedTuple):
 
 
 class Leaf(NamedTuple):
-    """One block as it stands in the file.
+    """Block as declared in the file.
 
     Attributes:
-        number: its number in the order of the file.
-        name: what it is called.
+        number: number in the order of the file.
+        name: name of the block.
         kind: name of its member of :data:`BLOCKS`.
-        parameters: its parameters.
-        limits: what stops the programme in it.
+        parameters: parameters of the block.
+        limits: limits that stop the programme in this block.
     """
 
     number: int
@@ -98,7 +98,7 @@ class Leaf(NamedTuple):
 
 
 class Repeat(NamedTuple):
-    """Blocks that are run several times on end."""
+    """Blocks that are run several times in succession."""
 
     count: int  # type: ignore[assignment]  # a tuple has a method of this name
     parts: tuple["Leaf | Repeat", ...]
@@ -109,10 +109,10 @@ def tree_of(p: Parameters, where: str) -> Repeat:
 
     Args:
         p: the programme.
-        where: its file, for errors.
+        where: the file, for error messages.
 
     Raises:
-        BadInput: the first entry that is wrong.
+        BadInput: an entry is wrong; the first is reported.
     """
     limits = {} if p.limits is None else p.limits
     parse(Limits, limits, f"{where}: limits")
@@ -159,7 +159,7 @@ def _part(entry: Any, where: str, limits: Mapping[str, Any], leaves: list[Leaf],
 
 
 OF_ANY = ("block", "name", "limits")
-"""Keys of every block beside its parameters."""
+"""Keys of every block besides its parameters."""
 
 
 class _Times(NamedTuple):

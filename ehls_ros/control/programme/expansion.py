@@ -1,11 +1,11 @@
-"""A programme as a function of time, of which nothing is unrolled.
+"""Evaluate a programme as a function of time, without unrolling its repeats.
 
-Each repeat is its first pass, which is entered from what came before it, and the later passes, which are all entered from the
-repeat's own end and so are alike. A time is found by bisection in each repeat that it lies in.
+Each repeat consists of its first pass, entered from the value before it, and the later passes, which are identical as all are
+entered from the repeat's final value. A time is located by bisection in each enclosing repeat.
 
-Blocks begin and end at rest. Where a block begins at another value than the programme stands at, a ramp of the programme's
-``transition`` time comes first: it belongs to that block and to none of its load cycles. So value and rate are continuous; the
-second derivative may jump where load cycles begin and end.
+Blocks begin and end at rest. If a block begins at another value than the programme's present one, a ramp of the programme's
+``transition`` time comes first: it belongs to that block but to none of its load cycles. Thus value and rate are continuous;
+the second derivative may jump where load cycles begin and end.
 """
 
 import pickle
@@ -24,7 +24,7 @@ from ehls_ros.control.references import ramp
 from ehls_ros.errors import BadInput
 
 CLOSE = 1e-7
-"""Time within which a sample counts as the boundary of a block or load cycle that it falls on but for rounding [s]."""
+"""Tolerance within which a sample is assigned to a boundary of a block or load cycle, to allow for rounding [s]."""
 
 LONGEST = 1e8
 """Longest programme, up to which times are exact to 15 ns [s]."""
@@ -36,7 +36,7 @@ class Segment(NamedTuple):
     Attributes:
         leaf: the block.
         start: value before it.
-        course: how it goes; of a ramp, that of the ramp.
+        course: course of the block or of the ramp.
         leads: whether it is the ramp.
     """
 
@@ -47,12 +47,12 @@ class Segment(NamedTuple):
 
     @property
     def duration(self) -> float:
-        """Its time [s]."""
+        """Duration [s]."""
         return self.course.duration
 
     @property
     def load_cycles(self) -> int:
-        """Its load cycles."""
+        """Number of load cycles."""
         return self.course.count
 
     def sample(self, t: Array) -> Array:
@@ -63,15 +63,15 @@ class Segment(NamedTuple):
 
 
 class Sequence(NamedTuple):
-    """Parts on end, each run several times.
+    """Consecutive parts, each run several times.
 
     Attributes:
         parts: the parts.
-        counts: passes of each.
-        starts: when each begins [s], shape (parts,).
-        before: load cycles before each.
-        duration: time of the whole [s].
-        load_cycles: load cycles of the whole.
+        counts: passes of each part.
+        starts: start time of each part [s], shape (parts,).
+        before: load cycles before each part.
+        duration: total duration [s].
+        load_cycles: total number of load cycles.
     """
 
     parts: tuple["Segment | Sequence", ...]
@@ -83,11 +83,11 @@ class Sequence(NamedTuple):
 
 
 class Spot(NamedTuple):
-    """A time of a programme.
+    """Position in a programme at a time.
 
     Attributes:
-        segment: the block or ramp that runs.
-        since: when its present pass began [s].
+        segment: block or ramp at that time.
+        since: start time of its present pass [s].
         before: load cycles of the programme before this pass.
     """
 
@@ -97,18 +97,18 @@ class Spot(NamedTuple):
 
     @property
     def end(self) -> float:
-        """When the pass ends [s]."""
+        """End time of the pass [s]."""
         return self.since + self.segment.duration
 
 
 class Points(NamedTuple):
-    """Where a programme is at some times, one entry each.
+    """Positions in a programme at some times, one entry each.
 
     Attributes:
         block: number of the block in the order of the file.
         repetition: load cycles completed in the present pass of the block.
         load_cycles: load cycles completed since the programme's beginning.
-        phase: 0 to 1 within the load cycle, NaN where nothing repeats.
+        phase: 0 to 1 within the load cycle, NaN if nothing repeats.
     """
 
     block: NDArray[np.int64]
@@ -118,29 +118,29 @@ class Points(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> "Points":
-        """Return points to be filled in: block 0, nothing completed, NaN phase."""
+        """Return points to be filled in: block 0, no cycles completed, NaN phase."""
         block, repetition, load_cycles = (np.zeros(count, np.int64) for _ in range(3))
         return cls(block, repetition, load_cycles, np.full(count, np.nan))
 
 
 class Programme:
-    """A programme.
+    """Expanded programme.
 
     Attributes:
-        parameters: what was declared.
+        parameters: the declaration.
         leaves: its blocks in the order of the file.
         whole: its parts.
-        duration: its time [s].
-        load_cycles: number of its load cycles.
-        end: value at its end, which it keeps.
+        duration: total duration [s].
+        load_cycles: total number of load cycles.
+        end: final value, which is held.
     """
 
     def __init__(self, parameters: Parameters, where: str = "programme") -> None:
-        """Expand what was declared.
+        """Expand a declaration.
 
         Args:
             parameters: the programme.
-            where: its file, for errors.
+            where: the file, for error messages.
 
         Raises:
             BadInput: a block is wrong, or the programme is too long.
@@ -156,7 +156,7 @@ class Programme:
             raise BadInput(f"the programme takes {self.duration:.3g} s", where, f"at most {LONGEST:g} s")
 
     def spot(self, time: float) -> Spot:
-        """Return what runs at a time [s]; before the beginning the first block, after the end the last."""
+        """Return the position at a time [s]: before the start in the first block, after the end in the last."""
         part: Segment | Sequence = self.whole
         since, before = 0.0, 0
         while isinstance(part, Sequence):
@@ -168,7 +168,7 @@ class Programme:
         return Spot(part, since, before)
 
     def sample(self, t: Array) -> Array:
-        """Return value, first and second derivative at times [s], shape (n,), as shape (n, 3); it keeps its end values."""
+        """Return value, first and second derivative at times [s], shape (n,), as shape (n, 3); the end values are held."""
         rows = np.zeros((t.size, 3))
         for chosen, spot in self._walk(t):
             local = t[chosen] - spot.since
@@ -182,7 +182,7 @@ class Programme:
         return float(self.sample(np.array([time]))[0, 0])
 
     def points(self, t: Array) -> Points:
-        """Return where the programme is at times [s], shape (n,)."""
+        """Return the positions at times [s], shape (n,)."""
         points = Points.empty(t.size)
         for chosen, spot in self._walk(t):
             course = spot.segment.course
@@ -194,25 +194,25 @@ class Programme:
             done = np.floor(cycles + CLOSE / course.cycle).astype(np.int64)
             points.repetition[chosen] = done
             points.load_cycles[chosen] += done
-            # At the programme's very end nothing repeats any more.
+            # At the very end of the programme nothing repeats.
             points.phase[chosen] = np.where(done < course.count, np.maximum(cycles - done, 0.0), np.nan)
         return points
 
     def _walk(self, t: Array) -> Iterator[tuple[NDArray[np.intp], Spot]]:
-        """Yield the indices of the times that lie in one pass of a block or ramp, and that pass."""
+        """Yield each visited pass of a block or ramp with the indices of its times, in order of time."""
         order = np.argsort(t, kind="stable")
         ordered = t[order]
         at = 0
         while at < t.size:
             spot = self.spot(float(ordered[at]))
-            # The last block also has all that comes after it.
+            # The last block also includes all later times.
             last = spot.end >= self.duration - CLOSE
             end = t.size if last else max(int(np.searchsorted(ordered, spot.end - CLOSE)), at + 1)
             yield order[at:end], spot
             at = end
 
     def _sequence(self, repeat: Repeat, start: float) -> tuple[Sequence, float]:
-        """Return one pass of a repeat that is entered at a value, and the value at its end."""
+        """Return one pass of a repeat that is entered at a value, and its final value."""
         key = id(repeat), start
         if key not in self._known:
             parts: list[tuple[Segment | Sequence, int]] = []
@@ -231,7 +231,7 @@ class Programme:
         return self._known[key]
 
     def _segments(self, leaf: Leaf, value: float) -> tuple[list[Segment], float]:
-        """Return a block, after a ramp where it begins at another value, and the value at its end."""
+        """Return a block, with a ramp before it if it begins at another value, and its final value."""
         try:
             course = BLOCKS.load(leaf.kind).course(leaf.parameters, value)
         except BadInput as error:
@@ -265,7 +265,7 @@ def _leaves(repeat: Repeat) -> Iterator[Leaf]:
 
 
 class _Declared:
-    """A programme's parameters, which are alike where their content is."""
+    """A programme's parameters, hashed and compared by content."""
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
@@ -287,7 +287,7 @@ def _expanded(declared: _Declared) -> Programme:
 
 
 def programme_of(parameters: Any) -> Programme:
-    """Return the programme of some parameters; expanded once, as it is needed for every block of cycles.
+    """Return the expanded programme of some parameters; cached, as it is needed for every block of cycles.
 
     Raises:
         BadInput: a block is wrong.

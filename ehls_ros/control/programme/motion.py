@@ -1,9 +1,9 @@
-"""How a programme is run: when it comes to rest, holds, and goes on, as a function of the control cycle alone.
+"""Run a programme: start, stop, hold, skip and resume as a function of the control cycle alone.
 
-A stop does not leave the programme's path: its time slows down to rest within ``stop_time``, so that no force comes that the
-programme has not got, and only then the value goes to what is held. Resuming leads back to where it stands and speeds its time
-up again. What holds from a control cycle on is a :class:`Motion`, plain numbers that can be stored; a node that is
-started anew with the same motions gives the same values in the same cycles, bit for bit.
+A stop does not leave the programme's path. Its time slows down to a standstill within ``stop_time``, so that no force occurs
+that the programme does not contain; only then the value moves to the held one. Resuming returns to the path and accelerates its
+time again. A :class:`Motion` applies from a control cycle on. It consists of plain numbers that can be stored; a node restarted
+with the same motions yields bitwise the same values in the same cycles.
 """
 
 from enum import IntEnum
@@ -20,7 +20,7 @@ Row = tuple[float, float, float]
 
 
 class State(IntEnum):
-    """What a programme does, as ``programme_point`` has it."""
+    """State of a programme, as in ``programme_point``."""
 
     STARTING = 0
     RUNNING = 1
@@ -31,16 +31,16 @@ class State(IntEnum):
 
 
 class Leg(NamedTuple):
-    """A part of a motion: the programme's time changes its speed, or, where there is a row, the value goes to another at rest.
+    """Part of a motion: the speed of the programme's time changes, or, with a row, the value moves to another at rest.
 
     Attributes:
-        duration: its time [s].
+        duration: duration [s].
         since: programme time at its beginning [s].
-        speed: speed of the programme's time at its beginning, 1 being its own [1].
+        speed: speed of the programme's time at its beginning, 1 for the normal speed [1].
         growth: rate of that speed [1/s].
-        end_speed: speed at its end, which no longer changes [1].
+        end_speed: final speed, reached with zero rate [1].
         row: value, first and second derivative at its beginning.
-        to: value at its end.
+        to: final value.
     """
 
     duration: float
@@ -53,23 +53,23 @@ class Leg(NamedTuple):
 
 
 class Skip(NamedTuple):
-    """Load cycles that were left out: their number, and the programme time from which they are missing [s]."""
+    """Skipped load cycles: the programme time from which they are missing [s], and their number."""
 
     to: float
     load_cycles: int
 
 
 class Motion(NamedTuple):
-    """What holds from a control cycle on: some legs, then the programme at its own speed or at rest.
+    """Motion from a control cycle on: some legs, then the programme at normal speed or at rest.
 
     Attributes:
-        first: the control cycle.
-        kind: why it is there.
-        legs: parts before the last.
+        first: first control cycle.
+        kind: request that caused the motion.
+        legs: parts before the final phase.
         since: programme time at the end of the legs [s].
-        rests: value held from then on; None: the programme runs.
-        skipped: load cycles that were left out until here.
-        reason: what a stop is for.
+        rests: value held from then on; None if the programme runs.
+        skipped: load cycles skipped so far.
+        reason: reason of a stop.
     """
 
     first: int
@@ -82,11 +82,11 @@ class Motion(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What a programme wants in some control cycles, one entry each.
+    """Setpoints of a programme in some control cycles, one entry each.
 
     Attributes:
         reference: value, first and second derivative, shape (n, 3).
-        points: where the programme is.
+        points: positions in the programme.
         state: :class:`State` of each, shape (n,).
     """
 
@@ -96,14 +96,14 @@ class Rows(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """A programme at some times.
+    """Motion of a programme at some times.
 
     Attributes:
         since: programme time, shape (n,) [s].
-        speed: speed of that time, 1 being its own, shape (n,).
+        speed: speed of that time, 1 for the normal speed, shape (n,).
         growth: rate of the speed, shape (n,) [1/s].
-        off: value with two derivatives where the programme is off its path, else NaN, shape (n, 3).
-        busy: whether a leg is under way, shape (n,).
+        off: value with two derivatives where the programme is off its path, otherwise NaN, shape (n, 3).
+        busy: whether a leg is in progress, shape (n,).
     """
 
     since: Array
@@ -120,19 +120,19 @@ class Moving(NamedTuple):
 
 
 class Runner:
-    """A programme that is run.
+    """Programme in execution.
 
     Attributes:
         programme: the programme.
-        motions: what holds, in the order of the control cycles.
+        motions: motions in the order of their control cycles.
     """
 
     def __init__(self, programme: Programme, period: float, motions: tuple[Motion, ...]) -> None:
-        """Take a programme with what holds so far.
+        """Set up a programme with its motions so far.
 
         Args:
             programme: the programme.
-            period: of the control cycles [s].
+            period: control period [s].
             motions: at least one; see :meth:`beginning` and :meth:`resting`.
         """
         self.programme = programme
@@ -143,13 +143,13 @@ class Runner:
 
     @staticmethod
     def beginning(programme: Programme, first: int, measured: float | None = None, lead: float = 0.0) -> Motion:
-        """Return the motion that begins a programme.
+        """Return the motion that starts a programme.
 
         Args:
             programme: the programme.
-            first: control cycle in which it begins.
-            measured: value of the rig, from which it is led in; None: it begins at once.
-            lead: time of that [s].
+            first: control cycle in which it starts.
+            measured: measured value from which it is led in; None to start at once.
+            lead: duration of the lead-in [s].
         """
         if measured is None or lead <= 0.0:
             return Motion(first, "start", (), 0.0)
@@ -158,14 +158,14 @@ class Runner:
         return Motion(first, "start", (glide, speeding), _end(speeding))
 
     def resting(self, first: int, since: float, measured: float, reason: str, skipped: tuple[Skip, ...] = ()) -> Motion:
-        """Return the motion of a programme that the rig has fallen out of: from where the rig is to what is held.
+        """Return the motion to the held value, for a rig that has left the programme's path.
 
         Args:
             first: control cycle.
-            since: programme time where it stands [s].
-            measured: value of the rig.
-            reason: what happened.
-            skipped: load cycles that were left out until there.
+            since: programme time of the stop [s].
+            measured: measured value of the rig.
+            reason: reason of the stop.
+            skipped: load cycles skipped so far.
         """
         since = _past_skips(since, skipped)
         held = self._held(since)
@@ -173,11 +173,11 @@ class Runner:
         return Motion(first, "stop", (glide,), since, held, skipped, reason)
 
     def rows(self, first: int, count: int) -> Rows:
-        """Return what the programme wants in control cycles on end.
+        """Return the programme's setpoints in consecutive control cycles.
 
         Args:
-            first: the first one.
-            count: their number.
+            first: first control cycle.
+            count: number of control cycles.
         """
         cycles = np.arange(first, first + count)
         made = Rows(
@@ -198,7 +198,7 @@ class Runner:
         return float(moving.since[0]), State(int(self._states(motion, moving, np.array([cycle]))[0]))
 
     def stop(self, cycle: int, reason: str) -> bool:
-        """Stop from a control cycle on; return whether there is anything to stop."""
+        """Stop from a control cycle on; return whether there was anything to stop."""
         motion, (since, speed, growth), row = self._now(cycle)
         if motion.kind == "stop" or motion.rests is not None or since >= self.programme.duration - CLOSE:
             return False
@@ -210,14 +210,14 @@ class Runner:
         return True
 
     def resume(self, cycle: int) -> bool:
-        """Go on from a control cycle on; return whether the programme was stopped."""
+        """Resume from a control cycle on; return whether the programme was stopped."""
         motion, (since, speed, growth), row = self._now(cycle)
         if motion.rests is None or since >= self.programme.duration - CLOSE:
             return False
         legs: list[Leg] = []
         goes_on = _past_skips(since, motion.skipped)
         if goes_on > since:
-            # A stop while a block was being skipped: the rest of that block does not come back.
+            # A stop while a block was being skipped: the remainder of that block is not resumed.
             legs, _, row = self._slowed(since, speed, growth, row)
             since, speed, growth = goes_on, 0.0, 0.0
         if not speed:
@@ -227,7 +227,7 @@ class Runner:
         return True
 
     def skip(self, cycle: int) -> bool:
-        """Leave the running block for the next one, still stopped if it was; return whether there is a block to leave."""
+        """Skip to the next block, staying stopped if it was; return whether there was a block to skip."""
         motion, (since, speed, growth), row = self._now(cycle)
         if _past_skips(since, motion.skipped) >= self.programme.duration - CLOSE:
             return False
@@ -250,7 +250,7 @@ class Runner:
         return True
 
     def forget(self, before: int) -> None:
-        """Forget the motions that no control cycle from one on needs."""
+        """Drop the motions that no control cycle from ``before`` on needs."""
         while len(self.motions) > 1 and self.motions[1].first <= before:
             del self.motions[0]
 
@@ -263,14 +263,14 @@ class Runner:
         return self.programme.value(since) if self._hold is None else self._hold
 
     def _slowed(self, since: float, speed: float, growth: float, row: Row) -> tuple[list[Leg], float, Row]:
-        """Return the leg to a standstill along the programme, none where it stands, with programme time and row at its end."""
+        """Return the leg to a standstill along the programme, none if stopped, with its final programme time and row."""
         if not speed:
             return [], since, row
         leg = Leg(self._stop_time, since, speed, growth, 0.0)
         return [leg], _end(leg), (self.programme.value(_end(leg)), 0.0, 0.0)
 
     def _way(self, row: Row, since: float, to: float) -> list[Leg]:
-        """Return the leg from a row to rest at a value; none where it rests there."""
+        """Return the leg from a row to rest at a value; none if it already rests there."""
         return [Leg(self._hold_time, since, row=row, to=to)] if row != (to, 0.0, 0.0) else []
 
     def _motion(self, cycle: int) -> Motion:
@@ -278,7 +278,7 @@ class Runner:
         return self.motions[max(int(np.searchsorted(firsts, cycle, side="right")) - 1, 0)]
 
     def _now(self, cycle: int) -> tuple[Motion, tuple[float, float, float], Row]:
-        """Return what holds in a cycle: the motion, programme time with speed and its rate, and the row."""
+        """Return the state of motion in a cycle: the motion, programme time with speed and its rate, and the row."""
         motion = self._motion(cycle)
         moving = self._moving(motion, np.array([cycle]))
         value, rate, bend = self._reference(moving)[0].tolist()
@@ -309,7 +309,7 @@ class Runner:
     def _reference(self, moving: Moving) -> Array:
         rows = self.programme.sample(moving.since)
         speed, growth = moving.speed, moving.growth
-        # The chain rule for the programme along its own time.
+        # Chain rule for the programme as a function of its time.
         rows[:, 2] = rows[:, 2] * speed**2 + rows[:, 1] * growth
         rows[:, 1] *= speed
         off = ~np.isnan(moving.off[:, 0])
@@ -329,7 +329,7 @@ class Runner:
             gone = np.where(left, gone - leg.duration, gone)
         if motion.rests is None:
             moving.since[left] = motion.since + gone[left]
-            # Before its first cycle it waits.
+            # Before its first cycle it is stationary.
             moving.speed[left] = cycles[left] >= motion.first
         else:
             moving.since[left] = motion.since
@@ -338,12 +338,12 @@ class Runner:
 
 
 def point_signals(parameters: Any, time: Array, period: float) -> dict[str, Array]:
-    """Return the signals of a programme that nothing stops, by name, as ``programme_point`` has them.
+    """Return the signals of an uninterrupted programme, by name as in ``programme_point``.
 
     Args:
-        parameters: of the programme.
-        time: of control cycles on end, shape (n,) [s].
-        period: of the control cycles [s].
+        parameters: parameters of the programme.
+        time: times of consecutive control cycles, shape (n,) [s].
+        period: control period [s].
     """
     programme = programme_of(parameters)
     runner = Runner(programme, period, (Runner.beginning(programme, 0),))
@@ -366,13 +366,13 @@ def along(leg: Leg, gone: Array) -> Moving:
 
 
 def _along(leg: Leg, gone: Array, moving: Moving, chosen: NDArray[np.bool_]) -> None:
-    """Fill in where a leg is at times since its beginning [s]."""
+    """Fill in the motion along a leg at times since its beginning [s]."""
     x = gone / leg.duration
     if leg.row is not None:
         moving.since[chosen] = leg.since
         moving.off[chosen] = _to_rest(leg.row, leg.to, leg.duration, x)
         return
-    # A cubic by Hermite for the speed; the time is its integral.
+    # Cubic Hermite polynomial for the speed; the time is its integral.
     a, b, c = leg.speed, leg.growth * leg.duration, leg.end_speed
     moving.since[chosen] = leg.since + leg.duration * _hermite_area(a, b, c, x)
     moving.speed[chosen] = a * (1.0 - 3.0 * x**2 + 2.0 * x**3) + b * (x - 2.0 * x**2 + x**3) + c * (3.0 * x**2 - 2.0 * x**3)
@@ -385,7 +385,7 @@ def _hermite_area(a: float, b: float, c: float, x: Array) -> Array:
 
 
 def _past_skips(since: float, skipped: tuple[Skip, ...]) -> float:
-    """Return a programme time, or the end of the last skipped block where the programme is still on its way there [s]."""
+    """Return a programme time, or the end of the last skipped block if it is not yet reached [s]."""
     return max([since, *(skip.to for skip in skipped)])
 
 
@@ -397,13 +397,13 @@ def _end(leg: Leg) -> float:
 
 
 def _to_rest(row: Row, to: float, duration: float, x: Array) -> Array:
-    """Return the quintic from a value with its derivatives to rest at another, shape (n, 3).
+    """Return the quintic from a value with its derivatives to rest at another value, shape (n, 3).
 
     Args:
         row: value, first and second derivative at the beginning.
-        to: value at the end.
-        duration: its time [s].
-        x: share of that time, shape (n,).
+        to: final value.
+        duration: duration [s].
+        x: fraction of the duration, shape (n,).
     """
     value, rate, bend = row[0], row[1] * duration, row[2] * duration**2
     way = to - value

@@ -1,7 +1,7 @@
-"""Check of motions that were read from a file, against the programme and the rig that they are to move.
+"""Check motions read from a file against the programme and the rig that they are to move.
 
-Every motion that a :class:`~ehls_ros.control.programme.motion.Runner` makes passes; no other one lets the reference leave the
-range of the rig, hold a value that the programme does not hold, or go along the programme faster than a resumed one does.
+Every motion made by a :class:`~ehls_ros.control.programme.motion.Runner` passes. Any other motion is rejected if the reference
+leaves the rig's range, rests at a value that the programme does not hold, or follows the programme faster than when resumed.
 """
 
 import math
@@ -17,34 +17,34 @@ from ehls_ros.control.programme.motion import Leg, Motion, Runner, along
 from ehls_ros.schema import notes
 
 Holds = Sequence[float | None]
-"""Values held after a stop; None: where the programme stood."""
+"""Values held after a stop; None for the programme's value at the stop."""
 
 MOST_LEGS = 3
 """Most legs of a motion: along the programme to a standstill, to another value, and along the programme again."""
 
 MOST_MOTIONS = 100
-"""Most motions: one for each request within the control cycles that are published ahead."""
+"""Most motions: one for each request within the control cycles published ahead."""
 
 MOST_SKIPS = 10_000
 """Most skipped blocks."""
 
 SHORTEST_LEG, LONGEST_LEG = 1e-9, 1e6
-"""Shortest leg, whose second derivative is a number, and longest, which leads to the programme's start [s]."""
+"""Shortest leg with a finite second derivative, and longest, which leads to the programme's start [s]."""
 
 LONGEST_STOP = notes(Parameters)["stop_time"].maximum or math.inf
-"""Longest way of a stop beyond the programme's end [s]."""
+"""Largest distance of a stop beyond the programme's end [s]."""
 
 SAMPLES = 65
-"""Places at which a leg is looked at."""
+"""Number of points at which a leg is checked."""
 
 SLOWEST, FASTEST = -0.5, 1.5
-"""Speed of the programme's time within legs: a stop that is resumed at once leaves 0 to 1 a little."""
+"""Bounds of the programme's speed within legs: a stop that is resumed at once slightly exceeds 0 to 1."""
 
 SAME = 1e-6
-"""Relative difference of two values that are the same."""
+"""Relative difference below which two values are equal."""
 
 OVERSHOOT = 2.0
-"""Range of a leg that begins where the rig was, over the rig's: the rig may have been beyond its limits."""
+"""Range of a leg that begins at the rig's value, relative to the rig's range: the rig may have exceeded its limits."""
 
 
 def check_motions(
@@ -53,15 +53,15 @@ def check_motions(
     """Check motions.
 
     Args:
-        motions: in the order of their control cycles.
+        motions: motions in the order of their control cycles.
         programme: the programme that they move.
-        period: of the control cycles [s].
-        holds: values held after a stop, as the programme's settings were when the motions were made; None: where it stood.
+        period: control period [s].
+        holds: values held after a stop by the programme's settings when the motions were made; None for the value at the stop.
         low: smallest value of the rig [N] or [m].
-        high: largest value.
+        high: largest value of the rig.
 
     Raises:
-        ValueError: naming the first impossible value.
+        ValueError: a value is impossible; the first is named.
     """
     if not motions:
         raise ValueError("no motion holds")
@@ -91,7 +91,7 @@ def _same(one: float, other: float) -> bool:
 
 
 def _check_motion(motion: Motion, programme: Programme, holds: Holds, low: float, high: float) -> None:
-    # A stop near the end comes to rest beyond it, where the programme keeps its value.
+    # A stop near the end comes to rest beyond it, where the programme holds its value.
     latest = programme.duration + LONGEST_STOP
     if len(motion.legs) > MOST_LEGS:
         raise ValueError(f"a motion has {len(motion.legs)} legs, at most {MOST_LEGS}")

@@ -1,4 +1,4 @@
-"""Reference signals, one file each; ``base`` says what a file provides."""
+"""Reference signals, one file each; ``base`` defines the interface of a file."""
 
 from ehls_ros.control.references.base import ReferenceSignal
 from ehls_ros.families import Family

@@ -1,4 +1,4 @@
-"""A way from one value to another without a jump up to the second derivative."""
+"""Transition from one value to another without a jump up to the second derivative."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ def quintic(since: Array, duration: float) -> tuple[Array, Array, Array]:
     """Return the quintic from rest at 0 to rest at 1, held before and after, with its derivatives.
 
     Args:
-        since: times since it starts, shape (n,) [s].
-        duration: time it takes [s].
+        since: times since its start, shape (n,) [s].
+        duration: duration [s].
 
     Returns:
         Value [1], first [1/s] and second derivative [1/s^2], shape (n,) each.
@@ -28,9 +28,9 @@ def eased_in(row: Sequence[float], start: float, since: float, duration: float) 
 
     Args:
         row: value of the reference, first and second derivative.
-        start: value at the beginning, in the reference's unit.
+        start: initial value, in the reference's unit.
         since: time since the beginning [s].
-        duration: time until the reference is reached [s].
+        duration: duration of the lead-in [s].
     """
     weight, rate, bend = (float(part[0]) for part in quintic(np.array([since]), duration))
     apart, speed, acceleration = row[0] - start, row[1], row[2]

@@ -1,4 +1,4 @@
-"""Sums of sines, which several references are."""
+"""Sums of sines, shared by several references."""
 
 import numpy as np
 

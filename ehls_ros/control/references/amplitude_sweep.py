@@ -1,4 +1,4 @@
-"""A sine whose amplitude goes evenly from one value to another and then stays; from zero, it starts at rest."""
+"""A sine whose amplitude changes smoothly from one value to another and is then held; from zero, it starts at rest."""
 
 from typing import Annotated, NamedTuple
 

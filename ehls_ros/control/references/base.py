@@ -1,13 +1,13 @@
-"""What a reference's file provides.
+"""Interface of the file of a reference.
 
-``Parameters``, a named tuple declaring its parameters, and ``sample(t, p)``: value and first and second
-time derivative, all analytic, at times ``t`` [s] of shape (n,), as an array of shape (n, 3). The value is a
-force [N] for a controller that follows a force, and a position [m] for one that follows a position and for the
-position servo.
+A file has ``Parameters``, a named tuple declaring its parameters, and ``sample(t, p)``: value and first and second time
+derivative, all analytic, at times ``t`` [s] of shape (n,), as an array of shape (n, 3). The value is a force [N] for a
+controller that follows a force, and a position [m] for one that follows a position and for the position servo.
 
-A file whose signal repeats may offer ``place(t, p)``: block (0 but in a test programme) and load cycles completed with
-their fraction, of shape (n, :data:`ehls_ros.control.companions.base.PLACE`), NaN where nothing repeats. If it also says where
-in that cycle its ``VALLEY`` is, and has the parameters ``amplitude`` and ``frequency``, a test programme can run cycles of it.
+A file whose signal repeats may offer ``place(t, p)``: block (0 except in a test programme) and load cycles completed with
+their fraction, of shape (n, :data:`ehls_ros.control.companions.base.PLACE`), NaN if nothing repeats. If it also declares the
+phase of its ``VALLEY`` in that cycle, and has the parameters ``amplitude`` and ``frequency``, a test programme can run its
+cycles.
 """
 
 from typing import Any, Protocol
@@ -19,7 +19,7 @@ from ehls_ros.control.companions.base import PLACE
 
 
 class ReferenceSignal(Protocol):
-    """The attributes of one reference's file."""
+    """The attributes of a reference's file."""
 
     Parameters: Any
 
@@ -28,12 +28,12 @@ class ReferenceSignal(Protocol):
 
 
 class SampledReference:
-    """A reference by cycle number, sampled a block ahead at a time."""
+    """A reference by cycle number, sampled in blocks."""
 
     BLOCK = 1024
 
     def __init__(self, signal: ReferenceSignal, parameters: Any, period: float) -> None:
-        """Take a signal with its parameters; ``period`` is that of the cycles [s]."""
+        """Store a signal with its parameters; ``period`` is the control period [s]."""
         self._signal = signal
         self._parameters = parameters
         self._period = period
@@ -51,7 +51,7 @@ class SampledReference:
         return row
 
     def place(self, first: int, cycles: int) -> Array:
-        """Return where in its programme the reference is in some cycles on end, shape (cycles, PLACE); NaN: nothing repeats."""
+        """Return the reference's place in its programme for consecutive cycles, shape (cycles, PLACE); NaN if none."""
         where = getattr(self._signal, "place", None)
         if where is None:
             return np.full((cycles, PLACE), np.nan)
@@ -59,7 +59,7 @@ class SampledReference:
         return place
 
     def rows(self, first: int, cycles: int) -> Array:
-        """Return some cycles on end, shape (cycles, 3), bit for bit what :meth:`row` gives."""
+        """Return the rows of consecutive cycles, shape (cycles, 3), bitwise equal to those of :meth:`row`."""
         out = np.empty((cycles, 3))
         done = 0
         while done < cycles:

@@ -1,4 +1,4 @@
-"""A sine whose frequency rises linearly and then stays."""
+"""A sine whose frequency changes linearly and is then held."""
 
 from typing import Annotated, NamedTuple
 
@@ -9,7 +9,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """offset + amplitude sin of a phase whose rate goes from start to end frequency."""
+    """offset + amplitude sin(phase), where the phase rate goes from start to end frequency."""
 
     amplitude: Annotated[float, quantity("N or m", "amplitude", minimum=-1e6, maximum=1e6)] = 5e3
     start_frequency: Annotated[float, quantity("Hz", "frequency at t = 0", minimum=0.0, maximum=1e3)] = 0.1

@@ -1,4 +1,4 @@
-"""A constant."""
+"""A constant value."""
 
 from typing import Annotated, NamedTuple
 
@@ -9,7 +9,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """Its value."""
+    """The value."""
 
     value: Annotated[float, quantity("N or m", "the value held", minimum=-1e6, maximum=1e6)] = 1e4
 

@@ -1,4 +1,4 @@
-"""Pulses between a valley and a peak, each a wave of the cosine, with or without a rest at the valley between them."""
+"""Cosine pulses from a valley to a peak and back, with or without a dwell at the valley between them."""
 
 from typing import Annotated, NamedTuple
 

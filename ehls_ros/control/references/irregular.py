@@ -11,7 +11,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity
 
 FADE = 0.5
-"""Time in which the signal grows from zero to its full size [s]."""
+"""Duration of the fade-in from zero to full size [s]."""
 
 
 class Parameters(NamedTuple):
@@ -28,7 +28,7 @@ def sample(t: Array, p: Parameters) -> Array:
     """Return the signal and its derivatives.
 
     Raises:
-        BadInput: the band's ends are the wrong way round.
+        BadInput: the lower end of the band is above the upper end.
     """
     if p.lowest_frequency > p.highest_frequency:
         what = f"lowest_frequency is {p.lowest_frequency:g}"
@@ -38,7 +38,7 @@ def sample(t: Array, p: Parameters) -> Array:
     phase = random.uniform(0.0, 2.0 * np.pi, p.components)
     weight = 1.0 / frequency
     wave = harmonics(t, p.amplitude * weight / weight.sum(), frequency, phase)
-    # A quintic step: value, first and second derivative start at zero and end on the wave's own.
+    # A quintic step: value, first and second derivative start at zero and end at those of the wave.
     fade, fade_rate, fade_acceleration = quintic(t, FADE)
     return np.column_stack(
         [

@@ -11,21 +11,21 @@ from ehls_ros.errors import BadInput
 from ehls_ros.schema import text
 
 DEGREE = 5
-"""Degree of the spline: its second derivative is smooth, as the sliding mode law requires."""
+"""Degree of the spline, for a smooth second derivative as required by the sliding mode law."""
 
 AT_REST = [(1, 0.0), (2, 0.0)]
-"""First and second derivative at both ends: the held values before and after join without a step."""
+"""Zero first and second derivative at both ends, so that the held values before and after join smoothly."""
 
 
 class Parameters(NamedTuple):
-    """The points; instead of them a spec may name a CSV ``file`` with the columns time_s and value."""
+    """The points; in place of them a spec may name a CSV ``file`` with the columns time_s and value."""
 
     points: Annotated[tuple[tuple[float, float], ...], text("time [s] and value [N or m] of each point, in order of time")]
 
 
 @lru_cache(maxsize=4)
 def _spline(p: Parameters) -> "scipy.interpolate.BSpline":
-    """Return the spline through the points; it is needed once per block of cycles."""
+    """Return the spline through the points; cached, as it is needed for every block of cycles."""
     points = np.asarray(p.points, dtype=np.float64)
     if len(points) < 2:
         raise BadInput(f"points holds {len(points)}", "load_spectrum", "two or more points")
@@ -40,10 +40,10 @@ def _spline(p: Parameters) -> "scipy.interpolate.BSpline":
 
 
 def sample(t: Array, p: Parameters) -> Array:
-    """Return the spline and its derivatives; before the first and after the last point it holds their values.
+    """Return the spline and its derivatives; the values of the first and the last point are held outside.
 
     Raises:
-        BadInput: fewer than two points, or times that do not increase.
+        BadInput: there are fewer than two points, or times that do not increase.
     """
     spline = _spline(p)
     first, last = p.points[0][0], p.points[-1][0]

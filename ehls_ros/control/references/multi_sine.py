@@ -1,4 +1,4 @@
-"""Several sines at once, spread over a band with Schroeder's phases, which keep the peak low."""
+"""Simultaneous sines, spread over a band with Schroeder's phases, which keep the peak low."""
 
 from typing import Annotated, NamedTuple
 
@@ -10,7 +10,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """Harmonics of one base frequency, each of the same amplitude."""
+    """Harmonics of one base frequency with equal amplitudes."""
 
     amplitude: Annotated[float, quantity("N or m", "amplitude of each sine", minimum=-1e6, maximum=1e6)] = 1e3
     base_frequency: Annotated[float, quantity("Hz", "lowest frequency; the others are multiples", above=0.0, maximum=1e3)] = 0.1

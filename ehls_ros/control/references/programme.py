@@ -1,4 +1,4 @@
-"""A test programme: blocks of load cycles, ramps, dwells and recorded loads, with repeats; it keeps its last value."""
+"""A test programme: blocks of load cycles, ramps, dwells and recorded loads, with repeats; its final value is held."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ __all__ = ["Parameters", "duration", "place", "sample"]
 
 
 def duration(p: Parameters) -> float:
-    """Return the programme's time [s].
+    """Return the duration of the programme [s].
 
     Raises:
         BadInput: a block is wrong.
@@ -28,6 +28,6 @@ def sample(t: Array, p: Parameters) -> Array:
 
 
 def place(t: Array, p: Parameters) -> Array:
-    """Return block and load cycles completed in its present pass, shape (n, 2), NaN where nothing repeats."""
+    """Return block and load cycles completed in its present pass, shape (n, 2), NaN if nothing repeats."""
     points = programme_of(p).points(t)
     return np.column_stack([points.block, points.repetition + points.phase])

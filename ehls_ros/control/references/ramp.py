@@ -1,4 +1,4 @@
-"""A ramp from one value to another, straight between rounded ends, so that the second derivative does not jump."""
+"""A ramp from one value to another, linear between rounded ends, so that the second derivative does not jump."""
 
 from typing import Annotated, NamedTuple
 
@@ -9,7 +9,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """From start to end within a time; the rate rises and falls along a cubic at the two ends, and is constant between."""
+    """From start to end within a time; the rate is cubic in time at both ends, and constant in between."""
 
     start: Annotated[float, quantity("N or m", "value at t = 0", minimum=-1e6, maximum=1e6)] = 0.0
     end: Annotated[float, quantity("N or m", "value at the end of the ramp, and from then on", minimum=-1e6, maximum=1e6)] = 1e4
@@ -25,7 +25,7 @@ def sample(t: Array, p: Parameters) -> Array:
     way, bend = p.end - p.start, p.rounding * p.time
     fastest = way / (p.time - bend)
     since = np.clip(t, 0.0, p.time)
-    # The second half is the first one backwards.
+    # The second half mirrors the first one.
     late = since > 0.5 * p.time
     s = np.where(late, p.time - since, since)
     x = np.minimum(s / bend, 1.0)

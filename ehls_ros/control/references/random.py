@@ -13,14 +13,14 @@ from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity
 
 FADE = 0.5
-"""Time in which the signal grows from its mean to its full size [s]."""
+"""Duration of the fade-in from the mean to full size [s]."""
 
 MOST = 4096
-"""Most harmonics; each is computed for every sample."""
+"""Most harmonics, as each is computed for every sample."""
 
 
 class Parameters(NamedTuple):
-    """Size, band, and the period after which the signal is the same again."""
+    """Size, band, and the period of repetition."""
 
     rms: Annotated[float, quantity("N or m", "root of the mean square about the mean", minimum=0.0, maximum=1e6)] = 2e3
     lowest_frequency: Annotated[float, quantity("Hz", "lower end of the band", above=0.0, maximum=1e3)] = 0.2
@@ -32,7 +32,7 @@ class Parameters(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _components(p: Parameters) -> tuple[Array, Array]:
-    """Return frequencies [Hz] and phases [rad]; they are needed once per block of cycles."""
+    """Return frequencies [Hz] and phases [rad]; cached, as they are needed for every block of cycles."""
     first, last = int(np.ceil(p.lowest_frequency * p.period - 1e-9)), int(p.highest_frequency * p.period + 1e-9)
     if last < first:
         what = f"no multiple of 1/period = {1.0 / p.period:g} Hz is in the band"
@@ -44,7 +44,7 @@ def _components(p: Parameters) -> tuple[Array, Array]:
 
 
 def steady(t: Array, p: Parameters) -> Array:
-    """Return the repeating signal with its derivatives, shape (n, 3), as it is once it has its full size.
+    """Return the periodic signal without fade-in, with its derivatives, shape (n, 3).
 
     Args:
         t: times, shape (n,) [s].

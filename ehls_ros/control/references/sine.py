@@ -1,4 +1,4 @@
-"""A sine."""
+"""A sine wave."""
 
 from typing import Annotated, NamedTuple
 
@@ -9,7 +9,7 @@ from ehls_ros.control.references._place import place_of
 from ehls_ros.schema import quantity
 
 VALLEY = 0.75
-"""Phase of the valley within a load cycle, without a phase of its own [1]."""
+"""Phase of the valley within a load cycle, for zero ``phase`` [1]."""
 
 
 class Parameters(NamedTuple):

@@ -1,7 +1,6 @@
-"""Levels held one after the other: a train of steps, a staircase, moves with rests between them.
+"""Levels held in sequence: a train of steps, a staircase, or moves with rests between them.
 
-From one level to the next the signal follows a quintic, so that the second derivative does not jump. The last
-level is held.
+Transitions between levels follow a quintic, so that the second derivative does not jump. The last level is held.
 """
 
 import math
@@ -16,7 +15,7 @@ from ehls_ros.schema import quantity, text
 
 
 class Parameters(NamedTuple):
-    """The levels; the signal starts at the first of them."""
+    """The levels, starting from the first."""
 
     levels: Annotated[tuple[float, ...], text("levels in their order [N or m]")] = (0.0, 5e3, -5e3, 0.0)
     hold: Annotated[float, quantity("s", "time for which a level is held", minimum=0.0, maximum=1e4)] = 1.0

@@ -1,4 +1,4 @@
-"""A triangle wave whose corners are rounded by a parabola, so that the second derivative stays bounded."""
+"""A triangle wave with parabolic corners, so that the second derivative is bounded."""
 
 from typing import Annotated, NamedTuple
 
@@ -13,7 +13,7 @@ VALLEY = 0.75
 
 
 class Parameters(NamedTuple):
-    """Zero-mean triangle starting upward from zero; the flanks keep the slope of the sharp triangle."""
+    """Zero-mean triangle starting upward from zero; the flanks have the slope of the sharp triangle."""
 
     amplitude: Annotated[float, quantity("N or m", "peak of the sharp triangle", minimum=-1e6, maximum=1e6)] = 1e4
     frequency: Annotated[float, quantity("Hz", "frequency", above=0.0, maximum=1e3)] = 0.5
@@ -27,7 +27,7 @@ def sample(t: Array, p: Parameters) -> Array:
     period = 1.0 / p.frequency
     slope = 4.0 * p.amplitude / period
     half = 0.5 * p.corner * period
-    # Time from the nearest corner; corners lie at a quarter period and every half period after it.
+    # Time from the nearest corner; corners are at a quarter period and every half period after it.
     half_periods = np.floor((t + 0.25 * period) / (0.5 * period))
     after = t + 0.25 * period - half_periods * 0.5 * period
     rising = np.where(half_periods % 2 == 0, 1.0, -1.0)

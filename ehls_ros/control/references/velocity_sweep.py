@@ -1,8 +1,8 @@
-"""Strokes to and fro at a series of constant velocities, from which static friction is identified.
+"""Back-and-forth strokes at a series of constant velocities, to identify static friction.
 
-A stroke accelerates and decelerates evenly and holds its velocity in between. Each begins and ends at rest; the
-strokes of one velocity are centred, and the move to where the next ones begin uses the larger of the two
-velocities. The sweep ends where it began and then holds its position.
+A stroke accelerates and decelerates at a constant rate and holds its velocity in between. Each stroke begins and ends at rest;
+the strokes of one velocity are centred, and the move to the start of the next ones uses the larger of the two velocities. The
+sweep ends where it began and then holds its position.
 """
 
 import math
@@ -20,7 +20,7 @@ PAPER_VELOCITIES = (
     *(0.002, 0.003, 0.004, 0.006, 0.008, 0.010, 0.012, 0.014, 0.016, 0.020),
     *(0.025, 0.030, 0.045, 0.060, 0.075, 0.090, 0.105, 0.120, 0.135, 0.150),
 )
-"""The paper's velocities, each forth and back [m/s]."""
+"""The paper's velocities, each in both directions [m/s]."""
 
 
 class Parameters(NamedTuple):
@@ -36,7 +36,7 @@ class Parameters(NamedTuple):
 
 
 class _Moves(NamedTuple):
-    """Moves in their order, shape (n,) each; ``end`` is the end of the last [s]."""
+    """Moves in sequence, shape (n,) each; ``end`` is the end time of the last [s]."""
 
     start: Array
     origin: Array
@@ -58,7 +58,7 @@ def sample(t: Array, p: Parameters) -> Array:
     """Return position, velocity and acceleration.
 
     Raises:
-        BadInput: no velocities, one that is not above 0, or one that its stroke is too short to reach.
+        BadInput: there are no velocities, one is not above 0, or one cannot be reached within its stroke.
     """
     moves = _moves(p)
     index = np.maximum(np.searchsorted(moves.start, t, side="right") - 1, 0)
@@ -85,7 +85,7 @@ def _stroke(velocity: float, p: Parameters) -> float:
 
 @lru_cache(maxsize=4)
 def _moves(p: Parameters) -> _Moves:
-    """Return the moves in their order; they are needed once per block of cycles."""
+    """Return the moves in sequence; cached, as they are needed for every block of cycles."""
     if not p.velocities:
         raise BadInput("velocities is empty", "velocity_sweep", "one velocity or more")
     for index, velocity in enumerate(p.velocities):
@@ -100,7 +100,7 @@ def _moves(p: Parameters) -> _Moves:
         way = target - position
         if way == 0.0:
             continue
-        # A move too short for its velocity is made as fast as it allows.
+        # A move too short for its velocity uses the highest velocity that it can reach.
         reached = min(velocity, math.sqrt(p.acceleration * abs(way)))
         time += p.rest
         starts.append(time)
@@ -113,7 +113,7 @@ def _moves(p: Parameters) -> _Moves:
 
 
 def _targets(p: Parameters) -> Iterator[tuple[float, float]]:
-    """Yield where each move ends, and its velocity."""
+    """Yield the end position of each move, and its velocity."""
     last = 0.0
     for velocity in p.velocities * p.repeats:
         half = 0.5 * _stroke(velocity, p)

@@ -1,1 +1,1 @@
-"""The rig watched while it runs: statistics of short blocks against a baseline, and when their sum is no chance."""
+"""Online monitoring of a running rig: statistics of short blocks against a baseline, and a test for significant change."""

@@ -1,8 +1,7 @@
-"""What a block of a few seconds says of each direction in which the rig may depart from its model.
+"""Scores of blocks of a few seconds for each direction in which the rig may depart from its model.
 
-The residuals of the model along a block, in units of their noise floor, are weighed against the change that each departure
-makes. That gives a score and an information for each direction, and both add up over blocks: their ratio is the departure's
-size, as fitted alone.
+The residuals of a block, in units of their noise floor, are projected on the change due to each departure. That gives a score
+and an information for each direction. Both are additive over blocks, and their ratio is the departure's size, fitted alone.
 """
 
 import math
@@ -21,11 +20,11 @@ from ehls_ros.diagnosis.stages import CHANNELS, Channel
 
 
 class Scores(NamedTuple):
-    """What a block says of every quantity: the directions, and after them the power of each channel's residual.
+    """Scores of a block for every quantity: the directions, and after them the power of each channel's residual.
 
     Attributes:
-        score: of each quantity, by the variance that the sensors' noise gives it, shape (n,).
-        information: likewise; 0 where the block tells nothing, shape (n,).
+        score: of each quantity, divided by its variance due to the sensors' noise, shape (n,).
+        information: likewise; 0 if the block holds none, shape (n,).
         share: rms of the change by each direction, as a fraction of the largest term of its balance; 1 for a power, shape (n,).
         normal: products of the changes by any two of the tracked directions, shape (tracked, tracked).
     """
@@ -37,9 +36,9 @@ class Scores(NamedTuple):
 
 
 def telling(evidence: Evidence) -> Evidence:
-    """Return what tells something: the channels that stand out of their noise, and none where the piston hardly moves.
+    """Return the informative part of the evidence: channels well above their noise, or none if the piston hardly moves.
 
-    In the others noise biases what a gain multiplies, and what holds a stuck piston depends on more than is measured.
+    In other channels, noise biases the factors of gains; and the force that holds a stuck piston depends on unmeasured states.
 
     Args:
         evidence: some blocks compared with the model.
@@ -56,16 +55,16 @@ def telling(evidence: Evidence) -> Evidence:
 def scores(
     evidence: Evidence, directions: Sequence[Direction], tracked: Sequence[int], begins: Sequence[float]
 ) -> list[Scores]:
-    """Weigh the residuals of blocks against what each departure would change.
+    """Score the residuals of blocks against the change due to each departure.
 
     Args:
-        evidence: some blocks that follow each other, and what leads to them, compared with the model.
+        evidence: successive blocks and the lead before them, compared with the model.
         directions: the departures.
-        tracked: numbers of the directions that are fitted together.
+        tracked: numbers of the directions that are fitted jointly.
         begins: time at which each block begins [s].
 
     Returns:
-        What each block says.
+        The scores of each block.
     """
     comparison, base = evidence.comparison(), evidence.base
     part = {c: np.searchsorted(begins, evidence.times[c], side="right") for c in evidence.channels}
@@ -116,12 +115,12 @@ def scores(
 
 
 def _doubt(noise: Array, information: Array) -> Array:
-    """Return by how much the variance of each score exceeds that of independent windows, at least 1.
+    """Return the ratio of each score's variance to that of independent windows, at least 1.
 
-    Where the piston hardly slides, noise makes the friction model's state wrong for many windows on end.
+    If the piston hardly slides, noise corrupts the friction model's state for many windows in succession.
 
     Args:
-        noise: what realisations of the sensors' noise add to the scores, shape (realisations, directions).
+        noise: change of the scores by each realisation of the sensors' noise, shape (realisations, directions).
         information: shape (directions,).
     """
     ratio = np.divide(noise**2, information, out=np.ones_like(noise), where=information > 0.0)
@@ -130,7 +129,7 @@ def _doubt(noise: Array, information: Array) -> Array:
 
 
 def _power(base: Mapping[Channel, Array]) -> tuple[Array, Array]:
-    """Return the logarithm of each channel's mean square and its information, were its windows normal and independent."""
+    """Return the logarithm of each channel's mean square, and its information for normal, independent windows."""
     squares = {c: float(np.mean(np.minimum(e**2, rules.MONITOR_SQUARE))) for c, e in base.items() if len(e)}
     power = np.array([math.log(max(squares.get(c, 1.0), 1e-6)) for c in CHANNELS])
     return power, np.array([0.5 * len(base[c]) if c in squares else 0.0 for c in CHANNELS])

@@ -1,8 +1,8 @@
-"""The test that a rig has changed: sums of block scores over times of seconds to an hour.
+"""Test for a change of the rig: sums of block scores over times of seconds to an hour.
 
-Over every time up to the newest block, the scores of each quantity are summed and divided by the standard deviation that a
-healthy rig's sum has. The bound is that which chance exceeds once in the mean time between false alarms: the chance is shared
-among all quantities and times (Bonferroni), and as sums over overlapping times are alike, false alarms are rarer than that.
+Over each of several times up to the newest block, the scores of each quantity are summed and divided by the standard deviation
+of a healthy rig's sum. The bound is set so that chance exceeds it once in the mean time between false alarms, with a Bonferroni
+correction for all quantities and times. As sums over overlapping times are correlated, false alarms are rarer than that.
 """
 
 from typing import NamedTuple
@@ -19,15 +19,15 @@ HOUR = 3600.0
 
 
 class Change(NamedTuple):
-    """A sum that chance does not explain.
+    """A significant change: a sum that exceeds its bound.
 
     Attributes:
-        quantity: number of the quantity whose sum it is.
-        ratio: by how much its sum exceeds the bound.
+        quantity: number of the quantity.
+        ratio: ratio of its sum to the bound.
         blocks: blocks since the likeliest onset.
-        earliest: blocks since the earliest onset that is possible.
-        latest: the same since the latest.
-        size: departure since then.
+        earliest: blocks since the earliest possible onset.
+        latest: the same for the latest.
+        size: departure since the likeliest onset.
         deviation: its standard deviation.
     """
 
@@ -41,7 +41,7 @@ class Change(NamedTuple):
 
 
 def lengths() -> tuple[int, ...]:
-    """Return the numbers of blocks over which scores are summed: each half as long again as the one before."""
+    """Return the numbers of blocks over which scores are summed, each half as large again as the previous one."""
     out = [3]
     while out[-1] * 3 // 2 < rules.LONGEST_WATCH:
         out.append(out[-1] * 3 // 2)
@@ -49,20 +49,20 @@ def lengths() -> tuple[int, ...]:
 
 
 class ChangeTest:
-    """Scores of the last blocks, and what of them exceeds chance.
+    """Scores of the last blocks, and the test of their sums for a change.
 
     Attributes:
-        healthy: how a healthy rig's blocks scatter.
-        bound: what a sum must exceed, in standard deviations.
-        largest: the largest of the newest sums, in standard deviations.
+        healthy: statistics of a healthy rig's blocks.
+        bound: bound on a sum, in standard deviations.
+        largest: the largest of the latest sums, in standard deviations.
     """
 
     def __init__(self, healthy: Healthy, hours: float, rising: Mask | None = None) -> None:
-        """Begin without blocks.
+        """Start without blocks.
 
         Args:
-            healthy: how a healthy rig's blocks scatter.
-            hours: mean time between false alarms, at least [h].
+            healthy: statistics of a healthy rig's blocks.
+            hours: least mean time between false alarms [h].
             rising: quantities of which only a rise is a change, shape (n,).
         """
         self._rising = np.zeros(len(healthy.level), dtype=np.bool_) if rising is None else rising
@@ -73,18 +73,18 @@ class ChangeTest:
         self.learn(healthy)
 
     def learn(self, healthy: Healthy) -> None:
-        """Take another knowledge of how a healthy rig scatters."""
+        """Replace the statistics of the healthy rig and update the bound."""
         self.healthy = healthy
         tests = self._hours * HOUR / rules.MONITOR_BLOCK * len(healthy.level) * len(lengths())
         self.bound = float(-scipy.special.stdtrit(healthy.freedom, 0.5 / tests))
 
     @property
     def blocks(self) -> int:
-        """Number of blocks that are summed."""
+        """Number of blocks held."""
         return self._kept
 
     def restart(self) -> None:
-        """Forget all blocks."""
+        """Discard all blocks."""
         self._kept = 0
 
     def add(self, score: Array, information: Array, share: Array) -> None:
@@ -92,7 +92,7 @@ class ChangeTest:
 
         Args:
             score: of each quantity, shape (n,).
-            information: of each quantity, 0 where the block tells nothing, shape (n,).
+            information: of each quantity, 0 if the block holds none, shape (n,).
             share: change of the balance by one departure, as a fraction of its largest term, shape (n,).
         """
         self._rows[:, :-1] = self._rows[:, 1:]
@@ -100,11 +100,11 @@ class ChangeTest:
         self._kept = min(self._kept + 1, rules.LONGEST_WATCH)
 
     def rows(self) -> Array:
-        """Return score, information and share of the blocks, oldest first, shape (3, blocks, n)."""
+        """Return score, information and share of all blocks held, oldest first, shape (3, blocks, n)."""
         return self._rows[:, rules.LONGEST_WATCH - self._kept :].copy()
 
     def change(self) -> Change | None:
-        """Return the sum that exceeds its bound the most; None while all could be chance."""
+        """Return the sum that exceeds its bound by the largest ratio; None while all could be chance."""
         sums, information, share, squares = self._sums()
         rows = np.array([n for n in lengths() if n <= self._kept], dtype=np.intp) - 1
         self.largest = 0.0
@@ -112,7 +112,7 @@ class ChangeTest:
             return None
         told = information[rows] > 0.0
         share = share[rows] / (rows + 1.0)[:, None]
-        # Where blocks scatter more than the healthy rig's did, about whatever mean, their sum is that much less sure.
+        # If blocks scatter about their mean more than the healthy rig's, the deviation of their sum is enlarged accordingly.
         about = squares[rows] - np.divide(sums[rows] ** 2, information[rows], out=np.zeros_like(share), where=told)
         wider = np.maximum(about / rows[:, None], 1.0)
         deviation = np.sqrt(wider) * self._deviation(information[rows], share)
@@ -124,16 +124,14 @@ class ChangeTest:
         self.largest = float(ratio[row, quantity]) * self.bound
         if ratio[row, quantity] <= 1.0:
             return None
-        # What departs the other way is another change, or the tolerance of a quantity of which only a rise counts.
+        # A departure of opposite sign is another change, or the tolerance of a quantity of which only a rise counts.
         same = np.where(sums[:, quantity] * sums[rows[row], quantity] > 0.0, sums[:, quantity], 0.0)
         return self._since(int(quantity), float(ratio[row, quantity]), same, information[:, quantity])
 
     def _sums(self) -> tuple[Array, Array, Array, Array]:
-        """Return what is summed from each block to the newest.
+        """Return the sums from each block to the newest, shape (blocks, n) each; the first row is the newest block alone.
 
-        These are limited scores times the root of information, information, share, and the limited scores' squares.
-
-        The first row is the newest block alone, shape (blocks, n) each.
+        Summed are limited scores times the root of information, information, share, and the limited scores' squares.
         """
         score, information, share = self.rows()[:, ::-1]
         root = np.sqrt(information)
@@ -146,9 +144,9 @@ class ChangeTest:
         return sums, told, shares, squares
 
     def _deviation(self, information: Array, share: Array) -> Array:
-        """Return the standard deviation of a healthy rig's sums, infinite for what it told nothing of."""
+        """Return the standard deviation of a healthy rig's sums; infinite for quantities without information."""
         healthy = self.healthy
-        # No model of a rig is better than that, and what it leaves of a healthy one is no departure.
+        # No model of a rig exceeds this accuracy, and its remainder on a healthy rig is no departure.
         error = np.broadcast_to(rules.TOLERANCE + healthy.remainder / self.bound, share.shape)
         tolerated = np.divide(error, share, out=np.zeros_like(share), where=share > 0.0)
         unsure = np.full_like(healthy.certainty, np.inf)
@@ -159,7 +157,7 @@ class ChangeTest:
         return np.sqrt(healthy.dependence * information + out)
 
     def _since(self, quantity: int, ratio: float, sums: Array, information: Array) -> Change:
-        """Find the onset: the time since which the scores are likeliest to have another mean."""
+        """Estimate the onset as the likeliest time of a step in the scores' mean."""
         gain = 0.5 * np.divide(sums**2, information, out=np.zeros_like(sums), where=information > 0.0)
         gain /= self.healthy.dependence[quantity]
         best = int(np.argmax(gain))

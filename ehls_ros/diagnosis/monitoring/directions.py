@@ -1,4 +1,4 @@
-"""The directions in which a rig may depart from its model: one or more for each effect that can be named."""
+"""Directions in which a rig may depart from its model: one or more per effect."""
 
 import math
 from collections.abc import Container, Iterator, Sequence
@@ -20,7 +20,7 @@ class Direction(NamedTuple):
 
     Attributes:
         cause: the effect in one of its forms.
-        parameter: the parameter that departs; of a direction in which several do, the first.
+        parameter: the parameter that departs; the first of them if several do.
         values: the free parameters at this size, shape (p,).
     """
 
@@ -35,7 +35,7 @@ class Direction(NamedTuple):
 
     @property
     def key(self) -> str:
-        """What tells the direction from all others."""
+        """Unique key of the direction."""
         return f"{self.cause.name}/{self.cause.number}/{self.parameter}"
 
     @property
@@ -45,7 +45,7 @@ class Direction(NamedTuple):
 
     @property
     def smooth(self) -> bool:
-        """Whether the model changes in proportion to the departure where that is small."""
+        """Whether the model changes in proportion to small departures."""
         return not len(_nonneutral(self.cause))
 
     @property
@@ -53,23 +53,23 @@ class Direction(NamedTuple):
         return self.cause.free.index(self.parameter)
 
     def rig(self, rig: Rig) -> Rig:
-        """Return a rig that departs in this direction."""
+        """Return the rig with this departure."""
         return rig.with_effects((self.cause.use(self.values),))
 
 
 def directions(evidence: Evidence, always: Container[tuple[str, str]] = ()) -> tuple[Direction, ...]:
-    """Return the directions that a recording tells anything of, one for each parameter of an effect.
+    """Return the directions observable in a recording, one per parameter of an effect.
 
-    A departure has the size that the fits of a diagnosis take for their derivatives, or the smallest one that they start from
-    where the model does not change smoothly. A parameter of several forms departs in the first of them. Of directions that
-    change the residuals alike one is enough to notice a change; which of them it is, a diagnosis tells.
+    A departure has the size of the difference steps of a diagnosis' fits, or their smallest start if the model does not change
+    smoothly. A parameter of several forms departs in the first of them. Of directions with nearly collinear changes of the
+    residuals, one suffices to detect a change; a diagnosis then distinguishes between them.
 
     Args:
-        evidence: a recording compared with the model; one that moves the rig as it will run later.
-        always: effect and parameter of those that are wanted however much they are like others.
+        evidence: a recording compared with the model, with motion typical of later operation.
+        always: effects and parameters to keep even if collinear with others.
     """
     worker = Worker(evidence)
-    # An effect that the model has already may grow: it departs beside itself.
+    # An effect already in the model may grow, so it is a candidate as well.
     found, _ = candidates(evidence.record, evidence.rig._replace(effects=()), ())
     out = dict[tuple[str, str], Direction]()
     for cause in found:
@@ -80,7 +80,7 @@ def directions(evidence: Evidence, always: Container[tuple[str, str]] = ()) -> t
 
 
 def changes(comparison: Comparison, evidence: Evidence, direction: Direction) -> dict[Channel, Array]:
-    """Return the change of the whitened residuals in each channel that a departure touches.
+    """Return the change of the whitened residuals in each channel affected by a departure.
 
     Args:
         comparison: of the evidence's record.
@@ -93,14 +93,14 @@ def changes(comparison: Comparison, evidence: Evidence, direction: Direction) ->
 
 
 def remainders(evidence: Evidence, found: Sequence[Direction]) -> Array:
-    """Return what the model leaves beside noise in the channels that each departure touches, the largest, shape (directions,).
+    """Return the largest remainder beyond noise in the channels affected by each departure, shape (directions,).
 
     Args:
         evidence: a recording of the healthy rig compared with the model.
         found: the departures.
 
     Returns:
-        Its rms, as a fraction of the largest term of the channel's balance.
+        The rms of these remainders, as fractions of the largest term of the channel's balance.
     """
     left = {}
     for c in evidence.channels:
@@ -111,7 +111,7 @@ def remainders(evidence: Evidence, found: Sequence[Direction]) -> Array:
 
 
 def _distinct(worker: Worker, found: Sequence[Direction], always: int) -> Iterator[Direction]:
-    """Yield the directions that change anything and are not like one before; the first ones always."""
+    """Yield the directions that change anything and are not collinear with earlier ones; the first ``always`` may be."""
     kept = list[dict[Channel, Array]]()
     for number, direction in enumerate(found):
         moved = changes(worker.comparison, worker.evidence, direction)
@@ -142,6 +142,6 @@ def _of(cause: Candidate, worker: Worker) -> Iterator[Direction]:
 
 
 def _nonneutral(cause: Candidate) -> Array:
-    """Return the starting values of a cause other than the neutral ones, shape (starts, p)."""
+    """Return the non-neutral starting values of a cause, shape (starts, p)."""
     rows: Array = cause.starts[np.any(cause.starts != cause.neutral, axis=1)]
     return rows

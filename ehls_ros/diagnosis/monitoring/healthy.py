@@ -1,4 +1,4 @@
-"""How the blocks of a healthy rig scatter: around what, how far, how long alike, and from section to section.
+"""Statistics of a healthy rig's blocks: level, scatter, correlation, and spread from section to section.
 
 A section is a time over which a rig runs under one condition: a recording, or the blocks after an operating point was accepted.
 """
@@ -14,17 +14,17 @@ from ehls_ros.diagnosis import rules
 
 
 class Healthy(NamedTuple):
-    """What the blocks of a healthy rig say of each quantity.
+    """Statistics of each quantity over the blocks of a healthy rig.
 
     Attributes:
-        level: its size; a rig that is its model has 0, shape (n,).
-        certainty: information that the level rests on, infinite where it is given, shape (n,).
-        scatter: standard deviation of a block's score, by the root of its information, shape (n,).
-        spread: standard deviation of the size from section to section that was found, shape (n,).
-        dependence: by how much the variance of a sum over blocks exceeds that of independent ones, shape (n,).
+        level: mean size; 0 for a rig equal to its model, shape (n,).
+        certainty: information of the level; infinite if the level is given, shape (n,).
+        scatter: standard deviation of a block's score, divided by the root of its information, shape (n,).
+        spread: standard deviation of the size from section to section, shape (n,).
+        dependence: ratio of the variance of a sum over blocks to that of independent ones, shape (n,).
         freedom: degrees of freedom of the scatter.
-        remainder: rms of what the model leaves of a healthy rig's balance beside noise, as a fraction of its largest term: that
-            much of it may look like a departure where the rig runs another programme, shape (n,).
+        remainder: rms residual of a healthy rig beyond noise, as a fraction of the largest term of its balance, shape (n,). Up
+            to that much may look like a departure when the rig runs another programme.
     """
 
     level: Array
@@ -37,12 +37,12 @@ class Healthy(NamedTuple):
 
 
 def learn(score: Array, information: Array, section: NDArray[np.intp]) -> Healthy:
-    """Learn how the blocks of a healthy rig scatter.
+    """Estimate the statistics of a healthy rig's blocks.
 
     Args:
         score: of each quantity in each block, shape (blocks, n).
-        information: likewise; 0 where a block tells nothing, shape (blocks, n).
-        section: section of each block, in their order, shape (blocks,).
+        information: likewise; 0 if a block holds none, shape (blocks, n).
+        section: section of each block, in order, shape (blocks,).
     """
     sections = np.unique(section)
     own = np.array([np.sum(information[section == s], axis=0) for s in sections])
@@ -50,7 +50,7 @@ def learn(score: Array, information: Array, section: NDArray[np.intp]) -> Health
     sizes = np.divide(sums, own, out=np.zeros_like(sums), where=own > 0.0)
     certainty = np.sum(own, axis=0)
     root = np.sqrt(information)
-    # Within its section: how sections differ is the spread.
+    # Relative to the section's mean: differences between sections belong to the spread.
     apart = score - sizes[np.searchsorted(sections, section)] * information
     rest = np.divide(apart, root, out=np.zeros_like(score), where=root > 0.0)
     scatter = _scatter(rest, information > 0.0, len(sections))
@@ -66,19 +66,19 @@ def learn(score: Array, information: Array, section: NDArray[np.intp]) -> Health
 
 
 def scattering(found: Healthy, more: Healthy) -> Healthy:
-    """Return what was learnt, with the scatter of more blocks than the level rests on.
+    """Return the statistics with the scatter of more blocks, while the level is kept.
 
-    The level stays where it was: it must not follow a rig that wears.
+    The level must not follow a rig that wears.
     """
     return found._replace(scatter=more.scatter, dependence=more.dependence, freedom=more.freedom)
 
 
 def _scatter(rest: Array, told: NDArray[np.bool_], sections: int) -> Array:
-    """Return the scale at which limited scores have the variance that unlimited normal ones would have, shape (n,)."""
+    """Return the scale at which the limited scores have the variance of unlimited normal ones, shape (n,)."""
     prior = rules.LEARNT_BLOCKS
     count = np.sum(told, axis=0)
     scatter = np.full(rest.shape[1], rules.LEARNT_SCATTER)
-    # A score that is measured from its section's mean has lost a degree of freedom.
+    # Each section's mean takes one degree of freedom.
     lost = np.maximum(count - sections, 1) / np.maximum(count, 1)
     for _ in range(50):
         squares = np.sum(np.minimum((rest / scatter) ** 2, rules.MOST_SCORE**2), axis=0) / lost
@@ -88,7 +88,7 @@ def _scatter(rest: Array, told: NDArray[np.bool_], sections: int) -> Array:
 
 
 def _dependence(limited: Array, section: NDArray[np.intp]) -> Array:
-    """Return by how much neighbouring blocks raise the variance of a sum, shape (n,)."""
+    """Return the factor by which correlation of neighbouring blocks raises the variance of a sum, shape (n,)."""
     total = np.ones(limited.shape[1])
     power = np.maximum(np.mean(limited**2, axis=0), 1e-12)
     for lag in range(1, rules.LONGEST_DEPENDENCE + 1):
@@ -96,7 +96,7 @@ def _dependence(limited: Array, section: NDArray[np.intp]) -> Array:
         if np.sum(same) < 2 * rules.LEARNT_BLOCKS:
             break
         correlation = np.mean((limited[lag:] * limited[:-lag])[same], axis=0) / power
-        # What chance alone gives so few blocks is no dependence.
+        # A correlation within chance for so few blocks does not count.
         beyond = np.abs(correlation) > 2.0 / math.sqrt(float(np.sum(same)))
         total += 2.0 * np.where(beyond, correlation, 0.0)
     return np.maximum(total, 1.0)

@@ -1,7 +1,7 @@
-"""Where the piston is held by static friction: the force that friction takes there is known up to a constant only.
+"""Stretches in which static friction holds the piston, where the friction force is known only up to a constant.
 
-While it is held, friction hands down whatever error its state had when the piston stopped, or was read with at the beginning of
-a block: residuals of many windows have one error in common. Each stretch therefore has an unknown constant force of its own.
+While the piston is held, the friction state keeps the error it had when the piston stopped or the block began. The residuals
+of many windows then share one error, so each stretch has a separate unknown constant force.
 """
 
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.samples import Mask
 
 FRICTION: Channel = "force"
-"""The channel in whose balance friction stands."""
+"""Channel whose balance contains friction."""
 
 
 class Held(NamedTuple):
@@ -27,7 +27,7 @@ class Held(NamedTuple):
         stretch: number of the stretch in which each usable window of the force balance lies; 0 where the piston slides,
             shape (n,).
         unit: a force of 1 N in units of the noise floor, shape (n,).
-        weight: what each window counts, shape (n,).
+        weight: weight of each window, shape (n,).
     """
 
     stretch: NDArray[np.intp]
@@ -35,7 +35,7 @@ class Held(NamedTuple):
     weight: Array
 
     def without(self, values: Array) -> Array:
-        """Return residuals or their change without the constant force of each stretch that fits them best, shape (n,)."""
+        """Return residuals, or their change, less the best-fitting constant force of each stretch, shape (n,)."""
         if not np.any(self.stretch):
             return values
         pull = np.bincount(self.stretch, self.weight * self.unit * values)
@@ -47,12 +47,12 @@ class Held(NamedTuple):
 
 
 def held(evidence: Evidence, weight: Array, part: NDArray[np.intp]) -> Held:
-    """Find where the piston is held.
+    """Find the stretches in which the piston is held.
 
     Args:
         evidence: a recording compared with the model.
-        weight: what each usable window of the force balance counts, shape (n,).
-        part: part of the recording in which each window lies: none has a stretch in common with the next, shape (n,).
+        weight: weight of each usable window of the force balance, shape (n,).
+        part: part of the recording in which each window lies, shape (n,); stretches do not extend from one part to the next.
     """
     window, still = evidence.setup.window_of(FRICTION), _still(evidence)
     middle = window.starts(len(still))[evidence.masks[FRICTION]] + window.weights.size // 2
@@ -62,7 +62,7 @@ def held(evidence: Evidence, weight: Array, part: NDArray[np.intp]) -> Held:
 
 
 def _still(evidence: Evidence) -> Mask:
-    """Tell at which samples the piston has hardly moved of late, shape (n,)."""
+    """Return a mask of the samples up to which the piston has hardly moved for ``HELD_TIME``, shape (n,)."""
     position = evidence.comparison().motion(evidence.rig.effective()).position
     samples = max(1, round(rules.HELD_TIME / evidence.record.period))
     place = (samples - 1) // 2

@@ -1,7 +1,7 @@
-"""The rig's coefficients as the running data tell them, each with its interval or the reason why it is not told.
+"""Online tracking of the rig's coefficients, each with its interval or the reason why it is not identifiable.
 
-The coefficients are fitted together, linearly around the model, to the sums over the last blocks. Which are told depends on the
-programme: one that moves slowly tells no mass, and where the pressure is held the bulk modulus does not show.
+The coefficients are fitted jointly, linearised around the model, to the sums over the last blocks. Which are identifiable
+depends on the programme: the mass is not in slow motion, nor the bulk modulus at constant pressure.
 """
 
 import math
@@ -22,15 +22,15 @@ NOT_SHOWN = "the programme does not show it"
 
 
 class Tracked(NamedTuple):
-    """A coefficient that is tracked.
+    """A tracked coefficient.
 
     Attributes:
-        effect: effect whose parameter departs with it.
+        effect: effect whose parameter represents its departure.
         parameter: that parameter.
-        words: what reports call it.
-        coefficient: where its given value stands in the plant or the friction; empty for an error, whose right value is 0.
-        relative: whether the parameter is a factor on its right value.
-        limit: limit of the rig in proportion to which an error counts; empty: it counts by itself.
+        words: name in reports.
+        coefficient: its key in the plant or the friction; empty for an error, whose correct value is 0.
+        relative: whether the parameter is a factor on its correct value.
+        limit: limit of the rig to which an error is relative; empty: the error is absolute.
     """
 
     effect: str
@@ -41,7 +41,7 @@ class Tracked(NamedTuple):
     limit: str = ""
 
     def given(self, rig: Rig) -> float:
-        """Return its value as the rig's model has it, effects included."""
+        """Return its value in the rig's model, effects included."""
         if self.coefficient:
             whole = rig.effective()
             found = {**whole.plant._asdict(), **whole.friction._asdict()}.get(self.coefficient)
@@ -51,14 +51,14 @@ class Tracked(NamedTuple):
         return float(getattr(parameters, self.parameter))
 
     def unit(self, rig: Rig) -> str:
-        """Return its unit."""
+        """Return the unit of the coefficient."""
         if self.coefficient:
             return unit_of(rig, self.coefficient)
         declared = declarations(EFFECTS.load(self.effect).Parameters)
         return next(d.unit for d in declared if d.name == self.parameter)
 
     def needed(self, rig: Rig) -> float:
-        """Return the largest standard error with which it counts as told."""
+        """Return the largest standard error with which it counts as identified."""
         if self.coefficient:
             return rules.TOLD_COEFFICIENT * abs(self.given(rig))
         return rules.TOLD_ERROR * (float(getattr(rig.limits, self.limit)) if self.limit else 1.0)
@@ -81,22 +81,22 @@ COEFFICIENTS: Mapping[str, Tracked] = {
     "position_sensor_gain": Tracked("position_sensor_gain", "gain", "gain of the position sensor", relative=True),
     "constant_load": Tracked("constant_load", "force", "constant load", limit="force"),
 }
-"""The coefficients that are tracked, by the names that topic, file and page give them."""
+"""Tracked coefficients, by their names in topic, file and page."""
 
 
 WANTED = frozenset((coefficient.effect, coefficient.parameter) for coefficient in COEFFICIENTS.values())
-"""Effects and parameters that depart with a coefficient: these are followed in any case."""
+"""Effects and parameters that represent a coefficient's departure; these are always monitored."""
 
 
 class Reading(NamedTuple):
-    """What the last blocks say of a coefficient.
+    """Estimate of a coefficient from the last blocks.
 
     Attributes:
         name: its name in :data:`COEFFICIENTS`.
-        value: its value; the model's where it is not told.
-        deviation: standard error; infinite where it is not told.
+        value: its value; that of the model if it is not identifiable.
+        deviation: standard error; infinite if it is not identifiable.
         unit: of both.
-        why_not: why it is not told; empty where it is.
+        why_not: why it is not identifiable; empty if it is.
     """
 
     name: str
@@ -107,12 +107,12 @@ class Reading(NamedTuple):
 
     @property
     def told(self) -> bool:
-        """Whether the data tell it."""
+        """Whether the data identify the coefficient."""
         return not self.why_not
 
 
 def tracked(directions: Sequence[Direction]) -> dict[str, int]:
-    """Return the number of the direction that moves each coefficient, of those that have one."""
+    """Return the number of the direction that represents each coefficient, if it has one."""
     out = {}
     for name, coefficient in COEFFICIENTS.items():
         for number, direction in enumerate(directions):
@@ -124,13 +124,13 @@ def tracked(directions: Sequence[Direction]) -> dict[str, int]:
 def readings(
     directions: Sequence[Direction], numbers: Mapping[str, int], rig: Rig, score: Array, normal: Array, scatter: Array
 ) -> tuple[Reading, ...]:
-    """Fit all coefficients together to summed blocks.
+    """Fit all coefficients jointly to the sums of blocks.
 
     Args:
         directions: of the scores.
-        numbers: of the tracked ones, as :func:`tracked` gives them; a coefficient without one is not shown.
-        rig: the model that the scores depart from.
-        score: summed scores of the tracked directions, in the order of their names, shape (n,).
+        numbers: of the tracked ones, from :func:`tracked`; a coefficient without one is not excited by the programme.
+        rig: the model to which the scores refer.
+        score: summed scores of the tracked directions, in the order of ``numbers``, shape (n,).
         normal: summed products of their changes, shape (n, n).
         scatter: standard deviation of their scores, by the root of the information, shape (n,).
     """

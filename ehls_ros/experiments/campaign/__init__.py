@@ -1,1 +1,1 @@
-"""Many experiments from one file: what is varied, where the runs are done, what is kept of them."""
+"""Campaigns of many experiments from one file: variations, execution of the runs, storage of the results."""

@@ -1,6 +1,6 @@
-"""Where runs are made: processes of this machine, or the workers of a Dask cluster.
+"""Execution backends of a campaign: processes of this machine, or the workers of a Dask cluster.
 
-Both take chunks of runs as they need them, a few ahead of the work, and give each chunk's rows back once, as it is done.
+Both take chunks of runs on demand, a few in advance, and return each chunk's rows once, as soon as it is done.
 """
 
 import itertools
@@ -22,16 +22,16 @@ CONNECTING_S, JOINING_S = 10.0, 60.0
 OLDEST_JOBLIB = (1, 4)
 
 AHEAD = 2
-"""Chunks handed out per slot."""
+"""Number of chunks handed out per slot."""
 
 
 class Chunk(NamedTuple):
-    """Runs that a worker makes together.
+    """A group of runs for one worker.
 
     Attributes:
-        digests: key of each.
-        specs: spec of each, as JSON.
-        side_by_side: whether those that can are made at once.
+        digests: key of each run.
+        specs: spec of each run, as JSON.
+        side_by_side: whether to run those that can in lanes of one call.
     """
 
     digests: tuple[str, ...]
@@ -43,12 +43,12 @@ Done = tuple[Chunk, list[Row]]
 
 
 class Backend(NamedTuple):
-    """A place to work in.
+    """An execution backend.
 
     Attributes:
-        slots: chunks that are at work at once, as far as is known when the work begins.
-        work: does chunks and gives each back with its rows, in the order they are done.
-        own_kernels: whether it is certain to find the kernels that this process finds compiled.
+        slots: number of chunks processed concurrently, as known at the start.
+        work: function that processes chunks and yields each with its rows, in the order of completion.
+        own_kernels: whether the kernels compiled for this process are certain to be available there.
     """
 
     slots: int
@@ -62,10 +62,10 @@ Place = AbstractContextManager[Backend]
 
 @contextmanager
 def local(jobs: int) -> Iterator[Backend]:
-    """Work in processes of this machine, each with one thread.
+    """Run chunks in processes of this machine, each with one thread.
 
     Args:
-        jobs: processes; with 1 the work is done in this one.
+        jobs: number of processes; with 1, the runs are made in this process.
 
     Raises:
         BadInput: joblib is not installed, or too old.
@@ -113,10 +113,10 @@ def _done(chunk: Chunk, version: str) -> Done:
 
 @contextmanager
 def dask(address: str) -> Iterator[Backend]:
-    """Work on a Dask cluster. The chunks of a worker that dies are done again by others; a worker that joins gets its share.
+    """Run chunks on a Dask cluster; those of a dead worker are repeated by others, and joining workers take part.
 
     Args:
-        address: the scheduler's, such as ``tcp://192.168.0.7:8786``.
+        address: address of the scheduler, such as ``tcp://192.168.0.7:8786``.
 
     Raises:
         BadInput: ``distributed`` is not installed, or there is no such scheduler.

@@ -1,4 +1,4 @@
-"""Running a campaign: missing runs are handed out, their results are kept."""
+"""Execution of a campaign: distribution of missing runs, and storage of their results."""
 
 import itertools
 import time
@@ -18,15 +18,14 @@ CHUNK_CYCLES = 400_000
 """Largest number of control cycles in a chunk: about a second of work."""
 
 SIDE_BY_SIDE_FROM = 6_000_000
-"""Control cycles from which on a loop for many runs at once is worth compiling: that takes as long as 600 runs of 10 s gain.
-
-One that is compiled already is used for fewer."""
+"""Number of control cycles from which compilation of a loop for lanes pays off: it takes the time saved by 600 runs of 10 s. A
+compiled one is used for fewer."""
 
 SIDE_BY_SIDE_MOST = 1_600_000
-"""Largest number of control cycles of runs side by side, which are in memory together: 0.25 kB each."""
+"""Largest number of control cycles of runs in lanes, which are in memory together: 0.25 kB each."""
 
 CHUNKS_LEFT = 3
-"""Chunks left per slot when chunks begin to shrink, so that all slots end together."""
+"""Number of remaining chunks per slot below which chunks shrink, so that all slots end together."""
 
 KEPT_EVERY_S = 2.0
 """Longest time before rows are written [s]."""
@@ -35,12 +34,12 @@ Progress = Callable[[int, int], None]
 
 
 class Outcome(NamedTuple):
-    """What one call made.
+    """Outcome of one call.
 
     Attributes:
         runs: total number of runs.
-        made: those made by this call; the others had been made before.
-        wall_s: wall time, start of the workers, kernels and table included [s].
+        made: number of runs made by this call; the others existed before.
+        wall_s: wall time, including the start of the workers, kernels and table [s].
     """
 
     runs: int
@@ -53,8 +52,8 @@ def conduct(plan: Plan, folder: Folder, place: Place, progress: Progress | None 
 
     Args:
         plan: the campaign.
-        folder: where it keeps its files, opened.
-        place: where the runs are made.
+        folder: its folder, opened.
+        place: backend of the runs.
         progress: called with the number of runs done and the total number.
     """
     start = time.perf_counter()
@@ -87,7 +86,7 @@ class _Work:
         self.made = 0
 
     def do(self, backend: Backend) -> None:
-        """Have every missing run made; an interruption loses no received row."""
+        """Make all missing runs; an interruption does not lose received rows."""
         if backend.own_kernels and self._left >= LANES and self._pays(compiled=True):
             self._together = LANES
         chunks = self._chunks(backend.slots)
@@ -101,10 +100,10 @@ class _Work:
             keep(self._folder, self._unkept)
 
     def _pays(self, *, compiled: bool = False) -> bool:
-        """Tell whether to make runs side by side.
+        """Return whether to make runs in lanes.
 
         Args:
-            compiled: whether to do so for fewer runs too if nothing has to be compiled.
+            compiled: whether to do so for fewer runs too if the loop is already compiled.
         """
         plan = self._plan
         if LANES * plan.cycles > SIDE_BY_SIDE_MOST:

@@ -1,8 +1,8 @@
-"""A campaign file and its runs.
+"""Plan of a campaign: its file and its runs.
 
 The grid is every combination of the lists, ranges and zipped groups. Every draw of random numbers is run at every point of the
-grid, so that points are compared on the same draws. A drawn number depends only on the campaign's seed, the draw and the path:
-any run can be repeated alone, and more draws or paths do not change it.
+grid, so that points are compared on the same draws. A drawn number depends only on the campaign's seed, the draw and the path.
+Any run can therefore be repeated alone, and further draws or paths do not change it.
 """
 
 import copy
@@ -29,11 +29,11 @@ MOST_POINTS, MOST_RUNS = 100_000, 1_000_000
 KEYS = ("title", "base", "vary", "zip", "runs", "seed")
 
 SEED = "seed"
-"""Path that gets a different number in each draw, unless the campaign varies it."""
+"""Path with a different number in each draw, unless the campaign varies it."""
 
 
 class Settings(NamedTuple):
-    """Plain numbers and names of a campaign file."""
+    """Scalar settings of a campaign file."""
 
     title: Annotated[str, text("what the campaign is called in its report")] = "campaign"
     runs: Annotated[int, quantity("1", "draws at each point of the grid", minimum=1, maximum=MOST_RUNS)] = 1
@@ -45,7 +45,7 @@ class Point(NamedTuple):
 
     Attributes:
         values: entry in the table for each path of the grid.
-        spec: the spec with all files it names written out, as JSON.
+        spec: the spec with the content of all referenced files, as JSON.
     """
 
     values: dict[str, Any]
@@ -56,10 +56,10 @@ class Run(NamedTuple):
     """One experiment of a campaign.
 
     Attributes:
-        number: from 0; all points of the grid in turn, then the next draw.
-        draw: which draw, from 0.
+        number: number from 0; all points of the grid in turn, then the next draw.
+        draw: number of the draw, from 0.
         values: entry in the table for each varied path.
-        spec: the spec with all files it names written out, as JSON.
+        spec: the spec with the content of all referenced files, as JSON.
     """
 
     number: int
@@ -73,9 +73,9 @@ class Column(NamedTuple):
 
     Attributes:
         path: dotted path into the spec.
-        unit: unit of its numbers, empty where it has none.
-        numeric: all its values are numbers.
-        drawn: it is drawn at random.
+        unit: unit of its numbers; empty if none.
+        numeric: whether all its values are numbers.
+        drawn: whether it is drawn at random.
     """
 
     path: str
@@ -86,16 +86,16 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """A campaign, checked.
+    """A checked campaign.
 
     Attributes:
         settings: title, draws, seed.
-        points: the grid; one point where nothing but draws is varied.
-        drawn: distribution of each path that is drawn.
-        random: there is something drawn, or several draws were asked for.
+        points: the grid; one point if only draws are varied.
+        drawn: distribution of each drawn path.
+        random: whether ``runs`` is given, so that paths or at least the seed are drawn.
         columns: the varied paths.
         cycles: control cycles of the longest run of the grid.
-        file: the campaign with its base written out, as its YAML file holds it.
+        file: content of the campaign's YAML file, with its base written out.
     """
 
     settings: Settings
@@ -121,7 +121,7 @@ class Plan:
         """Make one run.
 
         Args:
-            number: which, from 0.
+            number: number of the run, from 0.
 
         Raises:
             BadInput: there is no such run.
@@ -132,7 +132,7 @@ class Plan:
         return self._run(draw, index, self._numbers(draw))
 
     def _numbers(self, draw: int) -> dict[str, float]:
-        """Draw a number for each path that is drawn, and for the seed where there are draws."""
+        """Draw a number for each drawn path, and for the seed if there are draws."""
         if not self.random:
             return {}
         seed = int(self._generator(draw, SEED).integers(2**31))
@@ -155,7 +155,7 @@ class Plan:
 
 
 def load_plan(path: Path) -> Plan:
-    """Read a campaign file; files it names are looked for beside it.
+    """Read a campaign file; files named in it are relative to its folder.
 
     Raises:
         BadInput: the file, one of its keys or a run of its grid is wrong.
@@ -169,13 +169,13 @@ def plan_from_mapping(data: Any, where: str, folder: Path) -> Plan:
     Args:
         data: the parsed file.
         where: the file, for errors.
-        folder: where relative file names start.
+        folder: base folder of relative file names.
 
     Returns:
         The plan, every point of its grid a valid spec.
 
     Raises:
-        BadInput: the first thing that is wrong.
+        BadInput: names the first error.
     """
     if not isinstance(data, Mapping):
         raise BadInput(f"a campaign is {type(data).__name__}", where, f"a mapping with keys of {', '.join(KEYS)}")
@@ -214,7 +214,7 @@ class _Change(NamedTuple):
 
 
 _Group = list[dict[str, _Change]]
-"""Values varied together: changes by path, taken one after another."""
+"""Values varied together: a sequence of changes by path."""
 
 
 def _base(data: Any, where: str, folder: Path) -> dict[str, Any]:
@@ -234,7 +234,7 @@ def _written_out(spec: Spec) -> dict[str, Any]:
 
 
 def _varied(data: Mapping[str, Any], where: str, folder: Path) -> tuple[list[_Group], dict[str, Distribution]]:
-    """Return the groups whose combinations are the grid, and what is drawn."""
+    """Return the groups whose combinations form the grid, and the drawn paths."""
     vary = data.get("vary") or {}
     zipped = data.get("zip") or []
     if not isinstance(vary, Mapping):
@@ -311,7 +311,7 @@ def _point(base: Mapping[str, Any], changes: Mapping[str, _Change], where: str, 
 
 
 def _check_draws(point: Point, drawn: Mapping[str, Distribution], where: str) -> None:
-    """Refuse paths that a spec does not have, by a run with the median of every distribution."""
+    """Reject paths that a spec does not have, by a check with the median of every distribution."""
     mapping = json.loads(point.spec)
     for path, distribution in drawn.items():
         _set(mapping, path, distribution.middle, f"{where}: vary: {path}", relative=distribution.relative)
@@ -323,7 +323,7 @@ def _set(mapping: dict[str, Any], path: str, value: Any, where: str, *, relative
     *way, last = path.split(".")
     inner: Any = mapping
     for step in way:
-        # Optional keys, such as a sensor, may be set; unknown ones are refused by the check of the spec.
+        # Optional keys, such as a sensor, may be set; unknown ones are rejected by the check of the spec.
         inner = inner.setdefault(step, {}) if isinstance(inner, dict) and not relative else _inside(inner, step, path, where)
     if relative:
         own = _inside(inner, last, path, where)

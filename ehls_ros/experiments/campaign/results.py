@@ -1,4 +1,4 @@
-"""The results of a campaign as frozen records: its table, and the summary that ``--json`` prints."""
+"""Results of a campaign as frozen records: its table, and the summary printed by ``--json``."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class CampaignResults:
         columns: varied paths.
         max_error_n: largest steady error [N], NaN where a run has none, shape (runs,).
         convergence_s: convergence time [s], NaN where a run did not converge, shape (runs,).
-        failures: what a run died of; None where it ended.
+        failures: error of each run; None if it succeeded.
         numbers: values of each numeric column by its path, shape (runs,).
         words: values of each other column by its path.
     """
@@ -42,13 +42,13 @@ class CampaignResults:
 
     @property
     def not_converged(self) -> NDArray[np.intp]:
-        """Rows of the runs that ended with an error that did not converge."""
+        """Rows of the complete runs whose error did not converge."""
         ended = np.array([failure is None for failure in self.failures], dtype=bool)
         return np.flatnonzero(ended & np.isfinite(self.max_error_n) & np.isnan(self.convergence_s))
 
 
 def results_of(columns: Sequence[Column], table: Mapping[str, Sequence[Any]]) -> CampaignResults:
-    """Return the results that a table holds.
+    """Return the results in a table.
 
     Args:
         columns: varied paths.
@@ -69,19 +69,19 @@ def _numbers(values: Sequence[float | None]) -> Array:
 
 
 def quantile(values: Array, share: float) -> float:
-    """Return the smallest value that a fraction of the finite ones does not exceed, NaN where there is none."""
+    """Return the smallest value not exceeded by a fraction of the finite ones; NaN if there are none."""
     known = values[np.isfinite(values)]
     return float(np.quantile(known, share, method="inverted_cdf")) if known.size else float("nan")
 
 
 class Summary(NamedTuple):
-    """What ``ehls campaign --json`` prints; the field names are the keys.
+    """Output of ``ehls campaign --json``; the field names are the keys.
 
     Attributes:
         runs: number of runs.
-        made: those made by this call; the others had been made before.
-        failed: runs that failed.
-        not_converged: runs that ended with an error that did not converge.
+        made: number of runs made by this call; the others existed before.
+        failed: number of failed runs.
+        not_converged: number of complete runs whose error did not converge.
         median_max_error_n, p95_max_error_n, largest_max_error_n: quantiles of the largest steady error [N].
         wall_s: wall time of this call [s].
         results, report: paths of table and report.

@@ -1,7 +1,7 @@
-"""The files of a campaign: parts while it runs, one table at its end.
+"""Files of a campaign: parts while it runs, one table at its end.
 
-A part holds the metrics of runs by their digests and nothing of the campaign, so that a changed campaign reuses the runs it
-shares with the previous one. A part is complete or missing. One process at a time works in a folder.
+A part holds the metrics of runs by their digests, independent of the campaign, so that a changed campaign reuses the runs it
+shares with the previous one. A part is complete or missing. A folder is used by one process at a time.
 """
 
 import json
@@ -24,37 +24,37 @@ COUNTS = ("cycles", "missed_cycles")
 
 
 class Folder(NamedTuple):
-    """Where a campaign keeps its files."""
+    """Folder with the files of a campaign."""
 
     path: Path
 
     @property
     def parts(self) -> Path:
-        """The folder of the parts."""
+        """Path of the parts."""
         return self.path / "parts"
 
     @property
     def results(self) -> Path:
-        """The table."""
+        """Path of the table."""
         return self.path / "results.parquet"
 
     @property
     def report(self) -> Path:
-        """The report."""
+        """Path of the report."""
         return self.path / "report.html"
 
     @property
     def campaign(self) -> Path:
-        """The campaign with its base written out."""
+        """Path of the campaign file with its base written out."""
         return self.path / "campaign.yaml"
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Folder]:
-    """Make a campaign's folder, or continue in it, and lock it against other processes.
+    """Create a campaign's folder, or continue in it, and lock it against other processes.
 
     Raises:
-        BadInput: it cannot be written, another campaign is at work in it, or pyarrow is not installed.
+        BadInput: it cannot be written, another campaign is running in it, or pyarrow is not installed.
     """
     _parquet()
     folder = Folder(path)
@@ -82,7 +82,7 @@ def _schema() -> Any:
 
 
 def digests_done(folder: Folder) -> set[str]:
-    """Return the digests of the runs whose metrics are kept."""
+    """Return the digests of the runs whose metrics are stored."""
     done: set[str] = set()
     for path in sorted(folder.parts.glob("*.parquet")):
         done.update(_read(path, ["digest"]).column("digest").to_pylist())
@@ -93,7 +93,7 @@ def keep(folder: Folder, rows: Sequence[tuple[str, Row]]) -> None:
     """Write a part.
 
     Args:
-        folder: the campaign's.
+        folder: folder of the campaign.
         rows: digest and metrics of each run.
     """
     if not rows:
@@ -142,7 +142,7 @@ class Index:
         """Write the table: one row per run, in their order.
 
         Args:
-            folder: the campaign's, with the metrics of every run.
+            folder: folder of the campaign, with the metrics of every run.
             about: metadata of the file.
         """
         arrow: Any = import_module("pyarrow")

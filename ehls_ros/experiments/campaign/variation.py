@@ -1,4 +1,4 @@
-"""What a campaign file may give instead of one value: a list, a range, a distribution."""
+"""Variations in a campaign file: a list, a range or a distribution instead of one value."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ RELATIVE = text("the numbers are factors on the base's own value")
 
 
 class Values(NamedTuple):
-    """Values taken in turn; with ``relative``, factors on the base's value."""
+    """List of values; with ``relative``, factors on the base's value."""
 
     values: tuple[Any, ...]
     relative: bool = False
@@ -31,7 +31,7 @@ class Range(NamedTuple):
 
 
 class Distribution(NamedTuple):
-    """Numbers drawn at random, one per draw; exactly one of the three is given."""
+    """Distribution of random numbers, one per draw; exactly one of the three is given."""
 
     uniform: Annotated[tuple[float, float] | None, text("lowest and highest number")] = None
     normal: Annotated[tuple[float, float] | None, text("mean and standard deviation")] = None
@@ -72,7 +72,7 @@ def variation(data: Any, where: str) -> Values | Distribution:
         where: file and path, for errors.
 
     Raises:
-        BadInput: it is none of the three, or does not hold together.
+        BadInput: it is none of the three, or inconsistent.
     """
     if isinstance(data, list):
         if not data:
@@ -115,10 +115,10 @@ def _distribution(data: Mapping[str, Any], where: str) -> Distribution:
 
 
 def label(value: Any) -> Any:
-    """Return a value as a cell of a table: numbers unchanged, sections and lists in words.
+    """Return a value as a cell of a table: numbers unchanged, sections and lists as text.
 
     Args:
-        value: what a campaign file gives for a path, such as ``{name: sine, amplitude: 1e4}``.
+        value: value of a path in a campaign file, such as ``{name: sine, amplitude: 1e4}``.
     """
     if isinstance(value, bool | int | float | str):
         return value

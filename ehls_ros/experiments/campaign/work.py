@@ -1,4 +1,4 @@
-"""What a worker does: specs in, rows of metrics out."""
+"""Work of a campaign's worker: rows of metrics from specs."""
 
 import hashlib
 import json
@@ -22,12 +22,12 @@ from ehls_ros.sources import sources_digest
 from ehls_ros.trajectory import Trajectory
 
 METRICS = ("max_error_n", "rms_error_n", "convergence_s", "cycles", "missed_cycles", "duration_s", "wall_s")
-"""Columns of a row, as ``metrics.json`` names them; ``error`` follows."""
+"""Columns of a row, named as in ``metrics.json``; ``error`` follows."""
 
 Row = dict[str, Any]
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Threads of one worker must not import the same new kernel at once."""
+"""Lock that keeps threads of one worker from importing the same new kernel simultaneously."""
 
 
 def code_version() -> str:
@@ -40,7 +40,7 @@ def run_digest(spec: str) -> str:
     """Return the key of a run: equal for equal specs under equal code, in any campaign.
 
     Args:
-        spec: the spec as JSON, everything it names written out.
+        spec: the spec as JSON, with the content of all referenced files.
     """
     return hashlib.sha256(f"{code_version()} {spec}".encode()).hexdigest()[:32]
 
@@ -51,11 +51,11 @@ def run_chunk(specs: Sequence[str], version: str, *, side_by_side: bool = False)
     Args:
         specs: the specs as JSON.
         version: code version of the caller.
-        side_by_side: make those at once that can be, which is faster once the loop for that is compiled.
+        side_by_side: whether to run those that can in lanes of one call, which is faster once that loop is compiled.
 
     Returns:
-        One row per spec: its metrics, and ``error``: the reason why the run failed, or None. The wall time of runs side by side
-        is shared among them.
+        One row per spec: its metrics, and ``error``: the reason why the run failed, or None. The wall time of runs in lanes is
+        divided equally among them.
 
     Raises:
         WorkFailed: this process has other code than the caller.
@@ -75,7 +75,7 @@ def run_one(spec: str) -> Row:
         spec: the spec as JSON.
 
     Returns:
-        As of :func:`run_chunk`.
+        A row as of :func:`run_chunk`.
     """
     start = time.perf_counter()
     try:
@@ -107,7 +107,7 @@ def _run_side_by_side(specs: Sequence[str]) -> list[Row]:
 
 
 def spec_of(text: str) -> Spec:
-    """Return the spec of a run, which is given as JSON."""
+    """Return the spec of a run from JSON."""
     return spec_from_mapping(json.loads(text), "run", Path())
 
 

@@ -1,1 +1,1 @@
-"""A rig watched while it runs, or its recordings watched as if it ran."""
+"""Monitoring of a running rig, or of its recordings in replay."""

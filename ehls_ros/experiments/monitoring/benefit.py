@@ -1,4 +1,4 @@
-"""What it brings to tell a controller of a change: the force error before and after."""
+"""Benefit of informing a controller of a change: the force error before and after."""
 
 import math
 
@@ -8,17 +8,17 @@ from ehls_ros.arrays import Array
 
 
 class Benefit:
-    """Compares the force error over equal times before and after a controller is told.
+    """Comparison of the force error over equal times before and after a controller is informed.
 
     Attributes:
-        told: whether the controller has been told.
+        told: whether the controller has been informed.
     """
 
     def __init__(self, cycles: int) -> None:
-        """Begin to measure.
+        """Start the measurement.
 
         Args:
-            cycles: control cycles before, and after.
+            cycles: number of control cycles before and after.
         """
         self._cycles = cycles
         self._squares = [0.0, 0.0]
@@ -29,16 +29,16 @@ class Benefit:
 
     @property
     def ready(self) -> bool:
-        """Whether enough cycles have been measured before: it is time to tell the controller."""
+        """Whether enough cycles have been measured to inform the controller."""
         return not self.told and self._counts[0] >= self._cycles
 
     @property
     def complete(self) -> bool:
-        """Whether enough cycles have been measured after."""
+        """Whether enough cycles have been measured after informing the controller."""
         return self._counts[1] >= self._cycles
 
     def add(self, errors: Array) -> None:
-        """Take in the force errors of some cycles, NaN where there is none, shape (n,) [N]."""
+        """Add the force errors of some cycles, NaN where missing, shape (n,) [N]."""
         errors = errors[np.isfinite(errors)]
         if self._left > 0:
             skipped = min(self._left, len(errors))
@@ -51,15 +51,15 @@ class Benefit:
         self._largest[part] = max(self._largest[part], float(np.max(np.abs(errors))))
 
     def tell(self, settling: int) -> None:
-        """Take note that the controller is told.
+        """Register that the controller is informed.
 
         Args:
-            settling: cycles that count neither before nor after.
+            settling: number of following cycles that are not counted.
         """
         self.told, self._left = True, settling
 
     def sentence(self) -> str:
-        """Say what it brought."""
+        """Describe the benefit."""
         before, after = (math.sqrt(s / max(n, 1)) for s, n in zip(self._squares, self._counts, strict=True))
         largest = " to ".join(f"{value:.3g}" for value in self._largest)
         return f"force error before and after the controller was told: {before:.3g} to {after:.3g} N rms, {largest} N at most"

@@ -1,4 +1,4 @@
-"""``monitor.json``: its schema as frozen records, and how what a monitor knows fills them. The field names are the keys."""
+"""``monitor.json``: its schema as frozen records, and their creation from a monitor's results; field names are the keys."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -33,18 +33,18 @@ class ChangeEntry(NamedTuple):
 
 
 class CoefficientEntry(NamedTuple):
-    """A coefficient at the end.
+    """Final state of a coefficient.
 
     Attributes:
-        value: its value; the model's where it is not told.
-        std: standard error; None where it is not told.
+        value: its value; that of the model if not determined.
+        std: standard error; None if not determined.
         ci95: 95 % interval.
         unit: unit of these.
-        told: whether the programme tells it.
-        why_not: why it does not.
+        told: whether the programme determines it.
+        why_not: reason if it does not.
         healthy: the value in the rig file.
-        rate: its change in an hour, with standard error.
-        limit: when it reaches its limit, if it has one.
+        rate: its change per hour, with standard error.
+        limit: prediction of reaching its limit, if it has one.
     """
 
     value: float
@@ -59,22 +59,22 @@ class CoefficientEntry(NamedTuple):
 
 
 class MonitorDocument(NamedTuple):
-    """What ``monitor.json`` holds; times are seconds on the axis on which the recordings stand.
+    """Content of ``monitor.json``; times are seconds on the time axis of the recordings.
 
     Attributes:
         summary: the rig's health in a sentence.
-        healthy: whether no change shows; None where nothing could be judged.
-        state: what the monitor was doing at the end.
-        reason: why nothing is judged, if so.
-        baseline: what a change is measured from.
-        mean_time_between_false_alarms: that was set [h].
+        healthy: whether no change is active; None if nothing could be judged.
+        state: state of the monitor at the end.
+        reason: reason if nothing is judged.
+        baseline: description of the baseline.
+        mean_time_between_false_alarms: as set [h].
         watched: time for which samples were judged [s].
-        outside: fraction of the last minute that lies outside what the baseline covers.
-        recordings: where each stands on the axis.
-        changes: what was found, oldest first.
-        coefficients: by name.
-        events: what happened.
-        offer: the shortest experiment that tells what this programme does not.
+        outside: fraction of the last minute outside the range of the baseline.
+        recordings: position of each on the time axis.
+        changes: detected changes, oldest first.
+        coefficients: coefficients by name.
+        events: events in order.
+        offer: shortest experiment for the coefficients that this programme does not determine.
         version: version of this package.
         wall_s: wall time of everything [s].
     """
@@ -97,12 +97,12 @@ class MonitorDocument(NamedTuple):
 
 
 def monitor_document(watched: Watched, summary: str, healthy: bool | None, wall_s: float) -> MonitorDocument:
-    """Return what ``monitor.json`` holds.
+    """Return the content of ``monitor.json``.
 
     Args:
-        watched: what the monitor knows.
-        summary: that in a sentence.
-        healthy: whether no change shows.
+        watched: results of the monitor.
+        summary: the rig's health in a sentence.
+        healthy: whether no change is active.
         wall_s: wall time of everything [s].
     """
     health = watched.health

@@ -1,4 +1,4 @@
-"""What a change is: the diagnosis of the samples since it began, in this process or in one of its own."""
+"""Examination of a change: diagnosis of the samples since its onset, in this process or in a separate one."""
 
 import multiprocessing
 import os
@@ -18,17 +18,17 @@ from ehls_ros.process import end_with, give_way
 from ehls_ros.trajectory import Trajectory
 
 SURE = 0.9
-"""Probability of the first cause, and of those the data cannot tell it from, with which few data are enough."""
+"""Probability of the first cause, including equivalent ones, above which few data are sufficient."""
 
 
 class Task(NamedTuple):
-    """A recording to be diagnosed.
+    """A diagnosis task.
 
     Attributes:
         recording: the samples.
-        rig: the model they are compared with.
-        baselines: recordings from when the rig was well; none: the rig file is what they are judged by.
-        preferred: effects that are named rather than others that the data cannot tell from them, the most wanted first.
+        rig: the model for comparison.
+        baselines: recordings of the healthy rig; none: the samples are judged against the rig file.
+        preferred: effects to be preferred to equivalent ones, in order of preference.
     """
 
     recording: Trajectory
@@ -38,7 +38,7 @@ class Task(NamedTuple):
 
 
 class FoundCause(NamedTuple):
-    """A cause that a diagnosis names; attributes as in :class:`ehls_ros.diagnosis.result.Cause`."""
+    """A cause named by a diagnosis; attributes as in :class:`ehls_ros.diagnosis.result.Cause`."""
 
     name: str
     stage: str
@@ -48,16 +48,16 @@ class FoundCause(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """What a diagnosis found.
+    """Result of a diagnosis.
 
     Attributes:
-        verdict: of the diagnosis.
+        verdict: verdict of the diagnosis.
         causes: the causes, best first.
         rig: the model with them.
         unknown_stage: stage of an error that no effect of the list explains.
-        depends_on: signals that it depends on.
-        reason: why nothing is judged, if so.
-        wall_s: time it took [s].
+        depends_on: signals on which it depends.
+        reason: reason if nothing is judged.
+        wall_s: wall time [s].
     """
 
     verdict: Verdict
@@ -70,7 +70,7 @@ class Finding(NamedTuple):
 
     @property
     def sure(self) -> bool:
-        """Whether the first cause, or what the data cannot tell it from, is hardly in doubt."""
+        """Whether the first cause, or an equivalent one, is practically certain."""
         return self.names and self.causes[0].probability * (1 + len(self.causes[0].equivalent_to)) >= SURE
 
     @property
@@ -113,9 +113,9 @@ def _short(found: Diagnosis, preferred: Sequence[str]) -> Finding:
 
 
 def _preferred(cause: Cause, preferred: Sequence[str], rig: Rig) -> Rival | None:
-    """Return the most wanted effect that the data cannot tell from a cause; None where that is the cause itself.
+    """Return the most preferred effect equivalent to a cause; None if it is the cause itself or there is none.
 
-    Without it, one change would have this name in one diagnosis and that in the next.
+    This keeps the name of a change from alternating between diagnoses.
     """
     rivals = {rival.name: rival for rival in cause.rivals if rival.name in cause.equivalent_to}
     for name in preferred:
@@ -127,39 +127,39 @@ def _preferred(cause: Cause, preferred: Sequence[str], rig: Rig) -> Rival | None
 
 
 def _plain_forms(name: str, rig: Rig) -> list[Form]:
-    """Return the forms of an effect all of whose parameters are fitted or neutral."""
+    """Return the forms of an effect without fixed parameters, so that all are fitted or neutral."""
     return [form for form in EFFECTS.load(name).forms(rig) if not form.fixed]
 
 
 def _exchanged(rig: Rig, name: str, other: Rival) -> Rig:
-    """Return a rig with another effect in the place of one."""
+    """Return a rig with one effect replaced by another."""
     values = {parameter: value.value for parameter, value in other.parameters.items()}
     use = EffectUse(other.name, EFFECTS.load(other.name).Parameters(**values))
     return rig._replace(effects=tuple(use if old.name == name else old for old in rig.effects))
 
 
 class Examiner(Protocol):
-    """Who diagnoses."""
+    """Interface of an executor of diagnoses."""
 
     def begin(self, task: Task) -> None:
-        """Begin a diagnosis; one is under way at a time."""
+        """Start a diagnosis; only one runs at a time."""
 
     def finding(self) -> Finding | None:
-        """Return the result once it is there, and only once."""
+        """Return the result once it is available, and only once; otherwise None."""
 
     def close(self) -> None:
-        """End what is under way."""
+        """Abort a running diagnosis."""
 
 
 class AtOnce:
-    """Diagnoses in this process, before it returns."""
+    """Synchronous examiner in this process."""
 
     def __init__(self) -> None:
-        """Begin with nothing to do."""
+        """Start without a result."""
         self._found: Finding | None = None
 
     def begin(self, task: Task) -> None:
-        """Diagnose."""
+        """Diagnose synchronously."""
         self._found = examine(task)
 
     def finding(self) -> Finding | None:
@@ -168,17 +168,17 @@ class AtOnce:
         return found
 
     def close(self) -> None:
-        """Nothing is under way."""
+        """Do nothing, as no diagnosis is running."""
 
 
 def _give_way(parent: int) -> None:
-    """Begin the process that diagnoses: behind all others, and not beyond the end of its monitor."""
+    """Initialise the diagnosing process: low priority, and end together with the monitor."""
     end_with(parent)
     give_way()
 
 
 class InItsOwnProcess:
-    """Diagnoses in another process, which gives way to the rig's own."""
+    """Examiner in a separate process of low priority."""
 
     def __init__(self) -> None:
         """Start no process before the first diagnosis."""
@@ -186,15 +186,15 @@ class InItsOwnProcess:
         self._under_way: Future[Finding] | None = None
 
     def begin(self, task: Task) -> None:
-        """Begin a diagnosis."""
+        """Start a diagnosis."""
         if self._workers is None:
             self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _give_way, (os.getpid(),))
         self._under_way = self._workers.submit(examine, task)
 
     def finding(self) -> Finding | None:
-        """Return the result once it is there.
+        """Return the result once it is available; otherwise None.
 
-        A process that was killed found nothing: the next diagnosis starts another one.
+        After a failure, such as a kill of the process, it raises; the next diagnosis starts another process.
         """
         if self._under_way is None or not self._under_way.done():
             return None

@@ -1,8 +1,8 @@
-"""The flight recorder: what a rig did before its gate tripped, as a bag with its diagnosis, the last few of them.
+"""Flight recorder: bags of the samples before trips of the gate, with their diagnoses, for the last few trips.
 
-Writing the bag and the diagnosis are another process's work, which gives way to all others and survives the monitor's end.
-Run as a module, with a folder that :meth:`FlightRecorder.begin` has filled, this file is that process; it becomes
-``ehls diagnose``. Only files that a flight recorder has written are ever removed.
+The bag is written and diagnosed in a separate process of low priority, which survives the end of the monitor. That process is
+this file, run as a module with a folder filled by :meth:`FlightRecorder.begin`; it then executes ``ehls diagnose``. Only files
+written by a flight recorder are ever removed.
 """
 
 import os
@@ -31,7 +31,7 @@ from ehls_ros.trajectory import Trajectory
 SIGNALS, MARK, RIG, BAG, BASELINE, RESULTS, LOG = (
     "samples.npz", "flight.json", "rig.yaml", "bag", "baseline", "diagnosis", "log.txt",
 )  # fmt: skip
-"""Names in a flight's folder; of the first two, the process makes the others."""
+"""Names in a flight's folder; the process creates the others from the first two."""
 
 NAME = re.compile(r"[0-9]{8}-[0-9]{6}(-[0-9]{1,4})?")
 """Names of the flights' folders."""
@@ -40,12 +40,12 @@ MEGABYTE = 10**6
 
 
 class Flight(NamedTuple):
-    """What is to be recorded.
+    """A trip to be recorded.
 
     Attributes:
         recording: the samples before the trip.
-        cause: of the trip.
-        stamp_ns: when it was [ns].
+        cause: cause of the trip.
+        stamp_ns: time of the trip [ns].
     """
 
     recording: Trajectory
@@ -54,15 +54,15 @@ class Flight(NamedTuple):
 
 
 class FlightRecorder:
-    """Keeps the last flights in a folder, one below it for each."""
+    """Recorder that keeps the last flights in subfolders of a folder."""
 
     def __init__(self, folder: Path, number: int, megabytes: float) -> None:
         """Use a folder.
 
         Args:
-            folder: of all flights; made with the first one.
-            number: flights kept.
-            megabytes: size of all flights together [MB].
+            folder: folder of all flights; created with the first one.
+            number: number of flights kept.
+            megabytes: maximum size of all flights together [MB].
         """
         self._folder = folder
         self._number = number
@@ -77,20 +77,20 @@ class FlightRecorder:
     def begin(
         self, flight: Flight, rig: Rig, control_period: float, baselines: Sequence[Path] = (), own: Trajectory | None = None
     ) -> Path:
-        """Begin to write a flight and to diagnose it, while no other one is.
+        """Start writing and diagnosing a flight; no other one may be in progress.
 
         Args:
-            flight: what is recorded.
-            rig: the model it is compared with.
-            control_period: of the rig [s].
+            flight: the trip to be recorded.
+            rig: the model for the diagnosis.
+            control_period: control period of the rig [s].
             baselines: recordings of the healthy rig.
-            own: the same as samples.
+            own: samples of the healthy rig, as a further baseline.
 
         Returns:
             The flight's folder.
 
         Raises:
-            NotWritten: the folder or a file of it cannot be written.
+            NotWritten: the folder or a file in it cannot be written.
             OSError: the process cannot be started.
         """
         self._make_room()
@@ -110,7 +110,7 @@ class FlightRecorder:
             raise
         with (folder / LOG).open("wb") as log:
             command = [sys.executable, "-m", __name__, str(folder.resolve())]
-            # In a session of its own, so that what stops the monitor does not stop it.
+            # In a separate session, so that signals to the monitor do not stop it.
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
             )
@@ -120,7 +120,7 @@ class FlightRecorder:
     def _fill(
         folder: Path, flight: Flight, origin: Origin, rig: Rig, baselines: Sequence[Path], own: Trajectory | None
     ) -> None:
-        """Write the files from which another process makes a bag and a diagnosis."""
+        """Write the files from which another process creates the bag and the diagnosis."""
         record = FlightRecord(flight.cause, flight.stamp_ns, tuple(str(path.resolve()) for path in baselines), own is not None)
         StateFile(folder / MARK, FLIGHT, origin).write(record._asdict(), durable=False)
         content = rig_text(rig_to_mapping(rig)).encode()
@@ -132,7 +132,7 @@ class FlightRecorder:
         StateFile(folder / SIGNALS, SAMPLES, origin).write(signals._asdict(), arrays, durable=False)
 
     def _make_room(self) -> None:
-        """Remove the oldest flights until another one may be kept."""
+        """Remove the oldest flights to make room for another one."""
         flights = sorted(self._flights().items(), key=lambda item: item[1])
         sizes = [_size(path) for path, _ in flights]
         while flights and (len(flights) >= self._number or sum(sizes) > self._bytes):
@@ -140,7 +140,7 @@ class FlightRecorder:
             sizes.pop(0)
 
     def _flights(self) -> dict[Path, int]:
-        """Return the flights' folders, and when each was made [ns]: those with the name and the mark of one."""
+        """Return the flights' folders, identified by name and mark, with their modification times [ns]."""
         found = {}
         with suppress(OSError):
             for entry in os.scandir(self._folder):
@@ -157,12 +157,12 @@ def _size(flight: Path) -> int:
     for root, _, names in os.walk(flight):
         for name in names:
             with suppress(OSError):
-                total += os.lstat(os.path.join(root, name)).st_size  # noqa: PTH118 - a path for each is slow
+                total += os.lstat(os.path.join(root, name)).st_size  # noqa: PTH118 - Path objects are slow
     return total
 
 
 def _remove(flight: Path) -> None:
-    """Remove the files of a flight recorder and its diagnosis; files of others beside them stay."""
+    """Remove the files of a flight and its diagnosis; foreign files beside them are kept."""
     for name in (BAG, BASELINE, RESULTS):
         shutil.rmtree(flight / name, ignore_errors=True)
     for name in (SIGNALS, RIG, LOG, MARK):
@@ -173,13 +173,13 @@ def _remove(flight: Path) -> None:
 
 
 def write(folder: Path) -> list[str]:
-    """Write the bags of a flight's folder, and return the arguments of ``ehls`` that diagnose it.
+    """Write the bags of a flight's folder, and return the arguments of ``ehls`` for its diagnosis.
 
     Args:
-        folder: as :meth:`FlightRecorder.begin` has left it.
+        folder: folder prepared by :meth:`FlightRecorder.begin`.
 
     Raises:
-        BadInput: it is not as it was left.
+        BadInput: the folder is not in that state.
     """
     from ehls_ros.recording.bag_writer import write_trajectory  # noqa: PLC0415 - the monitor itself writes no bags
 
@@ -213,7 +213,7 @@ def write(folder: Path) -> list[str]:
 
 
 def main() -> NoReturn:
-    """Write a flight's bag, and become its diagnosis."""
+    """Write a flight's bag, then execute its diagnosis."""
     give_way()
     try:
         arguments = write(Path(sys.argv[1]))

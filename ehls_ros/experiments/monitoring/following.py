@@ -1,7 +1,7 @@
-"""Follows the cycles of a running graph: its messages, by control cycle, become samples on a time axis that always increases.
+"""Assembly of the messages of a running graph, by control cycle, to samples on a strictly increasing time axis.
 
-Samples are as a recording of the same graph would have them (:mod:`ehls_ros.recording.alignment`). Time is counted in control
-cycles, so that neither a wall clock that is set nor one that drifts is seen in it; the stamps tell the wall time of an instant.
+The samples equal those of a recording of the same graph (:mod:`ehls_ros.recording.alignment`). Time is counted in control
+cycles, so that steps and drift of the wall clock have no effect on it; the stamps give the wall time of an instant.
 """
 
 import math
@@ -20,35 +20,35 @@ COMMAND_SIGNAL = VALVE_COMMAND.signals["spool"]
 DISTURBANCE_SIGNALS = tuple(DISTURBANCE.signals.values())
 
 PATIENCE = 0.2
-"""Time for which a snapshot waits for its command and its disturbance before it counts as without [s]."""
+"""Time for which a snapshot waits for its command and its disturbance before they count as missing [s]."""
 
 LONG_PATIENCE = 10.0
-"""The same in lockstep, where each snapshot has both; only the middleware may deliver them late."""
+"""The same in lockstep [s], where each snapshot has both and only the middleware may delay them."""
 
 OVERDUE = 200
-"""Cycles after which a message will not come any more: each sender's messages come in their order."""
+"""Number of cycles after which a message counts as lost, since each sender's messages arrive in order."""
 
 SETTLING = 1.0
-"""Time after the gate has opened that is left out: commands are blended in [s]."""
+"""Time after the opening of the gate that is left out [s], as commands are blended in."""
 
 PAUSE = 1.0
-"""Least time between two runs of the rig on the axis, which makes a new stretch of what follows [s]."""
+"""Minimum time between two runs of the rig on the axis, sufficient to start a new stretch [s]."""
 
 LONGEST_PAUSE = 400.0 * 86400.0
-"""A longer time between two stamps is a clock that was set [s]."""
+"""Longest plausible time between two stamps [s]; beyond it, the clock was set."""
 
 CLOCK_SET = 0.05
-"""Distance of a stamp from what the one before leads to, from which on the clock was set, or waited for [s]."""
+"""Deviation of a stamp from its prediction above which the clock was set, or a cycle was delayed [s]."""
 
 MOST_ANCHORS = 1000
-"""Anchors kept; the oldest ones are of no change that still matters."""
+"""Maximum number of anchors; the oldest ones are no longer needed for any change."""
 
 
 class Anchor(NamedTuple):
     """An instant on both axes.
 
     Attributes:
-        time: on the axis of samples [s].
+        time: time on the axis of samples [s].
         stamp_ns: header stamp [ns].
     """
 
@@ -57,13 +57,13 @@ class Anchor(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """A loader_state.
+    """A loader_state message.
 
     Attributes:
-        stamp_ns: its header's stamp [ns].
-        cycle: its control cycle.
-        values: in the order of its fields.
-        sent_ns: when it was published, by the system's clock [ns].
+        stamp_ns: header stamp [ns].
+        cycle: control cycle.
+        values: values in the order of the fields.
+        sent_ns: time of publication by the system clock [ns].
     """
 
     stamp_ns: int
@@ -73,12 +73,12 @@ class Snapshot(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Samples that follow one another, all of them driven by the recorded command.
+    """Consecutive samples, all driven by the recorded command.
 
     Attributes:
-        time_s: shape (n,) [s].
+        time_s: times, shape (n,) [s].
         signals: values by the names of the data contract, shape (n,).
-        interrupted: whether something lies between the samples before and these.
+        interrupted: whether there is a gap before these samples.
     """
 
     time_s: Array
@@ -87,13 +87,13 @@ class Stretch(NamedTuple):
 
 
 class Follower:
-    """Puts the messages of a graph together.
+    """Assembly of the messages of a graph.
 
     Attributes:
-        anchors: wall time along the axis, oldest first.
-        lost: cycles without a snapshot.
-        unanswered: cycles without a command.
-        runs: how often the cycles began anew.
+        anchors: wall times along the axis, oldest first.
+        lost: number of cycles without a snapshot.
+        unanswered: number of cycles without a command.
+        runs: number of restarts of the cycle count.
     """
 
     def __init__(self, period: float, anchors: Sequence[Anchor] = (), end: float = 0.0, patience: float = PATIENCE) -> None:
@@ -101,9 +101,9 @@ class Follower:
 
         Args:
             period: time between two control cycles [s].
-            anchors: of an earlier follower whose axis goes on.
-            end: where that axis ended [s].
-            patience: time for which a snapshot waits for what belongs to its cycle, by the system's clock [s].
+            anchors: anchors of an earlier follower whose axis is continued.
+            end: end of that axis [s].
+            patience: time for which a snapshot waits for the other messages of its cycle, by the system clock [s].
         """
         self._period = period
         self._patience_ns = round(patience * 1e9)
@@ -124,22 +124,22 @@ class Follower:
     # --- messages -----------------------------------------------------------------------------------
 
     def hear_driver(self, cycle: int, sender: str) -> None:
-        """Learn which controller drives from a cycle on; an empty name: any."""
+        """Register the active controller from a cycle on; an empty name: any."""
         self._drivers = [known for known in self._drivers if known[0] < cycle][-10:]
         self._drivers.append((cycle, sender))
 
     def hear_driving(self, driving: bool, sent_ns: int) -> None:
-        """Learn that commands reach the valve, or do so no more, from an instant of the system's clock on [ns]."""
+        """Register whether commands reach the valve from a time of the system clock on [ns]."""
         self._driving = [*self._driving[-10:], (sent_ns, driving)]
 
     def hear_commands(self, messages: Iterable[tuple[int, float, str, int]]) -> None:
-        """Take valve commands: cycle, spool [m], sender, and when it was sent [ns]. The first for a cycle counts."""
+        """Add valve commands: cycle, spool [m], sender and time of sending [ns]; the first for a cycle is used."""
         for cycle, spool, sender, sent_ns in messages:
             if not self._drivers or self._driver(cycle) in {"", sender}:
                 self._commands.setdefault(cycle, (spool, sent_ns))
 
     def hear_disturbances(self, messages: Iterable[tuple[int, tuple[float, ...]]]) -> None:
-        """Take disturbances: cycle and values in the order of the fields."""
+        """Add disturbances: cycle and values in the order of the fields."""
         for cycle, values in messages:
             self._disturbances[cycle] = values
             self._disturbed = True
@@ -151,10 +151,10 @@ class Follower:
     # --- samples --------------------------------------------------------------------------------------
 
     def follow(self, snapshots: Iterable[Snapshot]) -> list[Stretch]:
-        """Take snapshots, and return the samples that are complete.
+        """Add snapshots, and return the completed samples.
 
         Args:
-            snapshots: in the order of their sending.
+            snapshots: snapshots in the order of sending.
         """
         out = list[Stretch]()
         for snapshot in snapshots:
@@ -174,7 +174,7 @@ class Follower:
         return out
 
     def _end_run(self, first: Snapshot, out: list[Stretch]) -> None:
-        """Let the rig begin anew with a snapshot."""
+        """End a run of the rig when a snapshot starts a new one."""
         self._emit(len(self._pending), out)
         self.runs += 1
         self._offset = math.nan
@@ -183,9 +183,9 @@ class Follower:
         self._pending.clear()
 
     def _ready(self) -> int:
-        """Return how many of the waiting snapshots have all that belongs to them, or need not wait for it any longer.
+        """Return the number of pending snapshots that are complete, or whose waiting time is over.
 
-        The newest waits in any case: whether its command reached the valve shows after it.
+        The newest always waits: whether its command reached the valve is known only afterwards.
         """
         if not self._pending:
             return 0
@@ -226,7 +226,7 @@ class Follower:
                 self._interrupted = True
 
     def _driven(self, rows: Sequence[Snapshot], following: Sequence[Snapshot], time: Array) -> NDArray[np.bool_]:
-        """Tell which samples the recorded command drives, shape (n,)."""
+        """Return which samples are driven by the recorded command, shape (n,)."""
         if not self._driving:
             return np.ones(len(rows), dtype=np.bool_)
         after = [*(row.sent_ns for row in following), rows[-1].sent_ns][: len(rows)]
@@ -237,14 +237,14 @@ class Follower:
         return out
 
     def _drives(self, sent_ns: Sequence[int]) -> NDArray[np.bool_]:
-        """Tell whether commands reached the valve at instants of the system's clock [ns]."""
+        """Return whether commands reached the valve at times of the system clock [ns]."""
         since = np.array([since_ns for since_ns, _ in self._driving], dtype=np.int64)
-        # What was so before the first word of it is not known; the plant says so on change.
+        # The state before the first message is unknown and taken from it; the plant publishes on change.
         known = np.maximum(np.searchsorted(since, np.array(sent_ns, dtype=np.int64), side="right") - 1, 0)
         return np.array([driving for _, driving in self._driving], dtype=np.bool_)[known]
 
     def _begin_run(self, first: Snapshot) -> None:
-        """Put the first cycle of a run on the axis: later than what is there, by the time that the stamps say, if they can."""
+        """Place the first cycle of a run on the axis, after the previous run, by the time between the stamps if plausible."""
         begin = self._end
         if self.anchors:
             since = (first.stamp_ns - self.stamp_ns(self._end)) * 1e-9
@@ -253,7 +253,7 @@ class Follower:
         self._interrupted = True
 
     def _anchor(self, rows: Sequence[Snapshot], time: Array) -> None:
-        """Take note of the stamps where those before do not lead to them."""
+        """Add anchors at stamps that deviate from their prediction."""
         stamps_ns = np.array([row.stamp_ns for row in rows], dtype=np.int64)
         first = 0
         while first < len(rows):
@@ -264,14 +264,14 @@ class Follower:
             first += int(np.argmax(np.abs(apart) > CLOCK_SET)) if np.any(np.abs(apart) > CLOCK_SET) else len(rows)
 
     def _forget(self, last: Snapshot) -> None:
-        """Forget what came too late for its cycle; what comes much later is of another run."""
+        """Discard messages too late for their cycle; much later ones belong to another run."""
         late = last.sent_ns + round(PAUSE * 1e9)
         self._commands = {cycle: c for cycle, c in self._commands.items() if cycle > last.cycle or c[1] > late}
         self._disturbances = {cycle: d for cycle, d in self._disturbances.items() if cycle > last.cycle}
 
     @property
     def driving(self) -> bool:
-        """Whether commands reach the valve now; what nobody has said is taken so."""
+        """Whether commands reach the valve now; True if nothing is known."""
         return not self._driving or self._driving[-1][1]
 
     # --- wall time ------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ class Follower:
         return self._end
 
     def stamp_ns(self, time: float) -> int:
-        """Return the stamp of an instant on the axis [ns]; 0 where it is not known.
+        """Return the stamp of an instant on the axis [ns]; 0 if unknown.
 
         Args:
             time: the instant [s].

@@ -1,4 +1,4 @@
-"""What the monitor knows of a rig's health: plain records, for topic, file and page alike."""
+"""Records of a rig's health as determined by the monitor, for topic, file and page."""
 
 import math
 from collections.abc import Mapping
@@ -11,31 +11,31 @@ from ehls_ros.experiments.monitoring.examination import FoundCause
 
 
 class State(IntEnum):
-    """What the monitor is doing; the values are those of ``ehls_msgs/ModelHealth``."""
+    """State of the monitor; the values are those of ``ehls_msgs/ModelHealth``."""
 
     LEARNING = 0
     WATCHING = 1
     EXAMINING = 2
     IDLE = 3
-    """Nothing that could be judged comes."""
+    """No samples arrive that can be judged."""
 
 
 class FoundChange(NamedTuple):
-    """A change of the rig that the monitor has found.
+    """A change of the rig detected by the monitor.
 
     Attributes:
-        number: counts the changes.
-        causes: its causes, best first; none where no effect of the list explains it.
-        stage: stage in which it shows.
+        number: consecutive number.
+        causes: its causes, best first; none if no effect of the list explains it.
+        stage: affected stage.
         depends_on: signals on which an unexplained change depends.
-        since: likeliest time of its onset [s].
-        earliest, latest: the times between which the onset lies [s].
-        noticed: when the test exceeded its bound [s].
-        named: when the diagnosis had its result, in the samples' time [s].
-        cleared: since when it shows no more [s]; NaN while it does.
+        since: most likely time of its onset [s].
+        earliest, latest: bounds of the time of onset [s].
+        noticed: time when the test exceeded its bound [s].
+        named: time of the diagnosis result, in the samples' time [s].
+        cleared: time since which it is inactive [s]; NaN while it is active.
         acknowledged: whether an operator has seen it.
-        before: whether it is part of what a change is measured from: the rig differed so from its file when the monitor began,
-            or an operator has accepted it.
+        before: whether it belongs to the baseline: the rig differed from its file when the monitor started, or an operator has
+            accepted the change.
     """
 
     number: int
@@ -53,21 +53,21 @@ class FoundChange(NamedTuple):
 
     @property
     def active(self) -> bool:
-        """Whether it still shows."""
+        """Whether it is active."""
         return math.isnan(self.cleared)
 
     @property
     def name(self) -> str:
-        """Its first cause, or where it shows."""
+        """Name of its first cause, or else of its stage."""
         return self.causes[0].name if self.causes else f"unknown change of the {self.stage.replace('_', ' ')}"
 
     def may_be(self, cause: FoundCause) -> bool:
-        """Return whether a cause is its own, or one that the data cannot tell from it."""
+        """Return whether a cause equals its first cause or is equivalent to it."""
         own = self.causes[0]
         return cause.name == own.name or cause.name in own.equivalent_to or own.name in cause.equivalent_to
 
     def sentence(self) -> str:
-        """Say what it is."""
+        """Describe the change."""
         if not self.causes:
             depends = f", depends on {', '.join(self.depends_on)}" if self.depends_on else ""
             return f"{self.name}{depends}"
@@ -83,12 +83,12 @@ def _size(value: Estimate) -> str:
 
 
 class Event(NamedTuple):
-    """Something that happened.
+    """An event.
 
     Attributes:
-        time: when [s].
-        kind: what.
-        text: a sentence.
+        time: time [s].
+        kind: kind of event.
+        text: description in a sentence.
     """
 
     time: float
@@ -97,18 +97,18 @@ class Event(NamedTuple):
 
 
 class Health(NamedTuple):
-    """The rig's health now.
+    """Current health of the rig.
 
     Attributes:
-        time: of the newest block's end [s].
-        state: what the monitor is doing.
-        reason: why nothing is judged, or what is being learnt; empty where all is well.
-        changes: what was found, oldest first.
+        time: end of the newest block [s].
+        state: state of the monitor.
+        reason: reason why nothing is judged, or progress of learning; otherwise empty.
+        changes: detected changes, oldest first.
         readings: the coefficients.
         watched: time for which blocks were judged [s].
-        baseline: what a change is measured from.
-        outside: fraction of the last minute's blocks that lie outside what the baseline covers.
-        rates: change of each coefficient that is told, an hour.
+        baseline: description of the baseline.
+        outside: fraction of the last minute's blocks outside the range of the baseline.
+        rates: change per hour of each determined coefficient.
     """
 
     time: float
@@ -123,5 +123,5 @@ class Health(NamedTuple):
 
     @property
     def active(self) -> tuple[FoundChange, ...]:
-        """The changes that still show."""
+        """The active changes."""
         return tuple(change for change in self.changes if change.active)

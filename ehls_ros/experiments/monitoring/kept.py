@@ -1,4 +1,4 @@
-"""What a monitor's folder says of a day: its changes and its coefficients, for the report of that day."""
+"""Data of one day in a monitor's folder, for its report: changes and coefficients."""
 
 import math
 from collections import deque
@@ -29,14 +29,14 @@ def is_kept(folder: Path) -> bool:
 
 
 def watched_until(folder: Path, day: date) -> tuple[Watched, datetime]:
-    """Return what a monitor knew of a day, with times from its midnight on, and that midnight.
+    """Return the results of a monitor for a day, with times from its midnight on, and that midnight.
 
     Args:
-        folder: of the monitor.
-        day: in the local time zone.
+        folder: folder of the monitor.
+        day: day in the local time zone.
 
     Raises:
-        BadInput: the folder cannot be read as a monitor's.
+        BadInput: the folder is not readable as that of a monitor.
     """
     midnight = datetime.combine(day, datetime.min.time()).astimezone()
     file = StateFile(folder / STATE, MONITOR, None)
@@ -61,7 +61,7 @@ def watched_until(folder: Path, day: date) -> tuple[Watched, datetime]:
 
 
 def _since(midnight: datetime, change: FoundChange, anchors: Sequence[tuple[float, int]]) -> FoundChange:
-    """Return a change with times from a midnight on [s], which were on the monitor's axis."""
+    """Convert the times of a change from the monitor's axis to seconds from a midnight on."""
 
     def moved(instant: float) -> float:
         known = [anchor for anchor in anchors if anchor[0] <= instant] or list(anchors[:1])
@@ -81,7 +81,7 @@ def _since(midnight: datetime, change: FoundChange, anchors: Sequence[tuple[floa
 
 
 def _history(path: Path, midnight: datetime) -> tuple[Past, ...]:
-    """Return the readings up to the end of the day, times from its midnight on; of the file, the last of these are kept."""
+    """Return the last readings in the file up to the end of the day, with times from its midnight on."""
     until = midnight + timedelta(days=1)
     times = deque[datetime](maxlen=MOST_HISTORY)
     rows = deque[list[Reading]](maxlen=MOST_HISTORY)

@@ -1,4 +1,4 @@
-"""When a coefficient that drifts will reach its limit."""
+"""Prediction of the time at which a drifting coefficient reaches its limit."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,17 +10,17 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
 
 NORMAL_95 = 1.959964
-"""Half of the 95 % interval of a normal distribution, in standard deviations."""
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 class Reach(NamedTuple):
-    """When a limit is reached.
+    """Predicted time to a limit.
 
     Attributes:
         limit: the limit, in the coefficient's unit.
-        hours: likeliest time until then [h]; 0 where it is reached, NaN where it is not told.
+        hours: most likely time until then [h]; 0 if already reached, NaN if not determined.
         earliest, latest: 95 % interval of that time [h].
-        why_not: why it is not told; empty where it is.
+        why_not: reason if not determined; otherwise empty.
     """
 
     limit: float
@@ -31,14 +31,14 @@ class Reach(NamedTuple):
 
 
 def reach(reading: Reading, rate: Estimate | None, limit: float, healthy: float) -> Reach:
-    """Return when a coefficient reaches its limit if it goes on as it did.
+    """Predict the time at which a coefficient reaches its limit at its present rate.
 
-    The time is a ratio of two normal variables, the distance and the rate: its interval is Fieller's (Journal of the Royal
-    Statistical Society B 16, 1954), which is finite only where the rate is surely not zero.
+    The time is a ratio of two normal variables, distance and rate. Its interval is Fieller's (Journal of the Royal Statistical
+    Society B 16, 1954), which is finite only if the rate is significantly different from zero.
 
     Args:
-        reading: the coefficient now.
-        rate: its change in an hour; None where it is not known.
+        reading: current reading of the coefficient.
+        rate: its change per hour; None if unknown.
         limit: its limit, in its unit.
         healthy: its value on the healthy rig: a limit above is an upper one, a limit below a lower one.
     """
@@ -65,11 +65,11 @@ def reach(reading: Reading, rate: Estimate | None, limit: float, healthy: float)
 def reaches(
     readings: Sequence[Reading], rates: Mapping[str, Estimate], limits: Mapping[str, float], rig: Rig
 ) -> dict[str, Reach]:
-    """Return when each coefficient that has a limit reaches it.
+    """Predict the times at which coefficients reach their limits.
 
     Args:
-        readings: the coefficients now.
-        rates: their changes in an hour, of those that are told.
+        readings: current readings of the coefficients.
+        rates: changes per hour of those determined.
         limits: the limits by the coefficients' names, each in its unit.
         rig: the healthy rig.
     """
@@ -84,12 +84,12 @@ def reaches(
 
 
 def check_limits(limits: Mapping[str, float], rig: Rig, where: str) -> None:
-    """Refuse limits that no coefficient has.
+    """Reject invalid limits of coefficients.
 
     Args:
-        limits: by the coefficients' names.
+        limits: limits by the coefficients' names.
         rig: the healthy rig.
-        where: where they stand, for the error.
+        where: their origin, for the error.
 
     Raises:
         BadInput: a name is unknown, a limit is not a finite number, or it is the healthy rig's value.

@@ -1,8 +1,8 @@
-"""The memory of a monitor in a folder, so that one that was killed and started again goes on where it was.
+"""Persistent memory of a monitor in a folder, from which it resumes after a restart.
 
-``memory.json`` is replaced atomically, and names the files of arrays that go with it; whatever ends the process, one whole
-state is there. ``coefficients.csv`` grows by one line for each coefficient that was identified. A file that cannot be used is
-put aside as it is, and no file is replaced or removed that a monitor has not written.
+``memory.json`` is replaced atomically and names its files of arrays, so that a complete state exists whenever the process ends.
+``coefficients.csv`` grows by one line for each identified coefficient. An unusable file is put aside unchanged, and only files
+written by a monitor are replaced or removed.
 """
 
 import math
@@ -63,27 +63,27 @@ COEFFICIENTS = "coefficients.csv"
 HEADING = ("time", "name", "value", "deviation", "unit")
 
 ASIDE = "aside"
-"""First part of the names of folders with files that could not be used."""
+"""Prefix of the names of folders with unusable files."""
 
 ARRAYS = re.compile(r"(learnt|blocks)_[0-9]{1,4}\.npz")
 """Names of the files of arrays."""
 
 OFTEN = 60.0
-"""Time between two states, if nothing happens [s]."""
+"""Time between two saved states without events [s]."""
 
 SELDOM = 300.0
-"""The same for the sums of the test, which are the largest part [s]; without the newest of them, a change is noticed later."""
+"""The same for the sums of the test, the largest part [s]; loss of the newest ones only delays the detection of a change."""
 
 UNUSABLE = (ValueError, ArithmeticError, LookupError, TypeError)
-"""Errors of a monitor that a memory leads to which passed all checks and still makes no sense."""
+"""Errors of a monitor caused by a memory that is inconsistent despite all checks."""
 
 
 class Kept(NamedTuple):
-    """What a folder holds.
+    """Content of a folder.
 
     Attributes:
-        remembered: what the monitor knew.
-        anchors: wall time along its axis.
+        remembered: the monitor's state.
+        anchors: wall times along its time axis.
         end: newest time on it [s].
     """
 
@@ -93,18 +93,18 @@ class Kept(NamedTuple):
 
 
 class Memory:
-    """The folder of one monitor."""
+    """Memory of one monitor in a folder."""
 
     def __init__(self, folder: Path, origin: Origin, baselines: Sequence[str] = ()) -> None:
-        """Use a folder, and make it if it is not there.
+        """Use a folder; create it if missing.
 
         Args:
             folder: the folder.
-            origin: the rig as its file describes it, and the control period; the memory of another one is put aside.
+            origin: the rig as described in its file, and the control period; the memory of another one is put aside.
             baselines: names of the recordings from which the monitor learns.
 
         Raises:
-            BadInput: the folder cannot be made.
+            BadInput: the folder cannot be created.
         """
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -124,7 +124,7 @@ class Memory:
         """Check that the memory can be written.
 
         Raises:
-            BadInput: it cannot.
+            BadInput: it cannot be written.
         """
         check_writable(self._folder / STATE, "a writable folder", "what the monitor knows")
 
@@ -137,10 +137,10 @@ class Memory:
     # --- reading --------------------------------------------------------------------------------------
 
     def restore(self) -> Kept | None:
-        """Return what was kept of this rig; None if nothing was.
+        """Return the saved state of this rig; None if there is none.
 
         Raises:
-            BadInput: the files cannot be used, or are of another rig, control period or baselines; see :meth:`put_aside`.
+            BadInput: the files are unusable, or belong to another rig, control period or baselines; see :meth:`put_aside`.
         """
         file = self._file(STATE, MONITOR)
         state = file.read()
@@ -160,16 +160,16 @@ class Memory:
         return kept
 
     def put_aside(self, reason: BadInput) -> str:
-        """Move files that cannot be used into a separate folder, as they are.
+        """Move unusable files unchanged into a separate folder.
 
         Args:
-            reason: why it cannot be used.
+            reason: reason why they cannot be used.
 
         Returns:
             A sentence on the reason and the folder.
         """
         self._learnt, self._learnt_file, self._blocks_file = None, "", ""
-        # The history has no mark of its rig.
+        # The history does not identify its rig.
         history = (COEFFICIENTS,) if isinstance(reason, OfAnotherOrigin) else ()
         return self._move_aside(reason, STATE, *self._own_arrays(), *history)
 
@@ -185,7 +185,7 @@ class Memory:
         return f"{reason}; it is now in {aside}"
 
     def _own_arrays(self) -> list[str]:
-        """Return the names of the files of arrays that a monitor has written into the folder; none if it cannot be listed."""
+        """Return the names of a monitor's files of arrays in the folder; none if it cannot be listed."""
         named = list[str]()
         with suppress(OSError):
             named = [name for name in os.listdir(self._folder) if ARRAYS.fullmatch(name)]  # noqa: PTH208 - names alone
@@ -216,7 +216,7 @@ class Memory:
         return Kept(remembered, anchors, content.end)
 
     def _arrays(self, name: str, kind: Kind) -> tuple[Any, Arrays]:
-        """Return document and arrays of a file that the state names."""
+        """Return document and arrays of a file named in the state."""
         if not ARRAYS.fullmatch(name) or _kind(name) is not kind:
             raise ValueError(f"it names the file {name!r}")
         state = self._file(name, kind).read()
@@ -257,20 +257,20 @@ class Memory:
     # --- writing --------------------------------------------------------------------------------------
 
     def due(self) -> bool:
-        """Tell whether a state should be kept although nothing happened."""
+        """Return whether to save the state although no event occurred."""
         return time.monotonic() - self._saved > OFTEN
 
     def keep(self, remembered: Remembered, anchors: Sequence[Anchor], end: float, *, happened: bool = True) -> None:
-        """Replace what is kept.
+        """Replace the saved state.
 
         Args:
-            remembered: what the monitor knows.
-            anchors: wall time along its axis.
+            remembered: the monitor's current state.
+            anchors: wall times along its time axis.
             end: newest time on it [s].
-            happened: whether something happened since; if not, the sums are kept seldom.
+            happened: whether there was an event since; if not, the sums are saved less often.
 
         Raises:
-            NotWritten: with the file and the reason.
+            NotWritten: a file cannot be written; the message has the file and the reason.
         """
         self._saved = now = time.monotonic()
         self._append(remembered.history, anchors)
@@ -304,7 +304,7 @@ class Memory:
                     (self._folder / old).unlink()
 
     def _write(self, kind: Kind, content: Mapping[str, Any], arrays: Arrays) -> str:
-        """Write arrays under a name that neither the state nor anybody else uses, and return it."""
+        """Write arrays under an unused name, and return it."""
         used = {self._learnt_file, self._blocks_file}
         names = (f"{_first_part(kind)}_{i}.npz" for i in count())
         name = next(name for name in names if name not in used and self._is_free(name, kind))
@@ -315,7 +315,7 @@ class Memory:
         return not os.path.lexists(self._folder / name) or self._file(name, kind).is_own()
 
     def _append(self, history: Sequence[Past], anchors: Sequence[Anchor]) -> None:
-        """Append readings that are not there yet to the history."""
+        """Append new readings to the history."""
         new = [past for past in history if past.time > self._told]
         if not new:
             return
@@ -333,10 +333,10 @@ class Memory:
         self._history.flush()
 
     def open_history(self) -> str:
-        """Open the coefficients' history; one that cannot be continued is put aside.
+        """Open the coefficients' history; an unusable one is put aside.
 
         Returns:
-            A sentence on that; empty where it goes on.
+            A sentence on that; empty if the history is continued.
 
         Raises:
             NotWritten: it cannot be opened for writing.
@@ -359,7 +359,7 @@ def check_cells(cells: Sequence[str]) -> None:
     """Check a line of the coefficients' history.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the line is invalid.
     """
     if len(cells) != len(HEADING):
         raise ValueError(f"a line has {len(cells)} values, not {len(HEADING)}")
@@ -378,10 +378,10 @@ def _first_part(kind: Kind) -> str:
 
 
 def _check_rows(rows: Array) -> None:
-    """Refuse a negative information or share.
+    """Reject negative information or share.
 
     Raises:
-        ValueError: there is one.
+        ValueError: a value is negative.
     """
     if np.any(rows[1:] < 0.0):
         raise ValueError("a block has a negative information")
@@ -394,7 +394,7 @@ def _wall(instant: float, anchors: Sequence[Anchor]) -> str:
 
 
 def _same(one: Learnt, other: Learnt) -> bool:
-    """Tell whether nothing was learnt in between; a section that was learnt does not change."""
+    """Return whether nothing was learnt in between; a learnt section does not change."""
     return one.directions is other.directions and list(map(len, one.sections)) == list(map(len, other.sections))
 
 

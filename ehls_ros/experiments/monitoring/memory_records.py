@@ -1,4 +1,4 @@
-"""Records of a monitor's memory: plain values for its files, with finite numbers and known names alone."""
+"""Records of a monitor's memory: plain values for its files, with finite numbers and known names only."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,17 +20,17 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 
 MOST_CHANGES = 1000
-"""Most changes that are kept, the newest."""
+"""Maximum number of changes kept, the newest."""
 
 MOST_EFFECTS = 64
-"""Most effects of a rig's model: each one that a model has makes every later diagnosis slower."""
+"""Maximum number of effects of a rig's model: each one slows down every later diagnosis."""
 
 
 def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
-    """Return a rig's model: the rig's file with effects that were found.
+    """Return a rig's model: the rig's file with detected effects.
 
     Raises:
-        ValueError: it differs from the file in something else, or an effect is wrong.
+        ValueError: it differs from the file in other respects, or an effect is invalid.
     """
     own, given = ({key: value for key, value in rig.items() if key != "effects"} for rig in (content, origin.rig))
     if own != given:
@@ -68,7 +68,7 @@ def change_of(record: ChangeRecord) -> FoundChange:
         raise ValueError(f"a change is in the stage {record.stage!r}")
     causes = tuple(_cause(cause) for cause in record.causes)
     earliest = -math.inf if record.earliest is None else record.earliest
-    # Times that are not known are NaN.
+    # Unknown times are NaN.
     known: dict[str, Any] = {key: math.nan if value is None else value for key, value in record._asdict().items()}
     return FoundChange(**{**known, "causes": causes, "earliest": earliest})
 
@@ -94,7 +94,7 @@ def readings_of(records: Sequence[ReadingRecord]) -> tuple[Reading, ...]:
     """Return readings.
 
     Raises:
-        ValueError: one is of an unknown coefficient.
+        ValueError: a reading is of an unknown coefficient.
     """
     for record in records:
         if record.name not in COEFFICIENTS:
@@ -136,7 +136,7 @@ def direction_of(record: DirectionRecord) -> Direction:
     """Return a departure.
 
     Raises:
-        ValueError: effect, parameters or lengths do not go together.
+        ValueError: effect, parameters or lengths are inconsistent.
     """
     free = record.free
     if any(len(values) != len(free) for values in (record.lower, record.upper, record.units, record.neutral, record.values)):

@@ -1,8 +1,8 @@
-"""The monitor: samples in, and out of them the rig's health.
+"""Monitor that determines the rig's health from its samples.
 
-It learns how a healthy rig's blocks scatter, tests each further block for a change, and has what it noticed diagnosed. What
-changed is in the model from then on, so that the test goes on beside it; each diagnosis starts from the healthy rig again, so
-that a cause that grows is the same change, and one that is gone has cleared.
+It learns the scatter of a healthy rig's blocks, tests each further block for a change, and has detected changes diagnosed. The
+causes are then included in the model, so that the test continues with them. Each diagnosis starts from the healthy rig again,
+so that a growing cause remains the same change, and a cause that disappears is cleared.
 """
 
 import math
@@ -33,62 +33,62 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
 AT_ONCE = rules.MONITOR_AT_ONCE * rules.MONITOR_BLOCK
-"""Time that is compared with the model at once [s]."""
+"""Duration of samples compared with the model at once [s]."""
 
 GAP = 0.05
 """Longest time between two samples of one stretch [s]."""
 
 RIG_FILE, OWN_RECORDING, RECORDINGS = "the rig file", "the first minutes", "healthy recordings"
-"""What a change is measured from."""
+"""Kinds of baseline."""
 
 LOOKED_AT = 20.0
-"""Time of a healthy recording from which the sizes of the departures are chosen [s]."""
+"""Duration of a healthy recording from which the sizes of the departures are chosen [s]."""
 
 MORE = 1.5
 """Factor by which the samples since an onset must have grown before they are diagnosed again."""
 
 AGAIN = 60.0
-"""Time after which they are diagnosed again in any case: a drift shows more of itself in the latest samples [s]."""
+"""Time after which they are diagnosed again in any case [s]: a drift is larger in the latest samples."""
 
 DRIFTING = 0.75
-"""Power of the time since the onset with which the sums of a drift grow at least; those of a steady change grow as its root."""
+"""Minimum exponent of the growth of a drift's sums with the time since its onset; those of a steady change grow as its root."""
 
 SETTLED = 60.0
-"""Time since it was noticed after which a change that no diagnosis confirms is taken for an operating point of its own [s]."""
+"""Time after detection at which a change that no diagnosis confirms is taken for a new operating point [s]."""
 
 LEARNT_ON = 24
-"""Blocks without a change after which their scatter is learnt as well."""
+"""Number of blocks without a change after which their scatter is learnt as well."""
 
 MOST_LEARNT = 720
-"""Blocks from which the scatter is learnt at most."""
+"""Maximum number of blocks from which the scatter is learnt."""
 
 UNSURE_UNTIL = 30.0
-"""Time of samples with which a cause in doubt is named, or a change that no effect of the list explains [s]."""
+"""Duration of samples after which an uncertain cause is named, or a change that no effect of the list explains [s]."""
 
 
 class Monitor:
-    """Watches one rig.
+    """Monitor of one rig.
 
     Attributes:
-        changes: what was found, oldest first.
-        history: the coefficients, one entry each ``reading_time``.
-        well: the healthy rig's model: the rig file's, with what differed from it when the monitor began.
-        model: the same with what has changed since.
+        changes: detected changes, oldest first.
+        history: the coefficients, one entry per ``reading_time``.
+        well: model of the healthy rig: the rig file with the differences found at the start of the monitor.
+        model: the same with the changes since.
     """
 
     def __init__(
         self, rig: Rig, parameters: Parameters, examiner: Examiner, baselines: Mapping[str, Trajectory] | None = None
     ) -> None:
-        """Begin to learn, from recordings of the healthy rig or from the first samples.
+        """Start learning, from recordings of the healthy rig or from the first samples.
 
         Args:
-            rig: the rig as its file describes it.
-            parameters: how it is watched.
-            examiner: who diagnoses a change.
-            baselines: recordings from when the rig was well, by their names.
+            rig: the rig as described in its file.
+            parameters: monitoring parameters.
+            examiner: executor of the diagnoses.
+            baselines: recordings of the healthy rig, by name.
 
         Raises:
-            BadInput: a baseline cannot be read as a recording of such a rig.
+            BadInput: a baseline does not match the rig.
         """
         self.rig = self.well = self.model = rig
         self.parameters = parameters
@@ -126,14 +126,14 @@ class Monitor:
     # --- samples ----------------------------------------------------------------------------------
 
     def add(self, time_s: Array, signals: Mapping[str, Array]) -> list[Event]:
-        """Take further samples, and judge the blocks that they complete.
+        """Add samples, and judge the completed blocks.
 
         Args:
-            time_s: increasing times that follow those before, shape (n,) [s]. A jump begins a new stretch.
-            signals: values by the names of the data contract, NaN where a sample has none, shape (n,).
+            time_s: increasing times after those before, shape (n,) [s]. A jump starts a new stretch.
+            signals: values by the names of the data contract, NaN where missing, shape (n,).
 
         Returns:
-            What happened.
+            The events.
         """
         events = list[Event]()
         if len(time_s):
@@ -147,11 +147,11 @@ class Monitor:
         return events
 
     def interrupt(self) -> None:
-        """Begin a new stretch with the next sample: what lies between was not driven by the recorded command."""
+        """Start a new stretch with the next sample, as the recorded command did not drive the rig in between."""
         self._begin = math.nan
 
     def recording(self, seconds: float) -> Trajectory:
-        """Return the samples of the last time [s]."""
+        """Return the samples of the last ``seconds`` [s]."""
         end = float(self._samples.times[-1]) if len(self._samples) else 0.0
         return self._samples.between(end - seconds, math.inf)
 
@@ -171,11 +171,11 @@ class Monitor:
     # --- blocks -----------------------------------------------------------------------------------
 
     def _blocks(self, begin: float, samples: Trajectory | None = None) -> tuple[Evidence | None, list[Scores]]:
-        """Return some blocks compared with the model, and what each says; none where they cannot be judged.
+        """Compare blocks with the model, and return the evidence and the score of each; none if they cannot be judged.
 
         Args:
-            begin: where the first begins [s].
-            samples: of a recording that begins with their lead; by default those of the rig.
+            begin: begin of the first block [s].
+            samples: samples of a recording that begins with their lead; by default those of the rig.
         """
         if samples is None:
             samples = self._samples.between(begin - rules.MONITOR_LEAD, begin + AT_ONCE)
@@ -205,7 +205,7 @@ class Monitor:
     def _judge(self, begin: float, events: list[Event]) -> None:
         if self._state == State.LEARNING:
             if self._compared(self._samples.between(begin - rules.MONITOR_LEAD, begin + AT_ONCE), self.model) is None:
-                # What rests, or moves too little, teaches nothing.
+                # A rig at rest or hardly in motion provides no information.
                 return
             oldest = float(self._samples.times[0]) + rules.MONITOR_LEAD
             self._learning = [*(kept for kept in self._learning if kept >= oldest), begin]
@@ -225,7 +225,7 @@ class Monitor:
             self._take(begin + number * rules.MONITOR_BLOCK, block, events)
 
     def _is_outside(self, evidence: Evidence) -> bool:
-        """Tell whether a block lies where no healthy recording has been; the rig file's model holds everywhere."""
+        """Return whether a block lies outside the range of the healthy recordings; the rig file's model is valid everywhere."""
         outside = self._kind != RIG_FILE and any(item.beyond > rules.MENTIONED_UNSEEN for item in covered(self._seen, evidence))
         self._outside.append(outside)
         return outside
@@ -298,7 +298,7 @@ class Monitor:
         self._begin_watching()
 
     def _learn_remainder(self, recordings: Sequence[Evidence | None]) -> None:
-        """Learn from recordings of the healthy rig what the model leaves of them, and between which values they were."""
+        """Learn the remaining residuals of the model and the ranges of the signals from recordings of the healthy rig."""
         compared = [evidence for evidence in recordings if evidence is not None]
         left = [remainders(evidence, self._directions) for evidence in compared]
         self._remainder = np.max(left, axis=0) if left else np.zeros(len(self._directions))
@@ -314,7 +314,7 @@ class Monitor:
         self._state, self._reason = State.WATCHING, ""
 
     def _learn_on(self, found: Scores) -> None:
-        """Learn the scatter from what runs without a change."""
+        """Continue learning the scatter from blocks without a change."""
         if len(self._since) >= MOST_LEARNT:
             return
         self._since.append(found._replace(normal=np.zeros((0, 0))))
@@ -322,19 +322,19 @@ class Monitor:
             self._test.learn(self._healthy())
 
     def _healthy(self) -> Healthy:
-        """Return how the healthy blocks scatter.
+        """Return the scatter of the healthy blocks.
 
-        Departures from a rig file that is right are measured from it itself. One that a healthy rig seems to make already is
-        not followed: a delay averages noise, and seems to help a little where there is none.
+        Departures from a valid rig file are measured from the file itself. A departure that seems present in the healthy rig
+        already is not tested: a delay, for example, averages noise and slightly improves the fit even if there is none.
         """
         found = _learnt(self._sections)
         if len(self._since) >= LEARNT_ON:
             found = scattering(found, _learnt([*self._sections, self._since]))
-        # A noise floor is never exact, and less than noise is no fault.
+        # A noise floor is never exact, and a residual below the noise is not a fault.
         power = np.arange(len(found.level)) >= len(self._directions)
         found = found._replace(level=np.where(power, np.maximum(found.level, 0.0) + rules.POWER_TOLERATED, found.level))
         if self._kind != RIG_FILE:
-            # What the model leaves grows with the motion: its power tells nothing.
+            # The remaining residual grows with the motion, so its power is not informative.
             unknown = power & (found.level > 2.0 * rules.POWER_TOLERATED)
             remainder = np.concatenate([self._remainder, np.zeros(len(CHANNELS))])
             return found._replace(certainty=np.where(unknown, 0.0, found.certainty), remainder=remainder)
@@ -353,10 +353,10 @@ class Monitor:
         self._asked = now
         self._under_way, self._examined, self._state = change, change.blocks, State.EXAMINING
         begins = list(self._begins)
-        # The block in which it began is only partly changed.
+        # The block of the onset is only partly changed.
         first = begins[1 - change.blocks]
         if change.blocks >= len(begins) - 1 and not math.isnan(self._unsettled):
-            # What was named last does not explain all since: more samples tell more.
+            # The last named cause does not explain all samples since: use more samples.
             first = self._unsettled
         begin = self._unsettled = max(first, now - self.parameters.kept_time)
         events.append(Event(now, "noticed", f"{self._quantity(change.quantity)} since {begins[-change.blocks]:.1f} s"))
@@ -364,7 +364,7 @@ class Monitor:
         self._examiner.begin(Task(self._samples.between(begin, now), self.well, baselines, self._preferred()))
 
     def _preferred(self) -> tuple[str, ...]:
-        """Return the effects that are named rather than their look-alikes: those that were, and those of the coefficients."""
+        """Return the effects preferred to equivalent ones: those named before, and those of the coefficients."""
         known = (change.name for change in self.changes if change.active and change.causes)
         return tuple(dict.fromkeys([*known, *(coefficient.effect for coefficient in COEFFICIENTS.values())]))
 
@@ -405,7 +405,7 @@ class Monitor:
             self._accept(change.blocks)
 
     def _drifts(self, change: Change) -> bool:
-        """Tell whether a change has grown since it was noticed first."""
+        """Return whether a change has grown since it was first noticed."""
         first = change if self._first is None else self._first
         return change.ratio > first.ratio * math.pow(change.blocks / first.blocks, DRIFTING)
 
@@ -448,14 +448,14 @@ class Monitor:
         events.append(Event(now, "watching", f"watched against {self._kind}"))
 
     def _learn_anew(self) -> None:
-        """Learn what the rig is now: an unknown change cannot be put into the model."""
+        """Restart learning from the present rig, as an unknown change cannot be included in the model."""
         self._state, self._test, self._sections = State.LEARNING, None, []
         self._begins.clear()
         self._recent.clear()
         self._since.clear()
 
     def _accept(self, blocks: int) -> None:
-        """Take the last blocks for one more condition of the healthy rig."""
+        """Accept the last blocks as a further condition of the healthy rig."""
         if self._test is None:
             return
         score, information, share = self._test.rows()[:, -blocks:]
@@ -465,7 +465,7 @@ class Monitor:
         self._restart()
 
     def _restart(self) -> None:
-        """Begin the sums anew: what they held was measured from another model."""
+        """Restart the sums, which referred to another model."""
         if self._test is not None:
             self._test.restart()
         self._begins.clear()
@@ -474,7 +474,7 @@ class Monitor:
         self._examined = 0
 
     def _name(self, found: Finding, times: tuple[float, float, float], now: float, events: list[Event]) -> None:
-        """Keep what a diagnosis names: a known change has another size, a new one is added, and what is not named is gone."""
+        """Apply the causes of a diagnosis: update known changes, add new ones, and clear those not named."""
         named = list(found.causes)
         for index, change in enumerate(self.changes):
             if not change.active or change.before or not change.causes:
@@ -504,19 +504,19 @@ class Monitor:
                 self.changes[index] = change._replace(cleared=now)
                 events.append(Event(now, "cleared", f"{change.name} shows no more"))
 
-    # --- what is known ------------------------------------------------------------------------------
+    # --- current state ------------------------------------------------------------------------------
 
     def acknowledge(self) -> int:
-        """Take note that an operator has seen all changes, and return how many were new to them."""
+        """Register that an operator has seen all changes, and return the number of new ones."""
         new = [i for i, change in enumerate(self.changes) if not change.acknowledged]
         for index in new:
             self.changes[index] = self.changes[index]._replace(acknowledged=True)
         return len(new)
 
     def accept(self) -> Rig | None:
-        """Take the rig with its changes for the healthy one from now on, and return it; None if there is none to accept.
+        """Accept the rig with its changes as the healthy one from now on, and return it; None if there is none to accept.
 
-        Where recordings are what a change is measured from, what the healthy rig is is learnt again.
+        If the baseline consists of recordings, the healthy rig is learnt again.
         """
         new = [i for i, change in enumerate(self.changes) if change.active and change.causes and not change.before]
         if not new:
@@ -533,9 +533,9 @@ class Monitor:
         return self.well
 
     def reset(self) -> None:
-        """Begin anew after a repair: what was found is over, and what the healthy rig is is learnt again.
+        """Restart after a repair: clear all changes, and learn the healthy rig again.
 
-        Recordings of the healthy rig that were given remain what a change is measured from.
+        Given recordings of the healthy rig remain the baseline.
         """
         self._examiner.close()
         self._under_way, self._examined, self._unsettled = None, 0, math.nan
@@ -551,7 +551,7 @@ class Monitor:
         self._reason = ""
 
     def remembered(self) -> Remembered:
-        """Return what another monitor of this rig needs to go on from here."""
+        """Return the state from which another monitor of this rig can continue."""
         learnt = None
         if self._test is not None:
             sections = tuple(map(tuple, self._sections))
@@ -569,10 +569,10 @@ class Monitor:
         )
 
     def restore(self, past: Remembered) -> None:
-        """Go on where another monitor of this rig ended; called before the first sample.
+        """Restore the state of another monitor of this rig; called before the first sample.
 
         Args:
-            past: what it knew. Times are on the axis that goes on.
+            past: state of that monitor, with times on the axis that is continued.
         """
         self.well, self.model = past.well, past.model
         self.changes, self.history = list(past.changes), list(past.history)
@@ -594,11 +594,11 @@ class Monitor:
         for row in past.rows.swapaxes(0, 1):
             self._test.add(*row)
         if self._test.change() is not None:
-            # The samples that would tell what it is are gone; what still holds shows again.
+            # The samples for its diagnosis are lost; a change that persists is detected again.
             self._restart()
 
     def health(self) -> Health:
-        """Return what is known now."""
+        """Return the current health of the rig."""
         time = float(self._samples.times[-1]) if len(self._samples) else math.nan
         outside = float(np.mean(self._outside)) if self._outside else 0.0
         return Health(
@@ -614,7 +614,7 @@ class Monitor:
         )
 
     def close(self) -> None:
-        """End what is under way."""
+        """Abort a running diagnosis."""
         self._examiner.close()
 
 

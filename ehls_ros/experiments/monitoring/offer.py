@@ -1,8 +1,8 @@
-"""The shortest experiment of the catalogue that tells coefficients which the present programme does not.
+"""Offer of the shortest experiment of the catalogue for coefficients that the present programme does not determine.
 
-Each experiment is run on the simulated healthy rig, once, and read as the monitor reads its blocks: what it would tell is known
-before the rig moves. As the error of a coefficient falls with the root of the time, an experiment that tells it too coarsely is
-repeated as often as that needs.
+Each experiment is simulated once on the healthy rig and evaluated like the monitor's blocks, so that its information is known
+before the rig moves. The error of a coefficient decreases with the square root of time, so an experiment that is not precise
+enough is repeated as often as necessary.
 """
 
 from collections.abc import Collection, Mapping
@@ -26,18 +26,18 @@ from ehls_ros.physics.rig import Rig, rig_to_mapping, unknown_keys
 from ehls_ros.trajectory import Trajectory
 
 REPEATS = (1, 2, 4, 8)
-"""How often an experiment may be run."""
+"""Permitted numbers of repetitions of an experiment."""
 
 
 class Offer(NamedTuple):
-    """An experiment that tells what the present programme does not.
+    """An experiment for coefficients that the present programme does not determine.
 
     Attributes:
         name: its name in the catalogue.
-        purpose: what it does, in a few words.
-        seconds: time that it takes, with its repetitions [s].
-        repeats: how often it is run.
-        tells: names of the coefficients that it tells, of those asked for.
+        purpose: short description.
+        seconds: duration including repetitions [s].
+        repeats: number of runs.
+        tells: names of the requested coefficients that it determines.
         spec: spec for ``ehls experiment``, without the rig file.
     """
 
@@ -50,15 +50,15 @@ class Offer(NamedTuple):
 
 
 def offer(missing: Collection[str], rig: Rig, signals: Collection[str] = USED) -> Offer | None:
-    """Return the experiment that tells most of some coefficients, and of those that tell as many the shortest.
+    """Return the shortest experiment that determines the most of the missing coefficients.
 
     Args:
         missing: names in :data:`~ehls_ros.diagnosis.monitoring.tracking.COEFFICIENTS`.
         rig: the healthy rig.
-        signals: names of the signals that are recorded.
+        signals: names of the recorded signals.
 
     Returns:
-        The experiment; None where none of them tells any, or the rig cannot be simulated.
+        The experiment; None if none determines any, or if the rig cannot be simulated.
     """
     if unknown_keys(rig):
         return None
@@ -67,7 +67,7 @@ def offer(missing: Collection[str], rig: Rig, signals: Collection[str] = USED) -
 
 
 def _rated(name: str, missing: Collection[str], rig: Rig, signals: Collection[str]) -> Offer | None:
-    """Return an experiment with what it tells of some coefficients; None where that is nothing."""
+    """Return an experiment with the missing coefficients that it determines; None if there are none."""
     mapping = catalogue_spec(name, rig)
     try:
         spec = spec_from_mapping({**mapping, "rig": rig_to_mapping(rig)}, "catalogue", Path())

@@ -1,4 +1,4 @@
-"""How a rig is watched."""
+"""Parameters of the monitoring of a rig."""
 
 from typing import Annotated, NamedTuple
 
@@ -6,7 +6,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """How a rig is watched."""
+    """Parameters of the monitoring of a rig."""
 
     mean_time_between_false_alarms: Annotated[
         float, quantity("h", "mean time between two false alarms, at least", minimum=1.0, maximum=1e6)

@@ -1,4 +1,4 @@
-"""How fast the coefficients change: lines through the last readings of those that drift rather than jump."""
+"""Rates of change of the coefficients: lines through the last readings of those that drift rather than jump."""
 
 import math
 from collections.abc import Sequence
@@ -10,22 +10,22 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.remembered import Past
 
 MOST_HISTORY = 1440
-"""Readings of which a process or a report of one day needs no more."""
+"""Maximum number of readings kept for a process or a report of one day."""
 
 RATES = 60
-"""Readings from which the rates of change are found."""
+"""Number of last readings from which the rates of change are estimated."""
 
 FEWEST_RATES = 5
-"""Fewest of them."""
+"""Minimum number of these readings."""
 
 FEWEST = 4
-"""Fewest readings that show a jump."""
+"""Minimum number of readings to detect a jump."""
 
 HOUR = 3600.0
 
 
 def rates(history: Sequence[Past]) -> dict[str, Estimate]:
-    """Return the change in an hour of each coefficient that drifts.
+    """Return the change per hour of each drifting coefficient.
 
     Args:
         history: the readings, oldest first.
@@ -51,13 +51,13 @@ def rates(history: Sequence[Past]) -> dict[str, Estimate]:
 
 
 def jumped(times: Array, values: Array, deviations: Array) -> bool:
-    """Tell whether readings are better described by one jump than by a line: a jump has no rate.
+    """Return whether readings are better described by one jump, which has no rate, than by a line.
 
     The two are compared by the Bayesian information criterion, with the scatter around each.
 
     Args:
-        times: of the readings, increasing, shape (n,).
-        values: shape (n,).
+        times: times of the readings, increasing, shape (n,).
+        values: values, shape (n,).
         deviations: their standard errors, shape (n,).
     """
     count = len(values)
@@ -70,12 +70,12 @@ def jumped(times: Array, values: Array, deviations: Array) -> bool:
 
     jump = min(rest(slice(None, place)) + rest(slice(place, None)) for place in range(1, count))
     _, line = _line(times, values, weights)
-    # A scatter below that of the readings' own errors tells nothing. A jump may be anywhere: that costs as much as two numbers.
+    # A scatter below the readings' errors is not informative. The free position of the jump counts as two parameters.
     return count * math.log(max(jump / count, 1.0)) + 3.0 * math.log(count) < count * math.log(max(line / count, 1.0))
 
 
 def _line(times: Array, values: Array, weights: Array) -> tuple[float, float]:
-    """Return the slope of the line that fits readings best, and what it leaves of their weighted squares."""
+    """Return the slope of the weighted least-squares line, and its residual sum of squares."""
     along = times - np.average(times, weights=weights)
     slope = float(np.sum(weights * along * values) / np.sum(weights * along**2))
     level = values - slope * along

@@ -1,4 +1,4 @@
-"""What a monitor must remember to go on where another one of the same rig ended."""
+"""Records of a monitor's state, from which another monitor of the same rig continues."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ from ehls_ros.trajectory import Trajectory
 
 
 class Past(NamedTuple):
-    """What the coefficients were.
+    """Past readings of the coefficients.
 
     Attributes:
         time: end of the averaged blocks [s].
-        readings: of all coefficients.
+        readings: readings of all coefficients.
     """
 
     time: float
@@ -24,13 +24,13 @@ class Past(NamedTuple):
 
 
 class Learnt(NamedTuple):
-    """What a healthy rig is.
+    """Learnt model of a healthy rig.
 
     Attributes:
-        kind: what a change is measured from.
-        directions: the departures that are looked for.
-        sections: scores of the healthy blocks, one section each condition of the rig.
-        recording: the rig's own first minutes, where they are what a change is measured from.
+        kind: kind of baseline.
+        directions: the departures tested.
+        sections: scores of the healthy blocks, one section per condition of the rig.
+        recording: the first minutes of the rig, if they are the baseline.
     """
 
     kind: str
@@ -40,18 +40,18 @@ class Learnt(NamedTuple):
 
 
 class Remembered(NamedTuple):
-    """Everything that a monitor knows.
+    """Complete state of a monitor.
 
     Attributes:
-        learnt: what a healthy rig is; None while that is not known.
-        well: the healthy rig's model.
-        model: the same with what has changed since.
-        changes: what was found, oldest first.
+        learnt: learnt model of the healthy rig; None while unknown.
+        well: model of the healthy rig.
+        model: the same with the changes since.
+        changes: detected changes, oldest first.
         history: the last readings of the coefficients.
-        readings: the newest ones.
+        readings: the newest readings.
         watched: time for which blocks were judged [s].
-        begins: begins of the blocks that are summed [s].
-        rows: score, information and share of these, shape (3, blocks, n).
+        begins: begin times of the summed blocks [s].
+        rows: score, information and share of these blocks, shape (3, blocks, n).
     """
 
     learnt: Learnt | None

@@ -1,4 +1,4 @@
-"""Recordings watched as if the rig ran: the work of `ehls monitor`, without files."""
+"""Replay of recordings through the monitor: the work of `ehls monitor`, without files."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -27,17 +27,17 @@ from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
 PIECE = 0.25
-"""Time of the samples that are given to the monitor at once [s]."""
+"""Duration of the samples passed to the monitor at once [s]."""
 
 APART = 1.0
-"""Time on the monitor's axis between two recordings [s]; what really passed between them is not known."""
+"""Time on the monitor's axis between two recordings [s]; the true time is unknown."""
 
 
 class Part(NamedTuple):
     """A recording to be watched.
 
     Attributes:
-        name: what it is called.
+        name: name of the recording.
         trajectory: the recording.
         pauses: first and last time of each stretch in which no command reached the valve, on its time base [s].
     """
@@ -48,12 +48,12 @@ class Part(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Where a recording stands on the monitor's axis.
+    """Position of a recording on the monitor's axis.
 
     Attributes:
-        name: the recording.
+        name: name of the recording.
         begin, end: its first and last time [s].
-        not_driven: time of it that was not judged as no command reached the valve [s].
+        not_driven: time not judged because no command reached the valve [s].
     """
 
     name: str
@@ -63,18 +63,18 @@ class Stretch(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """What a monitor knows of a time in which it watched a rig: all that file and page show.
+    """Results of monitoring a rig over a time, for file and page.
 
     Attributes:
-        rig: the healthy rig, as its file describes it.
-        parameters: how it was watched.
-        health: what is known at the end.
+        rig: the healthy rig as described in its file.
+        parameters: monitoring parameters.
+        health: health at the end.
         history: the coefficients over time.
-        events: what happened.
-        stretches: recordings on the time axis; none of a running rig.
-        limits: when the coefficients reach their limits, of those that have one.
-        missing: names of the coefficients that this programme does not tell.
-        offer: the shortest experiment that tells most of them; None where none would.
+        events: events in order.
+        stretches: recordings on the time axis; none for a running rig.
+        limits: predicted times to the limits of coefficients that have one.
+        missing: names of the coefficients that this programme does not determine.
+        offer: shortest experiment that determines most of them; None if none does.
     """
 
     rig: Rig
@@ -98,22 +98,22 @@ def replay(
     progress: Update,
     tell: Callable[[Event], None],
 ) -> Watched:
-    """Watch recordings, one after the other, each from a stretch of its own.
+    """Monitor recordings one after another, each as a separate stretch.
 
     Args:
         parts: the recordings, oldest first.
-        rig: the rig as its file describes it.
-        parameters: how it is watched.
-        baselines: recordings from when the rig was well, by their names; none: the first of the samples are learnt from.
+        rig: the rig as described in its file.
+        parameters: monitoring parameters.
+        baselines: recordings of the healthy rig, by name; none: the first samples are used for learning.
         limits: limits of coefficients by their names, each in its unit.
-        progress: called with the time watched, the whole time and what is being done [s].
-        tell: called with each event when it happens.
+        progress: called with the processed and the total time [s], and the current activity.
+        tell: called with each event as it occurs.
 
     Raises:
-        BadInput: a recording cannot be read as one of such a rig, or contradicts the rig file.
+        BadInput: a recording does not match the rig, or contradicts the rig file.
     """
     for name, trajectory in (*((part.name, part.trajectory) for part in parts), *baselines.items()):
-        check_suits(trajectory, rig, name)  # before compiling takes its time
+        check_suits(trajectory, rig, name)  # before the time-consuming compilation
     with Workers() as workers:
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
     progress(0, 1, "learning from the baselines" if baselines else "watching")
@@ -160,13 +160,13 @@ def replay(
 
 
 def told_apart(found: Sequence[Reading], changes: Sequence[FoundChange]) -> tuple[Reading, ...]:
-    """Return readings without those that a change under another name has in it.
+    """Invalidate readings whose effect is attributed to an equivalent cause of an active change.
 
-    A leakage may be inside or outside: where it is in the model as an outer one, the inner one reads as if it were healthy.
+    For example, if a leakage is modelled as external, the reading of the internal leakage would look healthy.
 
     Args:
         found: the readings.
-        changes: the changes that show.
+        changes: the active changes.
     """
     first = [change.causes[0] for change in changes if change.causes]
     named = {cause.name for cause in first}
@@ -184,7 +184,7 @@ def _seconds(trajectory: Trajectory) -> float:
 
 
 def _driven(part: Part) -> Mask:
-    """Tell which samples follow a command that reached the valve, shape (n,)."""
+    """Return which samples follow a command that reached the valve, shape (n,)."""
     time = part.trajectory.time_s
     driven = np.ones(len(time), dtype=np.bool_)
     for begin, end in part.pauses:
@@ -193,7 +193,7 @@ def _driven(part: Part) -> Mask:
 
 
 def _pieces(time: Array, driven: Mask) -> list[tuple[int, int]]:
-    """Return the ranges of samples that are given at once: none spans a pause."""
+    """Return the ranges of samples passed at once; none spans a pause."""
     turns = np.flatnonzero((np.diff(np.floor(time / PIECE)) > 0.0) | (driven[1:] != driven[:-1])) + 1
     ends = [0, *turns.tolist(), len(time)]
     return [(first, last) for first, last in pairwise(ends) if last > first and driven[first]]

@@ -1,4 +1,4 @@
-"""The samples of the last minutes."""
+"""Buffer of the samples of the last minutes."""
 
 from collections.abc import Mapping
 
@@ -9,21 +9,21 @@ from ehls_ros.diagnosis.record import USED
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 4096
-"""Samples by which the buffer is longer than what it keeps, so that it is moved seldom."""
+"""Spare length of the buffer [samples], so that its content is rarely moved."""
 
 
 class Samples:
-    """Keeps the samples of a time, oldest first.
+    """Buffer of the samples of a limited time, oldest first.
 
     Attributes:
         gaps: times of the first samples after a gap, oldest first [s].
     """
 
     def __init__(self, seconds: float) -> None:
-        """Begin empty.
+        """Start empty.
 
         Args:
-            seconds: time that is kept [s].
+            seconds: length of the time kept [s].
         """
         self._seconds = seconds
         self._rows = np.empty((CHUNK, 1 + len(USED)))
@@ -41,11 +41,11 @@ class Samples:
         return self._rows[: self._used, 0]
 
     def add(self, time_s: Array, signals: Mapping[str, Array]) -> None:
-        """Add samples that follow those that are there.
+        """Append samples.
 
         Args:
             time_s: increasing times, shape (n,) [s].
-            signals: values by the names of the data contract, NaN where there is none, shape (n,).
+            signals: values by the names of the data contract, NaN where missing, shape (n,).
         """
         self._there = tuple(name for name in USED if name in signals)
         self._make_room(len(time_s))
@@ -56,11 +56,11 @@ class Samples:
         self._used += len(time_s)
 
     def begin_anew(self, time: float) -> None:
-        """Take note that what comes from a time on does not continue what is there [s]."""
+        """Register a gap before the samples from a time on [s]."""
         self.gaps.append(time)
 
     def between(self, begin: float, end: float) -> Trajectory:
-        """Return the samples of a time, as a recording that begins at 0.
+        """Return the samples of an interval, as a recording that begins at 0.
 
         Args:
             begin: first time [s].

@@ -1,4 +1,4 @@
-"""The rig's health in words and as a level that does not flap."""
+"""Wording of the rig's health, and a debounced warning level."""
 
 import time
 from collections.abc import Callable
@@ -12,28 +12,28 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 
 SENSORS = "sensors"
-"""Group of the effects that are a sensor's fault; all others are the rig's."""
+"""Group of the effects that are sensor faults; all others are faults of the rig."""
 
 HOLD = 60.0
-"""Time for which a level holds, unless it worsens [s]."""
+"""Time for which a level is held unless it worsens [s]."""
 
 GOOD, WARNING = range(2)
-"""Levels, as those of diagnostics."""
+"""Levels, as in diagnostics."""
 
 OFTEN_OUTSIDE = 0.1
-"""Fraction of blocks outside what the baseline covers from which that is said."""
+"""Fraction of blocks outside the range of the baseline from which this is reported."""
 
 UNIX_TIME_NS = 10**18
-"""Later stamps are of the wall clock; earlier ones count from the beginning of a run in lockstep."""
+"""Stamp from which times are of the wall clock; earlier ones count from the beginning of a run in lockstep."""
 
 WEEK_NS = 6 * 86400 * 10**9
-"""Time for which a weekday tells the day [ns]."""
+"""Time for which a weekday identifies the day [ns]."""
 
 INTERVAL = 1.96
-"""Standard errors from the middle to the end of a 95 % interval."""
+"""Half width of a 95 % interval in standard errors."""
 
 Wall = Callable[[float], int]
-"""The stamp of an instant on the monitor's axis [ns]; 0: unknown."""
+"""Function that returns the stamp of an instant on the monitor's axis [ns]; 0: unknown."""
 
 
 def today() -> date:
@@ -49,20 +49,20 @@ class Word(NamedTuple):
 
 
 class HeldLevel:
-    """A level that holds a while before it improves, with the sentence that belongs to it."""
+    """Warning level that is held for a time before it improves, with its sentence."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin without a level; ``clock`` returns the time [s]."""
+        """Start without a level; ``clock`` returns the time [s]."""
         self._clock = clock
         self._held: Word | None = None
         self._since = 0.0
 
     def release(self) -> None:
-        """Let the next word count whatever it is: an operator has acted."""
+        """Release the held level after an action of the operator."""
         self._held = None
 
     def take(self, word: Word) -> Word:
-        """Return what to tell where this is so now."""
+        """Update with the present level and sentence, and return those to be reported."""
         now = self._clock()
         held = self._held
         if held is not None and word.level < held.level and now - self._since < HOLD:
@@ -79,12 +79,12 @@ def group(change: FoundChange) -> str:
 
 
 def sentence(change: FoundChange, rig: Rig, wall: Wall, now_ns: int) -> str:
-    """Say what changed, by how much, and since when.
+    """Describe a change: cause, size and time of onset.
 
     Args:
         change: the change.
-        rig: the rig as its file describes it, which a size is measured by.
-        wall: the stamps along the monitor's axis.
+        rig: the rig as described in its file, the reference of sizes.
+        wall: returns the stamps along the monitor's axis.
         now_ns: the newest stamp [ns].
     """
     since = f" since {moment(wall(change.since), now_ns)}"
@@ -104,7 +104,7 @@ def _tracked(effect: str, parameter: str) -> Tracked | None:
 
 
 def _size(effect: str, parameter: str, value: Estimate, rig: Rig) -> str:
-    """Return a size: as a factor on its right value where it has one."""
+    """Format the size of a parameter, as a factor on its nominal value if it has one."""
     known = _tracked(effect, parameter)
     name = known.words if known else parameter.replace("_", " ")
     given = known.given(rig) if known and known.coefficient and not known.relative else 0.0
@@ -116,7 +116,7 @@ def _size(effect: str, parameter: str, value: Estimate, rig: Rig) -> str:
 
 
 def moment(stamp_ns: int, now_ns: int) -> str:
-    """Return an instant as an operator would write it: weekday and time, or the date where that is long ago.
+    """Format an instant for an operator: weekday and time, or date and time if over a week ago.
 
     Args:
         stamp_ns: the instant [ns].
@@ -129,12 +129,12 @@ def moment(stamp_ns: int, now_ns: int) -> str:
 
 
 def word(health: Health, rig: Rig, wall: Wall) -> Word:
-    """Return level and sentence of the rig's health: a warning while a change shows that no operator has seen.
+    """Return level and sentence of the rig's health; a warning while a change is active and not acknowledged.
 
     Args:
-        health: as the monitor knows it.
-        rig: the rig as its file describes it.
-        wall: the stamps along the monitor's axis.
+        health: health reported by the monitor.
+        rig: the rig as described in its file.
+        wall: returns the stamps along the monitor's axis.
     """
     now_ns = wall(health.time)
     new = [change for change in health.active if not change.acknowledged]

@@ -1,1 +1,1 @@
-"""The paper's simulation study run again, one file a question; ``study`` puts the answers together."""
+"""Reproduction of the paper's simulation study, one file per question; ``study`` combines the results."""

@@ -1,4 +1,4 @@
-"""The paper's cases as experiments, with one tuning for all of them."""
+"""The paper's cases as experiments, with one tuning for all."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,13 +31,13 @@ DIVERGED = 2e3
 
 
 class Change(NamedTuple):
-    """How a run differs from the paper's case.
+    """Differences of a run from the paper's case.
 
     Attributes:
-        sections: keys of the spec; a mapping is merged into the section's own.
-        plant: factors by which the plant's coefficients differ from those the controller was designed with.
+        sections: keys of the spec; a mapping is merged into that of the section.
+        plant: factors on the plant's coefficients relative to those of the controller's design.
         friction: the same for the friction's coefficients.
-        known_friction: factors on the friction's coefficients of plant and controller alike.
+        known_friction: factors on the friction's coefficients of both plant and controller.
     """
 
     sections: Mapping[str, Any] = {}
@@ -62,7 +62,7 @@ def case(cell: Cell, change: Change = AS_PUBLISHED) -> Spec:
 
     Args:
         cell: the combination.
-        change: how it differs from the paper's case.
+        change: its differences from the paper's case.
     """
     sections: dict[str, Any] = {
         "title": " ".join(cell),
@@ -81,7 +81,7 @@ def case(cell: Cell, change: Change = AS_PUBLISHED) -> Spec:
 
 
 def _scaled(parameters: Coefficients, factors: Mapping[str, float]) -> Coefficients:
-    """Return a parameter set with some coefficients multiplied, those of several elements all alike."""
+    """Return a parameter set with some coefficients scaled, those of several elements by the same factor."""
     own = parameters._asdict()
     scaled: dict[str, Any] = {
         name: tuple(factor * value for value in own[name]) if isinstance(own[name], tuple) else factor * own[name]
@@ -92,7 +92,7 @@ def _scaled(parameters: Coefficients, factors: Mapping[str, float]) -> Coefficie
 
 def run(cell: Cell, change: Change = AS_PUBLISHED) -> Trajectory:
     """Run one cell."""
-    # Some readings of the paper describe a rig that a rig file would be refused for; they are tried all the same.
+    # Some readings of the paper describe a rig that the checks of a rig file reject; they are tried nevertheless.
     return run_in_process(case(cell, change), check=not change.known_friction)
 
 
@@ -110,7 +110,7 @@ def largest_error(cell: Cell, change: Change = AS_PUBLISHED) -> float:
 
 
 def largest_errors(runs: Sequence[tuple[Cell, Change]]) -> list[float]:
-    """Run cells side by side and return what :func:`largest_error` returns for each."""
+    """Run cells side by side and return the result of :func:`largest_error` for each."""
     errors = [math.inf] * len(runs)
     for place, result in run_batch((case(*each) for each in runs), brief=True):
         if isinstance(result, Trajectory):

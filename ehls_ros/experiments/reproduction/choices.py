@@ -1,4 +1,4 @@
-"""Settings that the paper leaves open, and by how much each one changes Table 3."""
+"""Settings left open in the paper, and the effect of each on Table 3."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -16,13 +16,13 @@ PHI1_READINGS = 1000.0 / 103.0
 
 
 class Choice(NamedTuple):
-    """One open setting with another value than ours.
+    """One open setting with an alternative value.
 
     Attributes:
         what: the setting.
         ours: the value of Table 3.
         other: the value tried.
-        change: how the cases change.
+        change: change of the cases.
         cells: the cells it can affect.
     """
 

@@ -1,4 +1,4 @@
-"""The law in continuous time, compared with the bounds (44) to (46).
+"""Control law in continuous time, compared with the bounds (44) to (46).
 
 The controller is evaluated explicitly at every integration step, short enough to resolve the robust term, whose
 rate is 8.8e4 1/s.
@@ -27,11 +27,11 @@ DURATION = 5.0
 """Plant time [s]: complete periods of every sine except fd1, which has passed both extremes."""
 
 POINTS = 2000
-"""Points of the lines kept for the report."""
+"""Number of points of the lines kept for the report."""
 
 
 def tasks() -> list[Task]:
-    """Return one run for each FASMC II cell."""
+    """Return one run per FASMC II cell."""
     return [partial(against_bounds, cell) for cell in paper.CELLS if cell.controller == paper.FASMC_2]
 
 

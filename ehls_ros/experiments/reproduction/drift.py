@@ -1,4 +1,4 @@
-"""Benefit of the adaptation: friction that drifts as in warming oil, with and without adaptation."""
+"""Benefit of the adaptation: drifting friction as in warming oil, with and without adaptation."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -14,7 +14,7 @@ from ehls_ros.experiments.reproduction.results import DriftRun
 from ehls_ros.parallel import Task
 
 DURATION = 20.0
-"""Time over which the friction drifts [s]."""
+"""Duration of the friction drift [s]."""
 
 COULOMB, VISCOUS = 1.3, 0.6
 """Factors on Coulomb and viscous friction at the end."""

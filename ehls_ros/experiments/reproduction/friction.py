@@ -1,4 +1,4 @@
-"""The identified friction as the paper's Figures 4 and 5 draw it: Stribeck curve and hysteresis loop."""
+"""Identified friction as in the paper's Figures 4 and 5: Stribeck curve and hysteresis loop."""
 
 import numpy as np
 

@@ -8,7 +8,7 @@ REFERENCES: dict[str, dict[str, Any]] = {
     "triangle": {"name": "triangle", "amplitude": 1e4, "frequency": 0.5},
     "irregular": {"name": "irregular", "amplitude": 1e4},
 }
-"""Reference forces; the paper draws the triangle and the irregular signal without defining them."""
+"""Reference forces; the paper shows the triangle and the irregular signal without a definition."""
 
 DISTURBANCES: dict[str, dict[str, Any]] = {
     "fd1": {"name": "sine", "amplitude": 2e3, "frequency": 0.25},
@@ -17,11 +17,11 @@ DISTURBANCES: dict[str, dict[str, Any]] = {
 """Disturbance forces: 2 sin(0.5 pi t) kN and 5 sin(2 pi t) kN."""
 
 SIC, FASMC_1, FASMC_2 = CONTROLLERS = ("SIC", "FASMC I", "FASMC II")
-"""Controllers as Table 3 names them."""
+"""Controllers by their names in Table 3."""
 
 EVERYTHING, TENFOLD, DELTA_ALONE = "α̂, β̂ and D̂ adapt", "α̂, β̂ ten times as fast", "D̂ alone adapts"
 SCALES_ALONE, NO_ADAPTATION = "α̂ and β̂ alone adapt", "nothing adapts"
-"""Kinds of adaptation of FASMC II that the study compares."""
+"""Kinds of adaptation of FASMC II compared in the study."""
 
 FULL_SCALE = 1e4
 """Force to which the relative errors of Table 3 refer [N]."""
@@ -63,7 +63,7 @@ CONVERGENCE: dict[Cell, float | None] = {
     for disturbance, row in zip(DISTURBANCES, rows, strict=True)
     for reference, value in zip(REFERENCES, row, strict=True)
 }
-"""Convergence time in the text [s]; for SIC, sine, fd2 it says "more than 6 s"; none is given for the irregular signal."""
+"""Convergence time in the text [s]; for SIC, sine, fd2 it is "more than 6 s"; none is given for the irregular signal."""
 
 REDUCTION = {"constant": 73.2, "sine": 56.7, "triangle": 61.8, "irregular": 68.7}
 """Reduction of the error by GMS against Stribeck compensation, averages in the text [%]."""

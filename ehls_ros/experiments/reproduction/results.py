@@ -1,6 +1,6 @@
-"""``reproduction.json``: the results of the study as frozen records, whose field names are the keys.
+"""``reproduction.json``: results of the study as frozen records, whose field names are the keys.
 
-An error is the largest of the steady half of a run [N], infinite where the run diverged. ``table3.json`` has the cells alone.
+An error is the largest of the steady half of a run [N], infinite if the run diverged. ``table3.json`` has only the cells.
 """
 
 import math
@@ -19,12 +19,12 @@ class CellResult(NamedTuple):
         controller, reference, disturbance: names of the cell.
         max_error_n, rms_error_n: largest and rms steady error [N].
         relative_percent: largest error in per cent of 10 kN.
-        paper_percent: the paper's; None where it has none.
+        paper_percent: the paper's value; None if it has none.
         convergence_s: convergence time [s]; None if the error does not converge.
         convergence_band_n: half width of the band of a converged error [N].
         oscillation_n: half the distance between smallest and largest steady error [N].
-        paper_convergence_s: the paper's convergence time [s]; None where it has none.
-        causal_limit_n: causal limit of the largest error [N]; NaN where it cannot be said.
+        paper_convergence_s: the paper's convergence time [s]; None if it has none.
+        causal_limit_n: causal limit of the largest error [N]; NaN if not determined.
     """
 
     controller: str
@@ -91,13 +91,13 @@ class Searches(NamedTuple):
     """The competitors at their best.
 
     Attributes:
-        cells: the places that the errors belong to.
+        cells: the places of the errors.
         sic: gains tried.
         sic_best: best gains with sufficient margins.
         sic_best_without_margins: best gains regardless of margins.
         stribeck: widths tried.
         stribeck_best: best width.
-        stribeck_natural: width at which the paper's own errors come out.
+        stribeck_natural: width that reproduces the paper's errors.
     """
 
     cells: tuple[Place, ...]
@@ -119,18 +119,18 @@ class Reduction(NamedTuple):
 
 
 class ContinuousRun(NamedTuple):
-    """The law in continuous time in one place, beside the bounds (44) to (46).
+    """The law in continuous time in one place, with the bounds (44) to (46).
 
     Attributes:
         reference, disturbance: the place.
         start_s, start_error_n: |s| and error at the start [MPa/s], [N].
         reached_s, reaching_bound_s: time until |s| stays within b/h, and its bound (46) [s].
-        sliding_s, sliding_bound_s: time to converge (45) with s = 0, and with the largest |s| that remains [s].
+        sliding_s, sliding_bound_s: time to converge (45) with s = 0, and with the largest remaining |s| [s].
         converged_s: time until the error stays within (44) [s].
         paper_bound_s, convergence_bound_s: reaching bound plus either time of (45) [s].
-        largest_s, s_bound: largest |s| after it is reached, and b/h [MPa/s].
+        largest_s, s_bound: largest |s| after the bound is reached, and b/h [MPa/s].
         largest_error_n, error_bound_n: largest error after convergence, and (44) [N].
-        holds: whether both bounds of time are kept.
+        holds: whether both time bounds are satisfied.
         time_s, s_line, error_line_n: envelopes of |s| and error over time.
     """
 
@@ -178,7 +178,7 @@ class Sampling(NamedTuple):
 
 
 class DriftRun(NamedTuple):
-    """One kind of adaptation in one place, with friction that drifts or does not."""
+    """One kind of adaptation in one place, with or without drifting friction."""
 
     adaptation: str
     drifts: bool
@@ -189,11 +189,11 @@ class DriftRun(NamedTuple):
 
 
 class TriedChoice(NamedTuple):
-    """One open setting with another value than ours.
+    """One open setting with an alternative value.
 
     Attributes:
         what: the setting.
-        controller: the controller it is tried with.
+        controller: the controller used.
         ours, other: the value of Table 3, and the value tried.
         errors_n: error by reference and disturbance.
     """
@@ -206,7 +206,7 @@ class TriedChoice(NamedTuple):
 
 
 class CoefficientOff(NamedTuple):
-    """FASMC II with one coefficient of the plant off.
+    """FASMC II with an error in one coefficient of the plant.
 
     Attributes:
         section, parameter: the coefficient.
@@ -248,7 +248,7 @@ class Robustness(NamedTuple):
 
 
 class Theory(NamedTuple):
-    """Bounds and rates that (44) to (46) give with the paper's numbers.
+    """Bounds and rates by (44) to (46) with the paper's numbers.
 
     Attributes:
         s_bound_mpa_s: b/h [MPa/s].
@@ -266,7 +266,7 @@ class Theory(NamedTuple):
 
 
 class FrictionCurves(NamedTuple):
-    """The identified friction as the paper's Figures 4 and 5 draw it.
+    """Identified friction as in the paper's Figures 4 and 5.
 
     Attributes:
         velocity_m_s, steady_force_n: Stribeck curve with its viscous part.
@@ -282,7 +282,7 @@ class FrictionCurves(NamedTuple):
 
 
 class Beyond(NamedTuple):
-    """What the complete study asks beyond Table 3."""
+    """Results of the complete study beyond Table 3."""
 
     searches: Searches
     reductions: tuple[Reduction, ...]
@@ -301,7 +301,7 @@ class Results(NamedTuple):
         quick: whether this is the quick study.
         diverged_above_n: steady error above which a run counts as diverged [N].
         cells: Table 3.
-        beyond: what the complete study asks beyond it; None for the quick study.
+        beyond: results of the complete study beyond Table 3; None for the quick study.
         theory: bounds and rates.
         friction: the identified friction.
         figures: the runs in each figure of the paper, by its number.
@@ -322,7 +322,7 @@ class Results(NamedTuple):
 
 
 def reproduction_document(results: Results) -> dict[str, Any]:
-    """Return what ``reproduction.json`` holds: all fields on one level, a cell or place as a list of its names."""
+    """Return the content of ``reproduction.json``: all fields on one level, a cell or place as a list of its names."""
     document: dict[str, Any] = json_document(results)
     beyond = document.pop("beyond") or {}
     for section in beyond.keys() & {"searches", "robustness"}:
@@ -332,5 +332,5 @@ def reproduction_document(results: Results) -> dict[str, Any]:
 
 
 def table3_document(results: Results) -> dict[str, Any]:
-    """Return what ``table3.json`` holds."""
+    """Return the content of ``table3.json``."""
     return {"cells": json_document(results.cells)}

@@ -21,14 +21,14 @@ DRAWS, SPREAD, SEED = 100, 0.1, 2018
 """Number of rigs drawn at random, largest relative deviation of a coefficient, and seed."""
 
 TOGETHER = 4 * LANES
-"""Runs of one task."""
+"""Number of runs of one task."""
 
 FRICTION = tuple(name for name in Friction._fields if name not in {"element_stiffness", "element_weight"})
-"""The friction's coefficients that are single numbers."""
+"""The scalar coefficients of the friction."""
 
 
 def coefficients() -> list[tuple[str, str]]:
-    """Return section and name of each coefficient that is varied; the arm's length enters no equation."""
+    """Return section and name of each varied coefficient; the arm's length is in no equation."""
     plant = [name for name in paper_rig().plant._fields if name != "arm_length"]
     return [*(("plant", name) for name in plant), *(("friction", name) for name in FRICTION)]
 
@@ -38,14 +38,14 @@ Run = tuple[paper.Cell, Change]
 
 
 def one_at_a_time() -> list[Run]:
-    """Return a run a coefficient, factor and cell."""
+    """Return a run per coefficient, factor and cell."""
     return [
         (cell, Change(**{section: {name: factor}})) for section, name in coefficients() for factor in FACTORS for cell in CELLS
     ]
 
 
 def drawn() -> list[Run]:
-    """Return a run a drawn rig and cell."""
+    """Return a run per drawn rig and cell."""
     random = np.random.default_rng(SEED)
     runs: list[Run] = []
     for _ in range(DRAWS):
@@ -57,7 +57,7 @@ def drawn() -> list[Run]:
 
 
 def tasks() -> list[Task]:
-    """Return tasks that make all these runs side by side, some in each."""
+    """Return tasks for all runs, each with several runs side by side."""
     runs = [*one_at_a_time(), *drawn()]
     return [partial(largest_errors, runs[first : first + TOGETHER]) for first in range(0, len(runs), TOGETHER)]
 
@@ -67,7 +67,7 @@ def summary(results: Iterable[Sequence[float]]) -> Robustness:
     rows = np.reshape([error for errors in results for error in errors], (-1, len(CELLS)))
     keys = [(section, name, factor) for section, name in coefficients() for factor in FACTORS]
     rows, errors = rows[: len(keys)], rows[len(keys) :]
-    # Picked, not interpolated: an infinite error has no neighbours to lie between.
+    # Not interpolated, as errors may be infinite.
     median, p95, largest = (tuple(np.quantile(errors, q, axis=0, method="inverted_cdf").tolist()) for q in (0.5, 0.95, 1.0))
     return Robustness(
         tuple(Place(cell.reference, cell.disturbance) for cell in CELLS),

@@ -1,6 +1,6 @@
-"""The competitors at their best: gains of structure invariance compensation, width of the smoothed Stribeck curve.
+"""Optimisation of the competitors: gains of structure invariance compensation, width of the smoothed Stribeck curve.
 
-Both are ranked by the largest steady error over all references and disturbances, as one tuning serves all.
+Both are ranked by the largest steady error over all references and disturbances, as one tuning applies to all.
 """
 
 import math
@@ -22,16 +22,16 @@ GAINS = (
     *product((50.0, 100.0, 150.0, 200.0, 240.0, 260.0, 270.0, 280.0), (0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 1000.0)),
     *product((400.0, 700.0, 1000.0, 2000.0, 3000.0), (0.0, 1000.0)),
 )
-"""Proportional [1/s] and integral gains [1/s^2] tried; the last ones leave no margin."""
+"""Proportional [1/s] and integral gains [1/s^2] tried; the last ones have no stability margin."""
 
 GAIN_MARGIN_DB, PHASE_MARGIN_DEG = 6.0, 30.0
-"""Smallest margins of a loop that may run on a rig."""
+"""Minimum stability margins of a loop on a rig."""
 
 SMOOTHING = tuple(float(width) for width in 1e-3 * np.array([1, 2, 5, 10, 20, 50, 100, 200, 300, 500, 1000, 10_000]))
 """Widths tried of the smoothed Stribeck curve [m/s]."""
 
 NATURAL_SMOOTHING = 0.01
-"""A width of five Stribeck velocities, at which the paper's FASMC I errors come out [m/s]."""
+"""Width of five Stribeck velocities, which reproduces the paper's FASMC I errors [m/s]."""
 
 MOVING = tuple(Place(*place) for place in product(paper.REFERENCES, paper.DISTURBANCES))
 
@@ -52,7 +52,7 @@ def tasks() -> list[Task]:
 
 
 def summary(results: Sequence[float]) -> Searches:
-    """Return what the searches found, from the results of :func:`tasks`."""
+    """Return the result of both searches, from the results of :func:`tasks`."""
     errors = np.reshape(results, (-1, len(MOVING)))
     rig = paper_rig()
     gains = []

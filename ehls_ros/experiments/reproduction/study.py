@@ -1,4 +1,4 @@
-"""The complete study: the runs of all questions in one list for all processors, all answers in one record."""
+"""Complete study: the runs of all questions in one list for all processors, all results in one record."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -53,7 +53,7 @@ class Study(NamedTuple):
 
 
 def compile_everything(workers: int | None = None) -> float:
-    """Compile (or load) every kernel the study needs.
+    """Compile (or load) all kernels of the study.
 
     Returns:
         Wall time [s].
@@ -76,9 +76,9 @@ def reproduce(
     """Run the study.
 
     Args:
-        quick: Table 3 for the constant and the sine reference only.
+        quick: whether to run only Table 3 for the constant and the sine reference.
         workers: number of processes; None: one per processor.
-        progress: called with the tasks done, a run or some side by side each, and their number.
+        progress: called with the number of tasks done, of one or several runs each, and the total number.
         compile_s: wall time of :func:`compile_everything`, for the results [s].
     """
     start = time.perf_counter()
@@ -169,7 +169,7 @@ def reductions(cells: Sequence[CellResult], found: Searches) -> tuple[Reduction,
 
 
 def theory() -> Theory:
-    """Return the bounds and rates that (44) to (46) give with the paper's numbers."""
+    """Return the bounds and rates by (44) to (46) with the paper's numbers."""
     spec = case(Cell(paper.FASMC_2, "constant", "fd1"))
     p = spec.controller.parameters
     rate = continuous.paper_quantities(spec)["rate"]

@@ -1,6 +1,7 @@
-"""State files: everything that is learnt or remembered between runs, through one reader and one writer.
+"""State files: persistence of learnt and remembered data between runs, with one reader and one writer.
 
-``access`` reads regular files of bounded size and replaces files atomically; ``state_file`` adds the envelope (kind, rig,
-control period, checksum) around a typed document and declared arrays; ``archive`` is the form of a file with arrays; ``table``
-is a CSV that grows by lines; ``kinds`` declares each kind of state; ``folder_lock`` keeps a second program out of a folder.
+``access`` reads regular files of bounded size and replaces files atomically. ``state_file`` adds the envelope (kind, rig,
+control period, checksum) around a typed document and declared arrays. ``archive`` is the format of a file with arrays,
+``table`` a CSV that grows by lines. ``kinds`` declares each kind of state, and ``folder_lock`` gives a process exclusive use of
+a folder.
 """

@@ -1,4 +1,4 @@
-"""Access to state files: bounded reads of regular files, atomic replacement, and a trial of the folder before the run."""
+"""Access to state files: bounded reads of regular files, atomic replacement, and a write test of the folder before a run."""
 
 import errno
 import os
@@ -13,19 +13,19 @@ from ehls_ros.recording.reason import reason
 from ehls_ros.recording.regular_file import KINDS, check_regular
 
 TRIAL = 1 << 16
-"""Size of the file with which a folder is tried [B]; a full disk refuses it."""
+"""Size of the test file in a folder [B]; writing it fails on a full disk."""
 
 LONGEST_NAME = 200
-"""Characters of a file's name that the name of its unfinished successor repeats."""
+"""Maximum length of a file's name in the name of its unfinished successor [characters]."""
 
 MOST_UNFINISHED = 100
-"""Unfinished files of one name and process beside each other; killed writers with the same process number left them."""
+"""Maximum number of unfinished files of one name and process number, left by killed writers."""
 
 UNFINISHED = "part"
 """Suffix of an unfinished file."""
 
 MOST_ASIDE = 10_000
-"""Names under which one file is put aside."""
+"""Bound on the numbers for putting aside one file."""
 
 
 class NotWritten(WorkFailed):
@@ -38,18 +38,18 @@ def read(path: Path, largest: int, expected: str, what: str = "the file") -> byt
     Args:
         path: the file, or a link to it.
         largest: largest permitted size [B].
-        expected: description of a right file, for errors.
+        expected: description of a valid file, for errors.
         what: name of the file in errors.
 
     Returns:
-        Its content; None if there is no file, also behind a dangling link.
+        Its content; None if there is no file, including a dangling link.
 
     Raises:
-        BadInput: it is no regular file, too large, or cannot be read.
+        BadInput: it is not a regular file, too large, or cannot be read.
     """
     if is_absent(path):
         return None
-    # Opening some devices has side effects, and a pipe would block; the second check meets a file exchanged in between.
+    # Opening some devices has side effects, and a pipe would block; the second check detects a file exchanged in between.
     check_regular(path, largest, expected, what)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -66,7 +66,7 @@ def read(path: Path, largest: int, expected: str, what: str = "the file") -> byt
 
 
 def is_absent(path: Path) -> bool:
-    """Return whether there is no file, also behind a dangling link."""
+    """Return whether there is no file, including a dangling link."""
     try:
         os.stat(path)  # noqa: PTH116 - raises ValueError for a path that contains a null
     except FileNotFoundError:
@@ -77,11 +77,11 @@ def is_absent(path: Path) -> bool:
 
 
 def begins_with(path: Path, size: int) -> bytes:
-    """Return the first bytes of a regular file; none if it is none, or cannot be read.
+    """Return the first bytes of a regular file; empty if it is not one, or cannot be read.
 
     Args:
         path: the file.
-        size: most bytes.
+        size: maximum number of bytes.
     """
     with suppress(OSError, ValueError):
         if stat.S_ISREG(path.stat().st_mode):
@@ -92,18 +92,18 @@ def begins_with(path: Path, size: int) -> bytes:
 
 
 def replace(path: Path, write: Callable[[BinaryIO], object], *, durable: bool = True) -> None:
-    """Replace a file atomically: whatever ends the process, the old content is there or the new.
+    """Replace a file atomically: if the process ends, either the old or the new content exists.
 
-    A symbolic link stays: the file it leads to is replaced.
+    A symbolic link is kept, and its target replaced.
 
     Args:
         path: the file; its folder exists.
-        write: writes the content.
-        durable: whether the content must survive a power failure from now on. That waits for the disk, for which no control
-            loop has the time; without it, a file system that orders data before names (ext4, btrfs) may lose some seconds.
+        write: function that writes the content.
+        durable: whether the content must survive a power failure from now on. This waits for the disk, too long for a control
+            loop. Without it, a file system that orders data before names (ext4, btrfs) may lose some seconds.
 
     Raises:
-        NotWritten: with the path and the reason; the old file is as it was.
+        NotWritten: writing failed, with the path and the reason; the old file is unchanged.
     """
     try:
         target = _target(path)
@@ -127,15 +127,15 @@ def replace(path: Path, write: Callable[[BinaryIO], object], *, durable: bool = 
 
 
 def check_writable(path: Path, expected: str, what: str = "the file") -> None:
-    """Check before a run that a file can be written at its end: its folder is made, and a file beside it tried.
+    """Check before a run that a file can be written at its end: create its folder, and write a test file beside it.
 
     Args:
         path: the file.
-        expected: description of a right place, for the error.
+        expected: description of a valid place, for the error.
         what: name of the file in the error.
 
     Raises:
-        BadInput: the folder cannot be made or written, its disk is full, or something other than a file has the name.
+        BadInput: the folder cannot be created or written, its disk is full, or the name belongs to something other than a file.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -152,7 +152,7 @@ def check_writable(path: Path, expected: str, what: str = "the file") -> None:
 
 
 def unused_name(path: Path) -> Path:
-    """Return the first name of ``<stem>.1<suffix>``, ``<stem>.2<suffix>``, … that nothing has.
+    """Return the first unused name of ``<stem>.1<suffix>``, ``<stem>.2<suffix>``, ….
 
     Raises:
         NotWritten: all names are taken.
@@ -165,7 +165,7 @@ def unused_name(path: Path) -> Path:
 
 
 def put_aside(path: Path) -> Path:
-    """Rename a file, link, pipe or folder as it is, and return its new name.
+    """Rename a file, link, pipe or folder unchanged, and return its new name.
 
     Raises:
         NotWritten: it cannot be renamed.
@@ -179,7 +179,7 @@ def put_aside(path: Path) -> Path:
 
 
 def _target(path: Path) -> Path:
-    """Return the place that a path leads to; refuse anything but a regular file there."""
+    """Resolve a path; reject anything but a regular file there."""
     target = Path(os.path.realpath(path))
     try:
         mode = target.lstat().st_mode
@@ -202,7 +202,7 @@ def _unfinished(target: Path) -> tuple[Path, int]:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Let the entries of a folder survive a power failure, where its file system has that."""
+    """Secure the entries of a folder against a power failure, if supported by its file system."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:

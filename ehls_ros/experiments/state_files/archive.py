@@ -1,7 +1,7 @@
-"""Files with arrays: an uncompressed zip of a JSON document and ``.npy`` entries, which :func:`numpy.load` reads too.
+"""Files with arrays: an uncompressed zip of a JSON document and ``.npy`` entries, also readable by :func:`numpy.load`.
 
-The reader accepts nothing else: no compression, so that no file becomes larger in memory than on disk, no pickles, no types but
-those of :data:`TYPES`.
+The reader accepts only this: no compression, so that no file is larger in memory than on disk, no pickles, and only the types
+in :data:`TYPES`.
 """
 
 import io
@@ -40,11 +40,11 @@ ARRAY_HEADER = re.compile(
 """Header of an array in C order."""
 
 LONGEST_AXIS = 1 << 40
-"""Largest length of an axis; the content is compared with their product."""
+"""Largest length of an axis; the product of the lengths is compared with the content."""
 
 
 class Damaged(ValueError):
-    """A file that is no such archive, or is damaged."""
+    """The file is not such an archive, or is damaged."""
 
 
 class Archive(NamedTuple):
@@ -52,7 +52,7 @@ class Archive(NamedTuple):
 
     Attributes:
         document: JSON text.
-        arrays: by name, as copies that may be written to.
+        arrays: arrays by name, as writable copies.
     """
 
     document: bytes
@@ -63,9 +63,9 @@ def write(file: BinaryIO, document: bytes, arrays: Arrays) -> None:
     """Write an archive.
 
     Args:
-        file: open for writing, from its beginning.
+        file: file open for writing, at its beginning.
         document: JSON text.
-        arrays: by name, of the types in :data:`TYPES`.
+        arrays: arrays by name, of the types in :data:`TYPES`.
     """
     with ZipFile(file, "w", ZIP_STORED) as archive:
         archive.writestr(ZipInfo(DOCUMENT), document)
@@ -79,11 +79,11 @@ def read(content: bytes, most: int) -> Archive:
     """Read an archive.
 
     Args:
-        content: the file's.
-        most: largest number of arrays.
+        content: content of the file.
+        most: maximum number of arrays.
 
     Raises:
-        Damaged: it is something else, damaged, compressed, or has more arrays.
+        Damaged: it is not such an archive, damaged, compressed, or has more arrays.
     """
     document: bytes | None = None
     arrays: dict[str, NDArray[np.generic]] = {}
@@ -105,7 +105,7 @@ def read(content: bytes, most: int) -> Archive:
 
 
 def beginning_of_document(content: bytes) -> bytes:
-    """Return the part of the document in the first bytes of a file; empty where it is no archive."""
+    """Return the part of the document in the first bytes of a file; empty if it is not an archive."""
     if len(content) < LOCAL_HEADER.size or content[:4] != LOCAL_MARK:
         return b""
     *_, name, extra = LOCAL_HEADER.unpack_from(content)
@@ -114,7 +114,7 @@ def beginning_of_document(content: bytes) -> bytes:
 
 
 def _entries(content: bytes) -> Iterator[tuple[str, memoryview]]:
-    """Yield name and content of the entries, in the order in which :func:`write` has written them."""
+    """Yield name and content of the entries, in the order of :func:`write`."""
     at, whole = 0, memoryview(content)
     while content[at : at + 4] == LOCAL_MARK:
         if len(content) - at < LOCAL_HEADER.size:

@@ -1,4 +1,4 @@
-"""An exclusive lock on a folder, so that one program at a time writes into it."""
+"""Exclusive lock on a folder, so that one process at a time writes into it."""
 
 import fcntl
 import os
@@ -13,12 +13,12 @@ LOCKS = Path("/proc/locks")
 
 
 class FolderLock:
-    """An exclusive lock on a folder, until it is released or its process ends, however that ends.
+    """Exclusive lock on a folder, held until it is released or the process ends for any reason.
 
-    The folder itself is locked (flock): files in it are replaced meanwhile, and none is added for the lock.
+    The folder itself is locked (flock), so that files in it can be replaced and no lock file is needed.
 
     Attributes:
-        remark: sentence for the operator where the file system locks no folders, as of some networks; empty: it is locked.
+        remark: sentence for the operator if the file system cannot lock folders, as some network file systems; empty if locked.
     """
 
     def __init__(self, folder: Path, work: str) -> None:
@@ -26,10 +26,10 @@ class FolderLock:
 
         Args:
             folder: the folder; it exists.
-            work: what is done in the folder, such as ``programme``, for the error.
+            work: kind of work in the folder, such as ``programme``, for the error.
 
         Raises:
-            BadInput: it is locked already; the error names the process.
+            BadInput: the folder is locked already; the error names the process.
         """
         self.remark, self._descriptor = "", -1
         try:
@@ -46,7 +46,7 @@ class FolderLock:
     def release(self) -> None:
         """Release the lock, if it is held."""
         if self._descriptor >= 0:
-            # Closing alone would leave it to processes that were forked meanwhile.
+            # After closing alone, processes forked meanwhile would still hold the lock.
             with suppress(OSError):
                 fcntl.flock(self._descriptor, fcntl.LOCK_UN)
             os.close(self._descriptor)
@@ -54,7 +54,7 @@ class FolderLock:
 
 
 def _holder(descriptor: int) -> str:
-    """Return the process that has locked an open file; without its number where the system does not list it."""
+    """Return the process that has locked an open file, without its number if the system does not list it."""
     status = os.fstat(descriptor)
     place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Declarations of all kinds of state: size, type of the document, arrays, and the remedy for a file that cannot be used."""
+"""Declarations of all kinds of state: size, type of the document, arrays, and the remedy for an unusable file."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NamedTuple
@@ -33,8 +33,8 @@ class LearntAbout(NamedTuple):
 
     Attributes:
         companion: its name.
-        about: conditions of the learning, in words.
-        parts: numbers of the parts that the arrays belong to, such as blocks of a programme.
+        about: conditions of the learning, as text.
+        parts: numbers of the parts of the arrays, such as blocks of a programme.
     """
 
     companion: str
@@ -57,21 +57,21 @@ LEARNT = Kind(
 
 
 class ProgrammeState(NamedTuple):
-    """Where a programme is.
+    """Progress of a programme.
 
     Attributes:
         programme: digest of its course.
-        hold: value held after a stop; None: where it stands.
-        stop_time: time in which it comes to rest [s].
-        hold_time: time of the ramp to the value held [s].
-        holds: values held after a stop since it began, as its file was changed.
-        run: the rig's process that counts the control cycles.
+        hold: value held after a stop; None: the present value.
+        stop_time: time to come to rest [s].
+        hold_time: duration of the ramp to the hold value [s].
+        holds: all hold values since its beginning, as its file may change.
+        run: process of the rig that counts the control cycles.
         seen: newest control cycle known.
         published: last control cycle whose reference was published.
-        counting: first control cycle of the load cycle under way.
-        counted: load cycles in the log.
-        motions: motions that are under way or to come.
-        stiffness: stiffness of the blocks that ran.
+        counting: first control cycle of the current load cycle.
+        counted: number of load cycles in the log.
+        motions: current and later motions.
+        stiffness: stiffness of the blocks run so far.
     """
 
     programme: str
@@ -95,16 +95,16 @@ PROGRAMME = Kind(
     ProgrammeState,
     "the file as programme_node left it, another folder, or anew:=true to begin the programme anew",
 )
-"""Where a programme goes on; it has a few kilobytes."""
+"""State from which a programme resumes; a few kilobytes."""
 
 
 # --- the monitor ----------------------------------------------------------------------------------------
 
 
 class ReadingRecord(NamedTuple):
-    """A coefficient as it was identified; attributes of :class:`ehls_ros.diagnosis.monitoring.tracking.Reading`.
+    """An identified coefficient; attributes of :class:`ehls_ros.diagnosis.monitoring.tracking.Reading`.
 
-    A value that is not a number is None, and so is an infinite standard error.
+    NaN values and infinite standard errors are None.
     """
 
     name: str
@@ -122,7 +122,7 @@ class PastRecord(NamedTuple):
 
 
 class EstimateRecord(NamedTuple):
-    """A parameter of a cause; a standard error that is not known is None."""
+    """A parameter of a cause; an unknown standard error is None."""
 
     value: float
     std: float | None
@@ -142,8 +142,7 @@ class CauseRecord(NamedTuple):
 class ChangeRecord(NamedTuple):
     """A change of the rig; attributes of :class:`ehls_ros.experiments.monitoring.health.FoundChange`.
 
-    ``earliest`` is None where it lies before the first sample, ``cleared`` while the change shows, another time where it is not
-    known.
+    ``earliest`` is None if it is before the first sample, ``cleared`` while the change is active, other times if unknown.
     """
 
     number: Count
@@ -164,14 +163,14 @@ class MonitorState(NamedTuple):
     """The memory of a monitor without its arrays.
 
     Attributes:
-        baselines: names of the recordings that a change is measured from.
+        baselines: names of the baseline recordings.
         end: newest time on the monitor's axis [s].
-        anchors: times on that axis with their stamps [s], [ns].
-        well: the healthy rig's model, as a rig file.
+        anchors: times on that axis [s] with their stamps [ns].
+        well: model of the healthy rig, as a rig file.
         model: the same with the changes since.
-        changes: changes that were found.
+        changes: detected changes.
         history: the last readings of the coefficients.
-        readings: the newest ones.
+        readings: the newest readings.
         watched: time for which blocks were judged [s].
         learnt: name of the file of the healthy rig; empty: none.
         blocks: name of the file of the summed blocks; empty: none.
@@ -191,9 +190,9 @@ class MonitorState(NamedTuple):
 
 
 class DirectionRecord(NamedTuple):
-    """A departure that is looked for; attributes of :class:`ehls_ros.diagnosis.monitoring.directions.Direction`.
+    """A tested departure; attributes of :class:`ehls_ros.diagnosis.monitoring.directions.Direction`.
 
-    A bound that is infinite is None.
+    An infinite bound is None.
     """
 
     name: str
@@ -213,8 +212,8 @@ class HealthyRig(NamedTuple):
     """The healthy rig without its arrays.
 
     Attributes:
-        kind: origin from which a change is measured.
-        directions: the departures that are looked for.
+        kind: kind of baseline.
+        directions: the departures tested.
         signals: names of the recording's signals, in the order of its rows.
     """
 
@@ -244,12 +243,12 @@ BLOCK_ARRAYS: Mapping[str, Entry] = {
 """Arrays of the summed blocks."""
 
 MOST_BLOCKS = rules.LONGEST_WATCH
-"""Most summed blocks."""
+"""Maximum number of summed blocks."""
 
 LEARNS_ANEW = "the file as the monitor left it; without it, the monitor learns anew"
 
 MONITOR = Kind("monitor memory", 1, 1 << 22, MonitorState, LEARNS_ANEW)
-"""The memory of a monitor; after years with a thousand changes it has half a megabyte."""
+"""Memory of a monitor; half a megabyte after years with a thousand changes."""
 
 HEALTHY = Kind("healthy rig", 1, 1 << 28, HealthyRig, LEARNS_ANEW, arrays=len(HEALTHY_ARRAYS))
 """The healthy rig; ten minutes at 5 kHz take 200 MB, a minute at 1 kHz 4 MB."""
@@ -270,10 +269,10 @@ class FlightRecord(NamedTuple):
     """A trip of the gate.
 
     Attributes:
-        cause: of the trip.
-        stamp_ns: when it was [ns].
-        baselines: recordings of the healthy rig that it is compared with.
-        own_baseline: whether samples of the healthy rig lie beside it.
+        cause: cause of the trip.
+        stamp_ns: time of the trip [ns].
+        baselines: recordings of the healthy rig for comparison.
+        own_baseline: whether samples of the healthy rig are stored with it.
     """
 
     cause: str

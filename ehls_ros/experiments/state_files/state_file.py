@@ -1,6 +1,6 @@
-"""A state file: its kind, rig, control period and checksum around a document of a declared type.
+"""State file: envelope of kind, rig, control period and checksum around a document of a declared type.
 
-Nothing is used before all of it has been checked, and no file is replaced that is not of the same kind.
+A file is used only after a complete check, and only a file of the same kind is replaced.
 """
 
 import json
@@ -18,18 +18,18 @@ from ehls_ros.recording.provenance import checksum_of
 from ehls_ros.schema import Misfit, fitted, from_json, quantity
 
 CHECKSUM = b', "checksum": "blake2b-'
-"""Separator of the checked part of a document and its checksum."""
+"""Separator between the checked part of a document and its checksum."""
 
 CHECKSUM_END = b'"}'
 
 HEAD = 256
-"""First bytes of a file in which its mark stands."""
+"""Number of first bytes of a file that contain its mark."""
 
 SAME_PERIOD = 1e-9
-"""Relative difference of two control periods that are the same."""
+"""Relative difference below which two control periods are equal."""
 
 MOST_DIFFERENCES = 3
-"""Differences between two rigs that an error names."""
+"""Maximum number of differences between two rigs named in an error."""
 
 
 class Kind(NamedTuple):
@@ -37,11 +37,11 @@ class Kind(NamedTuple):
 
     Attributes:
         name: its name in the file and in errors, such as ``programme state``.
-        version: of its layout; another one is not read.
-        largest: size of a file [B].
+        version: version of its layout; others are not read.
+        largest: maximum size of a file [B].
         content: type of its document, as for :func:`ehls_ros.schema.fitted`.
-        expected: such a file, with the remedy where it is another, for errors.
-        arrays: most arrays in a file; 0: the file is the JSON document alone.
+        expected: description of a valid file with the remedy, for errors.
+        arrays: maximum number of arrays in a file; 0: the file is only the JSON document.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Origin(NamedTuple):
 
     Attributes:
         rig: content of the rig's file.
-        control_period: of the control cycles [s].
+        control_period: period of the control cycles [s].
     """
 
     rig: Mapping[str, Any]
@@ -74,7 +74,7 @@ class Origin(NamedTuple):
         return cls(json.loads(json.dumps(rig_to_mapping(rig))), control_period)
 
     def difference(self, other: "Origin") -> str:
-        """Return how another origin differs, in words; empty: it does not."""
+        """Describe the difference of another origin; empty if there is none."""
         if not math.isclose(self.control_period, other.control_period, rel_tol=SAME_PERIOD):
             return f"a control_period of {other.control_period:g} s, not {self.control_period:g} s"
         if self.rig == other.rig:
@@ -93,7 +93,7 @@ class State(NamedTuple):
 
     Attributes:
         content: the document, of the kind's type.
-        arrays: by name, not yet checked against a declaration.
+        arrays: arrays by name, not yet checked against a declaration.
         origin: rig and control period.
     """
 
@@ -118,7 +118,7 @@ class StateFile:
     """
 
     def __init__(self, path: Path, kind: Kind, origin: Origin | None) -> None:
-        """Take the file's path.
+        """Set path, kind and origin.
 
         Args:
             path: the file; it need not exist.
@@ -134,8 +134,8 @@ class StateFile:
         """Return the state; None if there is no file.
 
         Raises:
-            OfAnotherOrigin: it is of another rig or control period.
-            BadInput: the file is something else or damaged, or its content is not as declared.
+            OfAnotherOrigin: the file belongs to another rig or control period.
+            BadInput: the file is of another kind or damaged, or its content is not as declared.
         """
         content = access.read(self.path, self.kind.largest, self.kind.expected, self._what)
         if content is None:
@@ -153,7 +153,7 @@ class StateFile:
             raise self.refusal("it is nested too deeply") from None
 
     def refusal(self, what: str) -> BadInput:
-        """Return the error of a file whose content is not accepted."""
+        """Return the error for a file with unacceptable content."""
         return BadInput(f"{self._what} cannot be used ({what})", str(self.path), self.kind.expected)
 
     def write(self, content: Any, arrays: Arrays | None = None, *, durable: bool = True) -> None:
@@ -161,11 +161,11 @@ class StateFile:
 
         Args:
             content: the document: mappings, lists, texts, booleans, finite numbers and None.
-            arrays: by name.
+            arrays: arrays by name.
             durable: see :func:`ehls_ros.experiments.state_files.access.replace`.
 
         Raises:
-            access.NotWritten: with the path and the reason.
+            access.NotWritten: writing failed, with the path and the reason.
         """
         if self._origin is None:
             raise RuntimeError("a state belongs to a rig")
@@ -190,12 +190,12 @@ class StateFile:
         """Check before a run that the file can be written.
 
         Raises:
-            BadInput: it cannot.
+            BadInput: it cannot be written.
         """
         access.check_writable(self.path, "a place where it can be written", self._what)
 
     def is_own(self) -> bool:
-        """Return whether the file is of this kind, by its mark: no other one is ever replaced or removed."""
+        """Return whether the file is of this kind, by its mark; others are never replaced or removed."""
         head = access.begins_with(self.path, HEAD)
         return (archive.beginning_of_document(head) if self.kind.arrays else head).startswith(self.kind.mark)
 

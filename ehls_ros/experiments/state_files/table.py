@@ -1,7 +1,7 @@
-"""CSV tables that grow by lines and survive that the program is killed.
+"""CSV tables that grow by lines and survive a kill of the process.
 
-A table is judged before it is touched: its heading, and its last lines, each by a check of the table's own. Only then is a last
-line cut off that was not written to its end.
+A table is checked before it is changed: its heading, and its last lines by a function specific to the table. Only then is an
+incomplete last line cut off.
 """
 
 import os
@@ -20,18 +20,18 @@ LONGEST_LINE = 4096
 """Longest line of a table [B]."""
 
 TAIL = 1 << 16
-"""Size of the last part of a table whose lines are judged [B]."""
+"""Size of the last part of a table whose lines are checked [B]."""
 
 Check = Callable[[list[str]], object]
-"""Checks the cells of one line; raises ValueError for a wrong one."""
+"""Function that checks the cells of one line; raises ValueError for an invalid one."""
 
 
 class Judged(NamedTuple):
-    """A table that may be continued.
+    """A checked table that may be continued.
 
     Attributes:
-        lines: the cells of its last lines, the heading excluded.
-        end: size up to the end of the last whole line [B]; 0: there is none, not even a heading.
+        lines: cells of its last lines, without the heading.
+        end: size up to the end of the last complete line [B]; 0: there is none, not even a heading.
     """
 
     lines: tuple[list[str], ...]
@@ -39,17 +39,17 @@ class Judged(NamedTuple):
 
 
 def judge(path: Path, heading: str, check: Check, expected: str, what: str) -> Judged:
-    """Judge whether a table may be continued; nothing is changed.
+    """Check whether a table may be continued, without changing it.
 
     Args:
         path: the file; it need not exist.
         heading: its first line.
-        check: of each of the last lines.
-        expected: description of a right file, for errors.
+        check: check of each of the last lines.
+        expected: description of a valid file, for errors.
         what: name of the file in errors.
 
     Raises:
-        BadInput: it is no regular file, another table, or its last lines are damaged.
+        BadInput: it is not a regular file, another table, or its last lines are damaged.
     """
     if access.is_absent(path):
         return Judged((), 0)
@@ -64,11 +64,11 @@ def judge(path: Path, heading: str, check: Check, expected: str, what: str) -> J
         raise BadInput(f"{what} cannot be read ({reason(error)})", str(path), expected) from None
     if head != first:
         if first.startswith(head):
-            # Whoever began it was killed, or the disk was full.
+            # Its first writer was killed, or the disk was full.
             return Judged((), 0)
         raise BadInput(f"{what} has other columns", str(path), expected)
     if begin > len(first):
-        # The line that the tail begins in is not whole.
+        # The first line of the tail is incomplete.
         skipped = tail.find(b"\n") + 1
         begin, tail = begin + skipped, tail[skipped:]
     whole = tail.rfind(b"\n") + 1
@@ -83,12 +83,12 @@ def judge(path: Path, heading: str, check: Check, expected: str, what: str) -> J
 
 
 def rows(path: Path, heading: str, check: Check, expected: str, what: str) -> Iterator[list[str]]:
-    """Yield the cells of all whole lines of a table, the heading excluded; none if there is no file.
+    """Yield the cells of all complete lines of a table, without the heading; none if there is no file.
 
     Arguments as of :func:`judge`.
 
     Raises:
-        BadInput: it is no regular file, another table, or a line is damaged.
+        BadInput: it is not a regular file, another table, or a line is damaged.
     """
     judged = judge(path, heading, check, expected, what)
     if not judged.end:
@@ -110,7 +110,7 @@ def _cells(line: bytes) -> list[str]:
     """Return the cells of a line.
 
     Raises:
-        ValueError: it is too long, or no text.
+        ValueError: it is too long, or not text.
     """
     if not line.endswith(b"\n"):
         raise ValueError(f"a line has more than {LONGEST_LINE} bytes")
@@ -119,7 +119,7 @@ def _cells(line: bytes) -> list[str]:
 
 
 def _check_text(tail: bytes) -> None:
-    """Refuse bytes that no writer of a table has written, such as the zeros that a power failure may leave."""
+    """Reject bytes that are not text, such as zeros after a power failure."""
     for line in tail.split(b"\n"):
         if len(line) > LONGEST_LINE:
             raise ValueError(f"a line has {len(line)} bytes")
@@ -128,18 +128,18 @@ def _check_text(tail: bytes) -> None:
 
 
 class Table:
-    """A table open for further lines, which are kept until they are written: a full disk loses none and tears none apart."""
+    """Table open for further lines; lines are buffered until completely written, so that a full disk loses or tears none."""
 
     def __init__(self, path: Path, heading: str, end: int) -> None:
-        """Open a table that was judged, and cut off a last line that is not whole.
+        """Open a checked table, and cut off an incomplete last line.
 
         Args:
             path: the file.
             heading: its first line.
-            end: of :class:`Judged`.
+            end: see :class:`Judged`.
 
         Raises:
-            access.NotWritten: with the path and the reason.
+            access.NotWritten: writing failed, with the path and the reason.
         """
         self._path = path
         self._pending = b"" if end else f"{heading}\n".encode()
@@ -156,14 +156,14 @@ class Table:
         self.flush()
 
     def add(self, line: str) -> None:
-        """Keep a line, without its end, for the next :meth:`flush`."""
+        """Buffer a line, without its line end, for the next :meth:`flush`."""
         self._pending += f"{line}\n".encode()
 
     def flush(self) -> None:
-        """Hand the added lines to the system.
+        """Pass the added lines to the operating system.
 
         Raises:
-            access.NotWritten: with the path and the reason; lines not written yet are kept.
+            access.NotWritten: writing failed, with the path and the reason; unwritten lines are kept.
         """
         try:
             while self._pending:
@@ -172,7 +172,7 @@ class Table:
             raise self._error(error) from None
 
     def sync(self) -> None:
-        """Let flushed lines survive a power failure, where the file system has that."""
+        """Secure flushed lines against a power failure, if supported by the file system."""
         with suppress(OSError):
             os.fsync(self._descriptor)
 

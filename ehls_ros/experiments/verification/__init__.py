@@ -1,1 +1,1 @@
-"""Dynamic force verification of a recording: how its cycles of force compare with their reference, block by block."""
+"""Dynamic force verification of a recording: comparison of its force cycles with their reference, block by block."""

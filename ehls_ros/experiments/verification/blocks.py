@@ -1,6 +1,6 @@
-"""The blocks of a recording, and the position in the load cycle of every sample.
+"""Blocks of a recording, and the position of every sample in the load cycle.
 
-A programme says both by its signals. Without a programme the recording is one block, whose cycle is that of its reference.
+Both follow from the signals of a programme. Without a programme, the recording is one block with the cycle of its reference.
 """
 
 from collections.abc import Iterator
@@ -14,15 +14,15 @@ from ehls_ros.experiments.verification.period import cycle_of
 from ehls_ros.trajectory import Trajectory
 
 BLOCK, REPETITION, PHASE = "programme_block", "programme_repetition", "programme_phase"
-"""Signals of a test programme: number of the block, load cycles completed in its present pass, place in the cycle (0 to 1)."""
+"""Signals of a test programme: number of the block, load cycles completed in its present pass, phase in the cycle (0 to 1)."""
 
 
 class Stretch(NamedTuple):
-    """Samples of a block that follow on one another.
+    """Consecutive samples of a block.
 
     Attributes:
-        samples: their place in the recording.
-        position: load cycles completed, with fraction, shape (n,) [cycles]; NaN where nothing repeats.
+        samples: slice of the recording.
+        position: load cycles completed, with fraction, shape (n,) [cycles]; NaN for a non-periodic reference.
     """
 
     samples: slice
@@ -33,8 +33,8 @@ class Block(NamedTuple):
     """A part of a test with the same cycle throughout.
 
     Attributes:
-        number: that of the programme; None for a whole recording.
-        stretches: where it was run; several if it was repeated or interrupted.
+        number: number in the programme; None for a whole recording.
+        stretches: its stretches; several if it was repeated or interrupted.
     """
 
     number: int | None
@@ -42,7 +42,7 @@ class Block(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """Name in reports."""
         return "whole recording" if self.number is None else f"block {self.number}"
 
 
@@ -63,7 +63,7 @@ def blocks_of(run: Trajectory) -> tuple[Block, ...]:
 
 
 def _runs(number: Array) -> Iterator[tuple[int, slice]]:
-    """Yield the parts with one number each; samples without one belong to a part that goes on after them."""
+    """Yield the parts of one number each; samples without a number within a part belong to it."""
     known = np.flatnonzero(np.isfinite(number))
     values = np.rint(number[known]).astype(np.int64)
     ends = np.flatnonzero(np.diff(values)) + 1
@@ -87,7 +87,7 @@ def _stretch(run: Trajectory, samples: slice, *, told: bool) -> Stretch:
 
 
 def _passes(stretch: Stretch) -> Iterator[Stretch]:
-    """Split a stretch where its cycles are counted from zero again."""
+    """Split a stretch where the cycle count restarts."""
     known = np.flatnonzero(np.isfinite(stretch.position))
     back = known[1:][np.diff(stretch.position[known]) < -0.5]
     begin = stretch.samples.start

@@ -1,4 +1,4 @@
-"""The load cycles of a block: which are complete, settled and like the others, and what each of them measures."""
+"""Load cycles of a block: selection of complete, settled and similar cycles, and measurement of each cycle."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
@@ -15,51 +15,51 @@ from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
 MOST_HARMONICS = 10
-"""Harmonics that a cycle is fitted with where it has samples enough."""
+"""Maximum number of harmonics fitted to a cycle, given enough samples."""
 
 FEWEST_SAMPLES = 16
-"""Samples that a cycle must have."""
+"""Minimum number of samples of a cycle."""
 
 WIDEST_GAP = 0.05
-"""Largest part of a cycle without a sample, beyond the usual distance of two, with which it still counts as complete."""
+"""Largest gap in a complete cycle, beyond the usual sample spacing, as a fraction of the cycle."""
 
 OTHER_LENGTH = 0.2
-"""Relative difference from the usual number of samples beyond which a cycle was held up, or is of another frequency."""
+"""Relative difference from the usual number of samples beyond which a cycle was interrupted or has another frequency."""
 
 UNLIKE = 0.01
-"""Difference of a cycle's reference from the usual one, as a fraction of its amplitude, beyond which it is another cycle."""
+"""Difference of a cycle's reference from the usual one beyond which it is another cycle, as a fraction of its amplitude."""
 
 SETTLED = 3.0
-"""Deviation from the later half's median cycle up to which a cycle has settled, in median deviations of that half."""
+"""Deviation from the median cycle of the later half up to which a cycle is settled, in median deviations of that half."""
 
 SMALL = 1e-4
-"""Deviation that has settled in any case, as a fraction of the reference's amplitude."""
+"""Deviation that counts as settled in any case, as a fraction of the reference's amplitude."""
 
 FEW = 4
-"""Cycles of a stretch below which the settled ones cannot be told, and the first is left out."""
+"""Number of cycles of a stretch below which settling cannot be determined, and the first one is left out."""
 
 
 @dataclass(frozen=True)
 class Cycles:
-    """What each complete cycle of a block measures. Arrays have one row per cycle, in order of time.
+    """Measurements of each complete cycle of a block. Arrays have one row per cycle, in order of time.
 
     Attributes:
         harmonics: number of harmonics fitted.
         stretch: index of the stretch.
         begin_s: time of the first sample [s].
         first, stop: samples of the recording.
-        frequency: [Hz].
+        frequency: frequency [Hz].
         samples: number of samples.
         force_mean, reference_mean: constant parts of the fits [N].
         force, reference: coefficients of the harmonics, shape (cycles, harmonics) [N].
-        position: coefficients of the measured position, likewise [m]; NaN where a cycle lacks it.
-        peak, valley: of the measured waveform [N].
-        reference_peak, reference_valley: of the reference [N].
+        position: coefficients of the measured position, likewise [m]; NaN for a cycle without it.
+        peak, valley: extremes of the measured waveform [N].
+        reference_peak, reference_valley: extremes of the reference [N].
         missed_peak, missed_valley: mean residual of the fit before, at and after them, shape (cycles, 3) [N].
-        variance: of a sample's residual of the force [N^2].
-        position_variance: of the components of the position's fundamental [m^2], by the fit.
+        variance: variance of a sample's force residual [N^2].
+        position_variance: variance of the components of the position's fundamental [m^2], by the fit.
         of_mean, of_harmonic, of_peak, of_valley: variance of these results per variance of a sample.
-        offered: cycles begun in the block, complete or not.
+        offered: number of cycles in the block, complete or not.
     """
 
     harmonics: int
@@ -138,7 +138,7 @@ def _edges(position: Array, start: int) -> Iterator[tuple[int, int]]:
         return
     turn = np.floor(position[known] + 1e-9).astype(np.int64)
     steps = np.flatnonzero(np.diff(turn)) + 1
-    # The first and last cycle are whole only where the stretch begins and ends at an edge.
+    # The first and last cycle are complete only if the stretch begins and ends at an edge.
     spacing = float(np.median(np.diff(position[known])))
     edges = steps.tolist()
     if position[known[0]] - turn[0] <= 1.5 * spacing:
@@ -150,7 +150,7 @@ def _edges(position: Array, start: int) -> Iterator[tuple[int, int]]:
 
 
 def _complete(block: Block, index: int, ends: tuple[int, int], known: Mask) -> tuple[Array, Mask | None]:
-    """Return a cycle's positions and which of its samples are known; None for those of a cycle with a gap."""
+    """Return a cycle's positions and the mask of its known samples; None in place of the mask for a cycle with a gap."""
     begin, stop = ends
     stretch = block.stretches[index]
     place = stretch.position[begin - stretch.samples.start : stop - stretch.samples.start]
@@ -207,10 +207,10 @@ def _cycle(run: Trajectory, index: int, ends: tuple[int, int], place: Array, kep
 
 
 def _missed(at: Array, residual: Array, place: float, harmonics: int) -> Array:
-    """Return the mean residual before, at and after a place in the cycle, over half a period of the highest harmonic in all.
+    """Return the mean residual before, at and after a phase, over half a period of the highest harmonic in total.
 
     Returns:
-        Shape (3,); 0 where there is no sample.
+        Shape (3,); 0 if there is no sample.
     """
     third = 0.5 / harmonics / 3.0
     away = (at - place + 0.5) % 1.0 - 0.5
@@ -235,7 +235,7 @@ def _position(run: Trajectory, here: slice, place: Array, harmonics: int) -> tup
 
 
 def has_fundamental(cycles: Cycles) -> bool:
-    """Tell whether the reference moves at the frequency of the cycle."""
+    """Return whether the reference has a fundamental at the cycle's frequency."""
     return float(np.median(np.abs(cycles.reference[:, 0]))) > UNLIKE * float(
         np.median(cycles.reference_peak - cycles.reference_valley)
     )
@@ -260,11 +260,11 @@ def settled(cycles: Cycles, left_out: int | None = None) -> tuple[Mask, bool]:
 
     Args:
         cycles: the cycles of a block.
-        left_out: cycles to leave out at the start of each stretch; None: as many as differ from the later half's, half of them
-            at most.
+        left_out: number of cycles to leave out at the start of each stretch; None: those that differ from the later half, at
+            most half of them.
 
     Returns:
-        Which have settled, and whether the transients had ended by the middle of every stretch.
+        Which cycles have settled, and whether the transients ended by the middle of every stretch.
     """
     mask = np.ones(len(cycles), dtype=bool)
     in_time = True
@@ -279,7 +279,7 @@ def settled(cycles: Cycles, left_out: int | None = None) -> tuple[Mask, bool]:
 
 
 def _transient(cycles: Cycles, rows: NDArray[np.intp]) -> int:
-    """Return how many cycles at the start of a stretch have not settled."""
+    """Return the number of unsettled cycles at the start of a stretch."""
     if len(rows) < FEW:
         return 1 if len(rows) > 1 else 0
     half = len(rows) // 2

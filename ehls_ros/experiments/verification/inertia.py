@@ -1,8 +1,8 @@
-"""Correction of a load cell for the mass between it and the specimen.
+"""Inertia correction of a load cell for the mass between it and the specimen.
 
-The cell shows the force on the specimen plus what accelerates that mass: F_cell = F_specimen + m a, with force and position
-positive in the same direction. The acceleration is that of the measured position's fundamental, -(2 pi f)^2 x, so that no
-sample is differentiated.
+The cell measures the force on the specimen plus the inertia force of that mass: F_cell = F_specimen + m a, with force and
+position positive in the same direction. The acceleration is that of the measured position's fundamental, -(2 pi f)^2 x, so that
+no sample is differentiated.
 """
 
 import math
@@ -15,17 +15,17 @@ from ehls_ros.experiments.verification.uncertainty import COVERAGE, Uncertainty,
 
 
 def correct(cycles: Cycles, mass: float, resolution: float, amplitude: Quantity, phase: Quantity) -> Inertia | Refused:
-    """Return the correction of a block's amplitude and phase.
+    """Return the inertia correction of a block's amplitude and phase.
 
     Args:
-        cycles: the cycles that are judged.
+        cycles: the judged cycles.
         mass: mass between load cell and specimen [kg].
         resolution: standard uncertainty of the position sensor's resolution [m].
-        amplitude: of the force as measured.
-        phase: likewise.
+        amplitude: amplitude of the measured force.
+        phase: phase of the measured force.
 
     Returns:
-        The correction; Refused where there is no acceleration to correct with.
+        The correction; Refused if the acceleration is not available.
     """
     measured = np.isfinite(cycles.position[:, 0])
     if not measured.any():
@@ -60,5 +60,5 @@ def correct(cycles: Cycles, mass: float, resolution: float, amplitude: Quantity,
 
 
 def _wider(given: Uncertainty, std: float) -> Uncertainty:
-    """Return an uncertainty with that of the position, which is independent of the force's, in its random part."""
+    """Add the independent uncertainty of the position to the random part of an uncertainty."""
     return given._replace(repeatability=math.hypot(given.random, std))

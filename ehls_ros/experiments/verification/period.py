@@ -1,4 +1,4 @@
-"""The frequency of a reference that repeats."""
+"""Frequency of a periodic reference."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,28 +10,28 @@ from ehls_ros.arrays import Array
 from ehls_ros.experiments.verification.sine_fit import Sine, fit_sine
 
 LONGEST = 2**16
-"""Samples in which a period is looked for."""
+"""Maximum number of samples searched for a period."""
 
 FEWEST = 3
-"""Cycles that a signal must have to count as periodic."""
+"""Minimum number of cycles of a periodic signal."""
 
 DIP = 0.02
-"""Normalised difference of a signal from itself one period later, at and below which it repeats."""
+"""Normalised difference of a signal from itself one period later up to which it is periodic."""
 
 STARTS = ("frequency", "base_frequency")
-"""Keys of a reference's parameters that hold the frequency of its cycle."""
+"""Parameters of a reference with the frequency of its cycle."""
 
 
 def cycle_of(time: Array, reference: Array, metadata: Mapping[str, Any]) -> Sine | None:
-    """Return the fundamental of a reference that repeats, None where it does not.
+    """Return the fundamental of a periodic reference; None if it is not periodic.
 
-    The search starts from the frequency of the experiment's own reference where it is known and fits, else from the first dip
-    of the normalised difference function.
+    The search starts from the frequency of the experiment's reference if it is known and fits, otherwise from the first dip of
+    the normalised difference function.
 
     Args:
-        time: shape (n,) [s], increasing.
-        reference: shape (n,), NaN where missing.
-        metadata: that of the recording.
+        time: times, shape (n,) [s], increasing.
+        reference: reference, shape (n,), NaN where missing.
+        metadata: metadata of the recording.
 
     Returns:
         The sine, with time from the first finite sample.

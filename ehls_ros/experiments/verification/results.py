@@ -1,4 +1,4 @@
-"""What a verification finds, and the document it is written as."""
+"""Results of a verification, and their JSON document."""
 
 import math
 from collections.abc import Mapping
@@ -18,14 +18,14 @@ CERTIFIES_NOTHING = (
 
 
 class Quantity(NamedTuple):
-    """One quantity of a block: what the reference asks for and what was measured, each as the mean over its cycles.
+    """One quantity of a block: reference and measured value, each as the mean over its cycles.
 
     Attributes:
-        name: what it is.
-        unit: ``n`` or ``deg``, as keys of JSON end.
+        name: name of the quantity.
+        unit: ``n`` or ``deg``, as in the suffixes of JSON keys.
         reference, measured: mean values; the phase of the reference is 0.
-        relative_to: what the error is given in percent of; None for a phase.
-        uncertainty: of the measured value, and so of the error.
+        relative_to: reference of the error in percent; None for a phase.
+        uncertainty: uncertainty of the measured value, and so of the error.
     """
 
     name: str
@@ -37,12 +37,12 @@ class Quantity(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Measured less reference."""
+        """Measured value minus reference."""
         return self.measured - self.reference
 
     @property
     def percent(self) -> float:
-        """The error in percent of ``relative_to``; NaN where that says nothing."""
+        """The error in percent of ``relative_to``; NaN if undefined."""
         return 100.0 * self.error / self.relative_to if self.relative_to else math.nan
 
     @property
@@ -56,7 +56,7 @@ class Harmonic(NamedTuple):
 
     Attributes:
         order: 1 for the fundamental.
-        reference_n, measured_n: amplitudes [N], the measured one without what noise adds to it.
+        reference_n, measured_n: amplitudes [N], the measured one without the contribution of noise.
         expanded_n: expanded uncertainty [N].
         percent, reference_percent: amplitudes in percent of the fundamental's.
     """
@@ -70,7 +70,7 @@ class Harmonic(NamedTuple):
 
 
 class Distortion(NamedTuple):
-    """Total harmonic distortion: root of the sum of squares of all harmonics but the first, over the first [%]."""
+    """Total harmonic distortion: root of the sum of squares of all higher harmonics over the fundamental [%]."""
 
     measured_percent: float
     reference_percent: float
@@ -96,16 +96,16 @@ class Repeatability(NamedTuple):
 
 
 class Inertia(NamedTuple):
-    """Force that accelerates the mass between load cell and specimen, at the fundamental.
+    """Inertia force of the mass between load cell and specimen, at the fundamental.
 
     Attributes:
         mass_kg: the mass.
-        force_n: its amplitude [N].
+        force_n: amplitude of the inertia force [N].
         force_expanded_n: expanded uncertainty, from the measured position [N].
-        percent: its part of the measured amplitude.
-        phase_deg: its phase over the measured force; 0 where the cell shows too much by all of it.
-        amplitude: that of the force on the specimen, against the reference.
-        phase: likewise.
+        percent: its ratio to the measured amplitude [%].
+        phase_deg: its phase relative to the measured force [°]; at 0, the cell reading is too high by all of it.
+        amplitude: amplitude of the force on the specimen, compared with the reference.
+        phase: phase of the force on the specimen, likewise.
     """
 
     mass_kg: float
@@ -118,20 +118,20 @@ class Inertia(NamedTuple):
 
 
 class Refused(NamedTuple):
-    """What could not be judged, and why."""
+    """Reason why something could not be judged."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class Trend:
-    """Every complete cycle of a block, for pictures: one entry each.
+    """Values of every complete cycle of a block for plots, one entry each.
 
     Attributes:
-        cycle: its number, from 1 over all stretches.
-        judged: whether it counts.
-        peak_n, valley_n: measured [N].
-        reference_peak_n, reference_valley_n: of the reference [N].
+        cycle: number of the cycle, from 1 over all stretches.
+        judged: whether it is judged.
+        peak_n, valley_n: measured peak and valley [N].
+        reference_peak_n, reference_valley_n: peak and valley of the reference [N].
     """
 
     cycle: Array
@@ -144,7 +144,7 @@ class Trend:
 
 @dataclass(frozen=True)
 class OneCycle:
-    """The samples of the last judged cycle, for a picture: time since its start [s], force and reference [N]."""
+    """Samples of the last judged cycle for a plot: time since its start [s], force and reference [N]."""
 
     time_s: Array
     force_n: Array
@@ -152,24 +152,24 @@ class OneCycle:
 
 
 class Cyclic(NamedTuple):
-    """A block whose reference repeats.
+    """Result of a block with a periodic reference.
 
     Attributes:
-        frequency_hz: of the load cycle [Hz].
-        cycles_judged: those that everything here is of.
-        cycles_settling: left out at the start of each stretch.
-        cycles_incomplete: left out for gaps, holds or another length.
-        cycles_unlike: left out for another reference.
-        passes: stretches of the recording in which the block ran.
-        settled: whether the transients ended in the first half of each stretch, and peaks and valleys drift no further.
-        peak, valley, mean, range, amplitude, phase: mean, amplitude and phase are those of the fitted sine.
+        frequency_hz: frequency of the load cycle [Hz].
+        cycles_judged: number of cycles in the results.
+        cycles_settling: number left out at the start of each stretch.
+        cycles_incomplete: number left out for gaps, holds or another length.
+        cycles_unlike: number left out for another reference.
+        passes: number of stretches of the recording in which the block ran.
+        settled: whether the transients ended in the first half of each stretch, and peaks and valleys no longer drift.
+        peak, valley, mean, range, amplitude, phase: the quantities; mean, amplitude and phase are those of the fitted sine.
         delay_s: phase error as a delay [s].
-        sensor_phase_deg: part of the phase error that lag and delay of the rig file's force sensor make; NaN without a rig.
+        sensor_phase_deg: part of the phase error due to lag and delay of the rig file's force sensor; NaN without a rig.
         distortion: total harmonic distortion.
-        harmonics: one by one.
+        harmonics: individual harmonics.
         repeatability: scatter over the cycles.
-        inertia: correction of the load cell; None where none was asked for.
-        trend, last: for pictures.
+        inertia: correction of the load cell; None if not requested.
+        trend, last: data for plots.
     """
 
     frequency_hz: float
@@ -196,18 +196,18 @@ class Cyclic(NamedTuple):
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All quantities, as tables have them."""
+        """All quantities, in the order of tables."""
         return self.peak, self.valley, self.mean, self.range, self.amplitude, self.phase
 
 
 class NonCyclic(NamedTuple):
-    """A block that is judged by its error over time.
+    """Result of a block judged by its error over time.
 
     Attributes:
-        reason: why it is not judged by its cycles.
-        samples: with force and reference.
-        mean_error_n, rms_error_n, max_error_n: over all of them [N].
-        last_half_rms_error_n, last_half_max_error_n: over the last half of each stretch [N].
+        reason: reason why it is not judged by its cycles.
+        samples: number of samples with force and reference.
+        mean_error_n, rms_error_n, max_error_n: errors over all of them [N].
+        last_half_rms_error_n, last_half_max_error_n: errors over the last half of each stretch [N].
     """
 
     reason: str
@@ -220,14 +220,14 @@ class NonCyclic(NamedTuple):
 
 
 class JudgedBlock(NamedTuple):
-    """One block.
+    """Result of one block.
 
     Attributes:
-        name: what it is called.
-        number: that of the programme; None for a whole recording.
-        begin_s, duration_s: since the start of the recording, and its length without what lies between its stretches [s].
-        missing_percent: samples without force or reference.
-        found: the result; Refused where there is none.
+        name: name of the block.
+        number: number in the programme; None for a whole recording.
+        begin_s, duration_s: start since that of the recording, and duration without the gaps between its stretches [s].
+        missing_percent: fraction of samples without force or reference [%].
+        found: the result; Refused if there is none.
     """
 
     name: str
@@ -240,13 +240,13 @@ class JudgedBlock(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """A recording, block by block.
+    """Verification of a recording, block by block.
 
     Attributes:
-        blocks: in the order of time.
-        remarks: what to know of the recording and of the uncertainties, a sentence each.
+        blocks: results of the blocks in order of time.
+        remarks: remarks on the recording and the uncertainties, one sentence each.
         inertia_mass_kg: mass between load cell and specimen [kg]; None without correction.
-        cell_uncertainty_percent: expanded uncertainty of the load cell's calibration [% of reading]; None where not told.
+        cell_uncertainty_percent: expanded uncertainty of the load cell's calibration [% of reading]; None if not given.
     """
 
     blocks: tuple[JudgedBlock, ...]
@@ -259,12 +259,12 @@ class Verification:
 
 
 def verification_document(found: Verification, recording: str, version: str) -> Any:
-    """Return what ``verification.json`` holds.
+    """Return the content of ``verification.json``.
 
     Args:
         found: the verification.
-        recording: what was verified.
-        version: of the package.
+        recording: name of the recording.
+        version: version of the package.
     """
     return json_document(
         {
@@ -287,7 +287,7 @@ def _block(block: JudgedBlock) -> Mapping[str, Any]:
 
 
 def _plain(found: Cyclic | NonCyclic | Refused | Inertia) -> Mapping[str, Any]:
-    """Return a record with its quantities written out and without what only pictures show."""
+    """Return a record with its quantities as mappings, without the data for plots."""
     return {
         key: _quantity(value)
         if isinstance(value, Quantity)

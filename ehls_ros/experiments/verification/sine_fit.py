@@ -1,7 +1,7 @@
-"""Sine fits by least squares: IEEE Std 1057, the three-parameter and four-parameter methods, and the same with harmonics.
+"""Sine fits by least squares: three- and four-parameter methods of IEEE Std 1057, and their extension to harmonics.
 
-A fit is linear once the frequency is known. A signal is written as mean + Re(sum of c_k exp(2 pi i k p)) over the position p
-[cycles], so that the phase of a force over its reference is that of the quotient of their first coefficients.
+The fit is linear for a known frequency. A signal is written as mean + Re(sum of c_k exp(2 pi i k p)) over the position p
+[cycles]. The phase of a force relative to its reference is then that of the quotient of their first coefficients.
 """
 
 from typing import NamedTuple
@@ -15,14 +15,14 @@ from ehls_ros.arrays import Array
 Complex = NDArray[np.complex128]
 
 CHUNK = 2**18
-"""Samples of a long signal that are taken at a time."""
+"""Number of samples of a long signal processed at a time."""
 
 STEPS, CONVERGED = 12, 1e-12
-"""Most steps of the four-parameter fit, and the relative change of the frequency at which it ends."""
+"""Maximum number of steps of the four-parameter fit, and the relative change of the frequency at which it ends."""
 
 FIRST_LENGTH, GROWTH = 8.0, 4.0
-"""Cycles of a signal that the frequency is first fitted to, and by how much that grows from fit to fit: a frequency that is off
-by more than about half a cycle over the length of the signal leads to a wrong minimum."""
+"""Number of cycles in the first fit of the frequency, and its growth factor from fit to fit. A frequency error of more than
+about half a cycle over the length of the signal leads to a wrong minimum."""
 
 
 class Harmonics(NamedTuple):
@@ -62,12 +62,12 @@ def basis(position: Array, harmonics: int) -> Array:
 
 
 class Columns(NamedTuple):
-    """Mean and harmonics of a known frequency at some samples, ready to be fitted.
+    """Precomputed columns for the fit of mean and harmonics of a known frequency at given samples.
 
     Attributes:
-        harmonics: their number; 1 is the three-parameter fit of IEEE Std 1057.
-        values: the columns of :func:`basis`, a straight line after them where there is drift, shape (n, terms).
-        inverse: inverse of the normal equations' matrix, shape (terms, terms).
+        harmonics: number of harmonics; 1 is the three-parameter fit of IEEE Std 1057.
+        values: the columns of :func:`basis`, followed by a straight line if there is drift, shape (n, terms).
+        inverse: inverse of the matrix of the normal equations, shape (terms, terms).
     """
 
     harmonics: int
@@ -76,12 +76,12 @@ class Columns(NamedTuple):
 
     @classmethod
     def at(cls, position: Array, harmonics: int, *, drifting: bool = False) -> "Columns":
-        """Return those of a cycle.
+        """Return the columns of a cycle.
 
         Args:
             position: place in the cycle, shape (n,) [cycles], over about one cycle.
             harmonics: number of harmonics.
-            drifting: fit a straight line as well, which would count as harmonics otherwise.
+            drifting: whether to fit a straight line as well, which would otherwise appear as harmonics.
         """
         values = basis(position, harmonics)
         if drifting:
@@ -112,9 +112,9 @@ class Sine(NamedTuple):
     """A sine of the form mean + Re(coefficient exp(2 pi i frequency t)), with t from the first sample.
 
     Attributes:
-        frequency: [Hz].
-        coefficient: in the signal's unit.
-        mean: in the signal's unit.
+        frequency: frequency [Hz].
+        coefficient: complex amplitude in the signal's unit.
+        mean: mean in the signal's unit.
     """
 
     frequency: float
@@ -123,12 +123,12 @@ class Sine(NamedTuple):
 
 
 def fit_sine(time: Array, signal: Array, frequency: float) -> Sine:
-    """Fit a sine and its frequency: the four-parameter method of IEEE Std 1057, over longer and longer parts of the signal.
+    """Fit a sine and its frequency by the four-parameter method of IEEE Std 1057, over increasingly long parts of the signal.
 
     Args:
         time: shape (n,) [s], increasing.
         signal: shape (n,), finite.
-        frequency: where the search starts [Hz].
+        frequency: initial value of the search [Hz].
     """
     since = time - time[0]
     length = FIRST_LENGTH / frequency
@@ -142,11 +142,11 @@ def fit_sine(time: Array, signal: Array, frequency: float) -> Sine:
 
 
 def _four_parameters(time: Array, signal: Array, frequency: float) -> Sine:
-    """Repeat the linear fit with the change of the frequency as its fourth parameter until that vanishes."""
+    """Repeat the linear fit with the frequency correction as fourth parameter until convergence."""
     omega = 2.0 * np.pi * frequency
     cosine = sine = mean = 0.0
     for step in range(STEPS):
-        # The first step is the three-parameter fit, which the derivative with respect to the frequency needs.
+        # The first step is the three-parameter fit, required for the derivative with respect to the frequency.
         terms = 3 if step == 0 else 4
         matrix, right = np.zeros((terms, terms)), np.zeros(terms)
         for begin in range(0, len(time), CHUNK):
@@ -157,7 +157,7 @@ def _four_parameters(time: Array, signal: Array, frequency: float) -> Sine:
             chunk = np.column_stack(columns)
             matrix += chunk.T @ chunk
             right += chunk.T @ y
-        # Columns scaled to one: the derivative's grows with the length of the signal.
+        # Columns are scaled to one, as that of the derivative grows with the length of the signal.
         size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
         solution = (scipy.linalg.pinvh(matrix / np.outer(size, size)) @ (right / size)) / size
         cosine, sine, mean = solution[:3]

@@ -1,7 +1,7 @@
-"""Uncertainty of a mean over cycles, and the parts it is combined of.
+"""Uncertainty of a mean over cycles, and its components.
 
-Source: JCGM 100 (GUM): type A from repeated observations, type B from what is known otherwise, combined as the root of the sum
-of squares, expanded by k = 2. The scatter of few cycles is enlarged by Student's factor, so that k = 2 means 95 % for them too.
+Source: JCGM 100 (GUM): type A from repeated observations, type B from other information, combined as the root of the sum of
+squares, expanded by k = 2. The scatter of few cycles is enlarged by Student's factor, so that k = 2 means 95 % for them too.
 """
 
 import math
@@ -23,10 +23,10 @@ class Uncertainty(NamedTuple):
     Attributes:
         repeatability: type A, from the scatter over the cycles; NaN for a single cycle.
         fit: type A, from the covariance of the least squares fit.
-        noise: type B, from the sensor's noise in the rig file; like ``fit`` an estimate of what ``repeatability`` shows.
+        noise: type B, from the sensor's noise in the rig file; like ``fit`` another estimate of ``repeatability``.
         resolution: type B, from the sensor's resolution in the rig file.
-        cell: type B, of the load cell's calibration.
-        waveform: type B, what the fitted harmonics miss of the waveform where the quantity is read.
+        cell: type B, from the load cell's calibration.
+        waveform: type B, from the deviation of the fitted harmonics from the waveform at the quantity.
     """
 
     repeatability: float
@@ -38,7 +38,7 @@ class Uncertainty(NamedTuple):
 
     @property
     def random(self) -> float:
-        """The part that more cycles would make smaller: the largest of three estimates of the same."""
+        """The part that decreases with more cycles: the largest of three estimates of it."""
         return float(np.nanmax([self.repeatability, self.fit, self.noise, 0.0]))
 
     @property
@@ -53,7 +53,7 @@ class Uncertainty(NamedTuple):
 
 
 class TypeB(NamedTuple):
-    """What is known of the force sensor beforehand.
+    """Prior information on the force sensor.
 
     Attributes:
         noise: standard deviation of one sample [N].
@@ -67,7 +67,7 @@ class TypeB(NamedTuple):
 
 
 def of_resolution(step: float) -> float:
-    """Return the standard uncertainty of a reading in steps: a rectangular distribution of that width."""
+    """Return the standard uncertainty of a quantised reading: a rectangular distribution of the step's width."""
     return step / math.sqrt(12.0)
 
 
@@ -75,7 +75,8 @@ def of_mean(values: Array | NDArray[np.complex128], freedom_per_cycle: int = 1) 
     """Return the standard uncertainty of the mean of independent cycles; NaN for a single one.
 
     Args:
-        values: deviations count, shape (n,), real or complex. Of complex values the result is that of each component.
+        values: values of the cycles, shape (n,), real or complex; only their deviations matter. For complex values the result
+            is that of each component.
         freedom_per_cycle: 2 for complex values.
     """
     cycles = len(values)
@@ -87,5 +88,5 @@ def of_mean(values: Array | NDArray[np.complex128], freedom_per_cycle: int = 1) 
 
 
 def student(freedom: int) -> float:
-    """Return the factor that makes k = 2 cover as much for few degrees of freedom as for many."""
+    """Return the factor by which k = 2 has the same coverage for few degrees of freedom as for many."""
     return float(scipy.stats.t.ppf(scipy.stats.norm.cdf(COVERAGE), freedom)) / COVERAGE

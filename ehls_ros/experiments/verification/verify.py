@@ -1,9 +1,9 @@
 """Dynamic force verification of a recording.
 
-In substance after ASTM E467 and ISO 4965: end levels, span, amplitude and phase of a cyclic force against what is asked for,
-with the errors relative to the span, the repeatability over cycles, and the inertia of what moves between load cell and
-specimen.
-Those compare an independent dynamometer in place of the specimen; here the rig's own force signal is compared with its command.
+Based on ASTM E467 and ISO 4965: end levels, span, amplitude and phase of a cyclic force compared with the reference. Further
+results are the errors relative to the span, the repeatability over cycles, and the inertia of the mass between load cell and
+specimen. The standards compare an independent dynamometer in place of the specimen; here the rig's force signal is compared
+with its command.
 """
 
 import math
@@ -38,20 +38,20 @@ from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
 STEADY = 1e-3
-"""Drift over the judged cycles, as a fraction of the range, beyond which a force that clearly drifts has not settled."""
+"""Drift over the judged cycles beyond which a significantly drifting force has not settled, as a fraction of the range."""
 
 MOST_UNLIKE = 0.2
-"""Part of the cycles with another reference from which on a block is not judged by its cycles."""
+"""Fraction of cycles with another reference above which a block is not judged by its cycles."""
 
 
 class Given(NamedTuple):
-    """What a verification is told beside the recording.
+    """Inputs of a verification beside the recording.
 
     Attributes:
         rig: the rig, for resolution, noise and lag of its sensors; None: that of the recording's metadata.
         inertia_mass: mass between load cell and specimen [kg]; None: no correction.
-        cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None: not known.
-        settling: cycles to leave out at the start of each stretch; None: as many as the data show.
+        cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None: unknown.
+        settling: number of cycles to leave out at the start of each stretch; None: determined from the data.
     """
 
     rig: Rig | None = None
@@ -65,8 +65,8 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
 
     Args:
         run: the recording.
-        given: what else is known.
-        name: what errors call the recording.
+        given: further inputs.
+        name: name of the recording in errors.
 
     Raises:
         BadInput: force or reference was not recorded, a value is out of range, or inertia is to be corrected without a
@@ -98,7 +98,7 @@ def _check(run: Trajectory, given: Given, name: str) -> None:
 
 
 def _recorded_rig(metadata: Mapping[str, Any]) -> Rig | None:
-    """Return the rig of a recording's metadata; None where it has none that can be read."""
+    """Return the rig in a recording's metadata; None if there is no readable one."""
     try:
         return rig_from_mapping(metadata["rig"], "metadata") if "rig" in metadata else None
     except BadInput:
@@ -223,15 +223,15 @@ def _of_noise(cycles: Cycles, known: TypeB, leverage: Array) -> float:
 def _uncertainty(
     cycles: Cycles, values: Array, leverage: Array, known: TypeB, reading: float, missed: float = 0.0
 ) -> Uncertainty:
-    """Combine what is known of a mean over cycles.
+    """Combine the uncertainty components of a mean over cycles.
 
     Args:
         cycles: the cycles.
-        values: the quantity less its reference in each cycle, shape (cycles,) [N].
+        values: the quantity minus its reference in each cycle, shape (cycles,) [N].
         leverage: its variance per variance of a sample in each cycle, shape (cycles,).
-        known: type B.
-        reading: what the calibration's uncertainty is a fraction of [N].
-        missed: what the fit misses where the quantity is read [N].
+        known: type B information.
+        reading: reading to which the calibration's relative uncertainty refers [N].
+        missed: deviation of the fit at the quantity [N].
     """
     return Uncertainty(
         repeatability=of_mean(values),
@@ -244,14 +244,14 @@ def _uncertainty(
 
 
 def _missed(cycles: Cycles, name: str) -> float:
-    """Return how far the fitted waveform is from the samples around an extreme, less what their noise makes of it [N]."""
+    """Return the deviation of the fitted waveform from the samples around an extreme, less the contribution of noise [N]."""
     parts = getattr(cycles, f"missed_{name}")
     noise = float(np.mean(cycles.variance * 6.0 * cycles.harmonics / cycles.samples)) / len(cycles)
     return math.sqrt(max(float(np.max(parts.mean(axis=0) ** 2)) - 4.0 * noise, 0.0))
 
 
 def _between(cycles: Cycles) -> float:
-    """Return how far an extreme between two samples may be from its interpolation [N]."""
+    """Return the possible interpolation error of an extreme between two samples [N]."""
     return BETWEEN * (2.0 * math.pi / float(cycles.samples.mean())) ** 4 * float(np.abs(cycles.force[:, 0]).mean())
 
 
@@ -297,7 +297,7 @@ def _range(cycles: Cycles, known: TypeB) -> Quantity:
 def _fundamental(cycles: Cycles, known: TypeB) -> tuple[Quantity, Quantity]:
     """Return amplitude and phase of the fitted sine."""
     force, reference = cycles.force[:, 0], cycles.reference[:, 0]
-    # Each cycle's force turned to where its reference is at phase zero: what is left is amplitude and phase error.
+    # Each cycle's force is rotated so that its reference has phase zero: amplitude and phase error remain.
     turned = force * np.conj(reference) / np.abs(reference)
     mean = complex(turned.mean())
     size, asked = abs(mean), float(np.abs(reference).mean())
@@ -319,7 +319,7 @@ def _fundamental(cycles: Cycles, known: TypeB) -> tuple[Quantity, Quantity]:
 
 
 def _harmonics(cycles: Cycles, known: TypeB) -> tuple[tuple[Harmonic, ...], Distortion]:
-    """Return the harmonics and the total distortion; noise, which adds to every amplitude, is taken off again."""
+    """Return the harmonics and the total distortion; the contribution of noise to every amplitude is subtracted."""
     force, reference = cycles.force.mean(axis=0), np.abs(cycles.reference.mean(axis=0))
     fit = max(_of_fit(cycles, cycles.of_harmonic), _of_noise(cycles, known, cycles.of_harmonic))
     error = cycles.force - cycles.reference
@@ -340,13 +340,13 @@ def _harmonics(cycles: Cycles, known: TypeB) -> tuple[tuple[Harmonic, ...], Dist
     )
     if not first:
         return rows, Distortion(math.nan, math.nan, math.nan)
-    # The sum of squares has a variance of 4 A^2 u^2 + 4 u^4 a harmonic.
+    # The sum of squares has a variance of 4 A^2 u^2 + 4 u^4 per harmonic.
     total = float(np.sum(np.abs(force[1:]) ** 2 - 2.0 * std[1:] ** 2))
     spread = COVERAGE * math.sqrt(float(np.sum(4.0 * size[1:] ** 2 * std[1:] ** 2 + 4.0 * std[1:] ** 4)))
     thd = math.sqrt(max(total, 0.0))
     above = math.sqrt(max(total + spread, 0.0)) - thd
     below = thd - math.sqrt(max(total - spread, 0.0))
-    # Steps of the converter make harmonics of up to the square root of two times their rms in all.
+    # Quantisation of the converter causes harmonics of up to the square root of two times its rms in total.
     uncertain = math.hypot(max(above, below), COVERAGE * math.sqrt(2.0) * known.resolution)
     asked_for = float(np.sqrt(np.sum(reference[1:] ** 2)) / asked)
     return rows, Distortion(100.0 * thd / first, 100.0 * asked_for, 100.0 * uncertain / first)
@@ -361,7 +361,7 @@ def _repeatability(cycles: Cycles) -> Repeatability:
 
 
 def _steady(cycles: Cycles, found: Repeatability) -> bool:
-    """Tell whether peaks and valleys stay where they are over the cycles; too few cycles do not tell otherwise."""
+    """Return whether peaks and valleys do not drift over the cycles; True for too few cycles."""
     least = STEADY * _span(cycles) / len(cycles)
     return not any(
         abs(drift) > max(expanded, least)
@@ -385,7 +385,7 @@ def _drift(values: Array) -> tuple[float, float]:
 
 
 def _sensor_phase(sensor: Sensor, frequency: float) -> float:
-    """Return the phase that lag and delay of a sensor make at a frequency [°]."""
+    """Return the phase due to lag and delay of a sensor at a frequency [°]."""
     lag = math.atan(2.0 * math.pi * frequency / sensor.bandwidth) if sensor.bandwidth > 0.0 else 0.0
     return -math.degrees(lag) - 360.0 * frequency * sensor.delay
 

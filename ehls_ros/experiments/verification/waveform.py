@@ -1,8 +1,8 @@
-"""The waveform of one cycle between and beyond its noisy samples.
+"""Waveform of one cycle, reconstructed from its noisy samples.
 
-A force that follows a reference looks like it, somewhat later and of another size, with smooth differences. So the measured
-waveform is the reference, delayed and scaled as its fundamental is, plus the harmonics of what remains: the corners of a
-triangle stay sharp, and noise makes no peaks.
+A force that follows a reference equals the delayed and scaled reference up to smooth differences. The measured waveform is
+therefore modelled as the reference, delayed and scaled according to its fundamental, plus the harmonics of the residual. The
+corners of a triangle stay sharp, and noise causes no peaks.
 """
 
 import math
@@ -15,25 +15,25 @@ from ehls_ros.arrays import Array
 from ehls_ros.experiments.verification.sine_fit import Columns, basis
 
 WRAPPED = 3
-"""Samples of the other end of the cycle that its interpolation is continued with."""
+"""Number of samples by which the interpolation is continued periodically at each end."""
 
 AROUND, FINER = 2, 8
-"""Samples on either side of the largest one between which the extreme is looked for, and steps per sample there."""
+"""Number of samples on either side of the largest one between which the extreme is searched, and steps per sample."""
 
 BETWEEN = 0.041
-"""Largest error of Akima's interpolation at the top of a sine, over its amplitude and the fourth power of the samples' spacing
-in radians; found with 16 to 100 samples a cycle."""
+"""Largest error of Akima's interpolation at the top of a sine, relative to its amplitude and the fourth power of the sample
+spacing in radians; determined with 16 to 100 samples per cycle."""
 
 
 class Waveform(NamedTuple):
     """A periodic curve.
 
     Attributes:
-        curve: the reference by the place in the cycle.
-        delay: by how much it comes later [cycles].
-        gain, offset: by which it is multiplied, and what is added then.
-        harmonics: what is added to it: constant, then cosine and sine of each harmonic; shape (terms,).
-        variance: of a sample's residual.
+        curve: the reference over the position in the cycle.
+        delay: delay of the curve [cycles].
+        gain, offset: factor on the curve, and offset added then.
+        harmonics: added terms: constant, then cosine and sine of each harmonic; shape (terms,).
+        variance: variance of a sample's residual.
     """
 
     curve: "scipy.interpolate.Akima1DInterpolator"
@@ -48,26 +48,26 @@ class Waveform(NamedTuple):
         """Return the curve through the samples of one cycle.
 
         Args:
-            at: place in the cycle, increasing over one cycle at most, shape (n,) [cycles].
+            at: positions in the cycle, increasing over one cycle at most, shape (n,) [cycles].
             values: shape (n,).
         """
         place = at - math.floor(at[0] + 1e-9)
         x = np.concatenate([place[-WRAPPED:] - 1.0, place, place[:WRAPPED] + 1.0])
-        # Akima's does not overshoot beside a step, as a cubic spline would.
+        # Akima's interpolation does not overshoot beside a step, unlike a cubic spline.
         return cls(scipy.interpolate.Akima1DInterpolator(x, np.concatenate([values[-WRAPPED:], values, values[:WRAPPED]])))
 
     def following(
         self, at: Array, force: Array, own: complex, asked: complex, mean: float, columns: Columns
     ) -> tuple["Waveform", Array]:
-        """Return the waveform of a force that follows this one, and its values at the samples.
+        """Return the waveform of a force that follows this waveform, and its values at the samples.
 
         Args:
             at: place in the cycle, shape (n,) [cycles].
             force: shape (n,).
             own: coefficient of the force's fundamental.
-            asked: of this one's.
-            mean: of this one.
-            columns: of the fit at these places.
+            asked: coefficient of this waveform's fundamental.
+            mean: mean of this waveform.
+            columns: columns of the fit at these positions.
         """
         ratio = own / asked if asked else 1.0
         gain, delay = abs(ratio), -float(np.angle(ratio)) / (2.0 * math.pi)
@@ -78,16 +78,16 @@ class Waveform(NamedTuple):
         return bare._replace(harmonics=terms, variance=float(fit.variance[0])), base + fit.fitted[:, 0]
 
     def value(self, at: Array) -> Array:
-        """Return the values at places in the cycle, shape (n,) [cycles]."""
+        """Return the values at positions in the cycle, shape (n,) [cycles]."""
         curve: Array = self.curve((at - self.delay) % 1.0)
         return self.offset + self.gain * curve + basis(at, len(self.harmonics) // 2) @ self.harmonics
 
     def extreme(self, at: Array, values: Array, sign: float) -> tuple[float, float]:
-        """Return place [cycles] and value of the largest value, of the smallest for a negative sign.
+        """Return position [cycles] and value of the maximum, or of the minimum for a negative sign.
 
         Args:
-            at: places of the samples, shape (n,) [cycles].
-            values: of the waveform there, shape (n,).
+            at: positions of the samples, shape (n,) [cycles].
+            values: values of the waveform there, shape (n,).
             sign: 1 or -1.
         """
         best = at[int(np.argmax(sign * values))]

@@ -1,4 +1,4 @@
-"""DAQ backends, one file each; ``base`` says what a file provides."""
+"""DAQ backends, one file each; ``base`` defines their interface."""
 
 from ehls_ros.families import Family
 from ehls_ros.hardware.backends.base import Backend

@@ -42,7 +42,7 @@ class Reading(NamedTuple):
         sequence: number of the sample. A gap means lost samples, a number not above the last one a restarted device.
         time_ns: time of the sample by the device's clock, which runs freely: no time server adjusts it [ns].
         values: raw values in the order of the wiring's inputs, all finite.
-        at_null: the device itself keeps its output at null, because it has no valid command.
+        at_null: the device keeps its output at null, because it has no valid command.
         session: changes when the device restarts; 0 where only the sequence number shows that.
     """
 

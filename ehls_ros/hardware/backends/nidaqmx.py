@@ -20,7 +20,7 @@ NOT_YET = -200284
 """NI-DAQmx's error code for a read timeout."""
 
 MOST_AT_ONCE = 100
-"""Most samples read from the card's buffer in one go."""
+"""Maximum number of samples read from the card's buffer at once."""
 
 
 class Parameters(NamedTuple):

@@ -1,4 +1,4 @@
-"""Optimisers of sums of squares, one file each; ``base`` says what a file provides."""
+"""Optimisers of sums of squares, one file each; ``base`` specifies the interface of a file."""
 
 from ehls_ros.families import Family
 from ehls_ros.identification.optimisers.base import Optimiser

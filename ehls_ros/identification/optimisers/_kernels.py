@@ -1,6 +1,6 @@
-"""What the optimisers compile: a problem's cost on the unit box, and a search of that cost.
+"""Kernels compiled by the optimisers: a problem's cost on the unit box, and a search of that cost.
 
-All optimisers search the unit box; u there stands for ``lower + u (upper - lower)``.
+All optimisers search the unit box, where u represents ``lower + u (upper - lower)``.
 """
 
 import math
@@ -22,10 +22,10 @@ STEP = 2.0**-26
 
 
 class Box(NamedTuple):
-    """A problem as its kernels take it.
+    """A problem as passed to its kernels.
 
     Attributes:
-        data: what the residuals are computed from.
+        data: data of the residual function.
         lower: lower bounds, shape (parameters,).
         upper: upper bounds, shape (parameters,).
     """
@@ -36,7 +36,7 @@ class Box(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch of a kernel, so that it allocates nothing.
+    """Scratch memory of a kernel, so that it allocates nothing.
 
     Attributes:
         x: a point of the problem's box, shape (parameters,).
@@ -50,18 +50,18 @@ class Work(NamedTuple):
 
 
 def box_of(problem: Problem) -> Box:
-    """Return what the kernels need of a checked problem."""
+    """Return the box of a checked problem for the kernels."""
     return Box(problem.data, problem.lower, problem.upper)
 
 
 def work_of(problem: Problem) -> Work:
-    """Return scratch for a problem."""
+    """Return scratch memory for a problem."""
     return Work(np.empty(problem.lower.size), np.empty(problem.residual_count), np.empty(problem.lower.size))
 
 
 @njit(error_model="numpy", forceinline=True, fastmath={"contract", "reassoc"})
 def half_square(r: Array) -> float:
-    """Return half the sum of the squares, added in the fastest order; infinity where it is not finite."""
+    """Return half the sum of the squares, added in the fastest order; infinity if it is not finite."""
     total = 0.0
     for k in range(r.size):
         total += r[k] * r[k]
@@ -70,7 +70,7 @@ def half_square(r: Array) -> float:
 
 @kernel
 def place(u: Array, box: Box, x: Array) -> None:
-    """Write the point of the problem's box that ``u`` stands for into ``x``."""
+    """Write the point of the problem's box represented by ``u`` into ``x``."""
     for j in range(u.size):
         # The sum could round to beyond the bound.
         x[j] = min(max(box.lower[j] + u[j] * (box.upper[j] - box.lower[j]), box.lower[j]), box.upper[j])
@@ -91,8 +91,8 @@ def cost(residuals: Any) -> Any:
 def jacobian(residuals: Any) -> Any:
     """Return the compiled derivatives by the coordinates of the unit box, for a residual function.
 
-    They are differences to a neighbouring point, on the side farther from a bound; on the other side where the residuals
-    there are not finite; zero where neither are.
+    They are differences to a neighbouring point, on the side farther from a bound; on the other side if the residuals there
+    are not finite; zero if neither are finite.
     """
     cost_at = cost(residuals)
 
@@ -118,7 +118,7 @@ def jacobian(residuals: Any) -> Any:
 
 @kernel
 def gathered(points: Array, spread: float) -> bool:
-    """Return whether no coordinate of points, shape (n, parameters), spreads as wide as this."""
+    """Return whether the range of points, shape (n, parameters), is below ``spread`` in every coordinate."""
     for j in range(points.shape[1]):
         smallest = largest = points[0, j]
         for i in range(1, points.shape[0]):
@@ -129,7 +129,7 @@ def gathered(points: Array, spread: float) -> bool:
 
 
 def compiled(search: Callable[[Any], Any], problem: Problem) -> Any:
-    """Compile (or load) a search of a problem's residuals.
+    """Compile a search of a problem's residuals, or load it from the cache.
 
     Args:
         search: function at the top level of a module that returns the compiled search for a residual function.

@@ -1,4 +1,4 @@
-"""What pymoo's optimisers share."""
+"""Common driver of pymoo's optimisers."""
 
 from contextlib import suppress
 from typing import Any
@@ -12,7 +12,7 @@ from ehls_ros.identification.optimisers.base import Result
 
 
 def search(counted: Counted, algorithm: Any, seed: int, where: str) -> Result:
-    """Run one of pymoo's algorithms until the objective ends it.
+    """Run one of pymoo's algorithms until the objective stops it.
 
     Args:
         counted: the objective.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array, kernel
 
 State = NDArray[np.uint64]
-"""One number, shape (1,): the seed to begin with."""
+"""State of the generator, shape (1,); initially the seed."""
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -18,7 +18,7 @@ _11, _27, _30, _31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
 
 @kernel
 def uniform(state: State) -> float:
-    """Return a number of [0, 1)."""
+    """Return a uniform random number of [0, 1)."""
     state[0] += _STEP
     z = state[0]
     z = (z ^ (z >> _30)) * _FIRST
@@ -28,13 +28,13 @@ def uniform(state: State) -> float:
 
 @kernel
 def index(state: State, size: int) -> int:
-    """Return an integer from 0 to size - 1."""
+    """Return a random integer from 0 to size - 1."""
     return int(uniform(state) * size)
 
 
 @kernel
 def latin_hypercube(state: State, points: Array) -> None:
-    """Fill ``points``, shape (n, parameters), so that every n-th of the unit interval holds one point on every axis."""
+    """Fill ``points``, shape (n, parameters), with a Latin hypercube: one point in every n-th of each axis."""
     n, size = points.shape
     for j in range(size):
         for i in range(n):

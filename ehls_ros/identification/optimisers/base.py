@@ -1,8 +1,8 @@
-"""What an optimiser's file provides, and the problem all of them solve.
+"""Interface of an optimiser's file, and the problem solved by all of them.
 
-``Parameters``, a named tuple that declares the optimiser's parameters; every optimiser has ``evaluations``, the largest number
-of evaluations of the objective. And ``minimise(problem, parameters, seed, target)``, which seeks the x within the bounds with
-the least half sum of squared residuals.
+A file provides ``Parameters``, a named tuple that declares the optimiser's parameters, among them ``evaluations``, the largest
+number of evaluations of the objective. It also provides ``minimise(problem, parameters, seed, target)``, which seeks the x
+within the bounds with the least half sum of squared residuals.
 
 A search that ends without having converged is a result with advice; an ill-posed problem raises
 :class:`~ehls_ros.errors.BadInput`. The same seed gives the same result on the same machine.
@@ -22,8 +22,8 @@ class Problem(NamedTuple):
 
     Attributes:
         residuals: function ``residuals(x, data, out)`` at the top level of a module, compiled by numba, that writes the
-            residuals at x, shape (parameters,), into ``out``, shape (residual_count,). Where one is not finite, the cost of x
-            is infinite.
+            residuals at x, shape (parameters,), into ``out``, shape (residual_count,). If one is not finite, the cost of x is
+            infinite.
         data: its data, a tuple or named tuple of arrays and numbers.
         residual_count: number of residuals.
         lower: lower bounds, shape (parameters,).
@@ -40,15 +40,15 @@ class Problem(NamedTuple):
 
 
 class Result(NamedTuple):
-    """Where a search ended.
+    """Result of a search.
 
     Attributes:
         x: best point, shape (parameters,), within the bounds.
         cost: half the sum of its squared residuals.
         evaluations: number of evaluations of the residuals.
         history: lowest cost after each iteration, as the optimiser counts them.
-        converged: whether the optimiser's own rule ended the search, or the target was reached.
-        advice: what to do if it has not converged; else empty.
+        converged: whether the optimiser's convergence criterion was met, or the target was reached.
+        advice: remedy if it has not converged; else empty.
     """
 
     x: Array
@@ -60,21 +60,21 @@ class Result(NamedTuple):
 
 
 class Optimiser(Protocol):
-    """The attributes of one optimiser's file."""
+    """Attributes of one optimiser's file."""
 
     Parameters: Any
 
     def minimise(self, problem: Problem, p: Any, seed: int, target: float = ...) -> Result:
-        """Search.
+        """Minimise the cost of a problem.
 
         Args:
-            problem: what to minimise.
+            problem: the problem.
             p: parameters of the optimiser.
             seed: seed of its random numbers, 0 to 2^32 - 1.
             target: cost at which to stop at once, for benchmarks; ``-inf``: none.
 
         Returns:
-            The best point found and how the search went.
+            The best point found, with the history of the search.
 
         Raises:
             BadInput: the problem's bounds, residual_count or seed cannot be used, or the optimiser's library is not installed.
@@ -104,15 +104,15 @@ def checked(problem: Problem, seed: int) -> Problem:
 
 
 def ended(problem: Problem, u: Array, cost: float, evaluations: int, history: Array, agreed: bool, target: float) -> Result:
-    """Make the result of a search on the unit box.
+    """Return the result of a search on the unit box.
 
     Args:
-        problem: what was minimised.
+        problem: the minimised problem.
         u: best point in the unit box.
         cost: its cost.
-        evaluations: how many were used.
+        evaluations: number of evaluations used.
         history: lowest cost after each iteration.
-        agreed: whether the optimiser's own rule ended the search.
+        agreed: whether the optimiser's convergence criterion was met.
         target: cost at which to stop.
     """
     x = np.minimum(problem.lower + u * (problem.upper - problem.lower), problem.upper)

@@ -1,4 +1,4 @@
-"""SciPy's least squares (trust region reflective), started from the best of many points scattered over the box."""
+"""SciPy's least squares (trust region reflective), started from the best points of a Latin hypercube over the box."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -21,7 +21,7 @@ class Parameters(NamedTuple):
 
 
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
-    """Search; the scattered points are one iteration, and so is each trial step of the solver after them."""
+    """Minimise the cost; the scattered points are one iteration, and so is each later trial step of the solver."""
     counted = Counted(problem, seed, p.evaluations, target)
     random = np.random.default_rng(seed)
     slices = random.permuted(np.tile(np.arange(p.samples), (counted.size, 1)), axis=1).T

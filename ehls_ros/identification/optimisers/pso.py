@@ -1,13 +1,13 @@
-"""The paper's optimiser, compiled: a particle swarm with crossover and mutation.
+"""Compiled version of the paper's optimiser: a particle swarm with crossover and mutation.
 
-The paper says only that "crossover and mutation factor based on the idea of GA" were introduced, so operators and numbers are
-ours, chosen on the paper's static objective:
+The paper states only that "crossover and mutation factor based on the idea of GA" were introduced, so operators and numbers
+were chosen here, on the paper's static objective:
 
 * the swarm: v = w v + c1 r1 (p_i - x) + c2 r2 (g - x), x = x + v, reflected at the bounds, with the constriction coefficients
   of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) for c1 + c2 = 4.25. r1 and r2 are one number for each
   particle, not for each coordinate, so that no direction is preferred;
 * crossover, of the personal bests: p_i with p_i + F (p_a - p_i + p_b - p_c), p_a being the better of two drawn at random, p_b
-  and p_c any, F from 0.5 to 1. The difference of two members, as in differential evolution, knows the direction of a valley;
+  and p_c any, F from 0.5 to 1. The difference of two members, as in differential evolution, tends to point along a valley;
 * mutation: now and then a coordinate of the child is drawn anew from its whole range.
 
 A child that is better than its parent p_i takes its place. The search ends when all personal bests agree. It uses no gradient,
@@ -28,7 +28,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """Size and habits of the swarm."""
+    """Size and coefficients of the swarm."""
 
     evaluations: Annotated[int, quantity("1", "most evaluations of the objective", minimum=1, maximum=10**9)] = 100_000
     particles: Annotated[int, quantity("1", "size of the swarm", minimum=4, maximum=10_000)] = 20
@@ -47,15 +47,15 @@ class Parameters(NamedTuple):
 
 
 class Swarm(NamedTuple):
-    """The kernel's memory, so that it allocates nothing; n particles in the unit box.
+    """Memory of the kernel, so that it allocates nothing; n particles in the unit box.
 
     Attributes:
-        position: where the particles are, shape (n, parameters).
-        velocity: their moves, same shape.
+        position: positions of the particles, shape (n, parameters).
+        velocity: their velocities, same shape.
         best: their personal bests, same shape.
         cost: cost of each personal best, shape (n,).
         candidate: point to evaluate next, shape (parameters,).
-        work: scratch of the objective.
+        work: scratch memory of the objective.
         random: state of the random numbers.
     """
 
@@ -77,7 +77,7 @@ def _reflected(u: float) -> float:
 
 @kernel
 def _move(i: int, leader: int, p: Parameters, swarm: Swarm) -> None:
-    """Move a particle; that is the candidate."""
+    """Move a particle and make its new position the candidate."""
     own, common = p.cognitive * uniform(swarm.random), p.social * uniform(swarm.random)
     for j in range(swarm.candidate.size):
         u = swarm.position[i, j]
@@ -92,7 +92,7 @@ def _move(i: int, leader: int, p: Parameters, swarm: Swarm) -> None:
 
 @kernel
 def _cross(i: int, p: Parameters, swarm: Swarm) -> None:
-    """Cross a personal best with others; their child is the candidate."""
+    """Cross a personal best with others and make the child the candidate."""
     n, size = swarm.best.shape
     a, rival = index(swarm.random, n), index(swarm.random, n)
     if swarm.cost[rival] < swarm.cost[a]:
@@ -111,7 +111,7 @@ def _cross(i: int, p: Parameters, swarm: Swarm) -> None:
 
 @kernel
 def _scatter(swarm: Swarm) -> None:
-    """Place the particles at rest."""
+    """Place the particles, at rest, on a Latin hypercube."""
     _random.latin_hypercube(swarm.random, swarm.position)
     n, size = swarm.position.shape
     for i in range(n):
@@ -126,14 +126,14 @@ def search(residuals: Any) -> Any:
 
     @kernel
     def run(box: Box, p: Parameters, target: float, swarm: Swarm, history: Array) -> tuple[int, int, int, bool]:
-        """Search.
+        """Run the search.
 
         Args:
             box: the problem.
             p: parameters.
-            target: cost to stop at.
+            target: cost at which to stop.
             swarm: the memory; ``random`` is seeded.
-            history: where the lowest cost after each iteration is written.
+            history: receives the lowest cost after each iteration.
 
         Returns:
             Number of the best particle, evaluations, iterations, and whether the bests agree.
@@ -141,7 +141,7 @@ def search(residuals: Any) -> Any:
         _scatter(swarm)
         leader, evaluations, iterations = 0, 0, 0
         while True:
-            # At first the particles are evaluated where they are: at rest at their own bests, they do not move.
+            # In the first iteration the particles are evaluated in place: at rest at their own bests, they do not move.
             for phase in range(1 + p.crossovers if iterations > 0 else 1):
                 for i in range(swarm.cost.size):
                     if phase == 0:
@@ -168,7 +168,7 @@ def search(residuals: Any) -> Any:
 
 @kernel
 def _agree(tolerance: float, swarm: Swarm) -> bool:
-    """Return whether the personal bests agree, in cost or in place."""
+    """Return whether the personal bests agree, in cost or in position."""
     lowest = highest = swarm.cost[0]
     for found in swarm.cost:
         lowest, highest = min(lowest, found), max(highest, found)
@@ -178,7 +178,7 @@ def _agree(tolerance: float, swarm: Swarm) -> bool:
 
 
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
-    """Search; an iteration is one move of the swarm and the crossovers after it."""
+    """Minimise the cost; an iteration is one move of the swarm and the crossovers after it."""
     problem = checked(problem, seed)
     n, size = p.particles, problem.lower.size
     swarm = Swarm(

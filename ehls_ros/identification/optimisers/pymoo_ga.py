@@ -11,7 +11,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """Size of the population and when it has converged."""
+    """Size and convergence criteria of the population."""
 
     evaluations: Annotated[int, quantity("1", "most evaluations of the objective", minimum=1, maximum=10**9)] = 100_000
     population: Annotated[int, quantity("1", "size of the population", minimum=2, maximum=10_000)] = 100
@@ -20,7 +20,7 @@ class Parameters(NamedTuple):
 
 
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
-    """Search; an iteration is a generation."""
+    """Minimise the cost; an iteration is a generation."""
     genetic = library("pymoo.algorithms.soo.nonconvex.ga", "optimisers", problem.name).GA(pop_size=p.population)
     counted = Counted(problem, seed, p.evaluations, target, tolerance=p.tolerance, patience=p.patience)
     return search(counted, genetic, seed, problem.name)

@@ -1,4 +1,4 @@
-"""pymoo's particle swarm with the library's defaults: weights that adapt, its best perturbed."""
+"""pymoo's particle swarm with the library's defaults: adaptive weights, and perturbation of the best particle."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -11,7 +11,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """Size of the swarm and when it has converged."""
+    """Size and convergence criteria of the swarm."""
 
     evaluations: Annotated[int, quantity("1", "most evaluations of the objective", minimum=1, maximum=10**9)] = 100_000
     particles: Annotated[int, quantity("1", "size of the swarm", minimum=2, maximum=10_000)] = 25
@@ -20,7 +20,7 @@ class Parameters(NamedTuple):
 
 
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
-    """Search; an iteration is one move of the swarm."""
+    """Minimise the cost; an iteration is one move of the swarm."""
     swarm = library("pymoo.algorithms.soo.nonconvex.pso", "optimisers", problem.name).PSO(pop_size=p.particles)
     counted = Counted(problem, seed, p.evaluations, target, tolerance=p.tolerance, patience=p.patience)
     return search(counted, swarm, seed, problem.name)

@@ -1,10 +1,10 @@
 """pyswarms' global-best particle swarm, with constriction coefficients and reflecting bounds.
 
-These settings do best on the paper's static objective; a minimum on a bound is found poorly. The library has had no release
-since 2021.
+These settings perform best on the paper's static objective; convergence to a minimum on a bound is poor. The library has had
+no release since 2021.
 
 The library draws from NumPy's global generator; on every start it reconfigures logging and opens ``report.log`` in the working
-directory. Here the generator is restored, and logging is left alone.
+directory. Here the generator is restored afterwards, and the logging configuration is preserved.
 """
 
 import math
@@ -23,11 +23,11 @@ from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.schema import quantity
 
 _LARGEST = 1e300
-"""Cost in place of infinity: a swarm that has seen only infinity would crash."""
+"""Cost in place of infinity: a swarm with infinite costs only would crash."""
 
 
 class Parameters(NamedTuple):
-    """Size and habits of the swarm, and when it has converged."""
+    """Size, coefficients and convergence criteria of the swarm."""
 
     evaluations: Annotated[int, quantity("1", "most evaluations of the objective", minimum=1, maximum=10**9)] = 100_000
     particles: Annotated[int, quantity("1", "size of the swarm", minimum=2, maximum=10_000)] = 30
@@ -39,7 +39,7 @@ class Parameters(NamedTuple):
 
 
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:
-    """Search; an iteration is one move of the swarm."""
+    """Minimise the cost; an iteration is one move of the swarm."""
     counted = Counted(problem, seed, p.evaluations, target, tolerance=p.tolerance, patience=p.patience)
     with _logging_left_alone(), _seeded(seed), suppress(Enough):
         swarm = library("pyswarms.single.global_best", "optimisers", problem.name).GlobalBestPSO(
@@ -66,7 +66,7 @@ def _seeded(seed: int) -> Iterator[None]:
 
 @contextmanager
 def _logging_left_alone() -> Iterator[None]:
-    """Give the library a logging configuration that changes nothing."""
+    """Supply the library with a logging configuration that changes nothing."""
     before = os.environ.get("LOG_CFG")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "nothing.yaml")

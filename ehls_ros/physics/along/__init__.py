@@ -1,8 +1,8 @@
-"""The model run along a recording: measured states are imposed, and only what was not measured is integrated.
+"""Run the model along a recording: measured states are imposed, and only unmeasured ones are integrated.
 
-A part is one relation of the model with all effects that act in it behind flags, so that another choice of effects needs
-no compilation. It consists of the simulator's own relations (:mod:`ehls_ros.physics.plant`), friction models and
-integrator. Measured states are linear between samples.
+A part is one relation of the model with all effects that act in it behind flags, so that another choice of effects needs no
+compilation. It consists of the simulator's relations (:mod:`ehls_ros.physics.plant`), friction models and integrator. Measured
+states are linear between samples.
 
 ==============  =============================================  ==========================================================
 part            integrates                                     writes, one row per sample
@@ -39,9 +39,9 @@ class Part(NamedTuple):
 
     Attributes:
         hooks: the hooks that act in it.
-        module: its module, with the builder.
+        module: module with the builder.
         columns: number of values it writes per sample.
-        at_once: most parameters that one run of duals is differentiated by; more are divided among several.
+        at_once: most parameters that one run of duals differentiates by; more are divided among several runs.
         has_friction: whether it contains a friction model.
     """
 
@@ -70,7 +70,7 @@ VARIED = ("position", "velocity", "pressure", "spool")
 """Signals of a motion that may be duals."""
 
 Inputs = FrictionInputs | Piston | None
-"""What a part is given besides the recording."""
+"""Inputs of a part besides the recording."""
 
 
 def part_kernel(name: str, rig: EffectiveRig, *, duals: bool = False, moved: bool = False) -> ModuleType:
@@ -79,8 +79,8 @@ def part_kernel(name: str, rig: EffectiveRig, *, duals: bool = False, moved: boo
     Args:
         name: the part.
         rig: the rig.
-        duals: whether it is differentiated.
-        moved: whether the motion varies too.
+        duals: whether to compile for duals, to differentiate it.
+        moved: whether the motion is a dual too.
     """
     model, elements = (rig.friction_model, rig_elements(rig)) if PARTS[name].has_friction else ("", 0)
     return _kernel(name, model, elements, duals, moved)
@@ -106,10 +106,10 @@ def run_part(name: str, rig: EffectiveRig, a: ModelRun, inputs: Inputs = None) -
         name: the part.
         rig: the rig.
         a: the recording and the model; its coefficients, and the signals in :data:`VARIED`, may be duals.
-        inputs: what the part is given besides.
+        inputs: further inputs of the part.
 
     Returns:
-        Its columns, shape (n, columns), a dual if anything given varies.
+        Values of shape (n, columns), a dual if any input varies.
     """
     moving = [getattr(a.motion, signal) for signal in VARIED]
     beside = () if inputs is None else inputs.varied
@@ -143,12 +143,12 @@ def run_part(name: str, rig: EffectiveRig, a: ModelRun, inputs: Inputs = None) -
 
 
 def compile_part(name: str, rig: EffectiveRig, *, duals: bool = False) -> None:
-    """Compile or load a part by running it along two samples at rest.
+    """Compile or load a part by running it along two samples at standstill.
 
     Args:
         name: the part.
         rig: the rig.
-        duals: whether it is differentiated, by something else than the motion.
+        duals: whether to compile for duals, with a constant motion.
     """
     part, rest = PARTS[name], np.zeros(2)
     none = part.effects.parameters(())

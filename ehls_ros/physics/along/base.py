@@ -1,4 +1,4 @@
-"""What the parts of the model along a recording share."""
+"""Shared definitions of the parts of the model along a recording."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -44,7 +44,7 @@ class Motion(NamedTuple):
         command: spool command, held until the next sample [m].
         disturbance: disturbance force [N].
         servo_position: displacement of the position servo [m].
-        servo_velocity: its velocity [m/s].
+        servo_velocity: velocity of the position servo [m/s].
         temperature: oil temperature [K].
     """
 
@@ -61,11 +61,11 @@ class Motion(NamedTuple):
 
 
 class ModelRun(NamedTuple):
-    """A recording and the model to run along it, all constant.
+    """Recording and the model to run along it, all constant.
 
     Attributes:
         motion: the recording.
-        fresh: first samples of contiguous stretches, where the states are initialised, shape (n,).
+        fresh: whether a sample is the first of a contiguous stretch, where the states are initialised, shape (n,).
         period: sampling period [s].
         steps: integration steps per sample; 0 if there is nothing to integrate.
         history: number of past commands that the effects need.
@@ -143,15 +143,15 @@ def no_switch(t: float, y: Array, mode: Array, c: Imposed) -> None:
 
 
 def effect_integrator(equations: Relations, states: int) -> Callable[..., int]:
-    """Build the integrator of the effects' own states; the measured states change linearly.
+    """Build the integrator of the effects' states; the measured states change linearly.
 
     Args:
         equations: the equations of the plant.
-        states: number of the effects' own states.
+        states: number of the effects' states.
 
     Returns:
-        ``advance`` of :func:`~ehls_ros.physics.integration.integrator` for the four measured states followed by the effects'
-        own, with :class:`Imposed` as ``c``.
+        ``advance`` of :func:`~ehls_ros.physics.integration.integrator` for the four measured states followed by those of the
+        effects, with :class:`Imposed` as ``c``.
     """
     rates = equations.effect_rates
 
@@ -166,13 +166,13 @@ def effect_integrator(equations: Relations, states: int) -> Callable[..., int]:
 
 
 class Body(NamedTuple):
-    """What the builder of a part returns, for floats and for duals.
+    """Result of the builder of a part, for floats and for duals.
 
     Attributes:
         run: ``run(a, inputs, s, own, out)`` writes the output, shape (n, columns), from a :class:`ModelRun` and the part's
-            inputs besides, with working arrays of its own.
+            further inputs, with working arrays ``s`` and ``own``.
         states, modes: lengths of the state and of the modes in ``s``.
-        own: the same of both in ``own``.
+        own: length of both in ``own``.
     """
 
     run: Callable[..., None]
@@ -182,15 +182,15 @@ class Body(NamedTuple):
 
 
 def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[..., None]]) -> Body:
-    """Build a part whose only states are the effects' own.
+    """Build a part whose only states are those of the effects.
 
     Args:
-        states: number of the effects' own states.
+        states: number of the effects' states.
         chains: hooks of the effects.
         write: returns, for given relations, a compiled ``write(t, y, z, c, row)`` that writes one sample's values.
 
     Returns:
-        The part, which has no inputs besides.
+        The part, which has no further inputs.
     """
     equations = relations(chains)
     advance, write_row = effect_integrator(equations, states), write(equations)

@@ -11,11 +11,11 @@ from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.plant import FRICTION, Chains, Coefficients, U, V, balance_with, relations
 
 STEEP, FINE = 0.1, 6
-"""Change of velocity within a sample, relative to speed plus Stribeck velocity, above which the Stribeck level is not linear;
+"""Change of velocity within a sample, relative to speed plus Stribeck velocity, above which the Stribeck level is nonlinear;
 and the least number of steps in such a sample."""
 
 TINY = 1e-300
-"""A speed that triggers a reversal and is otherwise negligible [m/s]."""
+"""Speed that triggers a reversal and is otherwise negligible [m/s]."""
 
 
 class FrictionInputs(NamedTuple):
@@ -43,7 +43,7 @@ class FrictionInputs(NamedTuple):
 
 
 def of_duals(width: int) -> Callable[..., FrictionInputs]:
-    """Build the function that returns the inputs as duals from what :attr:`FrictionInputs.varied` is in memory."""
+    """Build the function that returns the inputs as duals, from the rows of :attr:`FrictionInputs.varied`."""
 
     @kernel
     def inputs_of(inputs: FrictionInputs, rows: tuple[Array, Array]) -> FrictionInputs:
@@ -58,11 +58,11 @@ class Interval(NamedTuple):
     Attributes:
         friction: parameters of the model.
         velocity: velocity at the start [m/s].
-        acceleration: its rate [m/s^2].
+        acceleration: rate of ``velocity`` [m/s^2].
         level: Stribeck level at the start [N].
-        level_rate: its rate [N/s].
+        level_rate: rate of ``level`` [N/s].
         applied: sum of all other forces on the mass at the start [N].
-        applied_rate: its rate [N/s].
+        applied_rate: rate of ``applied`` [N/s].
     """
 
     friction: Any
@@ -79,7 +79,7 @@ def friction_integrator(friction: Any, elements: int) -> Callable[..., int]:
 
     Args:
         friction: module of the friction model.
-        elements: number of its forces.
+        elements: number of the model's forces.
 
     Returns:
         ``advance`` of :func:`~ehls_ros.physics.integration.integrator`, with the forces as state and an :class:`Interval` as
@@ -106,8 +106,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
 
     Args:
         friction: module of the friction model.
-        elements: number of its forces.
-        states: number of the effects' own states.
+        elements: number of the model's forces.
+        states: number of the effects' states.
         chains: hooks of the effects.
     """
     balance, advance_effects = balance_with(friction, chains), effect_integrator(relations(chains), states)
@@ -128,7 +128,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
                 begin(inputs.balance[stretch], level, a.friction, forces)
                 stretch += 1
                 if y[V] != 0.0:
-                    # It moves, so an infinite applied force releases a static model.
+                    # In motion: an infinite applied force releases a static model.
                     change(y[V], math.copysign(math.inf, y[V]), level, forces, mode, a.friction)
             write_slopes(k, a, slope)
             if y[V] == 0.0 and slope[V] == 0.0:

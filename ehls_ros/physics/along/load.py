@@ -1,7 +1,7 @@
-"""A load separated from the piston by play or elasticity, simulated from the load pressure.
+"""Simulate a load separated from the piston by play or elasticity, from the load pressure.
 
-The load's motion is not measured. Piston and load follow the simulator's own equations under the recorded pressure, and the
-piston tracks its measured position.
+The load's motion is not measured. Piston and load follow the simulator's equations under the recorded pressure, and the piston
+tracks its measured position.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from ehls_ros.physics.integration import integrator
 from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, U, V, X, balance_with, motion, relations
 
 MOST_EVENTS = 4
-"""Most events located within a step; further ones of a chattering contact are stepped over."""
+"""Most events located within a step; further ones of a chattering contact are not located."""
 
 NARROWEST, WIDEST, HALVINGS = 1e-6, 1.0, 40
 """Search for the load's initial position: smallest and largest distance from the piston [m]; number of bisections."""
@@ -26,8 +26,8 @@ class Piston(NamedTuple):
 
     Attributes:
         joint: the effect between piston and load, alone; :class:`~ehls_ros.physics.along.base.ModelRun` has the others.
-        state: index among the effects' own states of the displacement of the piston relative to the load; the piston's
-            velocity is the next.
+        state: index, among the effects' states, of the displacement of the piston relative to the load. The next state is the
+            piston's velocity.
         mass: mass of the piston [kg].
         tracking_rate: natural frequency at which it tracks its measured position, critically damped [rad/s].
     """
@@ -44,12 +44,12 @@ class Piston(NamedTuple):
 
     @property
     def plain(self) -> "Piston":
-        """The same without derivatives."""
+        """The piston without derivatives."""
         return self._replace(joint=Switched(self.joint.on, value_of(self.joint.values)), mass=value_of(self.mass))
 
 
 def of_duals(width: int) -> Callable[..., Piston]:
-    """Build the function that returns the piston as duals from what :attr:`Piston.varied` is in memory."""
+    """Build the function that returns the piston as duals, from the rows of :attr:`Piston.varied`."""
 
     @kernel
     def inputs_of(piston: Piston, rows: tuple[Array, Array]) -> Piston:
@@ -84,8 +84,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
 
     Args:
         friction: module of the friction model.
-        elements: number of its forces.
-        states: number of the effects' own states.
+        elements: number of the model's forces.
+        states: number of the effects' states.
         chains: hooks of the effects.
     """
     end = FRICTION + elements
@@ -125,7 +125,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
 
     @lean
     def piston_force(ahead: float, t: float, y: Array, c: Interval) -> float:
-        """Return the force on a piston ``ahead`` [m] of the load, without relative velocity; sets the state so [N]."""
+        """Return the force [N] on a piston ``ahead`` [m] of the load without relative velocity; this sets the state."""
         i = end + c.piston.state
         y[X], y[i], y[i + 1] = c.position - ahead, ahead, c.velocity
         return -joint_force(t, y, c) - c.piston.mass * c.coefficients.plant.gravity

@@ -1,4 +1,4 @@
-"""A part of the model compiled: for floats, and for duals of what may vary."""
+"""Compile a part of the model, for floats and for duals."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -40,10 +40,10 @@ def build(part: Any, states: int, chains: Chains, friction: Any = None, elements
 
     Args:
         part: the part's module.
-        states: number of the effects' own states.
+        states: number of the effects' states.
         chains: hooks of the effects.
         friction: module of the friction model, if the part contains one.
-        elements: number of its forces.
+        elements: number of the model's forces.
     """
     body = body_of(part, states, chains, friction, elements)
     run_samples, size, modes, own = body.run, body.states, body.modes, body.own
@@ -77,17 +77,17 @@ def build_duals(
 ) -> Compiled:
     """Build a part for duals, with ``run(a, inputs, rows, out, found)``.
 
-    Of what the rows hold, ``a`` and ``inputs`` have the names. The output, shape (n, columns, width), is scratch; ``found``,
-    shape (places, columns, n), gets the values and then the tangents.
+    ``a`` and ``inputs`` hold the fields' names and constants, the rows hold the values of the duals. The output, shape
+    (n, columns, width), is scratch; ``found``, shape (places, columns, n), receives the values and then the tangents.
 
     Args:
         part: the part's module.
-        states: number of the effects' own states.
+        states: number of the effects' states.
         chains: hooks of the effects.
-        width: of a dual.
+        width: width of a dual.
         moved: whether the motion varies.
         friction: module of the friction model, if the part contains one.
-        elements: number of its forces.
+        elements: number of the model's forces.
     """
     body = body_of(part, states, chains, friction, elements)
     run_samples, size, modes, own = body.run, body.states, body.modes, body.own
@@ -138,12 +138,12 @@ def build_duals(
             dual_array(y_own, width), np.zeros(own), np.zeros(INPUTS), slopes_of(slope), dual_array(work_own, width)
         )
         run_samples(given, inputs_of(inputs, rows.inputs), s, beside, dual_array(out, width))
-        # Each column in one piece, as what follows takes them one by one.
+        # Make each column contiguous, as callers read them one by one.
         for i in range(out.shape[0]):
             for column in range(found.shape[1]):
                 for place in range(found.shape[0]):
                     found[place, column, i] = out[i, column, place]
-        # Duals do not hold the memory that they are in: it is used until here.
+        # Duals do not keep their memory alive: this use extends its lifetime to here.
         return y.size + work.size + y_own.size + work_own.size + slope.size
 
     return Compiled(run)

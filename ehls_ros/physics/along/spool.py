@@ -1,4 +1,4 @@
-"""The spool (4) simulated from the recorded command."""
+"""Simulate the spool (4) from the recorded command."""
 
 import math
 from typing import Any, NamedTuple
@@ -21,12 +21,12 @@ class _Interval(NamedTuple):
 
 
 def build(states: int, chains: Chains) -> Body:
-    """Build the part, which writes the spool displacement [m]; it has no inputs besides the recording.
+    """Build the part, which writes the spool displacement [m]; its only input is the recording.
 
     With ``a.steps`` = 0, for effects without states, commands are constant between jumps and (4) is solved exactly.
 
     Args:
-        states: number of the effects' own states.
+        states: number of the effects' states.
         chains: hooks of the effects.
     """
     equations, command = relations(chains), chains.command

@@ -1,4 +1,4 @@
-"""Physical effects beyond the paper's model, one file each; ``base`` defines what a file provides."""
+"""Physical effects beyond the paper's model, one file each; ``base`` defines the interface of a file."""
 
 from ehls_ros.families import Family
 from ehls_ros.physics.effects.base import Effect

@@ -1,4 +1,4 @@
-"""Pressures of the two chambers; the model's state holds only their difference."""
+"""Pressures of the two chambers; the model state contains only their difference."""
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.parameters import Plant
@@ -10,7 +10,7 @@ ATMOSPHERE = 101325.0
 
 @kernel
 def chambers(y: Array, plant: Plant) -> tuple[float, float]:
-    """Return the gauge pressures for a matched, symmetric valve and the rig file's ps, at least 0 [Pa].
+    """Return the gauge pressures of both chambers, at least 0, for a matched, symmetric valve and the rig file's ps [Pa].
 
     Args:
         y: the plant's state.

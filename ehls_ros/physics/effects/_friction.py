@@ -1,4 +1,4 @@
-"""Shifts of the coefficients that a rig's friction model has."""
+"""Shifts of the coefficients of a rig's friction model."""
 
 from typing import Any
 
@@ -11,5 +11,5 @@ def has(rig: Rig, *keys: str) -> bool:
 
 
 def shifted(rig: Rig, **values: Any) -> Rig:
-    """Return a rig with new values of coefficients; those that its friction model does not have are ignored."""
+    """Return a rig with new values of coefficients; those that its friction model lacks are ignored."""
     return rig._replace(friction=rig.friction._replace(**{key: value for key, value in values.items() if has(rig, key)}))

@@ -1,4 +1,4 @@
-"""Changes to a rig's sensors."""
+"""Modify a rig's sensors."""
 
 from collections.abc import Callable, Iterable
 
@@ -7,5 +7,5 @@ from ehls_ros.physics.rig import Rig
 
 
 def with_sensors(rig: Rig, signals: Iterable[str], change: Callable[[Sensor], Sensor]) -> Rig:
-    """Return the rig with the sensors of the given signals changed; a sensor missing in the rig starts as a perfect one."""
+    """Return the rig with the sensors of the given signals changed; a missing sensor starts as a perfect one."""
     return rig._replace(sensors={**rig.sensors, **{name: change(rig.sensors.get(name, Sensor())) for name in signals}})

@@ -1,4 +1,4 @@
-"""A load separated from the piston: the joint between them, with play or elasticity."""
+"""Joint between piston and a separated load, with play or elasticity."""
 
 import math
 
@@ -12,13 +12,13 @@ from ehls_ros.physics.rig import Rig
 
 @kernel
 def contact(stretch: float, rate: float, gap: float, rounding: float, stiffness: float, damping: float) -> float:
-    """Return the force across a play with faces of springs and dampers [N].
+    """Return the force across a play whose faces are springs and dampers [N].
 
     Args:
         stretch: displacement of the piston relative to the load [m].
-        rate: its rate [m/s].
+        rate: rate of ``stretch`` [m/s].
         gap: total play [m]; 0: a spring and a damper without play.
-        rounding: distance over which the faces come into contact [m].
+        rounding: distance over which the contact of the faces builds up [m].
         stiffness: stiffness of the faces [N/m].
         damping: damping of the faces in full contact [N s/m].
     """
@@ -39,11 +39,11 @@ def transmitted_force(value: float, joint_force: float, share: float, y: Array, 
 
 @kernel
 def piston_rates(joint_force: float, share: float, y: Array, speed: float, load_speed: float, plant: Plant, dz: Array) -> None:
-    """Write the rates of the piston's displacement relative to the load and of its velocity."""
+    """Write the rates of the piston's displacement relative to the load and of the piston's velocity."""
     dz[0] = speed - load_speed
     dz[1] = (plant.piston_area * y[PL] - joint_force) / piston_mass(share, plant)
 
 
 def without_piston(rig: Rig, share: float) -> Rig:
-    """Return the rig with only the load's share of the moving mass."""
+    """Return the rig with its moving mass reduced to the load's share."""
     return rig._replace(plant=rig.plant._replace(moving_mass=(1.0 - share) * rig.plant.moving_mass))

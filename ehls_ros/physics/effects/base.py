@@ -1,11 +1,10 @@
-"""What the file of an effect provides.
+"""Interface of the file of an effect.
 
-Required are ``GROUP``, ``EQUATION``, ``SOURCE`` and ``WORDS``; ``Parameters``, a named tuple whose defaults are neutral, so
-that with them the effect changes nothing; and ``forms(rig) -> tuple[Form, ...]``, the ways to fit the effect to data. Also at
-least one of
+Required are ``GROUP``, ``EQUATION``, ``SOURCE`` and ``WORDS``; ``Parameters``, a named tuple with neutral defaults, for which
+the effect changes nothing; and ``forms(rig) -> tuple[Form, ...]``, the ways to fit the effect to data. Also at least one of
 
-* ``shift(rig, parameters) -> rig``, if the effect changes the rig's own parameters; if these are coefficients of the
-  friction model, ``SHIFTS`` names them, and a rig whose model has none of them is refused;
+* ``shift(rig, parameters) -> rig``, if the effect changes the rig's parameters; if these are coefficients of the friction
+  model, ``SHIFTS`` names them, and a rig whose model has none of them is rejected;
 * compiled hooks ``name(value, t, y, w, z, p, plant) -> value``, if it changes the equations. ``value`` is that of the model
   and of the effects earlier in the list; the returned value replaces it.
 
@@ -14,7 +13,7 @@ hook                value
 ==================  =====================================================================
 ``received``        last spool command that has arrived at the valve [m]
 ``command``         command that the spool follows [m]
-``opening``         spool displacement that the orifice sees [m]
+``opening``         spool displacement effective at the orifice [m]
 ``supply_pressure`` supply pressure at the valve [Pa]
 ``bulk_modulus``    effective bulk modulus [Pa]
 ``leakage``         leakage flow beyond Ctc pL [m^3/s]
@@ -36,22 +35,22 @@ The value of ``received`` is constant between jumps; the hook is called at the s
 with this hook gives its longest delay in ``REACH`` [s] and has a compiled ``jump(t, w, p)``, which returns the time of the next
 jump after t [s], or infinity.
 
-:mod:`ehls_ros.physics.sensitivity` differentiates hooks and shifts. An effect that leaves a trajectory without derivatives,
-since its hooks jump where no event is located, has ``corner(parameters, period, varied)``, which returns why, and an empty text
-for parameters with which they do not. ``varied`` tells whether its own parameters vary.
+:mod:`ehls_ros.physics.sensitivity` differentiates hooks and shifts. The hooks of an effect may jump where no event is located,
+so that the trajectory has no derivatives. Such an effect has ``corner(parameters, period, varied)``, which returns the reason,
+or an empty text for parameters without such jumps. ``varied`` is whether the effect's parameters vary.
 
 An effect may separate the load from the piston by play or elasticity. Position and velocity of the state then belong to the
 load, on which all terms of (3) act except the pressure. Those of the piston are states of the effect; volume balance and
-sensors see them. Such an effect has both ``piston`` hooks, and its ``force`` replaces the pressure force by the joint's.
+sensors use them. Such an effect has both ``piston`` hooks, and its ``force`` replaces the pressure force by the joint's.
 ``PISTON`` is the index of its state for the displacement of the piston relative to the load; the next state is the piston's
-velocity. ``piston_share(parameters)`` returns the fraction of the moving mass that stays with the piston, zero if the
-parameters do not separate them, and ``shift`` removes it from the moving mass. A rig has at most one such effect.
+velocity. ``piston_share(parameters)`` returns the piston's fraction of the moving mass, or zero if the parameters do not
+separate them, and ``shift`` removes it from the moving mass. A rig has at most one such effect.
 
-An effect whose ``force`` is that between loader and position servo has ``COUPLES = True``: where the servo is simulated
+An effect whose ``force`` acts between loader and position servo has ``COUPLES = True``: where the servo is simulated
 (:mod:`ehls_ros.physics.servo`), the same force acts on it in the opposite direction.
 
-``NEEDS`` names the signals (:data:`ehls_ros.trajectory.SIGNALS`) without which the effect cannot be seen in data; without
-``NEEDS``, those of its group suffice.
+``NEEDS`` names the signals (:data:`ehls_ros.trajectory.SIGNALS`) without which data cannot reveal the effect; by default,
+those of its group.
 """
 
 from collections.abc import Mapping
@@ -72,21 +71,21 @@ HOOKS = (
     "piston_position",
     "piston_velocity",
 )
-"""The places in the model where an effect can act."""
+"""The points in the model where an effect can act."""
 
 Group = Literal["valve", "flow", "friction", "mechanics", "sensors", "environment"]
-"""What an effect changes; lists of effects have it as heading."""
+"""Part of the rig that an effect changes; a heading in lists of effects."""
 
 
 class Words(NamedTuple):
-    """Wording of an effect in reports. The advice is for an effect that is the cause: one sentence each, in the imperative.
+    """Wording of an effect in reports. The advice applies if the effect is the cause: one imperative sentence each.
 
     Attributes:
         noun: the effect within a sentence, with its article: "The simulation lacks <noun>".
-        inspect: part of the rig to look at.
+        inspect: part of the rig to inspect.
         measure: quick measurement that would confirm it.
-        change: what to change in the rig file, or on the rig so that its file need not.
-        lacking: whether the model lacks the term; False: it has the term with a wrong value ("has <noun> wrong").
+        change: change to the rig file, or to the rig so that its file remains valid.
+        lacking: whether the model lacks the term; if False, it has the term with a wrong value ("has <noun> wrong").
     """
 
     noun: str
@@ -97,27 +96,27 @@ class Words(NamedTuple):
 
 
 class Share(NamedTuple):
-    """A fraction of a signal's largest magnitude in the data."""
+    """Fraction of a signal's largest magnitude in the data."""
 
     signal: str
     fraction: float
 
 
 class Quantile(NamedTuple):
-    """A quantile of a signal in the data."""
+    """Quantile of a signal in the data."""
 
     signal: str
     fraction: float
 
 
 class Peak(NamedTuple):
-    """The frequency of a spectral line of the residual, the strongest being rank 1 [Hz]."""
+    """Frequency of a spectral line of the residual, the strongest being rank 1 [Hz]."""
 
     rank: int
 
 
 Start = float | Share | Quantile | Peak
-"""Start of a parameter's fit: a number, or taken from the data; signals as in ``NEEDS``."""
+"""Starting value of a parameter's fit: a number, or derived from the data; signals as in ``NEEDS``."""
 
 
 class Form(NamedTuple):
@@ -135,7 +134,7 @@ class Form(NamedTuple):
 
 
 class Effect(Protocol):
-    """The attributes that every effect's file has; the others above are optional."""
+    """The attributes that every effect's file has; the others listed above are optional."""
 
     GROUP: Group
     EQUATION: str

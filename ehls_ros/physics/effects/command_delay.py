@@ -1,4 +1,4 @@
-"""The command reaches the valve late: converter, field bus or a slow cycle. Of two in a rig, the last in the list applies."""
+"""The command reaches the valve late: converter, fieldbus or a slow cycle. Of two in a rig, the last in the list applies."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -22,7 +22,7 @@ WORDS = Words(
 REACH = 0.05
 
 ROUNDING = 1e-7
-"""Times closer than this are equal, as a fraction of the control period."""
+"""Tolerance within which times are equal, as a fraction of the control period."""
 
 
 class Parameters(NamedTuple):
@@ -41,7 +41,7 @@ def received(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters
 
 @kernel
 def jump(t: float, w: Array, p: Parameters) -> float:
-    """Return when the next of the commands sent so far arrives [s]."""
+    """Return the arrival time of the next of the commands sent so far [s]."""
     left = p.delay - (t - w[START])
     if left <= ROUNDING * w[PERIOD]:
         return math.inf
@@ -50,12 +50,12 @@ def jump(t: float, w: Array, p: Parameters) -> float:
 
 
 def corner(p: Parameters, period: float, varied: bool) -> str:
-    """Return why the readings have no derivative by the delay: at whole periods, a command arrives as they are taken."""
+    """Return why readings have no derivative by the delay: at whole periods, commands arrive at the sampling instants."""
     cycles = p.delay / period
     whole = varied and abs(cycles - round(cycles)) <= ROUNDING
     return f"a delay of {round(cycles)} whole control periods, where the derivative jumps" if whole else ""
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The delay, from short, medium and long."""
+    """Delay, with short, medium and long starting values."""
     return (Form({"delay": (0.001, 0.004, 0.012)}),)

@@ -1,4 +1,4 @@
-"""Coulomb and static friction higher or lower than identified, as with another seal, load or oil."""
+"""Coulomb and static friction are higher or lower than identified, as with another seal, load or oil."""
 
 from typing import Annotated, NamedTuple
 
@@ -36,7 +36,7 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The offset, from none, and from several: when a stuck piston breaks loose depends on it, so that small ones mislead."""
+    """Offset from a zero start and from several: it determines when a stuck piston breaks away, so small offsets mislead."""
     if not has(rig, *SHIFTS):
         return ()
     return Form({"offset": ()}), Form({"offset": tuple(part * rig.friction.coulomb_force for part in (-0.2, -0.1, 0.1, 0.2))})

@@ -27,11 +27,11 @@ WORDS = Words(
 
 
 REFERENCE_DEPTH = 1e-3
-"""Depth at which the force is that of the stiffness, whatever the exponent [m]."""
+"""Depth at which the force does not depend on the exponent [m]."""
 
 
 class Parameters(NamedTuple):
-    """Position and contact of the stops; ten metres are beyond any stroke."""
+    """Position and contact of the stops; the default of ten metres is beyond any stroke."""
 
     upper: Annotated[float, quantity("m", "position of the upper stop", minimum=-10.0, maximum=10.0)] = 10.0
     lower: Annotated[float, quantity("m", "position of the lower stop", minimum=-10.0, maximum=10.0)] = -10.0
@@ -57,13 +57,13 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
 
 
 def corner(p: Parameters, period: float, varied: bool) -> str:
-    """Return why a trajectory into a stop has no derivatives: with damping the force jumps at contact, which is no event."""
+    """Return why a trajectory into a stop has no derivatives: damping makes the force jump at contact, without an event."""
     reachable = p.upper < Parameters().upper or p.lower > Parameters().lower
     return "a damping, with which the force jumps at contact (take a loss instead)" if reachable and p.damping > 0.0 else ""
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The upper stop, the lower one or both, from rarely, sometimes and often reached; one of them with a round face."""
+    """Upper stop, lower or both, with starts reached rarely, sometimes and often; and one stop with a Hertzian contact."""
     upper = tuple(Quantile("position_m", fraction) for fraction in (0.995, 0.95, 0.85))
     lower = tuple(Quantile("position_m", fraction) for fraction in (0.005, 0.05, 0.15))
     contact = {"stiffness": (1e6, 1e6, 1e6), "damping": (1e3, 1e3, 1e3), "loss": (0.0, 0.0, 0.0)}

@@ -1,7 +1,7 @@
 """Undissolved air in the oil, which makes it compliant at low pressure.
 
-Air in the chambers is compressed by the pressure of each, and (2) sees the mean of their compliances. Air of ``load`` is in
-a volume that is compressed by |pL| alone.
+Air in the chambers is compressed by the pressure of each, and (2) uses the mean of their compliances. Air of ``load`` is in a
+volume that is compressed by |pL| alone.
 """
 
 from typing import Annotated, NamedTuple
@@ -25,7 +25,7 @@ WORDS = Words(
 )
 
 POLYTROPIC = 1.4
-"""Polytropic exponent n, that of compression too fast for heat exchange."""
+"""Polytropic exponent n of compression too fast for heat exchange."""
 
 
 class Parameters(NamedTuple):
@@ -51,5 +51,5 @@ def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Parame
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Air in either place, from little and much air."""
+    """Air in either place, starting from little and from much."""
     return Form({"chambers": (0.005, 0.03)}), Form({"load": (0.005, 0.03)})

@@ -21,7 +21,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Leakage coefficients of the first chamber, the second chamber, and both alike."""
+    """Leakage coefficients of the first chamber, the second chamber, and both equally."""
 
     first: Annotated[float, quantity("m^5/(N s)", "leakage of the chamber that drives +x", minimum=0.0, maximum=1e-9)] = 0.0
     second: Annotated[float, quantity("m^5/(N s)", "leakage of the chamber that drives -x", minimum=0.0, maximum=1e-9)] = 0.0
@@ -36,5 +36,5 @@ def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The first chamber, the second, or both."""
+    """Leakage of the first chamber, the second, or both."""
     return Form({"first": ()}), Form({"second": ()}), Form({"each": ()})

@@ -1,10 +1,10 @@
-"""A mass on a spring: what is bolted to the piston does not move as one rigid body.
+"""A mass on a spring: the parts bolted to the piston do not move as one rigid body.
 
 The states are the displacement of the mass relative to the piston, from its static equilibrium, and its velocity. If the rig
-file's moving mass already includes a fraction of the mass, that fraction is removed there, and its weight, which the spring
-still carries, is added back. Spring and disturbance may act on the mass instead of the piston, as with an elastic beam
-between cylinder and load. With ``piston_share``, friction and damping act there too: all of the load except a fraction of
-the mass is behind the elasticity, and the states are those of the piston relative to the load.
+file's moving mass already includes a fraction of the mass, that fraction is removed there. Its weight, which the spring still
+carries, is added back. Spring and disturbance may act on the mass instead of the piston, as with an elastic beam between
+cylinder and load. With ``piston_share``, friction and damping act there too: all of the load except a fraction of the mass is
+behind the elasticity, and the states are those of the piston relative to the load.
 """
 
 import math
@@ -35,14 +35,14 @@ STATES = 2
 PISTON = 0
 
 LEAST_MASS = 0.1
-"""Mass below which it carries less of the load, in proportion: without mass it would be thrown about [kg]."""
+"""Mass below which the load it carries is reduced in proportion; otherwise its acceleration would be unbounded [kg]."""
 
 LEAST_FRACTION = 0.01
 """Fraction of the moving mass that always stays with the piston."""
 
 
 class Parameters(NamedTuple):
-    """The mass, its natural frequency with the piston fixed, and the fraction of it in the rig file's moving mass."""
+    """The mass, its natural frequency with the piston fixed, and its fraction included in the rig file's moving mass."""
 
     mass: Annotated[float, quantity("kg", "mass not rigidly connected to the piston", minimum=0.0, maximum=1e4)] = 0.0
     frequency: Annotated[float, quantity("Hz", "natural frequency with the piston fixed", minimum=0.1, maximum=400.0)] = 10.0
@@ -70,7 +70,7 @@ def piston_share(parameters: Parameters) -> float:
 
 @kernel
 def pull(velocity: float, z: Array, p: Parameters) -> float:
-    """Return the force of spring and damper on the piston per mass [m/s^2]."""
+    """Return the force of spring and damper on the piston, per mass [m/s^2]."""
     omega = 2.0 * math.pi * p.frequency
     return omega * (omega * z[0] + 2.0 * p.damping * (z[1] - velocity))
 
@@ -85,7 +85,7 @@ def joint_force(y: Array, z: Array, p: Parameters, plant: Plant) -> float:
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Add the spring's force, restore the weight removed and remove the loads on the mass; or add the joint's force."""
+    """Add the spring force, restore the removed weight and remove the loads on the mass; or add the joint's force."""
     if p.piston_share > 0.0:
         return transmitted_force(value, joint_force(y, z, p, plant), p.piston_share, y, plant)
     carried = p.loaded * min(1.0, p.mass / LEAST_MASS)
@@ -117,7 +117,7 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A mass in addition to the rig file's, a part of it, or the load behind a beam, without or with its friction."""
+    """An additional mass, a part of the rig file's mass, or the load behind a beam, without or with its friction."""
     free = {"mass": (), "frequency": (5.0, 10.0, 20.0, 40.0, Peak(1), Peak(2)), "damping": (0.05,) * 6}
     half = 0.5 * rig.plant.moving_mass
     behind = {"mass": (half, half, half), "frequency": (10.0, 20.0, 40.0), "damping": (0.05, 0.05, 0.05)}

@@ -1,9 +1,9 @@
 """Backlash in the hinge between piston and load.
 
-With ``gap``, the spring is behind the hinge and centres its far side, so that it exerts no force around the middle. With
-``held_gap``, friction holds the far side, so that the spring keeps its deflection until the play is taken up in the other
-direction. With ``load_gap``, the whole load is behind the hinge, with most of the mass and the friction; it moves freely until
-the play is taken up.
+With ``gap``, the spring is behind the hinge and centres its far side, so it exerts no force around the middle. With
+``held_gap``, friction holds the far side, so the spring keeps its deflection until the play is taken up in the other direction.
+With ``load_gap``, the whole load is behind the hinge, with most of the mass and the friction; it moves freely until the play is
+taken up.
 """
 
 from typing import Annotated, NamedTuple
@@ -34,7 +34,7 @@ PISTON = 1
 
 
 class Parameters(NamedTuple):
-    """Total play of a hinge whose far side is centred, held, or carries the load; and the faces of the last."""
+    """Total play of a hinge whose far side is centred, held, or carries the load; and contact faces of ``load_gap``."""
 
     gap: Annotated[float, quantity("m", "play, far side centred by the spring", minimum=0.0, maximum=0.1)] = 0.0
     held_gap: Annotated[float, quantity("m", "play, far side held by friction", minimum=0.0, maximum=0.1)] = 0.0
@@ -55,7 +55,7 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def corner(p: Parameters, period: float, varied: bool) -> str:
-    """Return why a trajectory has no derivatives: without rounding the faces' damping jumps at contact, which is no event."""
+    """Return why a trajectory has no derivatives: without rounding, the faces' damping jumps at contact, without an event."""
     return "no rounding, so that the force jumps at contact" if p.load_gap > 0.0 and p.rounding == 0.0 else ""
 
 
@@ -72,7 +72,7 @@ def joint_force(y: Array, z: Array, p: Parameters) -> float:
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Replace the spring of (3) by the one behind the play, and the pressure force by the hinge's."""
+    """Replace the spring of (3) by the one behind the play, and the pressure force by the hinge force."""
     deflection = dead_zone(play_output(z[0], y[X], p.held_gap), -0.5 * p.gap, 0.5 * p.gap)
     total = value + plant.spring_stiffness * (y[X] - deflection)
     return transmitted_force(total, joint_force(y, z, p), p.piston_share, y, plant) if p.load_gap > 0.0 else total
@@ -100,7 +100,7 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """One of the plays, from narrow, medium and wide."""
+    """One of the plays, with narrow, medium and wide starting values."""
     starts = tuple(Share("position_m", fraction) for fraction in (0.02, 0.1, 0.3))
     narrow = tuple(Share("position_m", fraction) for fraction in (0.002, 0.01, 0.05))
     faces = {"piston_share": (), "stiffness": (), "rounding": ()}

@@ -1,4 +1,4 @@
-"""A sinusoidal force on the piston: a pump's ripple, a machine running nearby."""
+"""A sinusoidal force on the piston: pump ripple, a machine running nearby."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -21,7 +21,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """The sine wave; its time starts with the experiment."""
+    """Amplitudes and frequency of the sine wave; its phase refers to the start of the experiment."""
 
     sine: Annotated[float, quantity("N", "sine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
     cosine: Annotated[float, quantity("N", "cosine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
@@ -36,5 +36,5 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A sine wave, from the residual's two strongest spectral lines."""
+    """A sine wave, starting from the residual's two strongest spectral lines."""
     return (Form({"sine": (), "cosine": (), "frequency": (Peak(1), Peak(2))}),)

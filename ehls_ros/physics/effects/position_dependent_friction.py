@@ -23,7 +23,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Change of the Stribeck level with position; where it is zero, the rig file's friction applies."""
+    """Change of the Stribeck level with position; where the change is zero, the rig file's friction applies."""
 
     slope: Annotated[float, quantity("N/m", "Stribeck level per position", minimum=-1e6, maximum=1e6)] = 0.0
     curvature: Annotated[float, quantity("N/m^2", "Stribeck level per squared position", minimum=-1e8, maximum=1e8)] = 0.0
@@ -42,7 +42,7 @@ def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Para
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A slope, a parabola, a cubic, or a wave, from shorter to longer than the stroke."""
+    """A slope, a parabola, a cubic, or a wave, with starting wavelengths from shorter to longer than the stroke."""
     wavelengths = tuple(Share("position_m", fraction) for fraction in (0.3, 0.7, 1.5))
     return (
         Form({"slope": ()}),

@@ -21,7 +21,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Factor on the stiffness of every element."""
+    """Factor on the stiffness of all elements."""
 
     factor: Annotated[float, quantity("1", "factor on the presliding stiffness", minimum=0.02, maximum=50.0)] = 1.0
 
@@ -37,5 +37,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The factor, from softer and stiffer."""
+    """The factor, with softer and stiffer starting values."""
     return (Form({"factor": (0.5, 1.5, 3.0)}),) if has(rig, *SHIFTS) else ()

@@ -61,7 +61,7 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The level in proportion, with an onset or a saturation, by the pressure of one chamber; or all of the friction."""
+    """The level in proportion, with an onset or a saturation, by the pressure of one chamber; or the whole friction curve."""
     return (
         Form({"slope": ()}),
         Form({"slope": (), "onset": (5e4, 2e5, 5e5)}),

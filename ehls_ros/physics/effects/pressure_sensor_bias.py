@@ -1,4 +1,4 @@
-"""The load pressure sensors do not read zero without pressure; the load cell is not affected."""
+"""The load pressure sensors do not read zero at zero pressure; the load cell is not affected."""
 
 from typing import Annotated, NamedTuple
 

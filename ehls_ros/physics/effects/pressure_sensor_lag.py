@@ -28,7 +28,7 @@ class Parameters(NamedTuple):
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with the time constants of both lags added, the low-frequency equivalent of two lags in series."""
+    """Return the rig with both time constants added, the low-frequency equivalent of two lags in series."""
 
     def lagging(sensor: Sensor) -> Sensor:
         total = parameters.time_constant + (1.0 / sensor.bandwidth if sensor.bandwidth > 0.0 else 0.0)
@@ -38,5 +38,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The time constant, from short, medium and long."""
+    """The time constant, with short, medium and long starting values."""
     return (Form({"time_constant": (0.002, 0.01, 0.05)}),)

@@ -21,7 +21,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Delays of position and load pressure, and one of all channels."""
+    """Delays of position and load pressure, and one common to all channels."""
 
     position: Annotated[float, quantity("s", "delay of the position's reading", minimum=0.0, maximum=0.5)] = 0.0
     pressure: Annotated[float, quantity("s", "delay of the load pressure's reading", minimum=0.0, maximum=0.5)] = 0.0
@@ -40,5 +40,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """One of the delays, from short, medium and long."""
+    """One of the delays, with short, medium and long starting values."""
     return tuple(Form({name: (0.001, 0.004, 0.012)}) for name in Parameters._fields)

@@ -21,7 +21,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """The terms beyond the linear one."""
+    """Terms beyond the linear stiffness."""
 
     cubic: Annotated[float, quantity("N/m^3", "cubic stiffness", minimum=-1e12, maximum=1e12)] = 0.0
     quintic: Annotated[float, quantity("N/m^5", "quintic stiffness", minimum=-1e15, maximum=1e15)] = 0.0
@@ -29,11 +29,11 @@ class Parameters(NamedTuple):
 
 @kernel
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Subtract these terms."""
+    """Subtract the cubic and quintic terms."""
     square = y[X] * y[X]
     return value - (p.cubic + p.quintic * square) * square * y[X]
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Either term."""
+    """One of the two terms."""
     return Form({"cubic": ()}), Form({"quintic": ()})

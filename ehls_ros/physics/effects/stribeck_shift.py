@@ -1,4 +1,4 @@
-"""The Stribeck curve falls by another amount, over another velocity range or in another shape than identified."""
+"""The Stribeck curve differs from the identified one in height, velocity range or shape."""
 
 from typing import Annotated, NamedTuple
 
@@ -43,7 +43,7 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The height, the width, or both."""
+    """Height, width, or both."""
     if not has(rig, *SHIFTS):
         return ()
     # Starts on either side: for a much wider curve, a fit from the neutral width would match the height at wrong speeds.

@@ -49,7 +49,7 @@ def drop(supply: float, y: Array) -> float:
 
 @kernel
 def supply_pressure(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Subtract the loss; if instantaneous, it follows from QL² = conductance (drop - loss(QL)), quadratic in QL."""
+    """Subtract the loss; an instantaneous one follows from QL² = conductance (drop - loss(QL)), quadratic in QL."""
     if p.time_constant > 0.0:
         loss = z[0]
     else:
@@ -68,7 +68,7 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A laminar loss or a turbulent one, either without or with a lag."""
+    """A laminar or a turbulent loss, each without or with a lag."""
     lag = {"time_constant": (0.05,)}
     return (
         Form({"resistance": ()}),

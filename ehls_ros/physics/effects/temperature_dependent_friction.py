@@ -57,7 +57,7 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Either slope, both, or an exponential viscosity."""
+    """One slope, both, or an exponential viscosity."""
     return (
         Form({"coulomb_slope": ()}),
         Form({"viscous_slope": ()}),

@@ -30,5 +30,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The factor, from slower and faster."""
+    """The factor, with slower and faster starting values."""
     return (Form({"factor": (0.5, 2.0)}),)

@@ -43,7 +43,7 @@ def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Both sides, with sharp or worn edges, from narrow, medium and wide."""
+    """Both sides, with sharp or worn edges, and narrow, medium and wide starting values."""
     starts = tuple(Share("spool_m", fraction) for fraction in (0.02, 0.1, 0.3))
     sides = {"positive": starts, "negative": starts}
     return Form(sides), Form({**sides, "rounding": (0.1, 0.1, 0.1)})

@@ -41,7 +41,7 @@ def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Both signs of the command, or of the opening."""
+    """Gains by sign of the command, or of the opening."""
     return (
         Form({"command_positive": (), "command_negative": ()}),
         Form({"opening_positive": (), "opening_negative": ()}),

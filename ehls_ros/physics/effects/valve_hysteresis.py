@@ -28,7 +28,7 @@ STATES = 4
 
 
 class Parameters(NamedTuple):
-    """Width of the loop of spool over command, and the roundness of its corners; without spread it is a single play."""
+    """Width of the loop of spool over command, and roundness of its corners; zero spread gives a single play."""
 
     width: Annotated[float, quantity("m", "change of command lost at a reversal", minimum=0.0, maximum=1e-2)] = 0.0
     spread: Annotated[float, quantity("1", "spread of the plays' widths about it, relative", minimum=0.0, maximum=1.0)] = 0.0
@@ -51,12 +51,12 @@ def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 @kernel
 def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:
-    """Let the states follow the outputs of the plays."""
+    """Write rates that make the states follow the outputs of the plays."""
     for play in range(STATES):
         dz[play] = FOLLOW_RATE * (play_output(z[play], u, width_of(play, p)) - z[play])
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The width, with sharp or round corners, from narrow, medium and wide."""
+    """The width, with sharp or round corners, and narrow, medium and wide starting values."""
     widths = tuple(Share("valve_command_m", fraction) for fraction in (0.02, 0.1, 0.3))
     return Form({"width": widths}), Form({"width": widths, "spread": (0.5, 0.5, 0.5)})

@@ -1,4 +1,4 @@
-"""The valve's hydraulic null is not at zero command, or not at zero of the spool's sensor."""
+"""The valve's hydraulic null is off zero command, or off the zero of the spool sensor."""
 
 from typing import Annotated, NamedTuple
 
@@ -20,7 +20,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """The bias: of the command, or between spool sensor and lands."""
+    """Bias of the command, or between spool sensor and lands."""
 
     command: Annotated[float, quantity("m", "offset of the command", minimum=-1e-2, maximum=1e-2)] = 0.0
     opening: Annotated[float, quantity("m", "offset of the opening from the spool reading", minimum=-1e-2, maximum=1e-2)] = 0.0
@@ -39,5 +39,5 @@ def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """One of the two."""
+    """One of the two biases."""
     return Form({"command": ()}), Form({"opening": ()})

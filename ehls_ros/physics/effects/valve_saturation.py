@@ -1,4 +1,4 @@
-"""The valve saturates: its amplifier or stroke is at the limit, or its ports are fully open."""
+"""The valve saturates: its amplifier or stroke reaches the limit, or its ports are fully open."""
 
 from typing import Annotated, NamedTuple
 
@@ -21,7 +21,7 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """The two limits; one metre is beyond any valve."""
+    """Limits of command and opening; the default of one metre is beyond any valve."""
 
     command_limit: Annotated[float, quantity("m", "largest command the spool follows", minimum=1e-6, maximum=1.0)] = 1.0
     opening_limit: Annotated[float, quantity("m", "largest opening of the orifice", minimum=1e-6, maximum=1.0)] = 1.0
@@ -40,7 +40,7 @@ def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """One of the two limits, from rarely, sometimes and often reached."""
+    """One of the two limits, with starts reached rarely, sometimes and often."""
     fractions = (0.97, 0.85, 0.6)
     return (
         Form({"command_limit": tuple(Share("valve_command_m", fraction) for fraction in fractions)}),

@@ -24,7 +24,7 @@ STATES = 2
 
 
 class Parameters(NamedTuple):
-    """The second-order spool; a natural frequency of zero leaves it first-order."""
+    """Second-order spool; at a natural frequency of zero it remains first-order."""
 
     natural_frequency: Annotated[float, quantity("rad/s", "natural frequency; 0: first order", minimum=0.0, maximum=5e3)] = 0.0
     damping: Annotated[float, quantity("1", "damping ratio", minimum=0.01, maximum=2.0)] = 0.7
@@ -32,7 +32,7 @@ class Parameters(NamedTuple):
 
 @kernel
 def command(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Return the command with which (4) gives the second-order response [m]."""
+    """Return the command for which (4) gives the second-order response [m]."""
     return z[0] + z[1] / plant.valve_bandwidth if p.natural_frequency > 0.0 else value
 
 
@@ -44,6 +44,6 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The natural frequency, from one, two and four times the bandwidth, and the damping."""
+    """Natural frequency, starting from one, two and four times the bandwidth, and damping."""
     frequencies = tuple(factor * rig.plant.valve_bandwidth for factor in (1.0, 2.0, 4.0))
     return (Form({"natural_frequency": frequencies, "damping": (0.7, 0.7, 0.7)}),)

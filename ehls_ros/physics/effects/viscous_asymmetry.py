@@ -37,5 +37,5 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Both directions by opposite amounts, or one of them."""
+    """Opposite changes in both directions, or a change in one of them."""
     return Form({"asymmetry": ()}), Form({"forward": ()}), Form({"backward": ()})

@@ -1,4 +1,4 @@
-"""Viscous friction higher or lower than identified."""
+"""Viscous friction is higher or lower than identified."""
 
 from typing import Annotated, NamedTuple
 

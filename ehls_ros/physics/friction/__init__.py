@@ -1,4 +1,4 @@
-"""Friction models, one file each; ``base`` defines what a model provides."""
+"""Friction models, one file each; ``base`` defines the interface of a model."""
 
 from ehls_ros.families import Family
 from ehls_ros.physics.friction.base import FrictionModel

@@ -1,4 +1,4 @@
-"""What models with one bristle share: its force is the state, its mode the direction of motion."""
+"""Common functions of single-bristle models: the state is the bristle force, the mode the direction of motion."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -33,7 +33,7 @@ def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> 
 
 @kernel
 def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
-    """Return the speed while there is no direction yet, afterwards the velocity against the direction [m/s]."""
+    """Return the speed before the first motion, afterwards the velocity against the direction of motion [m/s]."""
     return abs(v) if mode[0] == 0.0 else -mode[0] * v
 
 
@@ -47,5 +47,5 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Any) ->
 
 @kernel
 def begin(balance: float, s: float, p: Any, F: Array) -> None:
-    """Let the bristle hold the balance, up to the level s."""
+    """Initialise the bristle force to the balance, limited to the level s."""
     F[0] = min(max(balance, -s), s)

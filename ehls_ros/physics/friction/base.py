@@ -1,4 +1,4 @@
-"""What the file of a friction model provides, and what the models share.
+"""Interface of the file of a friction model, and common functions.
 
 A model has a force F [N] and a mode for each element. The mode is 0 while the element sticks, and +1 or -1 while it slips in
 that direction. It changes only at an event that the integrator locates, so the equations are smooth between events.
@@ -13,22 +13,22 @@ are called from Python before a run:
 * ``break_away(p)`` returns the travel from rest until the whole contact slips [m], 0 if it is rigid;
 * ``relaxation_rate(p, speed)`` returns the largest rate at which forces approach steady sliding at a speed [m/s], in 1/s.
 
-The others are compiled:
+The other functions are compiled:
 
 * ``level(v, p)`` returns the friction of steady sliding without its viscous part [N], the Stribeck level: positive and even
   in v; at v = 0 it is the break-away force;
 * ``rates(v, s, F, mode, p, rate)`` writes the derivatives of F to ``rate`` [N/s];
 * ``force(v, applied, s, F, mode, p)`` returns the friction force against +v [N]; at given F, s and modes it depends on v
   through the viscous term alone;
-* ``event(v, applied, s, F, mode, p)`` returns an event function, positive once a mode has to change;
+* ``event(v, applied, s, F, mode, p)`` returns an event function, which turns positive when a mode must change;
 * ``switch(v, applied, s, F, mode, p)`` changes the modes at the event and returns the velocity after it [m/s];
-* ``begin(balance, s, p, F)`` writes to F the forces that hold a balance [N], up to the level s.
+* ``begin(balance, s, p, F)`` writes to F the forces that hold a balance [N], limited to the level s.
 
 Their arguments: ``v`` velocity [m/s]; ``s`` level(v, p) with the effects on it [N]; ``applied`` the sum of all other forces
 on the mass [N]; ``p`` the rig's ``Parameters``.
 
 A file may have ``derived(others)``, which returns those of its keys that follow from keys of other models; they apply if the
-rig file does not give them.
+rig file omits them.
 """
 
 from typing import Annotated, Any, Protocol
@@ -78,13 +78,13 @@ class FrictionModel(Protocol):
         """Return the friction force against +v [N]."""
 
     def event(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
-        """Return an event function, positive once a mode has to change."""
+        """Return an event function, which turns positive when a mode must change."""
 
     def switch(self, v: float, applied: float, s: float, F: Array, mode: Array, p: Any) -> float:
         """Change the modes at the event and return the velocity after it [m/s]."""
 
     def begin(self, balance: float, s: float, p: Any, F: Array) -> None:
-        """Write the forces that hold a balance [N] to ``F``, up to the level s."""
+        """Write the forces that hold a balance [N] to ``F``, limited to the level s."""
 
 
 @kernel
@@ -102,5 +102,5 @@ def check_stribeck(p: Any, where: str) -> None:
 
 @kernel
 def sign(value: float) -> float:
-    """Return 1, -1, or 0 for 0."""
+    """Return 1 for a positive value, -1 for a negative one, and 0 for 0."""
     return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)

@@ -14,7 +14,7 @@ SOURCE = "Dahl, A solid friction model, 1968; Solid friction damping of mechanic
 
 
 class Parameters(NamedTuple):
-    """Coulomb friction and presliding; the viscous term is an addition to Dahl's model."""
+    """Coulomb friction and presliding; the viscous term is not part of Dahl's model."""
 
     coulomb_force: CoulombForce
     viscous_coefficient: ViscousCoefficient
@@ -25,7 +25,7 @@ class Parameters(NamedTuple):
 
 
 def check(p: Parameters, where: str) -> None:
-    """Accept all parameters: no key bounds another."""
+    """Accept all parameters: no key constrains another."""
 
 
 def break_away(p: Parameters) -> float:
@@ -41,7 +41,7 @@ def level(v: float, p: Parameters) -> float:
 
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
-    """Deflect the bristle."""
+    """Write the rate of the bristle force."""
     # In motion the mode is sgn(v); before the first motion F is 0.
     margin = 1.0 - mode[0] * F[0] / s
     softening = margin if p.softening_exponent == 1.0 else abs(margin) ** (p.softening_exponent - 1.0) * margin

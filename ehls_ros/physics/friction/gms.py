@@ -46,7 +46,7 @@ class Parameters(NamedTuple):
 level = stribeck_level
 
 MOST_ELEMENTS = 64
-"""Most elements; the time to compile the equations grows with their number."""
+"""Largest number of elements; the compile time of the equations grows with it."""
 
 
 def check(p: Parameters, where: str) -> None:
@@ -81,7 +81,7 @@ def break_away(p: Parameters) -> float:
 
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
-    """Write (6) for sticking elements and (8) for slipping ones."""
+    """Write the force rates (6) of sticking elements and (8) of slipping ones."""
     relative = 1.0 / s
     for i in range(len(p.element_stiffness)):
         if mode[i] == 0.0:
@@ -112,7 +112,7 @@ def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramete
 
 @kernel
 def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Let elements break away, or stick at a reversal."""
+    """Release elements that break away, and make slipping ones stick at a reversal."""
     direction = sign(v)
     for i in range(len(p.element_stiffness)):
         if mode[i] == 0.0:
@@ -130,7 +130,7 @@ def relaxation_rate(p: Parameters, speed: float) -> float:
 
 @kernel
 def begin(balance: float, s: float, p: Parameters, F: Array) -> None:
-    """Divide the balance among the elements by their weights, up to the level s."""
+    """Divide the balance, limited to the level s, among the elements by their weights."""
     total = 0.0
     for i in range(len(p.element_weight)):
         total += p.element_weight[i]

@@ -42,7 +42,7 @@ def break_away(p: Parameters) -> float:
 
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
-    """Deflect the bristle."""
+    """Write the rate of the bristle force."""
     # mode v is |v|, but stays smooth when a trial step passes a reversal.
     rate[0] = p.presliding_stiffness * (v - mode[0] * v * F[0] / s)
 

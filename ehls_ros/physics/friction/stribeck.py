@@ -38,24 +38,24 @@ def states(p: Parameters) -> int:
 
 
 def stiffness(p: Parameters) -> float:
-    """Return infinity: the contact is rigid [N/m]."""
+    """Return infinity, as the contact is rigid [N/m]."""
     return math.inf
 
 
 def break_away(p: Parameters) -> float:
-    """Return 0: the contact is rigid [m]."""
+    """Return 0, as the contact is rigid [m]."""
     return 0.0
 
 
 @kernel
 def rates(v: float, s: float, F: Array, mode: Array, p: Parameters, rate: Array) -> None:
-    """Write 0: the model is static."""
+    """Write 0, as the model is static."""
     rate[0] = 0.0
 
 
 @kernel
 def force(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Return the force of sliding, or the applied force at standstill [N]."""
+    """Return the sliding force, or the applied force at standstill [N]."""
     if mode[0] == 0.0:
         return applied
     return mode[0] * s + p.viscous_coefficient * v
@@ -71,7 +71,7 @@ def event(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramete
 
 @kernel
 def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Parameters) -> float:
-    """Break away in the direction of the applied force; at a reversal stop, unless that force exceeds Fs."""
+    """Break away in the direction of the applied force; stop at a reversal, unless that force exceeds Fs."""
     if mode[0] == 0.0:
         if abs(applied) > s:
             mode[0] = sign(applied)
@@ -83,11 +83,11 @@ def switch(v: float, applied: float, s: float, F: Array, mode: Array, p: Paramet
 
 
 def relaxation_rate(p: Parameters, speed: float) -> float:
-    """Return 0: the model has no dynamics [1/s]."""
+    """Return 0, as the model has no dynamics [1/s]."""
     return 0.0
 
 
 @kernel
 def begin(balance: float, s: float, p: Parameters, F: Array) -> None:
-    """Write 0: a sticking contact balances the applied force by itself."""
+    """Write 0, as a sticking contact balances the applied force without a state."""
     F[0] = 0.0

@@ -1,4 +1,4 @@
-"""Blocks of a test programme, one file each; ``base`` says what a file provides."""
+"""Blocks of a test programme, one file each; ``base`` defines the interface of a file."""
 
 from ehls_ros.control.programme.blocks.base import Block
 from ehls_ros.families import Family

@@ -1,4 +1,4 @@
-"""A signal that grows from rest at a value and returns to it."""
+"""Fade a signal in from a rest value and back to it."""
 
 import numpy as np
 

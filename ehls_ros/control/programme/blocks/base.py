@@ -1,9 +1,9 @@
-"""What a file of a programme's block provides.
+"""Interface of the file of a programme block.
 
-``Parameters``, a named tuple declaring its parameters; ``course(p, start)``: how it goes from the value where the programme
-stands before it; and ``sample(t, p, start)``: value and first and second time derivative at times ``t`` [s] of shape (n,) since
-its beginning, as an array of shape (n, 3). A block begins and ends at rest, its rate being 0 there: where it begins at another
-value than ``start``, the programme leads there by a ramp.
+A file has ``Parameters``, a named tuple declaring its parameters; ``course(p, start)``, its course from the value of the
+programme before it; and ``sample(t, p, start)``: value and first and second time derivative at times ``t`` [s] of shape (n,)
+since its beginning, as an array of shape (n, 3). A block begins and ends at rest, with zero rate. If it begins at another value
+than ``start``, the programme inserts a ramp.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -12,15 +12,15 @@ from ehls_ros.arrays import Array
 
 
 class Course(NamedTuple):
-    """How a block goes.
+    """Course of a block.
 
     Attributes:
         begin: value at its beginning, in the programme's unit.
         end: value at its end.
-        duration: time it takes, above 0 [s].
-        cycle: time of a load cycle [s]; 0 where nothing repeats.
+        duration: duration, above 0 [s].
+        cycle: period of a load cycle [s]; 0 if nothing repeats.
         count: number of load cycles.
-        step: time between samples that miss no turning point by more than a per cent of its range [s].
+        step: sampling interval that resolves every turning point to a per cent of its range [s].
     """
 
     begin: float
@@ -32,15 +32,15 @@ class Course(NamedTuple):
 
 
 class Block(Protocol):
-    """The attributes of one block's file."""
+    """The attributes of a block's file."""
 
     Parameters: Any
 
     def course(self, p: Any, start: float) -> Course:
-        """Return how the block goes after the programme has been at a value.
+        """Return the course of the block after the programme has been at a value.
 
         Raises:
-            BadInput: the parameters do not fit together.
+            BadInput: the parameters are inconsistent.
         """
 
     def sample(self, t: Array, p: Any, start: float) -> Array:

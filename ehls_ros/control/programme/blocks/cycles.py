@@ -1,4 +1,4 @@
-"""Load cycles of one wave, from valley to valley."""
+"""Block of load cycles of one waveform, from valley to valley."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -13,11 +13,11 @@ from ehls_ros.errors import BadInput
 from ehls_ros.schema import parse, quantity, text
 
 SAMPLES = 100
-"""Samples of a load cycle that miss none of its turning points."""
+"""Samples per load cycle that resolve its turning points."""
 
 
 class Parameters(NamedTuple):
-    """Wave, mean, amplitude, frequency and number of the cycles."""
+    """Waveform, mean, amplitude, frequency and number of the cycles."""
 
     count: Annotated[  # type: ignore[assignment]  # a tuple has a method of this name
         int, quantity("1", "number of load cycles", minimum=1, maximum=10**12)
@@ -33,7 +33,7 @@ class Parameters(NamedTuple):
 
 
 def waveforms() -> tuple[str, ...]:
-    """Return the references of which cycles can be run."""
+    """Return the names of the references that can be used as waveform."""
     return tuple(name for name, member in REFERENCES.usable().items() if _is_wave(member))
 
 
@@ -42,7 +42,7 @@ def _is_wave(member: Any) -> bool:
 
 
 class _Wave(NamedTuple):
-    """A reference's wave with its parameters, what its value is raised by, and when its first valley is [s]."""
+    """A reference's waveform with its parameters, the offset added to its value, and the time of its first valley [s]."""
 
     member: Any
     parameters: Any
@@ -69,7 +69,7 @@ def _made(p: Parameters, shape: tuple[tuple[str, float], ...]) -> _Wave:
 
 
 def course(p: Parameters, start: float) -> Course:
-    """Return how the cycles go, wherever the programme comes from."""
+    """Return the course of the cycles, which is independent of ``start``."""
     valley = float(sample(np.zeros(1), p, start)[0, 0])
     period = 1.0 / p.frequency
     return Course(valley, valley, p.count * period, period, p.count, period / SAMPLES)

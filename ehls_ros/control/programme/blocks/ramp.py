@@ -1,4 +1,4 @@
-"""A ramp from where the programme stands to another value."""
+"""Block with a ramp from the programme's present value to another value."""
 
 from typing import Annotated, NamedTuple
 
@@ -10,7 +10,7 @@ from ehls_ros.schema import quantity
 
 
 class Parameters(NamedTuple):
-    """Where to, and either the time or the largest rate."""
+    """Final value, and either the duration or the largest rate."""
 
     to: Annotated[float, quantity("N or m", "value at the end", minimum=-1e6, maximum=1e6)]
     time: Annotated[float | None, quantity("s", "time that the ramp takes", above=0.0, maximum=1e6)] = None
@@ -22,10 +22,10 @@ class Parameters(NamedTuple):
 
 
 def course(p: Parameters, start: float) -> Course:
-    """Return how the ramp goes.
+    """Return the course of the ramp.
 
     Raises:
-        BadInput: neither time nor rate, or both.
+        BadInput: time and rate are both given, or neither is.
     """
     if (p.time is None) == (p.rate is None):
         raise BadInput(f"time is {p.time}, rate is {p.rate}", "ramp", "one of the two")
@@ -33,7 +33,7 @@ def course(p: Parameters, start: float) -> Course:
 
 
 LEAST = 1e-3
-"""Time of a ramp by its rate that has nowhere to go [s]."""
+"""Duration of a ramp by rate between equal values [s]."""
 
 
 def _time(p: Parameters, start: float) -> float:

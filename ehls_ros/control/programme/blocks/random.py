@@ -1,4 +1,4 @@
-"""Random noise within a band, as the reference `random` has it, faded in and out about its mean; one period is a load cycle."""
+"""Block of band-limited noise as in the reference `random`, faded in and out about its mean; one period is a load cycle."""
 
 from typing import Annotated, NamedTuple
 
@@ -10,7 +10,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity
 
 PER_PERIOD = 40
-"""Samples within a period of the highest frequency that miss no turning point."""
+"""Samples per period of the highest frequency that resolve every turning point."""
 
 
 class Parameters(NamedTuple):
@@ -33,7 +33,7 @@ def _noise(p: Parameters) -> reference.Parameters:
 
 
 def course(p: Parameters, start: float) -> Course:
-    """Return how the noise goes.
+    """Return the course of the noise.
 
     Raises:
         BadInput: the two fades take longer than the block.

@@ -1,4 +1,4 @@
-"""Any reference for a time, such as a chirp, faded in and out about the value that it begins with."""
+"""Block with any reference for a given time, such as a chirp, faded in and out about its initial value."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
@@ -13,11 +13,11 @@ from ehls_ros.errors import BadInput
 from ehls_ros.schema import parse, quantity, text
 
 STEPS = 20_000
-"""Samples of the whole signal that are taken for its turning points."""
+"""Samples of the whole signal to find its turning points."""
 
 
 class Parameters(NamedTuple):
-    """The reference, its time and its fades."""
+    """Reference, duration and fades."""
 
     reference: Annotated[Mapping[str, Any], text("name and parameters of the reference")]
     time: Annotated[float, quantity("s", "time for which it runs", above=0.0, maximum=1e7)]
@@ -25,17 +25,17 @@ class Parameters(NamedTuple):
 
 
 def _signal(t: Array, p: Parameters) -> Array:
-    """Return the reference as it is."""
+    """Return the reference without fades."""
     values = dict(p.reference)
     member = REFERENCES.load(values.pop("name", None), "signal: reference")
     return member.sample(t, parse(member.Parameters, values, f"signal: {p.reference['name']}"))
 
 
 def course(p: Parameters, start: float) -> Course:
-    """Return how the signal goes.
+    """Return the course of the signal.
 
     Raises:
-        BadInput: the reference is wrong, or the two fades take longer than the block.
+        BadInput: the reference is invalid, or the two fades take longer than the block.
     """
     if 2.0 * p.fade > p.time:
         raise BadInput(f"fade is {p.fade:g} s", "signal", f"at most half of time, {0.5 * p.time:g} s")

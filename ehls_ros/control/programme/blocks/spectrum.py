@@ -1,4 +1,4 @@
-"""A recorded load, as the reference `load_spectrum` has it; one pass is a load cycle."""
+"""Block with a recorded load, as in the reference `load_spectrum`; one pass is a load cycle."""
 
 from typing import Annotated, NamedTuple
 
@@ -11,7 +11,7 @@ from ehls_ros.schema import quantity, text
 
 
 class Parameters(NamedTuple):
-    """The points, and how often they are run through; instead of points a programme may name a CSV ``file``."""
+    """Points, and the number of passes; instead of points a programme may name a CSV ``file``."""
 
     points: Annotated[tuple[tuple[float, float], ...], text("time [s] and value [N or m] of each point, in order of time")]
     count: Annotated[int, quantity("1", "number of passes", minimum=1, maximum=10**12)] = 1  # type: ignore[assignment]  # a tuple has a method of this name
@@ -22,13 +22,13 @@ class Parameters(NamedTuple):
 
 
 def _times(p: Parameters) -> tuple[float, float]:
-    """Return the time of the points, and of a pass [s]."""
+    """Return the duration of the points, and of a pass [s]."""
     (first, begin), (last, end) = p.points[0], p.points[-1]
     return last - first, last - first + (p.closing if begin != end else 0.0)
 
 
 def course(p: Parameters, start: float) -> Course:
-    """Return how the passes go.
+    """Return the course of the passes.
 
     Raises:
         BadInput: fewer than two points, or times that do not increase.
@@ -40,7 +40,7 @@ def course(p: Parameters, start: float) -> Course:
 
 
 def sample(t: Array, p: Parameters, start: float) -> Array:
-    """Return the passes and their derivatives; each ends with a ramp back to where it began."""
+    """Return the passes and their derivatives; each ends with a ramp back to its initial value."""
     recorded, whole = _times(p)
     within = t - whole * np.clip(np.floor(t / whole + 1e-12), 0, p.count - 1)
     rows = load_spectrum.sample(p.points[0][0] + within, load_spectrum.Parameters(p.points))
