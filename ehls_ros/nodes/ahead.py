@@ -67,6 +67,7 @@ class AheadNode(ControlNode):
         self.last = -1
         self.epoch_ns = 0
         self.moved = time.perf_counter()
+        self.stalls = 0
         period = self.spec.settings.control_period
         if self.hosted:
             self.pause = min(REST, ROWS_TOGETHER * period)
@@ -113,8 +114,9 @@ class AheadNode(ControlNode):
             self._note_progress(cycle)
             self.epoch_ns = stamp - round(cycle * self.period_ns)
             self._publish_to(cycle + self.lead)
-        if self.lockstep and time.perf_counter() - self.moved > PATIENCE:
-            self._repeat()
+        if self._is_repeat_due():
+            self.next = max(self.last, 0)
+            self._publish_to(self.next + self.lead - 1)
         return self.next != before
 
     def _rests(self) -> bool:
@@ -128,14 +130,19 @@ class AheadNode(ControlNode):
     def _note_progress(self, cycle: int) -> None:
         """Note the newest cycle; a snapshot repeated by a rig that waits for an answer is no progress."""
         if cycle != self.last:
-            self.last, self.moved = cycle, time.perf_counter()
+            self.last, self.moved, self.stalls = cycle, time.perf_counter(), 0
 
-    def _repeat(self) -> None:
-        """Publish the rows ahead again: a reader that receives nothing sent before it was matched may stall the cycles."""
+    def _is_repeat_due(self) -> bool:
+        """Return whether to publish the rows ahead again, since the cycles have stalled for :data:`PATIENCE` in lockstep.
+
+        A reader may lack a row because another sender flooded its queue, or because it asks for no stored messages. In the
+        first case the interval doubles from one repeat to the next.
+        """
+        if not self.lockstep or time.perf_counter() - self.moved <= PATIENCE:
+            return False
         self.moved = time.perf_counter()
-        if self.outbox.has_volatile_reader():
-            self.next = max(self.last, 0)
-            self._publish_to(self.next + self.lead - 1)
+        self.stalls += 1
+        return self.stalls.bit_count() == 1 or self.outbox.has_volatile_reader()
 
     def _publish_to(self, cycle: int) -> None:
         while self.next <= cycle:

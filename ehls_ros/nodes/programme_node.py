@@ -23,7 +23,7 @@ from ehls_ros.experiments.state_files.kinds import ProgrammeState
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.nodes.ahead import LEAD, REST, AheadNode
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control import OK, PATIENCE, WAIT, WARN, run_node
+from ehls_ros.nodes.control import OK, WAIT, WARN, run_node
 from ehls_ros.nodes.graph import PROGRAMME
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.reference_node import MEASURED
@@ -202,8 +202,8 @@ class ProgrammeNode(AheadNode):
         self._follow_requests()
         self._publish_to(self.last + self.lead)
         time.sleep(REST)
-        if self.lockstep and time.perf_counter() - self.moved > PATIENCE:
-            self._repeat()
+        if self._is_repeat_due():
+            self._send(max(self.last, 0), self.next - 1)
 
     def stop(self) -> None:
         """Count the last control cycles, and save the state even if that fails."""
@@ -349,12 +349,6 @@ class ProgrammeNode(AheadNode):
         ):
             if cycle >= self.counting:
                 self.samples[cycle] = (*point, reference)
-
-    def _repeat(self) -> None:
-        """Publish the rows ahead again, for readers that were matched too late for them."""
-        self.moved = time.perf_counter()
-        if self.outbox.has_volatile_reader():
-            self._send(max(self.last, 0), self.next - 1)
 
     def _save(self, published: int, *, durable: bool = False) -> None:
         """Replace the state; ``durable`` only after the loop: a busy disk takes longer than the rig has reference."""

@@ -7,8 +7,9 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from ehls_msgs.msg import LoaderState
+from ehls_msgs.msg import Disturbance, LoaderState
 from ehls_ros.nodes.control import ERROR
+from ehls_ros.nodes.transport import DEPTH, control_qos
 
 FORCE = 1500.0
 """Reference of the first source; the second's is the opposite [N]."""
@@ -142,6 +143,16 @@ def test_a_disturbance_returns_in_the_cycle_that_waits_for_it_although_a_second_
     two.second("plant_sim_node", "plant_sim_node_2")
     participant.until(lambda: any("plant_sim_node_2" in state.sender for state in two.states))
     assert participant.change("disturbance_node", "activate")
+    two.states.clear()
+    participant.until(lambda: two.follows(FORCE))
+
+
+def test_a_flood_of_refused_rows_does_not_stall_the_cycles_for_good(sources):
+    two, participant = sources, sources.participant
+    flood = participant.node.create_publisher(Disturbance, "disturbance", control_qos())
+    participant.until(lambda: flood.get_subscription_count() >= 1)
+    for _ in range(10 * DEPTH):
+        flood.publish(Disturbance(force=1e4, sender="/ehls/flood-1"))
     two.states.clear()
     participant.until(lambda: two.follows(FORCE))
 
