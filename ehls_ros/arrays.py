@@ -9,7 +9,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from ehls_ros.inlining import Inlined
+from ehls_ros.inlining import inlined
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def kernel(function: _Function, python: Callable[..., Any] | None = None) -> _Fu
         function: the function.
         python: replacement for calls from Python; without one, each process compiles a wrapper at the first such call.
     """
-    return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy"}, python=python))
+    return cast(_Function, inlined(function, python=python))
 
 
 def lean(function: _Function) -> _Function:
@@ -33,7 +33,7 @@ def lean(function: _Function) -> _Function:
 
     In a function that passes many array views, counting their references would take ten times as long as the computation.
     """
-    return cast(_Function, Inlined(function, targetoptions={"error_model": "numpy", "_nrt": False}))
+    return cast(_Function, inlined(function, counts_references=False))
 
 
 @kernel

@@ -3,154 +3,102 @@
 Numba optimises each function it compiles together with all its callees, generates machine code, and wraps it for calls from
 Python. For a function that is always inlined, this work is wasted. Here such a function remains intermediate code, and only the
 function called from Python is optimised, once and as a whole. The machine code is bit-identical and compiles in half the time.
+
+This overrides private parts of numba (:mod:`ehls_ros.numba_internals`). Where they are missing or changed, in an untested
+version, or where the environment variable :data:`PLAIN` is set, numba compiles by itself: slower, with the same numbers.
 """
 
-import gc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cached_property
+import contextlib
+import inspect
+import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from importlib import import_module
 from typing import Any
 
-from numba import config, njit, types
-from numba.core.codegen import CPUCodeLibrary
-from numba.core.compiler import Compiler
-from numba.core.registry import CPUDispatcher
+import numba
+
+PLAIN = "EHLS_PLAIN_NUMBA"
+"""Environment variable that, if not empty, leaves numba as it is."""
+
+OLDEST, UNTESTED = (0, 59), (0, 69)
+"""First version of numba with these internals, and first one not tested."""
+
+TESTED = f">={'.'.join(map(str, OLDEST))},<{'.'.join(map(str, UNTESTED))}"
+"""The same as `pyproject.toml` has it."""
+
+INTERNALS = (
+    ("numba.core.types", "Function.get_call_type", "self context args kws"),
+    ("numba.core.types", "Function.get_impl_key", "self sig"),
+    ("numba.core.codegen", "CPUCodeLibrary._optimize_final_module", "self"),
+    ("numba.core.codegen", "CPUCodeLibrary._finalize_final_module", "self"),
+    ("numba.core.codegen", "CPUCodeLibrary._finalize_dynamic_globals", "self"),
+    ("numba.core.compiler", "Compiler.compile_extra", "self func"),
+    ("numba.core.cpu", "CPUContext.get_executable", "self library fndesc env"),
+    ("numba.core.registry", "CPUDispatcher.__init__", "self py_func locals targetoptions pipeline_class"),
+    ("numba.core.registry", "CPUDispatcher.add_overload", "self cres"),
+    ("numba.np.linalg", "ensure_blas", ""),
+)
+"""Module, name and parameters of each overridden or called part."""
+
+
+def objections() -> list[str]:
+    """Return the reasons not to rely on numba's internals: its version, and the names that are missing or changed."""
+    version = tuple(int(part) for part in numba.__version__.split(".")[:2])
+    found = [] if OLDEST <= version < UNTESTED else [f"version {numba.__version__} is not tested"]
+    for module, name, parameters in INTERNALS:
+        try:
+            part: Any = import_module(module)
+            for step in name.split("."):
+                part = getattr(part, step)
+            known = " ".join(inspect.signature(part).parameters) == parameters
+        except (ImportError, AttributeError, TypeError, ValueError):
+            known = False
+        if not known:
+            found.append(f"{module}.{name} is missing or changed")
+    return found
+
+
+def reason_for_plain_numba() -> str:
+    """Return why numba compiles by itself; empty if it does not."""
+    return f"{PLAIN} is set" if os.environ.get(PLAIN) else "; ".join(_OBJECTIONS)
+
+
+_OBJECTIONS = objections()
+_internals: Any = None if reason_for_plain_numba() else import_module("ehls_ros.numba_internals")
+
+IS_PLAIN = _internals is None
+"""Whether numba compiles by itself."""
+
+
+def inlined(
+    function: Callable[..., Any], *, counts_references: bool = True, python: Callable[..., Any] | None = None
+) -> Callable[..., Any]:
+    """Compile a function as a part of its compiled callers.
+
+    Args:
+        function: the function.
+        counts_references: whether references to arrays are counted; if not, it must not allocate any.
+        python: replacement for calls from Python.
+    """
+    if IS_PLAIN:
+        compiled: Callable[..., Any] = numba.njit(error_model="numpy")(function)
+        return compiled
+    options = {"error_model": "numpy"} | ({} if counts_references else {"_nrt": False})
+    made: Callable[..., Any] = _internals.Inlined(function, targetoptions=options, python=python)
+    return made
+
+
+def swiftly() -> AbstractContextManager[None]:
+    """Return the context in which numba compiles a function and its callees in three quarters of its time.
+
+    The caller holds numba's lock. The compiled code is the same.
+    """
+    context: AbstractContextManager[None] = contextlib.nullcontext() if IS_PLAIN else _internals.swiftly()
+    return context
 
 
 def take_scipy_for_granted() -> None:
-    """Skip numba's check for scipy when it loads its functions; this package requires scipy anyway.
-
-    The check imports scipy's linear algebra, which dominates the loading time of a kernel. Functions that call BLAS check
-    again.
-    """
-    # Numba, too, loads them only with the first function that it compiles or loads.
-    linalg: Any = import_module("numba.np.linalg")
-    ensure_blas = linalg.ensure_blas
-    linalg.ensure_blas = lambda: None
-    try:
-        import_module("numba.np.arraymath")
-    finally:
-        linalg.ensure_blas = ensure_blas
-
-
-@contextmanager
-def swiftly() -> Iterator[None]:
-    """Reduce numba's compile time by a quarter for a function and its callees; the compiled code is the same.
-
-    The caller holds numba's lock.
-    """
-    collecting = gc.isenabled()
-    # Compilation keeps hundreds of thousands of new objects, which the garbage collector would scan repeatedly.
-    gc.disable()
-    try:
-        with _signatures_remembered():
-            yield
-    finally:
-        if collecting:
-            gc.enable()
-
-
-@contextmanager
-def _signatures_remembered() -> Iterator[None]:
-    """Cache numba's look-up of the result type of operators and built-in functions by argument types.
-
-    At each call in the code, numba tries each of dozens of implementations. An implementation in Python is compiled with the
-    options of its caller and is therefore looked up each time; the result of all others depends on the types alone.
-    """
-    functions: Any = types.Function
-    if "get_call_type" in vars(functions):
-        # Nested compilation: a callee of the function being compiled.
-        yield
-        return
-    find = functions.get_call_type
-    known: dict[Any, Any] = {}
-
-    def remembered(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
-        if keywords:
-            return find(function, context, arguments, keywords)
-        call = function, tuple(arguments)
-        if call not in known:
-            found = find(function, context, arguments, keywords)
-            if function.get_impl_key(found) is not function.typing_key:
-                return found
-            known[call] = found
-        return known[call]
-
-    functions.get_call_type = remembered
-    try:
-        yield
-    finally:
-        del functions.get_call_type
-
-
-class _IntermediateCode(CPUCodeLibrary):
-    """Code library of a function and its callees as intermediate code, neither optimised nor translated to machine code."""
-
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-
-class _Inliner(Compiler):
-    """Numba compiler that stops at intermediate code."""
-
-    def compile_extra(self, func: Callable[..., Any]) -> Any:
-        target = self.state.targetctx
-        # Numba looks up the code to inline by its executable function; there is none, so any object will do.
-        target.get_executable = lambda library, description, environment: object()
-        self.state.library = _IntermediateCode(target.codegen(), func.__qualname__)
-        return super().compile_extra(func)
-
-
-class Inlined(CPUDispatcher):
-    """A function that is inlined into compiled callers.
-
-    A call from Python, for tests and debugging, runs the replacement given for Python; without one, it compiles a wrapper.
-    """
-
-    def __init__(
-        self,
-        py_func: Callable[..., Any],
-        locals: dict[str, Any] | None = None,  # noqa: A002 - numba's own name, for pickling
-        targetoptions: dict[str, Any] | None = None,
-        pipeline_class: type[Compiler] = _Inliner,
-        python: Callable[..., Any] | None = None,
-    ) -> None:
-        """Prepare a Python function for compilation.
-
-        Args:
-            py_func: the function.
-            locals: types of local variables that cannot be inferred.
-            targetoptions: options of :func:`numba.njit`.
-            pipeline_class: the compiler.
-            python: replacement for calls from Python.
-        """
-        self._python = python
-        options = {"nopython": True, "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        super().__init__(py_func, locals or {}, options | (targetoptions or {}), pipeline_class)
-
-    def add_overload(self, cres: Any) -> None:
-        """Store a compiled signature; the base class would also make it callable from Python."""
-        self.overloads[tuple(cres.signature.args)] = cres
-
-    def __call__(self, *args: Any) -> Any:
-        """Call the function from Python."""
-        return self._from_python(*args)
-
-    @cached_property
-    def _from_python(self) -> Any:
-        inlined = self
-        if self._python is not None:
-            return self._python
-        if config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba reads the environment
-            return self.py_func
-
-        @njit(error_model=self.targetoptions["error_model"])
-        def call(*args: Any) -> Any:
-            return inlined(*args)
-
-        return call
+    """Skip numba's check for scipy when it loads its functions; this package requires scipy anyway."""
+    if not IS_PLAIN:
+        _internals.take_scipy_for_granted()

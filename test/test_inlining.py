@@ -2,15 +2,22 @@
 
 import gc
 import math
+import os
 import subprocess
 import sys
+from importlib import import_module
+from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from numba import njit, types
 
+from ehls_ros import inlining
 from ehls_ros.arrays import copy, in_python, kernel, lean
 from ehls_ros.inlining import swiftly
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @kernel
@@ -162,3 +169,64 @@ assert njit(lambda a, b: np.dot(a, b))(np.ones(3), np.ones(3)) == 3.0
 print("scipy.linalg" in sys.modules)
 """
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\nTrue\n"
+
+
+def test_numbas_internals_are_as_known():
+    assert inlining.objections() == []
+    assert not inlining.IS_PLAIN
+
+
+@pytest.mark.parametrize(("module", "name", "parameters"), inlining.INTERNALS)
+def test_a_missing_or_changed_internal_is_named(monkeypatch, module, name, parameters):
+    *path, last = name.split(".")
+    owner = import_module(module)
+    for step in path:
+        owner = getattr(owner, step)
+
+    def changed(more):
+        pass
+
+    monkeypatch.setattr(owner, last, changed)
+    assert inlining.objections() == [f"{module}.{name} is missing or changed"]
+    monkeypatch.setattr(owner, last, None)
+    assert inlining.objections() == [f"{module}.{name} is missing or changed"]
+
+
+def test_versions_beyond_those_tested_are_left_alone(monkeypatch):
+    monkeypatch.setattr(numba, "__version__", "0.69.0")
+    assert inlining.objections() == ["version 0.69.0 is not tested"]
+    assert f'"numba{inlining.TESTED}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def in_plain_numba(code):
+    environment = {**os.environ, inlining.PLAIN: "1", "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'test'}"}
+    return subprocess.check_output([sys.executable, "-c", code], text=True, env=environment, cwd=ROOT)
+
+
+def test_plain_numba_computes_the_same_bits(values):
+    out = np.empty(values.size)
+    entry(values, out)
+    code = """
+import numpy as np
+from test_inlining import entry, inlining
+values = np.random.default_rng(1).standard_normal(200)
+out = np.empty(values.size)
+entry(values, out)
+print(inlining.IS_PLAIN, out.tobytes().hex())
+"""
+    assert in_plain_numba(code) == f"True {out.tobytes().hex()}\n"
+
+
+@pytest.mark.long
+def test_plain_numba_simulates_the_same_trajectory():
+    assert in_plain_numba(SIMULATION) == subprocess.check_output([sys.executable, "-c", SIMULATION], text=True, cwd=ROOT)
+
+
+SIMULATION = """
+from pathlib import Path
+from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.spec import load_spec
+spec = load_spec(Path("config/experiments/sine_fd2.yaml"))
+trajectory = run_in_process(spec._replace(settings=spec.settings._replace(duration=0.2)))
+print(len(trajectory), b"".join(signal.tobytes() for signal in trajectory.signals.values()).hex())
+"""

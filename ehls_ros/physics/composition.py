@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.duals import joined
-from ehls_ros.inlining import swiftly, take_scipy_for_granted
+from ehls_ros.inlining import IS_PLAIN, swiftly, take_scipy_for_granted
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
@@ -36,7 +36,7 @@ from ehls_ros.physics.kernel_cache import PREFIX, is_sealed, make_private, seale
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
 from ehls_ros.sources import import_line, sources_digest
 
-KERNEL_SOURCES = ("physics", "control", "identification", "arrays.py", "duals", "inlining.py")
+KERNEL_SOURCES = ("physics", "control", "identification", "arrays.py", "duals", "inlining.py", "numba_internals.py")
 """Sources that kernels are compiled from."""
 
 
@@ -54,7 +54,7 @@ def kernel_module(source: str) -> ModuleType:
         BadInput: other users can write to the cache folder.
     """
     # All dependencies of the machine code.
-    made_from = (sys.version, numba.__version__, np.__version__, sources_digest(*KERNEL_SOURCES), source)
+    made_from = (sys.version, numba.__version__, np.__version__, sources_digest(*KERNEL_SOURCES), str(IS_PLAIN), source)
     name = PREFIX + hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
     if name in sys.modules:
         return sys.modules[name]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from ehls_ros.inlining import Inlined
+from ehls_ros.numba_internals import Inlined
 from ehls_ros.physics import vector_math
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.rig import rig_from_mapping

@@ -32,7 +32,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 def code_version() -> str:
     """Return the package's version with a digest of the sources that determine a run's numbers."""
-    digest = sources_digest("physics", "control", "experiments", "arrays.py", "duals", "inlining.py")
+    digest = sources_digest("physics", "control", "experiments", "arrays.py", "duals", "inlining.py", "numba_internals.py")
     return f"{__version__}+{digest[:12]}"
 
 
