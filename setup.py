@@ -1,6 +1,7 @@
 """Build of the ament_python package ehls_ros; ``pip install .`` without ROS gives its offline half."""
 
 import os
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -18,6 +19,12 @@ def dependency_groups() -> dict[str, list[str]]:
     """Return the dependency groups of pyproject.toml that list packages, not other groups."""
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]
     return {name: group for name, group in groups.items() if all(isinstance(entry, str) for entry in group)}
+
+
+def version() -> str:
+    """Return the package's version; importing the package would need what it requires."""
+    [found] = re.findall(r'^__version__ = "(.+)"$', (ROOT / PACKAGE / "__init__.py").read_text(encoding="utf-8"), re.MULTILINE)
+    return str(found)
 
 
 def installed_tree(top: str) -> list[tuple[str, list[str]]]:
@@ -48,7 +55,7 @@ if "AMENT_PREFIX_PATH" in os.environ and not {"develop", "install"}.isdisjoint(s
 GROUPS = dependency_groups()
 setup(
     name=PACKAGE,
-    version="0.1.0",
+    version=version(),
     description="Node graph, identification and diagnosis for an electro-hydraulic load simulator",
     license="Apache-2.0",
     maintainer="ehls_ros maintainers",

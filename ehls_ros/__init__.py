@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ehls_ros.physics.rig import Rig
     from ehls_ros.physics.simulator import Simulator
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "BadInput",

@@ -15,6 +15,7 @@ DOCS = ROOT / "docs"
 PAGES = [
     *(path for path in DOCS.rglob("*.md") if not path.is_relative_to(DOCS / "reference")),
     ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
     *(ROOT / "examples").rglob("*.md"),
 ]
 

@@ -328,7 +328,8 @@ def message_wheel(python: str, ros: str) -> Path:
     built_with = re.findall(r"^(?:ros-|numpy)\S*", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
     digest = hashlib.sha256("\n".join([*recipe, *built_with]).encode()).hexdigest()[:16]
     tag = f"cp{python.replace('.', '')}"
-    name = f"ehls_msgs-0.1.0+{ros or 'wheels'}.{digest}"
+    [version] = re.findall(r"<version>(.+)</version>", (MESSAGES / "package.xml").read_text(encoding="utf-8"))
+    name = f"ehls_msgs-{version}+{ros or 'wheels'}.{digest}"
     wheel = CACHE / "messages" / f"{name}-{tag}-{tag}-linux_{platform.machine()}.whl"
     if not wheel.exists():
         check_compilers(ros)
