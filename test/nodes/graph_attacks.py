@@ -370,9 +370,10 @@ class GraphAttacks:
             return
         words = self._words({"spec": self.second_spec, "timing": "lockstep"})
         arguments = ["-m", f"ehls_ros.nodes.{node}", "--ros-args", *words, "-r", f"__node:={node}_2"]
-        self.graph.run(name, arguments)
         log = self.graph.folder / f"{name}.log"
-        self.participant.until(lambda: ": up" in log.read_text() or self.graph.processes[name].poll() is not None)
+        ups = log.read_text().count(": up") if log.exists() else 0
+        self.graph.run(name, arguments)
+        self.participant.until(lambda: log.read_text().count(": up") > ups or self.graph.processes[name].poll() is not None)
 
     def end_second(self, what: str, number: signal.Signals) -> None:
         self._end(f"{what} again", number)

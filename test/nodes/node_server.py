@@ -150,12 +150,15 @@ def serve() -> None:
                 return
             *lines, rest = (rest + read).split(b"\n")
             for line in lines:
+                # A process told to stop before it handles that would otherwise go on ignoring it.
+                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
                 pid = os.fork()
                 if pid == 0:
                     signal.set_wakeup_fd(-1)
                     for end in (woken, wake):
                         os.close(end)
                     _become(json.loads(line))
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
                 _answer(pid=pid)
 
 
@@ -190,6 +193,7 @@ def _become(request: Mapping[str, Any]) -> None:
     os.environ.update(request["environment"])
     code: Any = 1
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         if (before := request["before"]) is not None:
             getattr(import_module(before["module"]), before["function"])(**before["arguments"])
         _, module, *arguments = request["arguments"]

@@ -434,6 +434,7 @@ def _follows(trace: Trace) -> Flags:
     rows &= np.array([True, *(drives for _, drives in told)])[
         np.searchsorted([when for when, _ in told], trace.moments, side="right")
     ]
+    rows &= trace.commands_heard
     return rows & ~trace.was("on_command_rate", "warn") & (trace.log["output_status"] == Status.COMMANDED)
 
 
@@ -471,9 +472,7 @@ def _command_age(trace: Trace) -> Array:
     return trace.since(np.array([message[0] for message in trace.heard("valve_command")]))
 
 
-COMMANDS_HEARD = Condition(
-    "commands are heard", lambda trace: np.full(trace.command.size, bool(trace.messages.get("valve_command")))
-)
+COMMANDS_HEARD = Condition("commands are heard", lambda trace: trace.commands_heard)
 STALE = (
     Quantity("command_timeout", "s", lambda trace: trace.parameter("command_timeout"))
     + reaction_time("on_command_stale")
@@ -716,7 +715,10 @@ POLICIES = (
         "transport_delay",
         always(
             FRESHLY_ARRIVED & IN_REALTIME & OPEN,
-            Quantity("2 sensor_timeout", "s", lambda trace: 2.0 * trace.parameter("sensor_timeout"))
+            Quantity("sensor_timeout", "s", lambda trace: trace.parameter("sensor_timeout"))
+            + Quantity(
+                "delay of a command", "s", lambda trace: np.maximum(trace.parameter("sensor_timeout"), trace.transport_delay)
+            )
             + constant("3 periods", "s", lambda trace: 3.0 * trace.setup.period)
             >= ANSWERED_AGE,
         ),

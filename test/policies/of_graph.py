@@ -171,7 +171,8 @@ def _handovers(trace: Trace) -> Margins:
     """Return for each hand-over between controllers that follow each other the margin of its step below the usual changes [m].
 
     Usual changes are those of both controllers, and those by which the new one would have continued the old one's commands
-    while on standby. A sender of commands without a status is no controller of this package, and gives no guarantees.
+    while on standby. A sender of commands without a status is no controller of this package, and gives no guarantees. A step of
+    the reference, which another source begins, is no step of the hand-over.
     """
     begun = np.array(trace.runs)
     commands: dict[tuple[str, int], dict[int, float]] = defaultdict(dict)
@@ -180,11 +181,16 @@ def _handovers(trace: Trace) -> Margins:
         for sent, _, cycle, spool, sender in trace.heard(topic):
             found[sender, int(np.searchsorted(begun, sent, side="right"))][cycle] = spool
     ours = {message[-1] for message in trace.heard("controller_status")}
+    sources: dict[tuple[int, int], set[str]] = defaultdict(set)
+    for sent, _, cycle, *_, sender in trace.heard("force_reference"):
+        sources[int(np.searchsorted(begun, sent, side="right")), cycle].add(sender)
     margins = []
     for before, after in _changes_of_driver(trace):
         run, first = int(np.searchsorted(begun, after[0], side="right")), after[1]
         old, new, shadow = commands[before[3], run], commands[after[3], run], standby[after[3], run]
         if not (before[2] and after[2] and shadow and after[3] in ours) or first not in new or first - 1 not in old:
+            continue
+        if len(sources[run, first - 1] | sources[run, first]) > 1:
             continue
         usual = [
             abs(some[cycle] - some_before[cycle - 1])

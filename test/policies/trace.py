@@ -23,6 +23,9 @@ IN_FLIGHT = 2
 ROUNDING = 1e-9
 """Rounding tolerance of a time or a robustness, in any unit."""
 
+TOGETHER = 5e-3
+"""Longest time between two messages that a plant publishes one after the other [s]."""
+
 UNDER_WAY = 0.5
 """Longest time that a message takes on a busy machine [s]."""
 
@@ -223,6 +226,20 @@ class Trace:
                     found[kept] = np.maximum(found[kept], float(value))
         return found
 
+    @cached_property
+    def commands_heard(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Whether, in each row, a command of every sender had been heard since its start: discovery may take a while."""
+        times: dict[str, list[float]] = {}
+        for sent, *_, sender in self.heard("valve_command"):
+            times.setdefault(sender, []).append(sent)
+        found = np.full(len(self.moments), bool(times))
+        for sender, sent in times.items():
+            starts = [h.time for h in self.happenings_of("started", {sender})]
+            for since, until in itertools.pairwise([*starts, math.inf]):
+                first = min((moment for moment in sent if since <= moment < until), default=until)
+                found &= (self.moments < since) | (self.moments >= first)
+        return found
+
     def at(self, moments: Array) -> Array:
         """Convert times of this computer's clock to those of the rows."""
         if not self.setup.lockstep or not self.moments.size:
@@ -364,18 +381,22 @@ class Trace:
     def driving(self) -> list[tuple[float, bool]]:
         """Announcements that commands reach the valve, or no longer do, in order: time [s], whether they do.
 
-        The message does not name its sender. A second plant, whose gate is closed, announces that they do not.
+        The message does not name its sender. A second plant, whose gate is closed, announces that they do not; only from the
+        plant itself does such an announcement come together with one of its driver.
         """
-        second = self.setup.second_plants
+        begun = self.happenings_of("started", self.setup.second_plants)
         lives = [
-            (begun.time, next((h.time for h in self.happenings_of("ended", {begun.whom}) if h.time > begun.time), math.inf))
-            for begun in self.happenings_of("started", second)
+            (start.time, next((h.time for h in self.happenings_of("ended", {start.whom}) if h.time > start.time), math.inf))
+            for start in begun
         ]
-        lives = [(begin, end + UNDER_WAY) for begin, end in lives]
+        processes = {str(start.code) for start in begun}
+        closed = [m[0] for m in self.heard("driver") if not m[3] and m[5].rpartition("-")[2] not in processes]
         return [
             (when, bool(driving))
             for when, driving, *_ in self.heard("driving")
-            if driving or not any(begin < when < end for begin, end in lives)
+            if driving
+            or not any(begin < when < end + UNDER_WAY for begin, end in lives)
+            or any(abs(moment - when) < TOGETHER for moment in closed)
         ]
 
     def with_load_cycles(self, load_cycles: Iterable[tuple[int, int, int]]) -> "Trace":
