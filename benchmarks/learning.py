@@ -46,7 +46,7 @@ LEARNT = 8
 RISE = 1.0
 """Time from rest to the wanted force, in which no correction helps [s]: the law's speed is 15.6 kN/s."""
 
-BACK, SETTLED = 50.0, 0.2
+BACK, RECOVERY_TIME = 50.0, 0.2
 """Error at which the force counts as recovered after a trip [N], and the time after that from which the error counts [s]."""
 
 SHORT = 1.5
@@ -146,7 +146,7 @@ def trip(run: Run, period: float) -> Array:
     run.seconds(0.25 * period, valve="closed")
     run.controller.reset()
     error = run.seconds((AFTER - 0.25) * period)
-    return error[int(np.argmax(np.abs(error) < BACK)) + round(SETTLED / 1e-3) :]
+    return error[int(np.argmax(np.abs(error) < BACK)) + round(RECOVERY_TIME / 1e-3) :]
 
 
 def change(run: Run, period: float) -> Array:

@@ -38,7 +38,7 @@ FIRST = 5
 AFTER = 0.2
 """Time after the switch in which the force error is evaluated [s]."""
 
-SETTLED = 2.5
+FIRST_SWITCH = 2.5
 """Time before the first switch [s]."""
 
 TURN = 2.0
@@ -125,7 +125,7 @@ def main() -> None:
         spec = chosen_spec(str(CONFIG / f"{case}.yaml"), "")
         period = spec.settings.control_period
         after = round(AFTER / period)
-        moments = [round((SETTLED + TURN * i / options.moments) / period) for i in range(options.moments)]
+        moments = [round((FIRST_SWITCH + TURN * i / options.moments) / period) for i in range(options.moments)]
         cycles = moments[-1] + after
         alone = {each: run(spec, each, each, cycles, cycles, COLD) for each in contestants}
         print(f"\n{case}\n| from | to | jump [um] | alone [um] | error [N] | alone [N] |\n|---|---|---:|---:|---:|---:|")

@@ -20,7 +20,7 @@ from ehls_ros.trajectory import Trajectory
 FOLDER = Path(__file__).parent
 SPEC = load_spec(FOLDER.parents[1] / "config" / "experiments" / "constant_fd2.yaml")
 DURATION = 6.0
-SETTLED = 3.0
+TRANSIENT = 3.0
 """Start of the settled part of a run [s]."""
 
 COLOURS = ("#1b6ca8", "#222222", "#c8553d")
@@ -86,7 +86,7 @@ def run(name: str, value: float) -> Trajectory:
 
 def settled_error(trajectory: Trajectory) -> float:
     """Return the largest settled error [N]."""
-    return float(np.abs(trajectory["force_error_n"][trajectory.time_s >= SETTLED]).max())
+    return float(np.abs(trajectory["force_error_n"][trajectory.time_s >= TRANSIENT]).max())
 
 
 def draw(case: Case) -> str:

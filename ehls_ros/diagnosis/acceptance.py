@@ -39,7 +39,7 @@ def explains(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     clear = not less.names and shows(apart, rules.CLEAR)
     if gain < rules.NEEDED_GAIN or not (matters or clear) or not (beside or shows(apart)):
         return False
-    if earned(evidence, more, less) < rules.EARNED or not recurs(more, less, inflation):
+    if earned(evidence, more, less) < rules.MIN_GAIN_RATIO or not recurs(more, less, inflation):
         return False
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
@@ -50,7 +50,7 @@ def explains(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     much = much or (gain >= rules.REMOVED_EXCESS * excess and not evidence.baselines)
     # A cause must not gain more by averaging noise than by explaining.
     averaged = more.held_out.averaged - less.held_out.averaged
-    return much and gain >= averaged and _surest(more, less) >= rules.SURE
+    return much and gain >= averaged and _surest(more, less) >= rules.MIN_SIGMAS
 
 
 def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:
@@ -61,7 +61,7 @@ def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessm
     if share < rules.WORTHWHILE or relevance(evidence, differences(evidence, more, less)) < needed:
         return False
     # Standard errors include the form of the remainder; significance is therefore judged by the scatter alone.
-    return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.SURE
+    return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.MIN_SIGMAS
 
 
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> list[Array]:

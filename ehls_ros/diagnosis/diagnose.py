@@ -18,7 +18,7 @@ from ehls_ros.diagnosis.measurement import allowed_for, beyond_measurement
 from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
-from ehls_ros.diagnosis.remainder import Remainder, in_full, remainders
+from ehls_ros.diagnosis.remainder import Remainder, remainders, with_allowances
 from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult
 from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.spectrum import spectral_lines
@@ -75,7 +75,7 @@ def diagnose(
         starts = Starts(pool, try_starts(pool, tried, progress))
         found = search(starts, progress)
         sizes = sensitivities(evidence, found.screened)
-        seen, told = in_full(evidence, found)
+        seen, told = with_allowances(evidence, found)
         findings = _findings(seen, sizes, remainders(seen, told))
         named = causes(seen, told, seed)
         verdict, unknown = decide(findings, [cause.stage for cause in named], against_baselines=bool(evidence.baselines))

@@ -108,7 +108,7 @@ class Learnt(NamedTuple):
     @property
     def told(self) -> Mask:
         """Mask of the coefficients whose errors the recordings identify, shape (terms,)."""
-        return self.deviations < rules.TOLD * rules.LEFT_ERROR
+        return self.deviations < rules.MAX_IDENTIFIED_STD * rules.LEFT_ERROR
 
     def expected(self, terms: Array, signals: Array, factor: Array, growth: Array) -> Expected:
         """Return the expected remainder of a healthy rig in other windows.

@@ -66,7 +66,7 @@ def smallest_detectable(information: float, effect: float) -> float | None:
     """
     if information <= 0.0:
         return None
-    smallest = max(rules.SURE, math.sqrt(2.0 * rules.NEEDED_GAIN)) / math.sqrt(information)
+    smallest = max(rules.MIN_SIGMAS, math.sqrt(2.0 * rules.NEEDED_GAIN)) / math.sqrt(information)
     return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
 
 

@@ -71,7 +71,7 @@ class Fit(NamedTuple):
             windows: number of residuals it sums; noise alone costs at most about 1 nat each.
         """
         excess = max(0.0, total - windows) if self.costly else 0.0
-        return rules.SETTLED + rules.SETTLED_FRACTION * total + rules.SETTLED_EXCESS * excess
+        return rules.CONVERGED + rules.CONVERGED_FRACTION * total + rules.CONVERGED_EXCESS * excess
 
 
 class Start(NamedTuple):
@@ -183,7 +183,7 @@ class Worker:
             decrease = now.loss - total
             damping = max(damping / rules.DAMPING_FACTOR, rules.LEAST_DAMPING)
             settled = decrease < now.negligible(total, len(e))
-            settled = settled or decrease < min(rules.WASTED * promised, rules.WASTED_FRACTION * total)
+            settled = settled or decrease < min(rules.MIN_STEP_EFFICIENCY * promised, rules.MIN_STEP_FRACTION * total)
             if now.costly and not settled and decrease > rules.TRUSTED * promised:
                 now = self._updated(now, values, residuals, total)
                 continue

@@ -21,7 +21,7 @@ from ehls_ros.diagnosis.hypotheses import parts
 from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.pruning import needed
-from ehls_ros.diagnosis.remainder import at_a_bound, in_full, remainder_as_noise
+from ehls_ros.diagnosis.remainder import at_a_bound, remainder_as_noise, with_allowances
 from ehls_ros.diagnosis.rig_values import fitted_values
 from ehls_ros.diagnosis.search import Searched, search
 from ehls_ros.diagnosis.starts import Starts
@@ -53,7 +53,7 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
     evidence = starts.pool.evidence
     if evidence.baselines:
         # The remainder of the model's form has counted as noise from the beginning.
-        whole, told = in_full(evidence, found)
+        whole, told = with_allowances(evidence, found)
         return PartialAnswer(whole, told) if told.best.names and worthwhile(whole, told.best) else None
     few = _beside_form(found, starts, progress)
     values = fitted_values(Worker(evidence), found.screened)
@@ -73,7 +73,7 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
         return few
     given = () if values is None else values.hypothesis
     refitted = tuple(name for name in best.names if name in {c.name for c in given})
-    return PartialAnswer(*in_full(known, again), refitted)
+    return PartialAnswer(*with_allowances(known, again), refitted)
 
 
 def _beside_form(found: Searched, starts: Starts, progress: Progress) -> PartialAnswer | None:
@@ -81,7 +81,7 @@ def _beside_form(found: Searched, starts: Starts, progress: Progress) -> Partial
     remains = remainder_as_noise(starts.pool.evidence, found.best.held_out.residuals.values)
     known = replace(remains, form=rules.FORM_ERROR)
     with closing(starts.pool.beside(known)) as pool:
-        known, again = in_full(known, search(Starts(pool, starts.tried), progress))
+        known, again = with_allowances(known, search(Starts(pool, starts.tried), progress))
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None
 
 

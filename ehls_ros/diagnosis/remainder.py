@@ -167,7 +167,7 @@ def remainder_in(evidence: Evidence, best: Assessment, channel: Channel, *, imit
     )
 
 
-def in_full(evidence: Evidence, found: Searched) -> tuple[Evidence, Searched]:
+def with_allowances(evidence: Evidence, found: Searched) -> tuple[Evidence, Searched]:
     """Return evidence and search result with all allowances fixed at the best hypothesis' values.
 
     To be named, a delay or an offset must exceed its allowance, and residuals contain only the excess. Once it is named, the

@@ -43,7 +43,7 @@ def wrong(evidence: Evidence, values: Fit) -> list[str]:
         moved = values.jacobian[:, part] @ (values.values[part] - candidate.neutral)
         sizes = {c: max(evidence.sizes[c], 1e-300) for c in here}
         changes = [math.sqrt(power(moved[rows] * evidence.floor[c])) / sizes[c] for c, rows in here.items()]
-        if max(changes, default=0.0) >= rules.FORM_ERROR and assessed.sigmas(index) >= rules.SURE:
+        if max(changes, default=0.0) >= rules.FORM_ERROR and assessed.sigmas(index) >= rules.MIN_SIGMAS:
             out.append(candidate.name)
     return out
 

@@ -464,11 +464,11 @@ FIRST_STEP_AT_ZERO: Annotated[
 
 MOST_ITERATIONS: Annotated[int, Rule("fit", "1", "Most Gauss-Newton steps of a fit.")] = 8
 
-SETTLED: Annotated[float, Rule("fit", "nat", "Decrease of the loss below which a fit has settled.")] = 0.02
+CONVERGED: Annotated[float, Rule("fit", "nat", "Decrease of the loss below which a fit has settled.")] = 0.02
 
-SETTLED_FRACTION: Annotated[float, Rule("fit", "1", "The same as a fraction of the loss, added to it.")] = 1e-4
+CONVERGED_FRACTION: Annotated[float, Rule("fit", "1", "The same as a fraction of the loss, added to it.")] = 1e-4
 
-SETTLED_EXCESS: Annotated[
+CONVERGED_EXCESS: Annotated[
     float,
     Rule(
         "fit",
@@ -508,11 +508,11 @@ TRUSTED: Annotated[
     ),
 ] = 0.5
 
-WASTED: Annotated[
+MIN_STEP_EFFICIENCY: Annotated[
     float, Rule("fit", "1", "Fraction of its predicted decrease below which a step shows that the loss is too rough to go on.")
 ] = 0.05
 
-WASTED_FRACTION: Annotated[
+MIN_STEP_FRACTION: Annotated[
     float, Rule("fit", "1", "Fraction of the loss below which a step's decrease must lie as well for the fit to stop there.")
 ] = 5e-3
 
@@ -551,7 +551,7 @@ NEEDED_GAIN: Annotated[
     Rule("search", "nat", "Gain on held-out data, less the penalty, that a further cause must bring; noise alone does not."),
 ] = 20.0
 
-SURE: Annotated[
+MIN_SIGMAS: Annotated[
     float,
     Rule("search", "1", "Standard errors by which a cause's best determined parameter must differ from its neutral value."),
 ] = 4.5
@@ -566,7 +566,7 @@ RELEVANT_BESIDE: Annotated[
     Rule("search", "1", "The same where another cause already acts in the channel, whose form need not be exactly its file's."),
 ] = 1e-3
 
-EARNED: Annotated[
+MIN_GAIN_RATIO: Annotated[
     float,
     Rule(
         "search",
@@ -963,7 +963,7 @@ LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is
 
 UNCORRELATED: Annotated[float, Rule("baseline", "1", "Correlation below which windows no longer err together.")] = 0.05
 
-TOLD: Annotated[
+MAX_IDENTIFIED_STD: Annotated[
     float, Rule("baseline", "1", "Standard error of a coefficient, relative to LEFT_ERROR, below which baselines tell it.")
 ] = 0.125
 

@@ -14,8 +14,8 @@ from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.discrepancy import Expected
 from ehls_ros.diagnosis.evidence import Evidence, gather
+from ehls_ros.diagnosis.healthy_variation import HealthyVariation, describe, learn_healthy_variation
 from ehls_ros.diagnosis.loss import loss
-from ehls_ros.diagnosis.natural import Natural, describe, learn_natural
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy
@@ -71,13 +71,13 @@ def diagnose_against(
     fitted = _fitted(first, rig)
     progress("learning the baselines", 0.3 * LEARNING)
     healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in zip(baselines, called, strict=True)]
-    natural = learn_natural(healthy)
+    variation = learn_healthy_variation(healthy)
     judged = list[tuple[Evidence, dict[Channel, Expected]]]()
 
     def judge(evidence: Evidence) -> Evidence:
-        expected = natural.expected(describe(evidence))
+        expected = variation.expected(describe(evidence))
         judged.append((evidence, expected))
-        return natural.judged_by(evidence, expected)
+        return variation.judged_by(evidence, expected)
 
     found = diagnose(
         new,
@@ -90,15 +90,15 @@ def diagnose_against(
     )
     evidence, expected = judged[0] if judged else (None, {})
     coverage = () if evidence is None else covered(ranges([b.evidence for b in healthy]), evidence)
-    not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in natural.channels)
+    not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in variation.channels)
     summary = BaselineSummary(
         recordings=called,
-        coefficients=_coefficients(rig, fitted, natural),
-        channels=_channels(natural, expected),
+        coefficients=_coefficients(rig, fitted, variation),
+        channels=_channels(variation, expected),
         coverage=coverage,
         not_compared=not_compared,
-        old=_traces(healthy[0].evidence, natural.expected(healthy[0]), natural),
-        new={} if evidence is None else _traces(evidence, expected, natural),
+        old=_traces(healthy[0].evidence, variation.expected(healthy[0]), variation),
+        new={} if evidence is None else _traces(evidence, expected, variation),
     )
     said = (*found.remarks, *remarks(coverage))
     return replace(found, baseline=summary, remarks=said, wall_s=time.perf_counter() - began)
@@ -133,10 +133,10 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     return better.rig._replace(effects=rig.effects)
 
 
-def _coefficients(given: Rig, fitted: Rig, natural: Natural) -> dict[str, Fitted]:
+def _coefficients(given: Rig, fitted: Rig, variation: HealthyVariation) -> dict[str, Fitted]:
     """Return the coefficients determined by the baselines, each from all channels combined."""
     precision, spread = dict[str, float](), dict[str, float]()
-    for own in natural.channels.values():
+    for own in variation.channels.values():
         learnt = own.learnt
         for name, told, deviation, varies in zip(
             own.terms.spreads, learnt.told, learnt.deviations, learnt.spread, strict=False
@@ -152,9 +152,9 @@ def _coefficients(given: Rig, fitted: Rig, natural: Natural) -> dict[str, Fitted
     return out
 
 
-def _channels(natural: Natural, expected: Mapping[Channel, Expected]) -> dict[Channel, Healthy]:
+def _channels(variation: HealthyVariation, expected: Mapping[Channel, Expected]) -> dict[Channel, Healthy]:
     out = {}
-    for c, own in natural.channels.items():
+    for c, own in variation.channels.items():
         allowed = None
         if c in expected:
             variance = np.sum(expected[c].directions ** 2, axis=1) + expected[c].variance
@@ -166,11 +166,13 @@ def _channels(natural: Natural, expected: Mapping[Channel, Expected]) -> dict[Ch
     return out
 
 
-def _traces(evidence: Evidence, expected: Mapping[Channel, Expected], natural: Natural) -> dict[Channel, ChannelTrace]:
+def _traces(
+    evidence: Evidence, expected: Mapping[Channel, Expected], variation: HealthyVariation
+) -> dict[Channel, ChannelTrace]:
     """Return the residuals of the fitted model, before and after subtraction of their expectation."""
     signals = signals_along(evidence.comparison(), evidence.rig)
     out = {}
     for c, healthy in expected.items():
         before = evidence.base.values[c] * evidence.floor[c]
-        out[c] = trace(evidence, c, before - healthy.mean * natural.channels[c].terms.size, signals)
+        out[c] = trace(evidence, c, before - healthy.mean * variation.channels[c].terms.size, signals)
     return out

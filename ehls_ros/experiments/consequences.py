@@ -20,11 +20,11 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse, Rig, unknown_keys
 from ehls_ros.trajectory import Trajectory
 
-SURE = 0.9
+EXCLUSIVE_PROBABILITY = 0.9
 """Probability of a cause above which its rivals are ruled out."""
 
 CLOSE = 10.0
-"""Deficit below which a rival remains open, for a cause less probable than :data:`SURE` [nats]."""
+"""Deficit below which a rival remains open, for a cause less probable than :data:`EXCLUSIVE_PROBABILITY` [nats]."""
 
 MOST_RIVALS = 2
 """Largest number of rivals that the next experiment has to separate from a cause."""
@@ -143,7 +143,7 @@ def _tried(what: str, remarks: list[str], make: Callable[[], Made]) -> Made | No
 
 def open_rivals(cause: Cause) -> tuple[Rival, ...]:
     """Return the rivals of a cause that the data do not rule out, closest first."""
-    close = CLOSE if cause.probability < SURE else 0.0
+    close = CLOSE if cause.probability < EXCLUSIVE_PROBABILITY else 0.0
     rivals = [rival for rival in cause.rivals if rival.name in cause.equivalent_to or rival.behind < close]
     return tuple(rivals[:MOST_RIVALS])
 

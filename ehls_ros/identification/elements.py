@@ -41,7 +41,7 @@ Far more than chance requires: motion at a reversal that the sensor does not res
 RATES = np.geomspace(30.0, 3e4, 7)
 """Attraction rates C tried as starts [N/s]."""
 
-SETTLED = 6.0
+STEADY_LAGS = 6.0
 """Lags s/C of the slipping elements after which sliding counts as steady."""
 
 FORGET = 3e-3
@@ -189,7 +189,7 @@ def fit_elements(
         check_unit("presliding stiffness", float(np.sum(ramps[1])), float(np.sum(rig.friction.element_stiffness)), names)
         start, criteria = _number_of_elements(near, start, ramps, elements, ["coulomb_force"] if steady is None else [])
         slip = 3.0 * float(np.max(ramps_of(start)[0]))
-        settle = SETTLED * start.static_force / start.attraction_rate
+        settle = STEADY_LAGS * start.static_force / start.attraction_rate
     settle = max(settle, steady.settle_time if steady is not None else 0.0)
     counted = tuple(
         u if i in small else u & slides(m, slip, settle)

@@ -20,7 +20,7 @@ from ehls_ros.samples import GAUSS
 LONGEST_MOVE = 1.0
 """Largest change of a logarithmic coordinate in one step."""
 
-SETTLED, SETTLED_FRACTION = 0.01, 1e-6
+CONVERGED, CONVERGED_FRACTION = 0.01, 1e-6
 """Decrease of the loss below which a fit has converged [nats], and the same as a fraction of the loss."""
 
 STEADY_SCALE = 0.02
@@ -196,7 +196,7 @@ def fit(
             longest = float(np.max(np.abs(step[logarithm]), initial=0.0))
             step *= min(1.0, LONGEST_MOVE / longest) if longest > 0.0 else 1.0
             trial = np.clip(z + step, low, high)
-            if before - linear_loss(with_guess, directions, trial - z) < SETTLED + SETTLED_FRACTION * before:
+            if before - linear_loss(with_guess, directions, trial - z) < CONVERGED + CONVERGED_FRACTION * before:
                 break
             new = stack.residuals(model(trial), residuals)
             joined = stack.joined(new)
@@ -213,6 +213,6 @@ def fit(
         now = stack.scales(whole, freedoms)[rows]
         steady = bool(np.all(np.abs(now / scales - 1.0) < STEADY_SCALE))
         scales = now
-        settled = steady and before - after < SETTLED + SETTLED_FRACTION * before
+        settled = steady and before - after < CONVERGED + CONVERGED_FRACTION * before
     e = whole[rows] / scales
     return RigFit(tuple(chosen), z, model(z), rows, e, jacobian, scales, float(np.sum(loss(e))), settled)

@@ -71,7 +71,7 @@ STRIBECK_FACTORS = (1.0, 0.4, 2.5)
 NEEDED_GAIN = 60.0
 """Least decrease of the loss for which a dead zone or a delay is accepted [nats]."""
 
-SURE = 4.0
+MIN_SIGMAS = 4.0
 """Standard errors by which an optional coefficient must differ from its neutral value to be included."""
 
 LARGE = 0.98
@@ -225,5 +225,5 @@ def _best(stack: Stack, starts: Sequence[Rig], chosen: Sequence[Coefficient], ch
 def _better(stack: Stack, plain: RigFit, other: RigFit, more: Sequence[str]) -> Rig:
     """Return the rig with additional coefficients if they gain enough and one is significant, else the plain rig."""
     found = estimated(stack, other).by_path
-    sure = any(found[path].value > SURE * found[path].std for path in more)
+    sure = any(found[path].value > MIN_SIGMAS * found[path].std for path in more)
     return other.rig if sure and plain.comparable - other.comparable > NEEDED_GAIN else plain.rig

@@ -30,7 +30,7 @@ from ehls_ros.identification.rig_coefficients import (
 )
 from ehls_ros.identification.rig_fit import Stack, fit
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
-from ehls_ros.identification.rig_stages import BANDWIDTH, SURE, sizes, stage_by_stage, without_signals
+from ehls_ros.identification.rig_stages import BANDWIDTH, MIN_SIGMAS, sizes, stage_by_stage, without_signals
 from ehls_ros.identification.rig_told import estimated, untold
 from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.trajectory import Trajectory
@@ -261,7 +261,7 @@ def _is_none(c: Coefficient, found: Estimate, given: Rig, least: Mapping[str, fl
     """Return whether an optional coefficient is insignificant and absent from the given rig."""
     if c.neutral is None or read(given, c.path) != c.neutral:
         return False
-    return abs(found.value - c.neutral) < max(SURE * found.std, least.get(c.path, 0.0))
+    return abs(found.value - c.neutral) < max(MIN_SIGMAS * found.std, least.get(c.path, 0.0))
 
 
 def _given_again(rig: Rig, given: Rig, paths: Sequence[str]) -> Rig:

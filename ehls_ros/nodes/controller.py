@@ -210,11 +210,11 @@ class ControllerNode(ControlNode):
         self.driver = Inbox(self, Driver, DRIVER.name, owned="loader_state")
         self.others = Inbox(self, ValveCommand, "valve_command", owned="")
         self.drivers: deque[tuple[int, str]] = deque(maxlen=HEARD)
-        self.told: deque[tuple[int, float, str]] = deque(maxlen=HEARD)
+        self.other_commands: deque[tuple[int, float, str]] = deque(maxlen=HEARD)
         self.heard: set[str] = set()
         self.relays: set[str] = set()
         self.named = 0.0
-        self.replied = math.nan
+        self.first_reply_time = math.nan
         self.sent = True
         self.replied_at = 0.0
         self.friction = Inbox(self, FrictionEstimate, "friction_estimate")
@@ -313,11 +313,11 @@ class ControllerNode(ControlNode):
             if not self.drivers or self.drivers[-1] != (first, sender):
                 self.drivers.append((first, sender))
                 # The time of the first answer from then on is not yet known.
-                self.named, self.replied = time.perf_counter(), math.nan
+                self.named, self.first_reply_time = time.perf_counter(), math.nan
         if not self.drivers:
             return self.driver.publishers() == 0
         newest = self.drivers[-1][1]
-        if newest == "" and self.lockstep and time.perf_counter() - self.replied < LOCKSTEP_PATIENCE:
+        if newest == "" and self.lockstep and time.perf_counter() - self.first_reply_time < LOCKSTEP_PATIENCE:
             # Before the plant opens the next cycle, it announces whose answer came first.
             return False
         if newest in {"", self.sender}:
@@ -331,7 +331,7 @@ class ControllerNode(ControlNode):
     def _listen(self) -> None:
         """Read other controllers' commands; a sender that is heard is no relay."""
         while (message := self.others.take()) is not None:
-            self.told.append(message[1:4])
+            self.other_commands.append(message[1:4])
             self.heard.add(message[3])
             self.relays.discard(message[3])
 
@@ -359,7 +359,7 @@ class ControllerNode(ControlNode):
         asked = time.perf_counter()
         while True:
             self._listen()
-            told = [(cycle, spool) for cycle, spool, sender in self.told if sender == driver]
+            told = [(cycle, spool) for cycle, spool, sender in self.other_commands if sender == driver]
             # In lockstep the plant receives the command of the last cycle before it opens the next.
             heard = any(cycle >= last for cycle, _ in told) or time.perf_counter() - asked > LOCKSTEP_PATIENCE
             if heard or not self.lockstep:
@@ -372,7 +372,7 @@ class ControllerNode(ControlNode):
             # The law must not adapt to cycles that the valve did not follow, or that belong to an earlier run.
             self.controller.reset()
         if ready.anew:
-            self.told.clear()
+            self.other_commands.clear()
         if self.new_tuning is not None:
             self.controller.retune(self.new_tuning)
             self.bounds = bounds_of(self.kind, self.new_tuning)
@@ -402,8 +402,8 @@ class ControllerNode(ControlNode):
         """Send the command of the last answered cycle, to the valve or, on standby, to the shadow topic only."""
         stamp_ns, cycle = self.answered[:2]
         self.sent = not shadow
-        if math.isnan(self.replied):
-            self.replied = time.perf_counter()
+        if math.isnan(self.first_reply_time):
+            self.first_reply_time = time.perf_counter()
         if not (shadow and self._unmeasured()):
             # A controller that lacks a reading must not be given the valve.
             (self.shadow if shadow else self.commands).send(stamp_ns, cycle, self.command)

@@ -20,7 +20,7 @@ from ehls_ros.errors import BadInput, WorkFailed
 FOUND = 5.0
 """Longest wait for the discovery of a node [s]."""
 
-SETTLED = 1.5
+DISCOVERY_TIME = 1.5
 """Time without a new node after which discovery counts as complete [s]."""
 
 ANSWERED = 30.0
@@ -86,7 +86,7 @@ class Requests:
         """Return the full names of all nodes, once discovery yields no new ones."""
         found: list[str] = []
         since = time.monotonic()
-        while time.monotonic() - since < SETTLED:
+        while time.monotonic() - since < DISCOVERY_TIME:
             time.sleep(LOOK)
             if (names := self._present()) != found:
                 found, since = names, time.monotonic()

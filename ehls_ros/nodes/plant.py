@@ -222,7 +222,7 @@ class PlantNode(ControlNode):
         self.state.send(stamp_ns, cycle, *signals)
         if self.clock is not None and cycle % self.clock_cycles == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
-        self.untold = (cycle * self.period, stamp_ns, signals)
+        self.pending_telemetry = (cycle * self.period, stamp_ns, signals)
 
     def ask_again(self, cycle: int) -> None:
         """Repeat the present snapshot if its answer is overdue and either may have been sent too early.
@@ -234,12 +234,12 @@ class PlantNode(ControlNode):
             self.asked = time.perf_counter()
             self._change_driver(cycle + (self.answered >= cycle))
             if self.commands.volatile or self.state.has_volatile_reader():
-                _, stamp_ns, signals = self.untold
+                _, stamp_ns, signals = self.pending_telemetry
                 self.state.send(stamp_ns, cycle, *signals)
 
     def tell_telemetry(self) -> None:
         """Publish telemetry of the cycle if due; called after the answer, so that the answer is not delayed."""
-        self.telemetry.tell(*self.untold)
+        self.telemetry.tell(*self.pending_telemetry)
 
     def tell_driving(self, driving: bool) -> None:
         """Publish a change in whether commands reach the valve, since controllers in an open loop would wind up."""

@@ -191,7 +191,7 @@ class PlantSimNode(PlantNode):
     def _snapshot(self) -> None:
         self.publish(self.cycle, self.simulator.measure(next(self.noise)).tolist())
         if self.motion is not None:
-            _, stamp_ns, _ = self.untold
+            _, stamp_ns, _ = self.pending_telemetry
             self.motion.send(stamp_ns, self.cycle, 0.0, 0.0, *self.simulator.servo[[X, V]].tolist())
 
     def figures(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ AT_NOISE = 1.5
 IN_A_SENTENCE = 2
 """Maximum number of causes, or of signals, listed in the sentence of the verdict."""
 
-SURE = 0.95
+CERTAIN_PROBABILITY = 0.95
 """Probability above which a cause is named without a "probably"."""
 
 LIKELY = 0.5
@@ -140,7 +140,7 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
 
 
 def _probably(causes: Sequence[Cause]) -> str:
-    return "" if min(cause.probability for cause in causes) >= SURE else "probably "
+    return "" if min(cause.probability for cause in causes) >= CERTAIN_PROBABILITY else "probably "
 
 
 def _wrong(found: Diagnosis) -> str:

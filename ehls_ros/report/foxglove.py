@@ -25,7 +25,7 @@ from ehls_ros.trajectory import Trajectory
 TICK = 0.02
 """Interval over which due messages are collected before they are sent [s]."""
 
-SETTLED = 0.2
+SUBSCRIPTION_TIME = 0.2
 """Time without a new subscription after which a viewer's subscriptions count as complete [s]."""
 
 BACKLOG = 100_000
@@ -142,7 +142,7 @@ class Viewers(ServerListener):
     def present(self) -> bool:
         """Return whether a viewer is connected and its subscriptions are complete."""
         with self._changed:
-            return bool(self._asked) and time.monotonic() - self._since > SETTLED
+            return bool(self._asked) and time.monotonic() - self._since > SUBSCRIPTION_TIME
 
     def wait(self, *, present: bool, stopping: Stopping) -> None:
         """Wait until a viewer is present, or none is, or until a stop is requested."""

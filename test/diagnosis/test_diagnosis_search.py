@@ -163,7 +163,7 @@ def test_a_gain_from_averaging_noise_is_not_accepted():
 
 def test_an_unsure_parameter_is_not_accepted():
     evidence, more, less = with_and_without(np.random.default_rng(3), 3.0)
-    for sigmas, taken in ((rules.SURE + 0.1, True), (rules.SURE - 0.1, False)):
+    for sigmas, taken in ((rules.MIN_SIGMAS + 0.1, True), (rules.MIN_SIGMAS - 0.1, False)):
         covariance = np.array([[(more.fit.values[0] / sigmas) ** 2]])
         vague = more._replace(held_out=more.held_out._replace(covariance=covariance))
         assert accepted(evidence, vague, less, FORCE) is taken
@@ -201,7 +201,7 @@ def test_a_fitted_change_earns_all_it_could_and_reshuffled_noise_little():
     assert earned(evidence, linear_fit(evidence, (VISCOUS,), column), nothing(evidence)) == pytest.approx(1.0)
     noisy = evidence_of({"force": 5.0 * noise})
     moved = assessed((MASS,), {"force": 5.0 * np.roll(noise, 1)}, [1.0])
-    assert abs(earned(noisy, moved, nothing(noisy))) < rules.EARNED
+    assert abs(earned(noisy, moved, nothing(noisy))) < rules.MIN_GAIN_RATIO
     assert earned(noisy, nothing(noisy), nothing(noisy)) == 0.0
 
 

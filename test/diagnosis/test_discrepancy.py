@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.coefficients import Term
 from ehls_ros.diagnosis.discrepancy import Windows, learn
 from ehls_ros.diagnosis.evidence import allowing
-from ehls_ros.diagnosis.natural import Described, Terms
+from ehls_ros.diagnosis.healthy_variation import Described, Terms
 
 NOISE, SPREAD, FITTED = 0.01, np.array([1e-3]), np.array([True])
 

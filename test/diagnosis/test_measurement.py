@@ -11,7 +11,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance, together
 from ehls_ros.diagnosis.evidence import allowing
 from ehls_ros.diagnosis.partial import remainder_as_noise
-from ehls_ros.diagnosis.remainder import in_full
+from ehls_ros.diagnosis.remainder import with_allowances
 from ehls_ros.diagnosis.search import Place, Searched
 
 WINDOWS = 600
@@ -67,7 +67,9 @@ def test_what_is_wrong_without_a_named_cause_counts_in_full():
     # The cause accounts for 280, and a skew for the rest.
     left = judged.allowed["force"].whitened(noise + 40.0 * UNIT)
     best = assessed((MASS,), {"force": left}, [1.0])
-    seen, told = in_full(judged, Searched(best, (Place(assessed((), {"force": judged.base.values["force"]}), ()),), (), {}))
+    seen, told = with_allowances(
+        judged, Searched(best, (Place(assessed((), {"force": judged.base.values["force"]}), ()),), (), {})
+    )
     assert seen.base.values["force"] @ UNIT == pytest.approx(281.0, abs=0.1)
     np.testing.assert_array_equal(told.places[0].without.held_out.residuals.values["force"], seen.base.values["force"])
     np.testing.assert_array_equal(told.best.held_out.residuals.values["force"], left)

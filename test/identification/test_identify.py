@@ -146,7 +146,7 @@ def test_elements_of_a_model_without_them_are_refused(recordings, rig):
 
 
 def test_strokes_that_end_before_friction_settles_do_not_count(recordings, guess, monkeypatch):
-    monkeypatch.setattr("ehls_ros.identification.elements.SETTLED", 60.0)
+    monkeypatch.setattr("ehls_ros.identification.elements.STEADY_LAGS", 60.0)
     out = identify(recordings, guess)
     assert "Nothing slides steadily for long enough: of the Stribeck curve only its level is fitted." in out.remarks
     assert {"stribeck_velocity", "stribeck_exponent"} <= set(out.not_identifiable)

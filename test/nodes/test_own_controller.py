@@ -16,7 +16,7 @@ from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import load_spec
 
-SETTLED = 500
+STEADY_CYCLE = 500
 """Cycle from which on the error counts."""
 
 HEARD = 500
@@ -51,7 +51,7 @@ def largest_error(graph, participant):
         graph.start(name, spec=path, timing="lockstep")
 
     def settled():
-        return {state.cycle: state.force for state in states if state.cycle >= SETTLED}
+        return {state.cycle: state.force for state in states if state.cycle >= STEADY_CYCLE}
 
     participant.until(lambda: len(states) > HEARD and len(settled()) >= HEARD)
     return max(abs(force - wanted.row(cycle)[0]) for cycle, force in settled().items())

@@ -13,7 +13,7 @@ from ehls_ros.physics.simulator import Simulator
 
 # Only friction holds the piston: in steady motion the force Ac pL is the friction.
 FREE = {"gravity": 0.0, "leakage_coefficient": 0.0, "viscous_damping": 0.0, "spring_stiffness": 0.0}
-SETTLED = 12000
+STEADY_CYCLES = 12000
 """Cycles after which the elements, at C/s(v) = 1.9 to 7.9 1/s, have forgotten their initial state."""
 
 
@@ -28,7 +28,7 @@ def make_free_rig(make_rig: Callable[..., Rig]) -> Callable[..., Rig]:
     return make
 
 
-def steady(simulator: Simulator, spool: float, cycles: int = SETTLED) -> tuple[float, float]:
+def steady(simulator: Simulator, spool: float, cycles: int = STEADY_CYCLES) -> tuple[float, float]:
     """Return velocity [m/s] and force Ac pL [N] after some cycles at a spool displacement."""
     for _ in range(cycles):
         simulator.advance(spool, 0.0, 0.0, 0.0, 0.0)

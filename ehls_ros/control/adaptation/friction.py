@@ -47,7 +47,7 @@ BEFORE = 2000
 LEAST_LEVEL, MOST_LEVEL = 0.4, 2.5
 """Bounds of the trial level, relative to the rig file's."""
 
-STEPS, SETTLED = 5, 2e-4
+STEPS, CONVERGED = 5, 2e-4
 """Most levels tried for a reversal, and the change below which the iteration stops."""
 
 MOST_HALF = 10
@@ -240,7 +240,7 @@ class Reversals:
         level = float(np.average(values[:, LEVEL], weights=weights[:, 0]))
         self._tried += 1
         change, self._level = abs(level - self._level), min(max(level, LEAST_LEVEL), MOST_LEVEL)
-        if change < SETTLED or self._tried == STEPS:
+        if change < CONVERGED or self._tried == STEPS:
             self._taken, self._tried = reversed_at, 0
             self._add(values, variance, weights, 2.0 * half * self._model.period)
 

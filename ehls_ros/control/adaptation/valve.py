@@ -17,7 +17,7 @@ import numpy as np
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.adaptation.least_squares import Fit, gather, solve, whole
 
-SETTLED = 10.0
+INITIAL_TIME_CONSTANTS = 10.0
 """Time constants of the valve after which its initial state is forgotten."""
 
 EXTRA = 2
@@ -56,7 +56,7 @@ class Bank(NamedTuple):
     @property
     def settled(self) -> int:
         """Cycles until the initial state is forgotten."""
-        return math.ceil(SETTLED / self.bandwidth / self.period) + self.first + self.delays
+        return math.ceil(INITIAL_TIME_CONSTANTS / self.bandwidth / self.period) + self.first + self.delays
 
 
 class Found(NamedTuple):

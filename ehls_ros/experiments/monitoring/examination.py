@@ -17,7 +17,7 @@ from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.process import end_with, give_way
 from ehls_ros.trajectory import Trajectory
 
-SURE = 0.9
+SUFFICIENT_PROBABILITY = 0.9
 """Probability of the first cause, including equivalent ones, above which few data are sufficient."""
 
 
@@ -71,7 +71,7 @@ class Finding(NamedTuple):
     @property
     def sure(self) -> bool:
         """Whether the first cause, or an equivalent one, is practically certain."""
-        return self.names and self.causes[0].probability * (1 + len(self.causes[0].equivalent_to)) >= SURE
+        return self.names and self.causes[0].probability * (1 + len(self.causes[0].equivalent_to)) >= SUFFICIENT_PROBABILITY
 
     @property
     def names(self) -> bool:

@@ -53,7 +53,7 @@ AGAIN = 60.0
 DRIFTING = 0.75
 """Minimum exponent of the growth of a drift's sums with the time since its onset; those of a steady change grow as its root."""
 
-SETTLED = 60.0
+CONFIRMATION_TIME = 60.0
 """Time after detection at which a change that no diagnosis confirms is taken for a new operating point [s]."""
 
 LEARNT_ON = 24
@@ -398,7 +398,7 @@ class Monitor:
             self._clear(self.changes, now, events)
             self.model = self.well
             self._restart()
-        elif now - self._noticed >= SETTLED and not self._drifts(change):
+        elif now - self._noticed >= CONFIRMATION_TIME and not self._drifts(change):
             events.append(
                 Event(now, "unconfirmed", "no diagnosis confirms the change: taken for an operating point of its own")
             )

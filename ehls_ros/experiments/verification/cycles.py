@@ -29,7 +29,7 @@ OTHER_LENGTH = 0.2
 UNLIKE = 0.01
 """Difference of a cycle's reference from the usual one beyond which it is another cycle, as a fraction of its amplitude."""
 
-SETTLED = 3.0
+STEADY_DEVIATIONS = 3.0
 """Deviation from the median cycle of the later half up to which a cycle is settled, in median deviations of that half."""
 
 SMALL = 1e-4
@@ -288,5 +288,5 @@ def _transient(cycles: Cycles, rows: NDArray[np.intp]) -> int:
     late = _median(error[half:])
     off = np.hypot(np.abs(error - late), mean - np.median(mean[half:]))
     size = abs(_median(cycles.reference[rows, 0]))
-    inside = off <= max(SETTLED * float(np.median(off[half:])), SMALL * size)
+    inside = off <= max(STEADY_DEVIATIONS * float(np.median(off[half:])), SMALL * size)
     return int(np.argmax(inside)) if inside[:half].any() else half

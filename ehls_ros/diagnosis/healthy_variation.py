@@ -150,7 +150,7 @@ class OfChannel(NamedTuple):
         return found._replace(variance=np.where(away > rules.FARTHEST_UNSEEN, np.inf, found.variance))
 
 
-class Natural(NamedTuple):
+class HealthyVariation(NamedTuple):
     """Remainder of a healthy rig in all channels.
 
     Attributes:
@@ -190,7 +190,7 @@ class Natural(NamedTuple):
         return replace(allowing(evidence, allowances, self.judged), baselines=self.healthy)
 
 
-def learn_natural(baselines: Sequence[Described]) -> Natural:
+def learn_healthy_variation(baselines: Sequence[Described]) -> HealthyVariation:
     """Learn the remainder of a healthy rig from recordings compared with the same model."""
     out = dict[Channel, OfChannel]()
     for c in dict.fromkeys(c for b in baselines for c in b.evidence.channels):
@@ -208,7 +208,7 @@ def learn_natural(baselines: Sequence[Described]) -> Natural:
             temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in told else None,
         )
         out[c] = OfChannel(made_of, made_of.learnt_on([made_of.windows(b, c) for b in having]))
-    natural = Natural(out)
+    natural = HealthyVariation(out)
     return natural._replace(healthy=tuple(natural.judged_by(b.evidence, natural.expected(b)) for b in baselines))
 
 
