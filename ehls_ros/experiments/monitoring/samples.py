@@ -13,11 +13,7 @@ CHUNK = 4096
 
 
 class Samples:
-    """Buffer of the samples of a limited time, oldest first.
-
-    Attributes:
-        gaps: times of the first samples after a gap, oldest first [s].
-    """
+    """Buffer of the samples of a limited time, oldest first."""
 
     def __init__(self, seconds: float) -> None:
         """Start empty.
@@ -29,7 +25,6 @@ class Samples:
         self._rows = np.empty((CHUNK, 1 + len(USED)))
         self._used = 0
         self._there: tuple[str, ...] = ()
-        self.gaps = list[float]()
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -55,10 +50,6 @@ class Samples:
             rows[:, column] = signals.get(name, np.nan)
         self._used += len(time_s)
 
-    def begin_anew(self, time: float) -> None:
-        """Register a gap before the samples from a time on [s]."""
-        self.gaps.append(time)
-
     def between(self, begin: float, end: float) -> Trajectory:
         """Return the samples of an interval, as a recording that begins at 0.
 
@@ -78,7 +69,6 @@ class Samples:
             oldest = int(np.searchsorted(self.times, self.times[-1] - self._seconds))
             self._rows[: self._used - oldest] = self._rows[oldest : self._used].copy()
             self._used -= oldest
-            self.gaps = [gap for gap in self.gaps if not self._used or gap >= self._rows[0, 0]]
         if self._used + count > len(self._rows):
             grown = np.empty((self._used + count + CHUNK, self._rows.shape[1]))
             grown[: self._used] = self._rows[: self._used]
