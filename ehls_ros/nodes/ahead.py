@@ -136,13 +136,13 @@ class AheadNode(ControlNode):
         """Return whether to publish the rows ahead again, since the cycles have stalled for :data:`PATIENCE` in lockstep.
 
         A reader may lack a row because another sender flooded its queue, or because it asks for no stored messages. In the
-        first case the interval doubles from one repeat to the next.
+        first case the interval doubles from one repeat to the next, and begins with the plant's first snapshot.
         """
         if not self.lockstep or time.perf_counter() - self.moved <= PATIENCE:
             return False
         self.moved = time.perf_counter()
         self.stalls += 1
-        return self.stalls.bit_count() == 1 or self.outbox.has_volatile_reader()
+        return (self.last >= 0 and self.stalls.bit_count() == 1) or self.outbox.has_volatile_reader()
 
     def _publish_to(self, cycle: int) -> None:
         while self.next <= cycle:
