@@ -583,10 +583,12 @@ def _changes_told(trace: Trace) -> Margins:
     reports = [r for r in trace.reports if r.node == trace.setup.plant and "state" in r.values]
     found = []
     times = np.array([report.time for report in reports])
-    # A node that has just started is busy otherwise.
-    first = times[STARTED] if times.size > STARTED else np.inf
+    starts = [-np.inf, *(happening.time for happening in trace.happenings_of("started", trace.setup.hosts))]
     for number, (when, driving) in enumerate(told):
-        if number == 0 or when < first or bool(driving) == bool(told[number - 1][1]):
+        # A node that has just started is busy otherwise, and its reports may not be heard yet.
+        since = times[times > max(start for start in starts if start <= when)]
+        just_started = since.size <= STARTED or when < since[STARTED]
+        if number == 0 or just_started or bool(driving) == bool(told[number - 1][1]):
             continue
         following = told[number + 1][0] if number + 1 < len(told) else np.inf
         asleep = any(since < following and woken > when for since, woken in trace.frozen(trace.setup.hosts))
