@@ -223,7 +223,8 @@ def _standing_by(trace: Trace) -> Margins:
 def _switches(trace: Trace) -> Margins:
     """Return 1 for each switch of an open gate in lockstep that left it open, and -1 for one that closed it.
 
-    A gate that closes for lack of a reference, without which no controller answers, was not closed by the switch.
+    A gate that closes for lack of a reference, without which no controller answers, was not closed by the switch; nor was one
+    whose newest snapshot nobody had answered yet.
     """
     told = trace.driving
     closing = [
@@ -235,9 +236,13 @@ def _switches(trace: Trace) -> Margins:
     references = _references(trace)
     starved = [state[0] for state in trace.of_plant() if references and state[2] not in references]
     found = []
+    states, commands = trace.of_plant(), trace.heard("valve_command")
     for call in trace.called("switch_controller"):
         before = [message[1] for message in told if message[0] <= call.sent]
         if not trace.setup.lockstep or not before or not before[-1] or "takes over" not in call.message:
+            continue
+        newest = [state for state in states if state[0] <= call.sent][-1:]
+        if newest and not any(message[2] == newest[0][2] and newest[0][0] <= message[0] <= call.sent for message in commands):
             continue
         until = min([when for when in (*others, *starved) if when > call.sent] + [call.answered + 1.0])
         closed = any(not message[1] for message in told if call.sent < message[0] < until)
