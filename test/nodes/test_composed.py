@@ -223,7 +223,7 @@ def test_every_transition_of_each_of_two_nodes_leaves_the_other_alone(graph, par
     together = f"{plant}+{partner}"
     process = start_together(graph, spec_file(duration=1e4), together, timing="lockstep")
     for node, other in ((partner, plant), (plant, partner)):
-        participant.until(lambda node=node: participant.state_of(node) == "active")
+        participant.until(lambda: {participant.state_of(name) for name in (partner, plant)} == {"active"})
         for transition in TRANSITIONS:
             assert participant.change(node, transition), (node, transition)
             assert participant.state_of(other) == "active"
