@@ -11,7 +11,7 @@ version, or where the environment variable :data:`PLAIN` is set, numba compiles 
 import contextlib
 import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from importlib import import_module
 from typing import Any
@@ -25,9 +25,9 @@ OLDEST, UNTESTED = (0, 59), (0, 69)
 """First version of numba with these internals, and first one not tested."""
 
 TESTED = f">={'.'.join(map(str, OLDEST))},<{'.'.join(map(str, UNTESTED))}"
-"""The same as `pyproject.toml` has it."""
+"""Both in the notation of `pyproject.toml`."""
 
-INTERNALS = (
+COMPILER = (
     ("numba.core.types", "Function.get_call_type", "self context args kws"),
     ("numba.core.types", "Function.get_impl_key", "self sig"),
     ("numba.core.codegen", "CPUCodeLibrary._optimize_final_module", "self"),
@@ -37,16 +37,20 @@ INTERNALS = (
     ("numba.core.cpu", "CPUContext.get_executable", "self library fndesc env"),
     ("numba.core.registry", "CPUDispatcher.__init__", "self py_func locals targetoptions pipeline_class"),
     ("numba.core.registry", "CPUDispatcher.add_overload", "self cres"),
-    ("numba.np.linalg", "ensure_blas", ""),
 )
-"""Module, name and parameters of each overridden or called part."""
+"""Module, name and parameters of each overridden or called part of the compiler."""
+
+SCIPY_CHECK = ("numba.np.linalg", "ensure_blas", "")
+"""The same of the check for scipy, whose module takes 30 ms to import and is loaded with the first kernel."""
+
+INTERNALS = (*COMPILER, SCIPY_CHECK)
 
 
-def objections() -> list[str]:
-    """Return the reasons not to rely on numba's internals: its version, and the names that are missing or changed."""
+def objections(parts: Sequence[tuple[str, str, str]] = INTERNALS) -> list[str]:
+    """Return the reasons not to rely on parts of numba: its version, and the names that are missing or changed."""
     version = tuple(int(part) for part in numba.__version__.split(".")[:2])
     found = [] if OLDEST <= version < UNTESTED else [f"version {numba.__version__} is not tested"]
-    for module, name, parameters in INTERNALS:
+    for module, name, parameters in parts:
         try:
             part: Any = import_module(module)
             for step in name.split("."):
@@ -64,7 +68,7 @@ def reason_for_plain_numba() -> str:
     return f"{PLAIN} is set" if os.environ.get(PLAIN) else "; ".join(_OBJECTIONS)
 
 
-_OBJECTIONS = objections()
+_OBJECTIONS = objections(COMPILER)
 _internals: Any = None if reason_for_plain_numba() else import_module("ehls_ros.numba_internals")
 
 IS_PLAIN = _internals is None
@@ -100,5 +104,5 @@ def swiftly() -> AbstractContextManager[None]:
 
 def take_scipy_for_granted() -> None:
     """Skip numba's check for scipy when it loads its functions; this package requires scipy anyway."""
-    if not IS_PLAIN:
+    if not IS_PLAIN and not objections([SCIPY_CHECK]):
         _internals.take_scipy_for_granted()
