@@ -396,12 +396,11 @@ def _candidates(trace: Trace) -> tuple[Array, Array]:
         until = drivers[number + 1][0] + grace if number + 1 < len(drivers) else np.inf
         turns.setdefault(message[4], []).append((message[0] - grace, until))
     states = trace.of_plant()
-    begun = np.array(trace.runs)
-    opened = {(int(np.searchsorted(begun, state[0], side="right")), state[2]): state[0] for state in reversed(states)}
+    opened = {(trace.run_of(state[0]), state[2]): state[0] for state in reversed(states)}
     answered: set[tuple[str, int, int]] = set()
     times, values = [], []
     for sent, _, cycle, spool, sender in trace.heard("valve_command"):
-        run = int(np.searchsorted(begun, sent, side="right"))
+        run = trace.run_of(sent)
         if (sender, run, cycle) in answered or not np.isfinite(spool):
             continue
         if sent >= opened.get((run, cycle), -np.inf):

@@ -174,19 +174,18 @@ def _handovers(trace: Trace) -> Margins:
     while on standby. A sender of commands without a status is no controller of this package, and gives no guarantees. A step of
     the reference, which another source begins, is no step of the hand-over.
     """
-    begun = np.array(trace.runs)
     commands: dict[tuple[str, int], dict[int, float]] = defaultdict(dict)
     standby: dict[tuple[str, int], dict[int, float]] = defaultdict(dict)
     for topic, found in (("valve_command", commands), ("standby_command", standby)):
         for sent, _, cycle, spool, sender in trace.heard(topic):
-            found[sender, int(np.searchsorted(begun, sent, side="right"))][cycle] = spool
+            found[sender, trace.run_of(sent)][cycle] = spool
     ours = {message[-1] for message in trace.heard("controller_status")}
     sources: dict[tuple[int, int], set[str]] = defaultdict(set)
     for sent, _, cycle, *_, sender in trace.heard("force_reference"):
-        sources[int(np.searchsorted(begun, sent, side="right")), cycle].add(sender)
+        sources[trace.run_of(sent), cycle].add(sender)
     margins = []
     for before, after in _changes_of_driver(trace):
-        run, first = int(np.searchsorted(begun, after[0], side="right")), after[1]
+        run, first = trace.run_of(after[0]), after[1]
         old, new, shadow = commands[before[3], run], commands[after[3], run], standby[after[3], run]
         if not (before[2] and after[2] and shadow and after[3] in ours) or first not in new or first - 1 not in old:
             continue

@@ -3,6 +3,7 @@
 import itertools
 import math
 import time
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -408,6 +409,10 @@ class Trace:
         """Times at which the plant's cycles restarted [s]."""
         states = self.of_plant()
         return [state[0] for before, state in itertools.pairwise(states) if state[2] < before[2]]
+
+    def run_of(self, moment: float) -> int:
+        """Return the number of the plant's run at a time [s], from 0."""
+        return bisect_right(self.runs, moment)
 
     def of_plant(self) -> list[tuple[Any, ...]]:
         """Return the snapshots of the plant whose gate is obeyed, and of no other sender."""
