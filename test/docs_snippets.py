@@ -5,7 +5,7 @@ An HTML comment before a block states its treatment, other than the rule that a 
 * ``file: NAME``    it is the content of a file that later blocks of the page use;
 * ``output: WHAT``  it is the output of the last command or Python block before it, with … for parts that vary from run to run;
 * ``ros: WHY``      commands are run by ``test_docs_how_to.py`` where ROS 2 is installed, and otherwise parsed;
-* ``slow: WHY``     commands are parsed, and run only with ``EHLS_DOCS=all``, as in `make docs`;
+* ``slow: WHY``     commands are parsed, and run only by `make test-long`;
 * ``parsed: WHY``   commands are parsed by the real parsers and never run;
 * ``not run: WHY``  nothing can be checked.
 
@@ -86,6 +86,11 @@ def members(page: str) -> dict[str, Block]:
     """Return the blocks of a page that are files of families' members, by the members' names."""
     files = [block for block in blocks(page) if block.mark == "file" and block.language == "python"]
     return {Path(block.note).stem: block for block in files if block.note.startswith("ehls_ros/")}
+
+
+def has_slow_blocks(page: str) -> bool:
+    """Return whether some blocks of a page run only in the long tier."""
+    return any(block.mark == "slow" for block in blocks(page))
 
 
 def entry_points(page: str) -> dict[str, dict[str, str]]:

@@ -1,6 +1,7 @@
-"""Runs the Python blocks and commands of a page in order, in the present folder: ``follow_page.py PAGE MODULE...``.
+"""Runs the Python blocks and commands of a page in order, in the present folder: ``follow_page.py [--slow] PAGE MODULE...``.
 
-Their output is compared with the page. The modules are those documented by the page: they must be loaded at the end.
+With ``--slow``, those marked as slow run too. Their output is compared with the page. The modules are those documented by the
+page: they must be loaded at the end.
 """
 
 import io
@@ -19,8 +20,6 @@ except ImportError:
     MARKS = {""}
 else:
     MARKS = {"", "ros"}
-if os.environ.get("EHLS_DOCS") == "all":
-    MARKS.add("slow")
 
 
 def follow(page: str) -> None:
@@ -57,7 +56,9 @@ def run(block: Block, command: Command) -> None:
 
 
 if __name__ == "__main__":
-    page, *modules = sys.argv[1:]
+    page, *modules = (argument for argument in sys.argv[1:] if argument != "--slow")
+    if "--slow" in sys.argv:
+        MARKS.add("slow")
     follow(page)
     if missing := set(modules) - sys.modules.keys():
         sys.exit(f"{page}: {', '.join(missing)} was never loaded")

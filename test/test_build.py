@@ -81,12 +81,14 @@ def in_workspace(workspace: Path, command: str) -> list[str]:
     return ["bash", "-c", f". {shlex.quote(str(workspace))}/install/setup.bash && export {underlay} && exec {command}"]
 
 
+@pytest.mark.long
 def test_colcon_puts_executables_where_ros2_run_looks(workspace: Path) -> None:
     scripts = {path.name for path in (workspace / "install/ehls_ros/lib/ehls_ros").iterdir() if os.access(path, os.X_OK)}
     assert scripts == {"ehls", *node_names()}
     assert scripts > {"plant_sim_node", "hardware_bridge_node", "recorder_node", "fasmc_node", "sic_node"}
 
 
+@pytest.mark.long
 def test_colcon_installs_what_ament_and_launch_look_for(workspace: Path) -> None:
     prefix = workspace / "install/ehls_ros/share"
     assert files_below(workspace / "src/ehls_ros/ehls_ros") == files_below(
@@ -98,6 +100,7 @@ def test_colcon_installs_what_ament_and_launch_look_for(workspace: Path) -> None
         assert files_below(workspace / "src/ehls_ros" / top) == files_below(prefix / "ehls_ros" / top)
 
 
+@pytest.mark.long
 def test_the_install_space_comes_before_the_environment(workspace: Path) -> None:
     where = "import ehls_msgs, ehls_ros; print(ehls_msgs.__file__, ehls_ros.__file__)"
     shown = subprocess.run(
@@ -134,6 +137,7 @@ def installed_fasmc_node(workspace: Path, tmp_path: Path) -> Iterator[subprocess
         print(log.read_text(encoding="utf-8"))
 
 
+@pytest.mark.long
 def test_a_node_of_the_install_space_comes_up_and_shuts_down(installed_fasmc_node: subprocess.Popen[str]) -> None:
     pytest.importorskip("rclpy", reason="rclpy is not installed")
     assert settled_lifecycle_state("/ehls/fasmc_node", installed_fasmc_node) in {"unconfigured", "inactive", "active"}

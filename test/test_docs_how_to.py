@@ -11,15 +11,26 @@ import sys
 from pathlib import Path
 
 import pytest
-from docs_snippets import ROOT, blocks, entry_points, members, pages
+from docs_snippets import ROOT, blocks, entry_points, has_slow_blocks, members, pages
 from third_party import families, install_page
 
 FAMILIES = families()
 PAGES = [page for page in pages() if members(page)]
+QUICK = [f"docs/how_to/{name}.md" for name in ("reference", "friction_model", "companion", "disturbance")]
+"""Pages whose part compiles in seconds."""
+
+FOLLOWED = [
+    *(pytest.param(page, (), id=Path(page).stem) for page in QUICK),
+    *(
+        pytest.param(page, ("--slow",), id=f"{Path(page).stem}, all of it", marks=pytest.mark.long)
+        for page in PAGES
+        if page not in QUICK or has_slow_blocks(page)
+    ),
+]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: Path(page).stem)
-def test_a_part_in_a_package_of_its_own_acts(page: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("page", "options"), FOLLOWED)
+def test_a_part_in_a_package_of_its_own_acts(page: str, options: tuple[str, ...], tmp_path: Path) -> None:
     site, folder = tmp_path / "site", tmp_path / "work"
     modules = install_page(site, page)
     folder.mkdir()
@@ -29,7 +40,7 @@ def test_a_part_in_a_package_of_its_own_acts(page: str, tmp_path: Path) -> None:
             (folder / block.note).write_text(block.text, encoding="utf-8")
     paths = [str(site), str(ROOT / "test"), str(ROOT)]
     done = subprocess.run(
-        [sys.executable, str(ROOT / "test" / "follow_page.py"), page, *modules],
+        [sys.executable, str(ROOT / "test" / "follow_page.py"), *options, page, *modules],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
         capture_output=True,

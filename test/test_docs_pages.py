@@ -1,7 +1,6 @@
 """The site just built by `make docs`, in a browser: no page is wider than a telephone or a laptop."""
 
 import importlib
-import os
 import shutil
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +15,7 @@ SITE = ROOT / "build" / "docs"
 WIDTHS = (390, 1366)
 TOO_WIDE = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
-pytestmark = pytest.mark.skipif(os.environ.get("EHLS_DOCS") != "all", reason="`make docs` builds the site and looks at it")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not SITE.is_dir(), reason="`make docs` builds the site")]
 
 
 @pytest.fixture(scope="module")

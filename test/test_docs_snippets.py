@@ -2,7 +2,6 @@
 
 import importlib
 import io
-import os
 import shutil
 import subprocess
 import sys
@@ -17,7 +16,7 @@ from typing import Any
 import docs_snippets
 import pytest
 import yaml
-from docs_snippets import ROOT, SHELL, Block, Command, ParametersOf, Unknown, blocks, commands, members, pages
+from docs_snippets import ROOT, SHELL, Block, Command, ParametersOf, Unknown, blocks, commands, has_slow_blocks, members, pages
 
 from ehls_ros.cli.main import main
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
@@ -32,7 +31,6 @@ from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.schema import declarations
 
-EVERYTHING = os.environ.get("EHLS_DOCS") == "all"
 LIBRARIES = {"docs/how_to/programme.md": "rainflow"}
 """Requirements of a page's snippets that an installation of ROS does not provide."""
 
@@ -72,6 +70,17 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.mark.parametrize("page", [page for page in pages() if blocks(page)])
 def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    follow(page, {""}, folder, parameters_of, monkeypatch)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", [page for page in pages() if not members(page) and has_slow_blocks(page)])
+def test_slow_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    follow(page, {"", "slow"}, folder, parameters_of, monkeypatch)
+
+
+def follow(page: str, marks: set[str], folder: Path, parameters_of: ParametersOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Process all blocks of a page, and run those with one of the marks."""
     if page in LIBRARIES:
         pytest.importorskip(LIBRARIES[page], reason=f"needs {LIBRARIES[page]}, which `make setup` installs")
     names: dict[str, Any] = {}
@@ -85,7 +94,7 @@ def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf
                 done = "run" if printed else "parsed"
             else:
                 with redirect_stdout(io.StringIO()) as out:
-                    done = handle(block, folder, parameters_of, made, names, monkeypatch)
+                    done = handle(block, marks, folder, parameters_of, made, names, monkeypatch)
                 printed = out.getvalue() if done == "run" else ""
         except Unknown as error:
             pytest.fail(f"{block}: {error}", pytrace=False)
@@ -95,7 +104,13 @@ def test_snippets_of_a_page(page: str, folder: Path, parameters_of: ParametersOf
 
 
 def handle(
-    block: Block, folder: Path, parameters_of: ParametersOf, made: list[str], names: dict[str, Any], patch: pytest.MonkeyPatch
+    block: Block,
+    marks: set[str],
+    folder: Path,
+    parameters_of: ParametersOf,
+    made: list[str],
+    names: dict[str, Any],
+    patch: pytest.MonkeyPatch,
 ) -> str:
     """Process a block according to its language and mark, and return the treatment in words."""
     if block.mark not in {"", "file"} and not block.note:
@@ -116,11 +131,11 @@ def handle(
             return "not run"
         case "python":
             code = compile(block.text, str(block), "exec")
-            if not runs(block):
+            if not runs(block, marks):
                 return "parsed"
             exec(code, names)
         case "sh" | "bash":
-            return shell(block, parameters_of, made)
+            return shell(block, marks, parameters_of, made)
         case "text":
             return "run"
         case language:
@@ -133,11 +148,9 @@ def is_member(block: Block) -> bool:
     return block in members(block.page).values()
 
 
-def runs(block: Block) -> bool:
+def runs(block: Block, marks: set[str]) -> bool:
     """Return whether a block is run here; test_docs_how_to.py runs those of a page that adds a member."""
-    if members(block.page):
-        return False
-    return block.mark == "" or (block.mark == "slow" and EVERYTHING)
+    return not members(block.page) and block.mark in marks
 
 
 def save(block: Block, folder: Path, patch: pytest.MonkeyPatch) -> None:
@@ -187,16 +200,16 @@ def load_yaml(block: Block, folder: Path) -> None:
         read_columns(path)
 
 
-def shell(block: Block, parameters_of: ParametersOf, made: list[str]) -> str:
+def shell(block: Block, marks: set[str], parameters_of: ParametersOf, made: list[str]) -> str:
     """Parse every command, and run those of `ehls` if the block is to be run."""
     for command in commands(block):
         options = docs_snippets.check(command, parameters_of, made)
         made.append(str(getattr(options, "out", "")))
-        if runs(block):
+        if runs(block, marks):
             if options is None:
                 raise Unknown(f"{command.shown} is not run by this test: mark the block with why it is only parsed")
             run(command)
-    return "run" if runs(block) else "parsed"
+    return "run" if runs(block, marks) else "parsed"
 
 
 def run(command: Command) -> None:

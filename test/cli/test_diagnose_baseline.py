@@ -41,6 +41,7 @@ def diagnose(recordings, new, out, capsys):
     return said, json.loads(said[-1])
 
 
+@pytest.mark.long
 def test_nothing_changed(recordings, tmp_path, capsys):
     said, result = diagnose(recordings, "same.csv", tmp_path, capsys)
     assert said[0].startswith("Nothing has changed since the baseline")

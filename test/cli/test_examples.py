@@ -26,6 +26,7 @@ def test_every_command_is_valid_and_its_files_are_there(page):
             assert (ROOT / path).is_file()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("page", "number", "verdict"), [("rotary", 0, "insufficient"), ("seals", 0, "unchanged")])
 def test_what_the_page_says_comes_out(page, number, verdict, tmp_path, monkeypatch, capsys):
     words = commands(page)[number]

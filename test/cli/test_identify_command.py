@@ -112,6 +112,7 @@ def rig_folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_the_whole_rig_is_identified_when_asked_for(rig_folder):
     result = json.loads((rig_folder / "identification.json").read_text())
     rig = load_rig(rig_folder / "rig_identified.yaml")

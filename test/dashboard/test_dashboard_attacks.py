@@ -87,6 +87,7 @@ def test_half_open_requests_take_a_few_places_and_end_after_seconds_while_others
     assert everywhere.memory() - before < GROWTH
 
 
+@pytest.mark.long
 @elsewhere
 def test_a_request_that_trickles_in_is_cut_too(everywhere):
     with socket.create_connection((own_address(), everywhere.port), timeout=PATIENCE) as one:
@@ -120,6 +121,7 @@ def test_from_another_machine_the_token_gives_a_working_page(everywhere, there):
         until(lambda: "enable" in everywhere.requests(), "the button does nothing")
 
 
+@pytest.mark.long
 def test_on_this_machine_sockets_without_a_page_last_for_seconds_and_an_open_page_stays(shown, here):
     got = page(here, shown.token)
     with open_socket(here, got.number) as opened, contextlib.ExitStack() as stack:

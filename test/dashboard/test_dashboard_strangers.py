@@ -147,6 +147,7 @@ def stranger(ros_domain_id):
     rclpy.shutdown(context=context)
 
 
+@pytest.mark.long
 def test_whatever_others_publish_the_dashboard_goes_on_and_stays_small(stranger, tmp_path):
     publisher = stranger.create_publisher(DiagnosticArray, "/diagnostics", 10)
     friction = stranger.create_publisher(FrictionEstimate, "/ehls/friction_estimate", 10)

@@ -53,6 +53,7 @@ def against(new, baselines, rig):
     return diagnose_against(new, baselines, rig, "new", threads=1)
 
 
+@pytest.mark.long
 def test_a_wrong_rig_file_is_no_change(run, healthy, wrong_rig, rig):
     found = against(run({}, "rich", 2), [healthy], wrong_rig)
     assert (found.verdict, found.causes) == ("consistent", ())
@@ -91,6 +92,7 @@ def test_an_imperfect_rig_agrees_with_its_own_past(run, healthy, rig):
     assert channel.left < 0.5 * channel.fitted
 
 
+@pytest.mark.long
 def test_operating_points_never_seen_are_said_and_raise_no_alarm(run, rig):
     slow = imperfect(run({}, "slow_sweep", 5), rig)
     found = against(imperfect(run({}, "random", 5), rig), [slow], rig)
@@ -144,6 +146,7 @@ def seal(rig, level, seed, pressure=3e5, drift=0.0):
     return Trajectory(t, signals, preparation=Preparation(measured=("disturbance_force_n",)))
 
 
+@pytest.mark.long
 def test_a_piston_pushed_slowly_does_not_show_its_mass(seal_rig, healthy, rig):
     def shown(recording, of):
         record = prepare(recording, of, "recording")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tiers import tiered
 
 from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.record import prepare
@@ -55,7 +56,7 @@ def compared(trajectory, rig):
     return Comparison(r, stages.setup(r, rig)), r
 
 
-@pytest.mark.parametrize("model", ["gms", "lugre"])
+@pytest.mark.parametrize("model", tiered(["gms", "lugre"], "gms"))
 def test_friction_along_a_motion_is_the_simulators(rig, model):
     mapping = rig_to_mapping(perfect(rig))
     ours = rig_from_mapping({**mapping, "friction": {**mapping["friction"], "model": model}}, "rig")

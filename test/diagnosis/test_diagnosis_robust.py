@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from test_hidden_effects import CONFIDENT, class_of, told
+from tiers import tiered
 
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import rig_from_mapping
@@ -36,7 +37,7 @@ SPOILT = {
 }
 
 
-@pytest.mark.parametrize("how", SPOILT)
+@pytest.mark.parametrize("how", tiered(SPOILT, "lost samples", "outliers"))
 def test_spoilt_data_still_tell_the_cause(how, hidden, diagnosed):
     d = diagnosed(SPOILT[how](hidden))
     assert_no_wrong_name(d, NAMES)
@@ -51,9 +52,9 @@ def test_gaps_in_the_data_of_a_right_model_are_no_error_of_it(recorded, diagnose
     assert d.verdict == "consistent", told(d)
 
 
-@pytest.mark.parametrize(("column", "late"), [("load_pressure_pa", 5e-3), ("position_m", 5e-3)])
-def test_a_signal_that_comes_late_is_a_sensors_delay(column, late, recorded, diagnosed):
-    r = degrade.shift(recorded({}, "rich", seed=203, duration=DURATION), column, late)
+@pytest.mark.parametrize("column", tiered(["load_pressure_pa", "position_m"], "load_pressure_pa"))
+def test_a_signal_that_comes_late_is_a_sensors_delay(column, recorded, diagnosed):
+    r = degrade.shift(recorded({}, "rich", seed=203, duration=DURATION), column, 5e-3)
     d = diagnosed(r)
     assert_no_wrong_name(d, {"sensor_delay", "pressure_sensor_lag"} if column == "load_pressure_pa" else {"sensor_delay"})
     assert d.verdict in {"effect", "unknown", "insufficient"}, told(d)
@@ -68,7 +69,7 @@ LEFT_OUT = {
 }
 
 
-@pytest.mark.parametrize("how", LEFT_OUT)
+@pytest.mark.parametrize("how", tiered(LEFT_OUT, "no pressure", "no position"))
 def test_a_missing_signal_narrows_what_is_judged(how, hidden, diagnosed):
     d = diagnosed(degrade.without(hidden, *LEFT_OUT[how]))
     assert_no_wrong_name(d, NAMES)
@@ -102,6 +103,7 @@ def test_one_signal_alone_tells_nothing(hidden, diagnosed):
     assert not any(s.judged for s in d.stages.values())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("rate", "duration"), [(100.0, 20.0), (2000.0, 6.0)])
 def test_other_rates_do_as_well(rate, duration, recorded, diagnosed):
     d = diagnosed(recorded(HIDDEN, "rich", seed=204, duration=duration, rate=rate))
@@ -111,6 +113,7 @@ def test_other_rates_do_as_well(rate, duration, recorded, diagnosed):
         assert {"coulomb_shift"} & class_of(d.causes[0]), told(d)
 
 
+@pytest.mark.long
 def test_a_right_model_is_consistent_at_a_low_rate(recorded, diagnosed):
     d = diagnosed(recorded({}, "rich", seed=205, duration=12.0, rate=200.0))
     assert d.verdict in {"consistent", "insufficient"}, told(d)
@@ -118,6 +121,7 @@ def test_a_right_model_is_consistent_at_a_low_rate(recorded, diagnosed):
     assert all(result.judged for result in d.stages.values()), told(d)
 
 
+@pytest.mark.long
 def test_three_wrong_parameters_of_the_rig_file_are_named(recorded, diagnosed, rig_file):
     wrong = degrade.wrong_rig(
         rig_file, {"plant.bulk_modulus": 1.3, "plant.spring_stiffness": 0.7, "friction.viscous_coefficient": 1.3}

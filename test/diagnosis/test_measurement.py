@@ -94,6 +94,7 @@ def test_a_disturbance_recorded_half_a_sample_early_is_no_cause(recorded, diagno
     assert "in the force balance" in said
 
 
+@pytest.mark.long
 def test_a_delay_of_three_samples_is_a_fault_beside_a_skew(recorded, diagnosed):
     hidden = {"sensor_delay": {"delay": 3.4e-3, "signals": "position"}}
     d = diagnosed(skewed(recorded(hidden, "random", seed=101, duration=8.0), load_pressure_pa=0.5))

@@ -103,6 +103,7 @@ def test_the_loop_of_what_runs_by_itself_is_never_ready(make_spec):
     assert not is_ready(make_spec(disturbance=servo))
 
 
+@pytest.mark.long
 def test_a_campaigns_runs_side_by_side_have_the_metrics_they_have_alone(make_run):
     runs = [json.dumps(json_document(spec_to_mapping(make_run(index)))) for index in range(FEWEST)]
     unreadable = json.dumps({**json.loads(runs[0]), "duration": -1.0})

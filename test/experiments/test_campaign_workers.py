@@ -101,6 +101,7 @@ def made_by_one(tmp_path_factory):
     return numbers(folder / "out")
 
 
+@pytest.mark.long
 def test_a_killed_dask_worker_loses_nothing(campaign, cluster, made_by_one, tmp_path):
     client, workers = cluster
     held = []

@@ -190,6 +190,7 @@ def test_parameters_of_the_compensation_reach_the_observer(make_spec):
     assert np.allclose(run["friction_gms_n"], level * np.tanh(speed / 0.05), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.long
 def test_oil_warms_through_the_run_and_d_learns_what_thinner_oil_takes_from_friction(make_spec):
     thinner = [{"name": "temperature_dependent_friction", "viscous_slope": -100.0}]
     spec = make_spec(reference="sine", duration=8.0, oil_temperature=303.15, oil_warming=2.5, effects=thinner)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tiers import tiered
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import next_experiment as module
@@ -191,7 +192,7 @@ def proposed(rig):
     return cache(lambda *pair: next_experiment(candidates(rig, *pair), signals=WITHOUT_LOAD_CELL))
 
 
-@pytest.mark.parametrize("pair", EXPECTED, ids="-".join)
+@pytest.mark.parametrize("pair", tiered(EXPECTED, ("coulomb_shift", "pressure_dependent_friction")), ids="-".join)
 def test_the_proposal_separates_the_pair(rig, proposed, pair):
     rigs = candidates(rig, *pair)
     proposal = proposed(*pair)
@@ -205,6 +206,7 @@ def test_the_proposal_separates_the_pair(rig, proposed, pair):
         assert better_explained(rig, rigs, experiment.spec, true, seed) == true
 
 
+@pytest.mark.long
 def test_the_best_is_not_what_any_experiment_does(proposed):
     proposal = proposed("internal_leakage_shift", "turbulent_leakage")
     judged = {entry.name: entry.sigma for entry in proposal.considered}
@@ -214,6 +216,7 @@ def test_the_best_is_not_what_any_experiment_does(proposed):
     assert np.median(list(judged.values())) < 0.5 * judged[proposal.experiment.name]
 
 
+@pytest.mark.long
 def test_a_load_cell_tells_a_load_from_a_bias_at_once(rig, proposed):
     without = proposed("constant_load", "pressure_sensor_bias").experiment
     with_it = next_experiment(candidates(rig, "constant_load", "pressure_sensor_bias")).experiment

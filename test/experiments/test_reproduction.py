@@ -164,6 +164,7 @@ def test_a_coefficient_a_fifth_off_keeps_the_force_within_2_percent(section, nam
     assert nominal < off < 200.0
 
 
+@pytest.mark.long
 def test_cells_side_by_side_have_the_errors_they_have_alone():
     lost = Change({"duration": 0.5, "effects": [{"name": "viscous_asymmetry", "asymmetry": -1e6}]})
     short = Change({"duration": 0.5}, plant={"moving_mass": 1.1})

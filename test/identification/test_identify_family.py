@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from report.report_pages import check
+from tiers import tiered
 
 from ehls_ros.cli.main import main
 from ehls_ros.control.observers import rig_model
@@ -79,7 +80,7 @@ class Identified(NamedTuple):
     report: str
 
 
-@pytest.fixture(scope="module", params=FRICTION_MODELS.names())
+@pytest.fixture(scope="module", params=tiered(FRICTION_MODELS.names(), "gms", "lugre"))
 def identified(request, tmp_path_factory) -> Identified:
     folder = tmp_path_factory.mktemp(request.param)
     true = moved(rig_of(request.param), PERTURBED)

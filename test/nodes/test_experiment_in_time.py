@@ -21,6 +21,7 @@ from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import LOADER_STATE
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_realtime_graph")
 def test_realtime_keeps_the_wall_clock_and_loses_no_sample(spec_file, tmp_path):
     spec = spec_file(duration=2.0, controller="pid")

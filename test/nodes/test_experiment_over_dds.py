@@ -14,6 +14,7 @@ import pytest
 import yaml
 from ehls_command import ehls, trajectory_of
 from layouts import series
+from tiers import tiered
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -80,7 +81,7 @@ def test_lockstep_is_deterministic(over_dds, tmp_path):
 
 
 # test_two_rigs.py shows the same for SIC.
-@pytest.mark.parametrize("controller", ["fasmc", "fasmc_output_feedback", "fasmc_predictive", "pid"])
+@pytest.mark.parametrize("controller", tiered(["fasmc", "fasmc_output_feedback", "fasmc_predictive", "pid"], "fasmc", "pid"))
 def test_lockstep_is_the_same_in_one_process(over_dds, tmp_path, controller):
     spec, done = over_dds(controller)
     recorded = trajectory_of(done)
@@ -100,6 +101,7 @@ def on_friction_model(spec: Path, model: str) -> Path:
     return spec
 
 
+@pytest.mark.long
 def test_the_friction_model_of_the_rig_is_compensated(spec_file, tmp_path):
     model = next(name for name in FRICTION_MODELS.names() if name not in OBSERVERS.names())
     spec = on_friction_model(spec_file(), model)
@@ -170,7 +172,9 @@ def test_every_series_of_the_layouts_is_a_number_in_the_bag_of_a_whole_graph(ove
     assert missing == {"/ehls/position_reference/position"}
 
 
-@pytest.mark.parametrize("profile", [stored_profile, lambda _: DEFAULT_PROFILE], ids=["stored", "default"])
+@pytest.mark.parametrize(
+    "profile", [pytest.param(stored_profile, marks=pytest.mark.long), lambda _: DEFAULT_PROFILE], ids=["stored", "default"]
+)
 def test_a_replayed_bag_drives_estimator_and_controller(over_dds, graph, participant, profile):
     """Like `ros2 bag play`, whose default profile is volatile."""
     spec, done = over_dds("fasmc")

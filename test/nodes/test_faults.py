@@ -266,6 +266,7 @@ def test_the_rig_gone_and_back(trial, graph):
     running.tell("rig gone and back", "null until reset and enabled")
 
 
+@pytest.mark.long
 def test_foreign_packets_second_controllers_and_random_parameters(trial, graph):
     running = trial()
     chance = random.Random(1)
@@ -303,6 +304,7 @@ def test_foreign_packets_second_controllers_and_random_parameters(trial, graph):
     )
 
 
+@pytest.mark.long
 def test_a_killed_recorder_and_a_full_disk(trial, graph, tmp_path):
     running = trial()
     died, full = tmp_path / "died", tmp_path / "full"

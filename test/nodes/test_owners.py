@@ -2,6 +2,7 @@
 
 import pytest
 import yaml
+from tiers import tiered
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -127,7 +128,7 @@ def test_a_programme_beside_a_reference_does_not_begin(sources):
     assert max(abs(state.force - FORCE) for state in two.states) < FOLLOWED
 
 
-@pytest.mark.parametrize("name", ["disturbance_node", "friction_estimator_node", "plant_sim_node"])
+@pytest.mark.parametrize("name", tiered(["disturbance_node", "friction_estimator_node", "plant_sim_node"], "plant_sim_node"))
 def test_a_second_source_of_another_input_is_refused(sources, name):
     two, participant = sources, sources.participant
     two.second(name, f"{name}_2")
@@ -157,6 +158,7 @@ def test_a_flood_of_refused_rows_does_not_stall_the_cycles_for_good(sources):
     participant.until(lambda: two.follows(FORCE))
 
 
+@pytest.mark.long
 def test_two_nodes_of_one_name_are_told_apart(sources):
     two, participant = sources, sources.participant
     owner = two.graph.processes["reference_node"].pid
@@ -168,6 +170,7 @@ def test_two_nodes_of_one_name_are_told_apart(sources):
     participant.until(lambda: two.follows(FORCE))
 
 
+@pytest.mark.long
 def test_a_reference_that_was_killed_is_replaced_by_one_of_another_name(sources):
     two, participant = sources, sources.participant
     two.graph.kill("reference_node")

@@ -14,6 +14,7 @@ from policies.monitor import check
 SEQUENCES = 5
 
 
+@pytest.mark.long
 def test_under_attack_no_policy_is_violated(one_realtime_graph, graph, participant, tmp_path):
     attacks = batch(graph, participant, tmp_path, SLOW)
     search = Search(random.Random(1), KINDS)

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numba import njit
+from tiers import tiered
 
 from ehls_ros.arrays import lean
 from ehls_ros.physics.along import PARTS, run_part
@@ -202,7 +203,7 @@ def worst(residual, *terms):
     return np.max(np.abs(residual)) / max(np.max(np.abs(term)) for term in terms)
 
 
-@pytest.mark.parametrize("model", FRICTION_MODELS.names())
+@pytest.mark.parametrize("model", tiered(FRICTION_MODELS.names(), "gms"))
 @pytest.mark.parametrize("name", EFFECTS.names())
 def test_the_simulators_own_recording_leaves_nothing(name, model, make_rig, plain):
     uses = list(settings(name, make_rig(friction={"model": model}), plain))

@@ -118,6 +118,7 @@ def stopped(make_rig: Any) -> Rig:
     return rig
 
 
+@pytest.mark.long
 def test_stick_slip_agrees_with_central_differences(stopped: Rig) -> None:
     inputs = sine(500, 1.5e-5, 4.0)
     paths = [*(path for path in STOPPED if "end_stop" not in path), "plant.bulk_modulus", "plant.spring_stiffness"]

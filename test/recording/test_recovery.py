@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import yaml
 from recorded_runs import METADATA, loader_state, make_trajectory, record, same, serialized, storage_file, valve_command
+from tiers import tiered
 
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
@@ -512,6 +513,9 @@ def test_blocks_of_the_ledger_fit_a_page_however_long_the_names_are(tmp_path: Pa
     assert (recovery.recovered, recovery.unverified) == (400, 0)
 
 
+KINDS = ("truncations", "flips", "notes")
+
+
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
     path = Path(__file__).resolve().parents[2] / "benchmarks" / "recovery.py"
@@ -523,7 +527,9 @@ def benchmark() -> ModuleType:
 
 
 @STORAGE
-@pytest.mark.parametrize(("kind", "trials"), [("truncations", 8), ("flips", 12), ("notes", 8)])
+@pytest.mark.parametrize(
+    ("kind", "trials"), tiered([(kind, trials) for trials in (2, 12) for kind in KINDS], *[(kind, 2) for kind in KINDS])
+)
 def test_random_damage_costs_only_what_it_hits(tmp_path: Path, benchmark: ModuleType, storage: Storage, kind: str, trials: int):
     left = benchmark.left_behind(tmp_path / "bag", storage, 60, 1)
     outcomes = benchmark.tried(left, kind, trials, 2)
