@@ -142,6 +142,7 @@ def test_a_disk_that_is_full(spec, tmp_path):
     assert "free some space" in lines[0]
 
 
+@pytest.mark.long
 def test_a_disk_that_is_full_while_the_graph_records(spec, tmp_path):
     path = spec(lambda m: m.update(duration=20.0))
     code, lines = limited("experiment", path, "--out", tmp_path / "run", largest_file=1_100_000)

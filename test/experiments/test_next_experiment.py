@@ -260,6 +260,7 @@ def test_the_sentence_names_signal_moment_and_motion(proposed):
     assert "\n" not in experiment.why
 
 
+@pytest.mark.long
 def test_only_warm_oil_tells_friction_from_temperature(rig, monkeypatch):
     warm = with_effect(rig, "temperature_dependent_friction", coulomb_slope=15.0, reference_temperature=293.15)
     proposal = next_experiment({"temperature": warm, **candidates(rig, "coulomb_shift")}, parameter_std=0.02)
@@ -317,6 +318,7 @@ def test_a_short_limit_leaves_out_what_is_longer(rig):
     assert none.reason.startswith("no experiment of the catalogue can be done on this rig: of velocity_sweep, it takes 7.1 s")
 
 
+@pytest.mark.long
 def test_an_experiment_that_a_candidates_loop_does_not_bear_is_left_out(rig, monkeypatch):
     tried = ("force_staircase", "force_steps", "force_chirp", "velocity_sweep")
     monkeypatch.setattr(module, "CATALOGUE", {name: CATALOGUE[name] for name in tried})

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from tiers import tiered
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -24,9 +25,14 @@ CASES = [
     ("hardware_bridge_node", "composed", "stop", 1),
     ("hardware_bridge_node", "composed", "release", 1),
 ]
+QUICK = [case for case in CASES if case[2] in {"_answer", "__init__", "on_deactivate", "once"}]
+"""One case of the loop, of the start, of a transition and of the hardware."""
 
 
-@pytest.mark.parametrize(("node", "way", "method", "call"), CASES)
+@pytest.mark.parametrize(
+    ("node", "way", "method", "call"),
+    tiered(CASES, *QUICK),
+)
 def test_the_end_of_a_node_is_reported(node_server, monkeypatch, tmp_path, node, way, method, call):
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "logs"))
     case = Case(node_server, tmp_path, node, way)
