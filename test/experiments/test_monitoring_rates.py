@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from ehls_ros.diagnosis.monitoring.tracking import Reading
-from ehls_ros.experiments.monitoring.rates import jumped, rates
-from ehls_ros.experiments.monitoring.remembered import Past
+from ehls_ros.diagnosis.monitoring.tracking import PastReadings, Reading
+from ehls_ros.experiments.monitoring.trends import jumped, rates
 
 NAME = "leakage_coefficient"
 NOISE = 0.02
@@ -16,7 +15,7 @@ HOURS = np.arange(20.0)
 
 def history(values):
     told = [Reading(NAME, value, NOISE, "1") for value in values]
-    return [Past(3600.0 * hour, (reading,)) for hour, reading in zip(HOURS, told, strict=False)]
+    return [PastReadings(3600.0 * hour, (reading,)) for hour, reading in zip(HOURS, told, strict=False)]
 
 
 def test_a_jump_has_no_rate_and_a_drift_has():

@@ -1,4 +1,4 @@
-"""Data of one day in a monitor's folder, for its report: changes and coefficients."""
+"""Results of one day from a monitor's folder, for the daily report: changes and coefficients."""
 
 import math
 from collections import deque
@@ -7,15 +7,14 @@ from datetime import date, datetime, timedelta
 from pathlib import Path
 
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS as KNOWN
-from ehls_ros.diagnosis.monitoring.tracking import Reading
+from ehls_ros.diagnosis.monitoring.tracking import PastReadings, Reading
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.monitoring.health import FoundChange, Health, State
 from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, HEADING, STATE, UNUSABLE, check_cells
-from ehls_ros.experiments.monitoring.memory_records import change_of, readings_of, rig_of
-from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.rates import MOST_HISTORY, rates
-from ehls_ros.experiments.monitoring.remembered import Past
-from ehls_ros.experiments.monitoring.replay import Watched
+from ehls_ros.experiments.monitoring.monitor import Parameters
+from ehls_ros.experiments.monitoring.replay import MonitoringResult
+from ehls_ros.experiments.monitoring.saved_state import change_of, readings_of, rig_of
+from ehls_ros.experiments.monitoring.trends import MAX_HISTORY, rates
 from ehls_ros.experiments.state_files import table
 from ehls_ros.experiments.state_files.kinds import MONITOR, MonitorState
 from ehls_ros.experiments.state_files.state_file import StateFile
@@ -23,12 +22,12 @@ from ehls_ros.experiments.state_files.state_file import StateFile
 EXPECTED = "the folder of a monitor, as its parameter folder names it"
 
 
-def is_kept(folder: Path) -> bool:
-    """Return whether a folder is a monitor's."""
+def is_monitor_folder(folder: Path) -> bool:
+    """Return whether a folder contains the memory of a monitor."""
     return (folder / STATE).is_file()
 
 
-def watched_until(folder: Path, day: date) -> tuple[Watched, datetime]:
+def results_of_day(folder: Path, day: date) -> tuple[MonitoringResult, datetime]:
     """Return the results of a monitor for a day, with times from its midnight on, and that midnight.
 
     Args:
@@ -54,10 +53,10 @@ def watched_until(folder: Path, day: date) -> tuple[Watched, datetime]:
         raise file.refusal(str(error)) from None
     history = _history(folder / COEFFICIENTS, midnight)
     end = (datetime.now().astimezone() - midnight).total_seconds()
-    told = {reading.name for reading in readings if reading.told}
-    missing = tuple(reading.name for reading in readings if reading.name not in told)
+    identified = {reading.name for reading in readings if reading.identified}
+    missing = tuple(reading.name for reading in readings if reading.name not in identified)
     health = Health(end, State.WATCHING, "", changes, readings, state.watched, "the healthy rig", 0.0, rates(history))
-    return Watched(rig, Parameters(), health, history, (), missing=missing), midnight
+    return MonitoringResult(rig, Parameters(), health, history, (), missing=missing), midnight
 
 
 def _since(midnight: datetime, change: FoundChange, anchors: Sequence[tuple[float, int]]) -> FoundChange:
@@ -80,11 +79,11 @@ def _since(midnight: datetime, change: FoundChange, anchors: Sequence[tuple[floa
     )
 
 
-def _history(path: Path, midnight: datetime) -> tuple[Past, ...]:
+def _history(path: Path, midnight: datetime) -> tuple[PastReadings, ...]:
     """Return the last readings in the file up to the end of the day, with times from its midnight on."""
     until = midnight + timedelta(days=1)
-    times = deque[datetime](maxlen=MOST_HISTORY)
-    rows = deque[list[Reading]](maxlen=MOST_HISTORY)
+    times = deque[datetime](maxlen=MAX_HISTORY)
+    rows = deque[list[Reading]](maxlen=MAX_HISTORY)
     for cells in table.rows(path, ",".join(HEADING), check_cells, EXPECTED, "the coefficients' history"):
         stamp, name, value, deviation, unit = cells
         time = datetime.fromisoformat(stamp)
@@ -94,4 +93,4 @@ def _history(path: Path, midnight: datetime) -> tuple[Past, ...]:
             times.append(time)
             rows.append([])
         rows[-1].append(Reading(name, float(value), float(deviation), unit))
-    return tuple(Past((time - midnight).total_seconds(), tuple(read)) for time, read in zip(times, rows, strict=True))
+    return tuple(PastReadings((time - midnight).total_seconds(), tuple(read)) for time, read in zip(times, rows, strict=True))

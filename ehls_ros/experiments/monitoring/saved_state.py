@@ -1,29 +1,76 @@
-"""Records of a monitor's memory: plain values for its files, with finite numbers and known names only."""
+"""State of a monitor, from which another monitor of the same rig continues, and its records for files.
+
+Records are plain values, with finite numbers and known names only.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.hypotheses import Candidate
+from ehls_ros.diagnosis.monitoring.blocks import Scores
 from ehls_ros.diagnosis.monitoring.directions import Direction
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
 from ehls_ros.diagnosis.stages import STAGES
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import FoundChange
-from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.experiments.state_files.kinds import CauseRecord, ChangeRecord, DirectionRecord, PastRecord, ReadingRecord
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.trajectory import Trajectory
 
-MOST_CHANGES = 1000
+MAX_CHANGES = 1000
 """Maximum number of changes kept, the newest."""
 
-MOST_EFFECTS = 64
+MAX_EFFECTS = 64
 """Maximum number of effects of a rig's model: each one slows down every later diagnosis."""
+
+
+class LearntRig(NamedTuple):
+    """The healthy rig as a monitor has learnt it.
+
+    Attributes:
+        kind: kind of baseline.
+        directions: the departures tested.
+        sections: scores of the healthy blocks, one section per condition of the rig.
+        recording: the first minutes of the rig, if they are the baseline.
+    """
+
+    kind: str
+    directions: tuple[Direction, ...]
+    sections: tuple[tuple[Scores, ...], ...]
+    recording: Trajectory | None = None
+
+
+class SavedState(NamedTuple):
+    """State of a monitor.
+
+    Attributes:
+        learnt: learnt model of the healthy rig; None while unknown.
+        healthy_rig: model of the healthy rig.
+        model: the same with the changes since.
+        changes: detected changes, oldest first.
+        history: the last readings of the coefficients.
+        readings: the newest readings.
+        watched: time for which blocks were judged [s].
+        begins: begin times of the tested blocks [s].
+        rows: score, information and share of these blocks, shape (3, blocks, n).
+    """
+
+    learnt: LearntRig | None
+    healthy_rig: Rig
+    model: Rig
+    changes: tuple[FoundChange, ...]
+    history: tuple[PastReadings, ...]
+    readings: tuple[Reading, ...]
+    watched: float
+    begins: tuple[float, ...]
+    rows: Array
 
 
 def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
@@ -34,10 +81,10 @@ def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
     """
     own, given = ({key: value for key, value in rig.items() if key != "effects"} for rig in (content, origin.rig))
     if own != given:
-        raise ValueError("the model of the rig is another rig's")
+        raise ValueError("the model belongs to another rig")
     effects = content.get("effects")
-    if isinstance(effects, list) and len(effects) > MOST_EFFECTS:
-        raise ValueError(f"the model of the rig has {len(effects)} effects, at most {MOST_EFFECTS}")
+    if isinstance(effects, list) and len(effects) > MAX_EFFECTS:
+        raise ValueError(f"the model of the rig has {len(effects)} effects, at most {MAX_EFFECTS}")
     return rig_from_mapping(content, "model of the rig")
 
 
@@ -113,14 +160,14 @@ def readings_of(records: Sequence[ReadingRecord]) -> tuple[Reading, ...]:
     )
 
 
-def past_record(past: Past) -> dict[str, Any]:
+def past_record(past: PastReadings) -> dict[str, Any]:
     """Return the coefficients at a time as a record."""
     return {"time": past.time, "readings": readings_record(past.readings)}
 
 
-def past_of(record: PastRecord) -> Past:
+def past_of(record: PastRecord) -> PastReadings:
     """Return the coefficients at a time."""
-    return Past(record.time, readings_of(record.readings))
+    return PastReadings(record.time, readings_of(record.readings))
 
 
 def direction_record(direction: Direction) -> dict[str, Any]:
