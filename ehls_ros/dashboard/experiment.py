@@ -6,7 +6,7 @@ from typing import Any
 from nicegui import ui
 
 from ehls_ros.dashboard.controls import ask, button
-from ehls_ros.dashboard.graph import Answer, Graph, Snapshot, Timing
+from ehls_ros.dashboard.graph import Answer, Graph, GraphSnapshot, Timing
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_spec
@@ -105,7 +105,7 @@ class ExperimentTab:
         self._refused = ui.label("").classes("refused").props('data-name="refused-start"')
         self._activity = ui.label("").classes("said").props('data-name="activity"')
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: GraphSnapshot) -> None:
         """Update buttons and status line."""
         here, there = snapshot.started_here, snapshot.rate > 0.0
         self._recording = snapshot.recording

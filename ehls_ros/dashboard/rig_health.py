@@ -9,7 +9,7 @@ from nicegui import ui
 from ehls_ros.dashboard.controls import button
 from ehls_ros.dashboard.graph import Graph, RigChange, RigCoefficient, RigHealth
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
-from ehls_ros.experiments.monitoring.limits import NORMAL_95
+from ehls_ros.experiments.monitoring.trends import NORMAL_95
 from ehls_ros.report.diagnosis_units import after, percent, unit_for
 from ehls_ros.report.identification_findings import written
 
@@ -31,7 +31,7 @@ class RigTab:
             writes: whether changes can be acknowledged.
         """
         self._tab = tab
-        self._none = ui.label("No monitor watches the rig.").classes("said")
+        self._none = ui.label("No monitor is running.").classes("said")
         with ui.element("div").classes("rig") as self._all:
             ui.label("Rig health").classes("title")
             self._summary = ui.label("").props('data-name="rig-summary"')
@@ -57,7 +57,7 @@ class RigTab:
         # Visible on every tab until acknowledged.
         for place, wrong in ((self._summary, any(change.active for change in rig.changes)), (self._tab, new)):
             place.classes(add=f"level-{WARNING if wrong else GOOD}", remove=f"level-{GOOD if wrong else WARNING}")
-        beyond = f"; {percent(rig.outside)} of the last minute lies outside what the baseline covers" if rig.outside else ""
+        beyond = f"; {percent(rig.outside)} of the last minute is outside the range of the baseline" if rig.outside else ""
         self._said.set_text(f"{rig.state}{beyond}")
         self._changes.set_content(changes_list(rig.changes))
         self._changes.set_visibility(bool(rig.changes))
@@ -70,7 +70,7 @@ def changes_list(changes: Iterable[RigChange]) -> str:
     """Return the entries of a list of changes, as HTML."""
     return "".join(
         f'<li class="{"" if change.active else "gone"}">{"" if change.acknowledged else "<b>new</b> "}'
-        f"{escape(change.sentence)}{'' if change.active else ' (shows no more)'}</li>"
+        f"{escape(change.sentence)}{'' if change.active else ' (cleared)'}</li>"
         for change in changes
     )
 
