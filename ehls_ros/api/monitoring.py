@@ -71,8 +71,8 @@ class MonitorResult:
         return f"<{type(self).__name__} {self.name}: {self.sentence}>"
 
     def _repr_html_(self) -> str:
-        said = "".join(f"<li>{event.time:.1f} s: {escape(event.text)}</li>" for event in self.events)
-        return f"<p><b>{escape(self.sentence)}</b></p><ul>{said}</ul>"
+        items = "".join(f"<li>{event.time:.1f} s: {escape(event.text)}</li>" for event in self.events)
+        return f"<p><b>{escape(self.sentence)}</b></p><ul>{items}</ul>"
 
 
 def monitor(

@@ -131,12 +131,12 @@ class Connections:
         if len(same) > MAX_SOCKETS_PER_PAGE:
             self._cut(same[0])
 
-    async def watch(self) -> None:
+    async def cut_slow(self) -> None:
         """Cut connections that take too long, until cancelled."""
         while True:
             await asyncio.sleep(PASS)
             for address, connection in list(self._open.items()):
-                if connection.takes_too_long():
+                if connection.is_overdue():
                     self._cut(address)
 
     def _cut(self, address: Address) -> None:
@@ -152,7 +152,7 @@ class _Connection:
         self.answered = False
         self.page = ""
         self.passes = 0
-        self._before = ConnectionState.ASKING
+        self._last_state = ConnectionState.ASKING
 
     def state(self) -> ConnectionState:
         # A slow reader still has data to fetch: its connection is neither idle nor, if it is to close afterwards, closing.
@@ -163,11 +163,11 @@ class _Connection:
             return ConnectionState.OF_PAGE
         return ConnectionState.ANSWERED if self.answered or unsent else ConnectionState.ASKING
 
-    def takes_too_long(self) -> bool:
+    def is_overdue(self) -> bool:
         """Count a pass; return whether the state has lasted too long."""
         state = self.state()
-        self.passes = self.passes + 1 if state is self._before else 1
-        self._before = state
+        self.passes = self.passes + 1 if state is self._last_state else 1
+        self._last_state = state
         return self.passes > PASSES.get(state, self.passes)
 
 

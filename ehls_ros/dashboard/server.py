@@ -58,10 +58,10 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        watch = asyncio.create_task(connections.watch())
+        cutting = asyncio.create_task(connections.cut_slow())
         up(f"http://{shown}:{port}/?{TOKEN}={access.token}")
         yield
-        watch.cancel()
+        cutting.cancel()
         graph.abort()
 
     app = FastAPI(openapi_url=None, lifespan=lifespan)

@@ -111,13 +111,13 @@ def _pace(snapshot: GraphSnapshot) -> str:
 
 def _trip(gate: NodeHealth, snapshot: GraphSnapshot) -> tuple[str, Remedy]:
     """Return the description of a trip and its remedy."""
-    happened = explained(gate.figures[TRIPPED_BY])
+    explanation = explained(gate.figures[TRIPPED_BY])
     if gate.figures.get(STOP):
         remedy, then = Remedy.ACKNOWLEDGE, f", then {Remedy.RESET.value}"
     else:
         remedy, then = Remedy.RESET, ""
-    anew = " If it trips again: stop and start under Experiment." if snapshot.started_here else ""
-    return f"{happened} The valve is closed. To go on: {remedy.value}{then}.{anew}", remedy
+    again = " If it trips again: stop and start under Experiment." if snapshot.started_here else ""
+    return f"{explanation} The valve is closed. To go on: {remedy.value}{then}.{again}", remedy
 
 
 _CAUSE = re.compile(
@@ -126,15 +126,15 @@ _CAUSE = re.compile(
 )
 """Text form of :class:`ehls_ros.hardware.safety_gate.Cause`, with time and reaction."""
 
-_SEVERAL = {"force_mismatch": "sensor_mismatch", "position_mismatch": "sensor_mismatch", "supply_mismatch": "sensor_mismatch"}
+_SHARED = {"force_mismatch": "sensor_mismatch", "position_mismatch": "sensor_mismatch", "supply_mismatch": "sensor_mismatch"}
 """Detectors that share one declaration."""
 
-_OWN = MappingProxyType(
+_UNDECLARED = MappingProxyType(
     {
         "emergency stop": "emergency stop requested",
         "left active": "the plant node ended its loop while commands reached the valve",
         "gap": "the plant's loop paused",
-        "services_silent": "the plant node could not have heard an emergency stop",
+        "services_silent": "the plant node could not receive an emergency stop",
         "device_null": "the device itself keeps the valve closed",
     }
 )
@@ -150,7 +150,7 @@ def explained(cause: str) -> str:
     match = _CAUSE.fullmatch(cause)
     if match is None:
         return f"Tripped by {cause}."
-    label = _declared().get(match["name"]) or _OWN.get(match["name"]) or match["name"].replace("_", " ")
+    label = _declared().get(match["name"]) or _UNDECLARED.get(match["name"]) or match["name"].replace("_", " ")
     subject = f" ({match['subject']})" if match["subject"] else ""
     figures = ""
     if match["value"]:
@@ -174,7 +174,7 @@ def _declared() -> dict[str, str]:
         for declared in declarations(GateParameters)
         if declared.name.startswith("on_")
     }
-    return found | {name: found[shared] for name, shared in _SEVERAL.items()}
+    return found | {name: found[shared] for name, shared in _SHARED.items()}
 
 
 def programme_line(health: tuple[NodeHealth, ...]) -> str:
@@ -183,10 +183,10 @@ def programme_line(health: tuple[NodeHealth, ...]) -> str:
     Args:
         health: the nodes' diagnostics.
     """
-    said = next((node.figures for node in health if node.node == NODE), {})
-    if "programme" not in said:
+    figures = next((node.figures for node in health if node.node == NODE), {})
+    if "programme" not in figures:
         return ""
-    block = f"block {said.get('block', '')} {said.get('block_name', '')}"
-    count = f"{said.get('load_cycles', '')} of {said.get('of_load_cycles', '')} load cycles"
-    last = f"peak {said['peak']}, valley {said['valley']}" if "peak" in said and "valley" in said else ""
-    return " · ".join(filter(None, [said["programme"], block, count, said.get("programme_state", ""), last]))
+    block = f"block {figures.get('block', '')} {figures.get('block_name', '')}"
+    count = f"{figures.get('load_cycles', '')} of {figures.get('of_load_cycles', '')} load cycles"
+    last = f"peak {figures['peak']}, valley {figures['valley']}" if "peak" in figures and "valley" in figures else ""
+    return " · ".join(filter(None, [figures["programme"], block, count, figures.get("programme_state", ""), last]))

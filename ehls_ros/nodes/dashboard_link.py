@@ -97,7 +97,7 @@ MAX_REPORT_SIZE = 64 * 1024
 MAX_TUNABLES = 200
 """Maximum number of parameters read from a node."""
 
-KNOWN_NODES = frozenset(node_names())
+OWN_NODES = frozenset(node_names())
 """Names that include all of this project's nodes, which are always shown."""
 
 LATE = 1
@@ -106,7 +106,7 @@ LATE = 1
 SILENT = 3
 """Level of a silent node otherwise, above those of diagnostics."""
 
-BUFFERED_CYCLES = 8192
+CYCLES = 8192
 """Snapshots whose sending time is kept until their command arrives."""
 
 TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE, PROGRAMME_POINT)
@@ -181,7 +181,7 @@ class Link:
         with preferring_what_starts(REALTIME_PRIORITY):
             self._node = rclpy.create_node("dashboard", namespace=f"/{self.namespace}")
         self._lock = threading.Lock()
-        self._reports_by_node: dict[str, _Report] = {}
+        self._reports: dict[str, _Report] = {}
         self._ignored_until: dict[str, int] = {}
         self._clients: dict[str, Any] = {}
         # Created in advance: a node drops the answer to a client that it has not discovered yet.
@@ -191,9 +191,9 @@ class Link:
         self._sources = [_Source(self._node, topic) for topic in TOPICS]
         self._origin_ns: int | None = None
         self._newest = -1
-        self._sent_at = np.zeros(BUFFERED_CYCLES, dtype=np.int64)
-        self._sent_cycle = np.full(BUFFERED_CYCLES, -1, dtype=np.int64)
-        self._force = np.full(BUFFERED_CYCLES, np.nan)
+        self._sent_at = np.zeros(CYCLES, dtype=np.int64)
+        self._sent_cycle = np.full(CYCLES, -1, dtype=np.int64)
+        self._force = np.full(CYCLES, np.nan)
         self._peaks = Peaks()
         self._rig = RigWatch(self._node)
         self._arrivals: list[tuple[float, int]] = []
@@ -243,12 +243,10 @@ class Link:
         """Return the nodes' diagnostics, sorted by name; a silent node is shown as late while cycles arrive, else as silent."""
         now, level = time.monotonic(), LATE if self.rate() else SILENT
         with self._lock:
-            self._reports_by_node = {
-                name: report
-                for name, report in self._reports_by_node.items()
-                if self._passed(report.at_pass) < MAX_SHOWN_SILENCE
+            self._reports = {
+                name: report for name, report in self._reports.items() if self._passed(report.at_pass) < MAX_SHOWN_SILENCE
             }
-            reports = sorted(self._reports_by_node.items())
+            reports = sorted(self._reports.items())
         return tuple(
             health._replace(level=level, message=f"no diagnostics for {now - when:.0f} s")
             if self._passed(at) > MAX_SILENCE
@@ -260,7 +258,7 @@ class Link:
         """Forget some nodes, and ignore messages they have sent before now."""
         with self._lock:
             self._ignored_until |= dict.fromkeys(nodes, time.time_ns())
-            self._reports_by_node = {name: report for name, report in self._reports_by_node.items() if name not in nodes}
+            self._reports = {name: report for name, report in self._reports.items() if name not in nodes}
             if any(plant in nodes for plant in PLANTS.values()):
                 self._arrivals = []
 
@@ -452,15 +450,15 @@ class Link:
                 if status.hardware_id != self.namespace or sent_ns < self._ignored_until.get(name, 0):
                     continue
                 if (
-                    name not in KNOWN_NODES
-                    and name not in self._reports_by_node
-                    and len(self._reports_by_node.keys() - KNOWN_NODES) == MAX_FOREIGN_NODES
+                    name not in OWN_NODES
+                    and name not in self._reports
+                    and len(self._reports.keys() - OWN_NODES) == MAX_FOREIGN_NODES
                 ):
                     continue
                 values_by_name = shortened_figures((pair.key, pair.value) for pair in status.values)
                 level = int.from_bytes(status.level, "little")
                 health = NodeHealth(name, min(level, SILENT), shortened(status.message), values_by_name)
-                self._reports_by_node[name] = _Report(now, self._passes, health)
+                self._reports[name] = _Report(now, self._passes, health)
 
     def _read(self) -> None:
         """Read messages in bulk until the link closes."""
@@ -486,13 +484,11 @@ class Link:
         if self._origin_ns is None:
             return
         if topic is VALVE_COMMAND:
-            response_ns = sent_ns - self._sent_at[cycle % BUFFERED_CYCLES]
+            response_ns = sent_ns - self._sent_at[cycle % CYCLES]
             # A node in the plant's process has answered before either message is sent, and its command is sent first.
             values[RESPONSE] = 1e-3 * self._since_snapshot(cycle, np.where(response_ns >= 0, response_ns, np.nan))
         if topic is CONTROLLER_STATUS:
-            values[FORCE_REFERENCE] = self._since_snapshot(
-                cycle, self._force[cycle % BUFFERED_CYCLES] - values["force_error_n"]
-            )
+            values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % CYCLES] - values["force_error_n"])
         time_s = 1e-9 * (stamp_ns - self._origin_ns)
         # Drop samples of a previous graph, or too far ahead of the cycles.
         fits = (time_s >= 0.0) & (cycle <= self._newest + DEPTH) & np.isfinite(time_s)
@@ -518,13 +514,13 @@ class Link:
             self._origin_ns = int(stamp_ns[0] - cycle[0] * (stamp_ns[-1] - stamp_ns[0]) // apart)
             self.window.restart()
         self._newest = int(cycle[-1])
-        self._sent_at[cycle % BUFFERED_CYCLES] = sent_ns
-        self._sent_cycle[cycle % BUFFERED_CYCLES] = cycle
-        self._force[cycle % BUFFERED_CYCLES] = force
+        self._sent_at[cycle % CYCLES] = sent_ns
+        self._sent_cycle[cycle % CYCLES] = cycle
+        self._force[cycle % CYCLES] = force
 
     def _since_snapshot(self, cycle: NDArray[np.int64], values: NDArray[Any]) -> NDArray[np.float64]:
         """Return the values, with NaN where the cycle's snapshot was not received."""
-        return np.where(self._sent_cycle[cycle % BUFFERED_CYCLES] == cycle, values, np.nan)
+        return np.where(self._sent_cycle[cycle % CYCLES] == cycle, values, np.nan)
 
 
 def _tunable(descriptor: ParameterDescriptor, value: Any) -> Tunable:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
-from ehls_ros.experiments.monitoring.health import Event, FoundChange
+from ehls_ros.experiments.monitoring.health import Event
 from ehls_ros.experiments.monitoring.replay import MonitoringResult
 from ehls_ros.experiments.monitoring.trends import NORMAL_95
 from ehls_ros.report import page
@@ -114,7 +114,9 @@ def daily_report(watched: MonitoringResult, folder: Path, day: date, clock: Cloc
 
     health = watched.health
     of_day = watched._replace(
-        health=health._replace(time=health.time - begin, changes=tuple(_moved(change, -begin) for change in health.changes)),
+        health=health._replace(
+            time=health.time - begin, changes=tuple(change.with_times(lambda time: time - begin) for change in health.changes)
+        ),
         history=tuple(past._replace(time=past.time - begin) for past in watched.history if begin <= past.time < end),
         events=tuple(event._replace(time=event.time - begin) for event in watched.events if begin <= event.time < end),
         stretches=(),
@@ -122,18 +124,6 @@ def daily_report(watched: MonitoringResult, folder: Path, day: date, clock: Cloc
     path = out or folder / f"report-{day:%Y-%m-%d}.html"
     write_monitor_report(of_day, path, f"{day:%A, %d %B %Y}", Clock(midnight))
     return path
-
-
-def _moved(change: FoundChange, by: float) -> FoundChange:
-    """Return a change with all times shifted by some seconds."""
-    return change._replace(
-        since=change.since + by,
-        earliest=change.earliest + by,
-        latest=change.latest + by,
-        noticed=change.noticed + by,
-        named=change.named + by,
-        cleared=change.cleared + by,
-    )
 
 
 def write_monitor_report(watched: MonitoringResult, path: Path, source: str = "", clock: Clock = FROM_ZERO) -> None:

@@ -62,9 +62,9 @@ def answer(watched: MonitoringResult, clock: Clock = FROM_ZERO) -> tuple[str, bo
     """Return the rig's health in a sentence, and whether no change is active; None if nothing was judged."""
     health = watched.health
     if health.active:
-        said = [change_sentence(change, watched.rig, clock) for change in health.active[:MAX_HEADLINE_CHANGES]]
+        sentences = [change_sentence(change, watched.rig, clock) for change in health.active[:MAX_HEADLINE_CHANGES]]
         more = len(health.active) - MAX_HEADLINE_CHANGES
-        return f"{'. '.join(said)}{f'. {more} more changes are active' if more > 0 else ''}.", False
+        return f"{'. '.join(sentences)}{f'. {more} more changes are active' if more > 0 else ''}.", False
     if not health.watched or health.state in {State.LEARNING, State.IDLE}:
         reason = health.reason or f"the scatter of the healthy rig is still being learnt ({duration(health.time)} recorded)"
         return f"The rig is not judged: {reason}.", None

@@ -186,7 +186,7 @@ def test_a_connection_has_as_many_passes_as_its_state_allows(state, unsent, monk
     answers = state is ConnectionState.ANSWERED and not unsent
     answered = connections.answered(transport.peer) if answers else contextlib.nullcontext()
     with answered, pytest.raises(asyncio.CancelledError):
-        asyncio.run(connections.watch())
+        asyncio.run(connections.cut_slow())
     assert lived.count(False) == PASSES.get(state, 200) + 1
 
 

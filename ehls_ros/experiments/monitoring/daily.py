@@ -9,7 +9,7 @@ from pathlib import Path
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS as KNOWN
 from ehls_ros.diagnosis.monitoring.tracking import PastReadings, Reading
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.monitoring.health import FoundChange, Health, State
+from ehls_ros.experiments.monitoring.health import Health, State
 from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, HEADING, STATE, UNUSABLE, check_cells
 from ehls_ros.experiments.monitoring.monitor import Parameters
 from ehls_ros.experiments.monitoring.replay import MonitoringResult
@@ -45,12 +45,13 @@ def results_of_day(folder: Path, day: date) -> tuple[MonitoringResult, datetime]
     state: MonitorState = read.content
     try:
         rig = rig_of(state.well, read.origin)
-        changes = tuple(_since(midnight, change_of(record), state.anchors) for record in state.changes)
+        changes = tuple(map(change_of, state.changes))
         readings = readings_of(state.readings)
     except BadInput:
         raise
     except UNUSABLE as error:
         raise file.refusal(str(error)) from None
+    changes = tuple(change.with_times(lambda instant: _since(midnight, instant, state.anchors)) for change in changes)
     history = _history(folder / COEFFICIENTS, midnight)
     end = (datetime.now().astimezone() - midnight).total_seconds()
     identified = {reading.name for reading in readings if reading.identified}
@@ -59,24 +60,13 @@ def results_of_day(folder: Path, day: date) -> tuple[MonitoringResult, datetime]
     return MonitoringResult(rig, Parameters(), health, history, (), missing=missing), midnight
 
 
-def _since(midnight: datetime, change: FoundChange, anchors: Sequence[tuple[float, int]]) -> FoundChange:
-    """Convert the times of a change from the monitor's axis to seconds from a midnight on."""
-
-    def moved(instant: float) -> float:
-        known = [anchor for anchor in anchors if anchor[0] <= instant] or list(anchors[:1])
-        if not math.isfinite(instant) or not known:
-            return instant
-        begin, stamp_ns = known[-1]
-        return stamp_ns * 1e-9 + instant - begin - midnight.timestamp()
-
-    return change._replace(
-        since=moved(change.since),
-        earliest=moved(change.earliest),
-        latest=moved(change.latest),
-        noticed=moved(change.noticed),
-        named=moved(change.named),
-        cleared=moved(change.cleared),
-    )
+def _since(midnight: datetime, instant: float, anchors: Sequence[tuple[float, int]]) -> float:
+    """Convert an instant on the monitor's axis to seconds from a midnight on."""
+    known = [anchor for anchor in anchors if anchor[0] <= instant] or list(anchors[:1])
+    if not math.isfinite(instant) or not known:
+        return instant
+    begin, stamp_ns = known[-1]
+    return stamp_ns * 1e-9 + instant - begin - midnight.timestamp()
 
 
 def _history(path: Path, midnight: datetime) -> tuple[PastReadings, ...]:

@@ -94,6 +94,17 @@ class FoundChange(NamedTuple):
         own = self.causes[0]
         return cause.name == own.name or cause.name in own.equivalent_to or own.name in cause.equivalent_to
 
+    def with_times(self, convert: Callable[[float], float]) -> "FoundChange":
+        """Return the change with all times converted to another axis."""
+        return self._replace(
+            since=convert(self.since),
+            earliest=convert(self.earliest),
+            latest=convert(self.latest),
+            noticed=convert(self.noticed),
+            named=convert(self.named),
+            cleared=convert(self.cleared),
+        )
+
     def sentence(self) -> str:
         """Describe the change."""
         if not self.causes:
@@ -219,11 +230,11 @@ def describe_change(change: FoundChange, rig: Rig, wall: Wall, now_ns: int) -> s
         depends = f", depends on {', '.join(change.depends_on)}" if change.depends_on else ""
         return f"{change.name}{since}{depends}"
     cause = change.causes[0]
-    whose = "sensor" if effect_group(change) == SENSORS else "rig"
+    origin = "sensor" if effect_group(change) == SENSORS else "rig"
     sizes = ", ".join(_relative_size(cause.name, parameter, value, rig) for parameter, value in cause.parameters.items())
-    words = "" if _tracked(cause.name, next(iter(cause.parameters), "")) else f"{cause.name.replace('_', ' ')}: "
+    label = "" if _tracked(cause.name, next(iter(cause.parameters), "")) else f"{cause.name.replace('_', ' ')}: "
     equivalent = f" (or {', '.join(cause.equivalent_to)})" if cause.equivalent_to else ""
-    return f"{whose}: {words}{sizes}{since}, {100.0 * cause.probability:.0f} %{equivalent}"
+    return f"{origin}: {label}{sizes}{since}, {100.0 * cause.probability:.0f} %{equivalent}"
 
 
 def _tracked(effect: str, parameter: str) -> Tracked | None:

@@ -26,18 +26,12 @@ from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.monitoring.cycle_assembly import MAX_ANCHORS, Anchor
 from ehls_ros.experiments.monitoring.saved_state import (
-    MAX_CHANGES,
     LearntRig,
     SavedState,
-    change_of,
-    change_record,
     direction_of,
     direction_record,
-    past_of,
-    past_record,
-    readings_of,
-    readings_record,
-    rig_of,
+    state_of,
+    state_record,
 )
 from ehls_ros.experiments.state_files import table
 from ehls_ros.experiments.state_files.access import NotWritten, check_writable
@@ -53,7 +47,7 @@ from ehls_ros.experiments.state_files.kinds import (
     MonitorState,
 )
 from ehls_ros.experiments.state_files.state_file import Kind, OfAnotherOrigin, Origin, StateFile
-from ehls_ros.physics.rig import Rig, rig_to_mapping
+from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
 STATE = "memory.json"
@@ -204,17 +198,7 @@ class Memory:
             raise ValueError("its anchors are later than its end")
         learnt = self._read_learnt(content.learnt) if content.learnt else None
         begins, rows = self._read_blocks(content.blocks, learnt) if content.blocks and learnt else ((), np.zeros((3, 0, 0)))
-        saved = SavedState(
-            learnt,
-            rig_of(content.well, self._origin),
-            rig_of(content.model, self._origin),
-            tuple(change_of(record) for record in content.changes),
-            tuple(past_of(record) for record in content.history),
-            readings_of(content.readings),
-            content.watched,
-            begins,
-            rows,
-        )
+        saved = state_of(content, self._origin, learnt, begins, rows)
         return SavedMonitor(saved, anchors, content.end)
 
     def _arrays(self, name: str, kind: Kind) -> tuple[Any, Arrays]:
@@ -290,12 +274,7 @@ class Memory:
             "baselines": list(self._baselines),
             "end": end,
             "anchors": list(anchors),
-            "well": rig_to_mapping(state.healthy_rig),
-            "model": rig_to_mapping(state.model),
-            "changes": [change_record(change) for change in state.changes[-MAX_CHANGES:]],
-            "history": [past_record(past) for past in state.history],
-            "readings": readings_record(state.readings),
-            "watched": state.watched,
+            **state_record(state),
             "learnt": self._learnt_file,
             "blocks": self._blocks_file,
         }
@@ -345,16 +324,16 @@ class Memory:
         """
         if self._history is not None:
             return ""
-        path, heading, said = self._folder / COEFFICIENTS, ",".join(HEADING), ""
+        path, heading, remark = self._folder / COEFFICIENTS, ",".join(HEADING), ""
         try:
             judged = table.judge(path, heading, check_cells, LEARNS_ANEW, "the coefficients' history")
         except BadInput as error:
-            said, judged = self._move_aside(error, COEFFICIENTS), table.Judged((), 0)
+            remark, judged = self._move_aside(error, COEFFICIENTS), table.Judged((), 0)
             if os.path.lexists(path):
-                raise NotWritten(said) from None
+                raise NotWritten(remark) from None
         if judged.end:
             self._history = table.Table(path, heading, judged.end)
-        return said
+        return remark
 
 
 def check_cells(cells: Sequence[str]) -> None:

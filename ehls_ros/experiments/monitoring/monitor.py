@@ -21,23 +21,10 @@ from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, R
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import setup
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.monitoring import modes
 from ehls_ros.experiments.monitoring.baseline import OWN_RECORDING, RECORDINGS, RIG_FILE, Baseline
 from ehls_ros.experiments.monitoring.examination import Examiner, Finding, Task
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health
-from ehls_ros.experiments.monitoring.modes import (
-    Comparing,
-    Examining,
-    Learning,
-    Mode,
-    ScoredBlocks,
-    Suspecting,
-    Suspicion,
-    Testing,
-    Watching,
-    cleared,
-    judged,
-    unjudged,
-)
 from ehls_ros.experiments.monitoring.samples import Samples
 from ehls_ros.experiments.monitoring.saved_state import SavedState
 from ehls_ros.experiments.monitoring.trends import RATE_READINGS, rates
@@ -113,7 +100,7 @@ class Monitor:
         self.parameters = parameters
         self.changes = list[FoundChange]()
         self.history = list[PastReadings]()
-        self.mode: Mode = Learning()
+        self.mode: modes.Mode = modes.Learning()
         self._examiner = examiner
         self._baseline = Baseline(baselines or {})
         self._samples = Samples(max(parameters.kept_time, parameters.learning_time + 3.0 * COMPARED_TIME))
@@ -167,9 +154,9 @@ class Monitor:
         self._interrupted = False
         self._samples.add(time_s, signals)
         # While the healthy rig is compared with its file, the samples wait.
-        while float(time_s[-1]) >= self._next_begin + COMPARED_TIME and not isinstance(self.mode, Comparing):
+        while float(time_s[-1]) >= self._next_begin + COMPARED_TIME and not isinstance(self.mode, modes.Comparing):
             begin, self._next_begin = self._next_begin, self._next_begin + COMPARED_TIME
-            if isinstance(self.mode, Learning):
+            if isinstance(self.mode, modes.Learning):
                 self._learn_block(self.mode, begin, events)
             else:
                 self._judge(self.mode, begin, events)
@@ -195,17 +182,22 @@ class Monitor:
             return None
         return evidence
 
-    def _compare_samples(self, begin: float) -> Evidence | None:
-        """Compare the blocks from a time [s] on, and the lead before them, with the model."""
-        return self._compare(self._samples.between(begin - rules.MONITOR_LEAD, begin + COMPARED_TIME), self.model)
+    def _samples_of(self, begin: float) -> Trajectory:
+        """Return the samples of the blocks compared at once from a time [s] on, with the lead before them."""
+        return self._samples.between(begin - rules.MONITOR_LEAD, begin + COMPARED_TIME)
 
-    def _judge(self, mode: Testing, begin: float, events: list[Event]) -> None:
-        evidence = self._compare_samples(begin)
+    def _scores(self, samples: Trajectory) -> list[Scores]:
+        """Return the scores of blocks with their lead; none if they contain no information."""
+        evidence = self._compare(samples, self.model)
+        return [] if evidence is None else self._baseline.scores(evidence)
+
+    def _judge(self, mode: modes.Testing, begin: float, events: list[Event]) -> None:
+        evidence = self._compare(self._samples_of(begin), self.model)
         if evidence is None:
-            self.mode = unjudged(mode)
+            self.mode = modes.unjudged(mode)
             return
         found = self._baseline.scores(evidence)
-        self.mode = judged(mode)
+        self.mode = modes.judged(mode)
         if self.mode is not mode:
             self._reason = ""
         self._watched += COMPARED_TIME
@@ -218,7 +210,7 @@ class Monitor:
     def _test(self, begin: float, found: Scores, events: list[Event]) -> None:
         """Test for a change with one more block."""
         mode, end = self.mode, begin + rules.MONITOR_BLOCK
-        if isinstance(mode, Learning | Comparing):
+        if isinstance(mode, modes.Learning | modes.Comparing):
             return
         blocks = mode.blocks
         blocks.add(begin, found)
@@ -227,29 +219,29 @@ class Monitor:
         if self._unrecorded >= self._averaged:
             self._unrecorded = 0
             self.history.append(PastReadings(end, self._readings))
-        if not isinstance(mode, Watching | Suspecting):
+        if not isinstance(mode, modes.Watching | modes.Suspecting):
             return
         change = blocks.test.change()
         self.mode = mode.tested(change, end)
         if change is None and self._baseline.learn_unchanged(found):
             blocks.test.learn(self._baseline.statistics())
-        if isinstance(self.mode, Examining):
+        if isinstance(self.mode, modes.Examining):
             self._examine(self.mode, end, events)
 
     # --- learning ---------------------------------------------------------------------------------
 
-    def _learn_block(self, mode: Learning, begin: float, events: list[Event]) -> None:
-        if self._compare_samples(begin) is None:
+    def _learn_block(self, mode: modes.Learning, begin: float, events: list[Event]) -> None:
+        if self._compare(self._samples_of(begin), self.model) is None:
             # A rig at rest or hardly in motion provides no information.
             return
         oldest = float(self._samples.times[0]) + rules.MONITOR_LEAD
         self.mode = mode.add(begin, oldest, math.ceil(self.parameters.learning_time / COMPARED_TIME))
-        if isinstance(self.mode, Comparing):
+        if isinstance(self.mode, modes.Comparing):
             self._examiner.begin(Task(self._learnt_samples(self.mode), self.healthy_rig, preferred=self._preferred()))
             text = f"{self.parameters.learning_time:g} s learnt; compared with the rig file"
             events.append(Event(begin + COMPARED_TIME, "learnt", text))
 
-    def _learnt_samples(self, mode: Comparing) -> Trajectory:
+    def _learnt_samples(self, mode: modes.Comparing) -> Trajectory:
         return self._samples.between(mode.begins[0] - rules.MONITOR_LEAD, mode.begins[-1] + COMPARED_TIME)
 
     def _learn_from_baselines(self) -> None:
@@ -266,8 +258,7 @@ class Monitor:
             for begin in np.arange(time[0], time[-1] - COMPARED_TIME - rules.MONITOR_LEAD, COMPARED_TIME):
                 part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + COMPARED_TIME]))
                 samples = Trajectory(time[part] - time[part][0], {n: v[part] for n, v in recording.signals.items()})
-                blocks = self._compare(samples, self.model)
-                section += self._baseline.scores(blocks) if blocks is not None else []
+                section += self._scores(samples)
             if section:
                 self._baseline.sections.append(section)
         if not self._baseline.sections:
@@ -279,16 +270,16 @@ class Monitor:
     def _begin_watching(self) -> None:
         hours = self.parameters.mean_time_between_false_alarms
         test = ChangeTest(self._baseline.statistics(), hours, self._baseline.powers)
-        self.mode, self._reason = Watching(ScoredBlocks(test, self._averaged)), ""
+        self.mode, self._reason = modes.Watching(modes.ScoredBlocks(test, self._averaged)), ""
 
     def _learn_anew(self) -> None:
         """Restart learning from the present rig."""
-        self.mode = Learning()
+        self.mode = modes.Learning()
         self._baseline.forget()
 
     # --- examination ------------------------------------------------------------------------------
 
-    def _examine(self, mode: Examining, now: float, events: list[Event]) -> None:
+    def _examine(self, mode: modes.Examining, now: float, events: list[Event]) -> None:
         change, begins = mode.change, list(mode.blocks.begins)
         # The block of the onset is only partly changed.
         first = begins[1 - change.blocks]
@@ -311,12 +302,12 @@ class Monitor:
         if found is None:
             return
         now = float(self._samples.times[-1])
-        if isinstance(self.mode, Comparing):
+        if isinstance(self.mode, modes.Comparing):
             self._end_learning(self.mode, found, now, events)
-        elif isinstance(self.mode, Examining):
+        elif isinstance(self.mode, modes.Examining):
             self._end_examination(self.mode, found, now, events)
 
-    def _end_examination(self, mode: Examining, found: Finding, now: float, events: list[Event]) -> None:
+    def _end_examination(self, mode: modes.Examining, found: Finding, now: float, events: list[Event]) -> None:
         self.mode = mode.examined()
         change, begins = mode.change, list(mode.blocks.begins)
         onset, earliest, latest = (begins[-min(n, len(begins))] for n in (change.blocks, change.earliest, change.latest))
@@ -339,8 +330,8 @@ class Monitor:
             mode.blocks.test.learn(self._baseline.statistics())
             self._clear_blocks()
 
-    def _end_learning(self, mode: Comparing, found: Finding, now: float, events: list[Event]) -> None:
-        self.mode = Learning()
+    def _end_learning(self, mode: modes.Comparing, found: Finding, now: float, events: list[Event]) -> None:
+        self.mode = modes.Learning()
         recording, begin = self._learnt_samples(mode), mode.begins[0] - rules.MONITOR_LEAD
         if found.verdict == "insufficient":
             self._reason = found.reason
@@ -364,9 +355,8 @@ class Monitor:
         self._baseline.choose_directions(evidence)
         self._baseline.learn_residuals([self._compare(recording, self.model)])
         section = list[Scores]()
-        for learnt in mode.begins:
-            evidence = self._compare_samples(learnt)
-            section += self._baseline.scores(evidence) if evidence is not None else []
+        for block in mode.begins:
+            section += self._scores(self._samples_of(block))
         if not section:
             return
         self._baseline.sections = [section]
@@ -375,8 +365,8 @@ class Monitor:
 
     def _clear_blocks(self) -> None:
         """Discard the tested blocks, which refer to another model."""
-        if not isinstance(self.mode, Learning | Comparing):
-            self.mode = cleared(self.mode)
+        if not isinstance(self.mode, modes.Learning | modes.Comparing):
+            self.mode = modes.cleared(self.mode)
         self._baseline.forget_unchanged()
 
     # --- changes ----------------------------------------------------------------------------------
@@ -434,7 +424,7 @@ class Monitor:
             self.changes[index] = self.changes[index]._replace(before=True, acknowledged=True)
         self.healthy_rig = self.model
         if self._baseline.kind == RIG_FILE:
-            if isinstance(self.mode, Examining):
+            if isinstance(self.mode, modes.Examining):
                 self._examiner.close()
             self._clear_blocks()
         else:
@@ -456,15 +446,15 @@ class Monitor:
             self._baseline.use(RIG_FILE)
             self._learn_anew()
             self._reason = ""
-        elif isinstance(self.mode, Learning | Comparing):
+        elif isinstance(self.mode, modes.Learning | modes.Comparing):
             self._learn_from_baselines()
         else:
             self._clear_blocks()
-            self.mode = Watching(self.mode.blocks)
+            self.mode = modes.Watching(self.mode.blocks)
 
     def saved_state(self) -> SavedState:
         """Return the state from which another monitor of this rig can continue."""
-        blocks = None if isinstance(self.mode, Learning | Comparing) else self.mode.blocks
+        blocks = None if isinstance(self.mode, modes.Learning | modes.Comparing) else self.mode.blocks
         return SavedState(
             None if blocks is None else self._baseline.learnt(),
             self.healthy_rig,
@@ -492,7 +482,7 @@ class Monitor:
         if past.learnt.recording is not None:
             self._baseline.learn_residuals([self._compare(past.learnt.recording, self.model)])
         self._begin_watching()
-        if isinstance(self.mode, Watching) and len(past.begins) == past.rows.shape[1]:
+        if isinstance(self.mode, modes.Watching) and len(past.begins) == past.rows.shape[1]:
             self.mode.blocks.restore(past.begins, past.rows)
 
     def health(self) -> Health:
@@ -514,7 +504,7 @@ class Monitor:
         self._examiner.close()
 
 
-def _drifts(change: Change, suspicion: Suspicion) -> bool:
+def _drifts(change: Change, suspicion: modes.Suspicion) -> bool:
     """Return whether a change has grown since it was first noticed."""
     first = suspicion.first
     return change.ratio > first.ratio * math.pow(change.blocks / first.blocks, MIN_DRIFT_EXPONENT)

@@ -1,4 +1,4 @@
-"""Time at which a drifting coefficient reaches its limit."""
+"""Trends of coefficients: a drift has a rate, a jump has none; and the time at which a limit is reached."""
 
 import math
 from pathlib import Path
@@ -6,15 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehls_ros.diagnosis.monitoring.tracking import Reading
+from ehls_ros.diagnosis.monitoring.tracking import PastReadings, Reading
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.files import configured
-from ehls_ros.experiments.monitoring.trends import check_limits, predict_limit, predict_limits
+from ehls_ros.experiments.monitoring.trends import check_limits, jumped, predict_limit, predict_limits, rates
 from ehls_ros.experiments.spec import load_rig
 
 NAME = "leakage_coefficient"
 HEALTHY = 4.0
+NOISE = 0.02
+HOURS = np.arange(20.0)
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +26,37 @@ def rig():
 
 def reading(value, deviation=0.01, why_not=""):
     return Reading(NAME, value, math.inf if why_not else deviation, "1", why_not)
+
+
+def history(values):
+    told = [Reading(NAME, value, NOISE, "1") for value in values]
+    return [PastReadings(3600.0 * hour, (reading,)) for hour, reading in zip(HOURS, told, strict=False)]
+
+
+def test_a_jump_has_no_rate_and_a_drift_has():
+    noise = np.random.default_rng(2).normal(0.0, NOISE, (3, 20))
+    deviations = np.full(20, NOISE)
+    stepped, drifted, steady = 4.0 + np.array([HOURS >= 8.0, 0.1 * HOURS, 0.0 * HOURS]) + noise
+    assert jumped(HOURS, stepped, deviations)
+    assert not jumped(HOURS, drifted, deviations)
+    assert not jumped(HOURS, steady, deviations)
+    assert rates(history(stepped)) == {}
+    found = rates(history(drifted))[NAME]
+    assert found.unit == "1/h"
+    assert abs(found.value - 0.1) < 4.0 * found.std
+
+
+def test_the_interval_of_a_rate_is_that_of_the_line_through_independent_readings():
+    """Var(slope) = sigma^2 / sum (t - mean t)^2."""
+    rng = np.random.default_rng(3)
+    exact = NOISE / math.sqrt(float(np.sum((HOURS - np.mean(HOURS)) ** 2)))
+    slopes = [rates(history(4.0 + rng.normal(0.0, NOISE, 20)))[NAME] for _ in range(300)]
+    assert float(np.std([s.value for s in slopes])) == pytest.approx(exact, rel=0.15)
+    assert float(np.median([s.std for s in slopes])) == pytest.approx(exact, rel=0.15)
+
+
+def test_few_readings_have_no_rate():
+    assert rates(history([4.0, 4.1, 4.2])) == {}
 
 
 def test_an_exact_line_reaches_its_limit_where_it_crosses_it():
