@@ -14,7 +14,7 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from patience import MAX_WAIT
+from patience import PATIENCE
 from rclpy.event_handler import PublisherEventCallbacks
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
@@ -171,7 +171,7 @@ def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, par
     # A second monitor in the folder would remove the files of the first.
     words = [word for key, value in own.items() for word in ("-p", f"{key}:={value}")]
     second = graph.run("second", ["-m", "ehls_ros.nodes.monitor_node", "--ros-args", *words, "-r", "__node:=monitor_node_2"])
-    assert second.wait(MAX_WAIT) != 0
+    assert second.wait(PATIENCE) != 0
     assert "runs another monitor in the folder; expected another folder" in graph.log("second")
     for name in (*GRAPH, "plant_sim_node"):
         more = {"partners": ",".join(GRAPH), "speed": 4.0} if name == "plant_sim_node" else {}
