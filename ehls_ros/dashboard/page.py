@@ -90,15 +90,15 @@ class Page:
         with ui.element("div").classes("head"):
             ui.html("Electro-hydraulic load simulator", sanitize=False, tag="h1")
             self._state = ui.label("no graph").classes("badge").props('data-name="state"')
-            ui.label(graph.where).classes("said").props('data-name="where"')
+            ui.label(graph.where).classes("note").props('data-name="where"')
             ui.element("div").classes("grow")
             if not writes:
-                ui.label("read only: controls need the address with the token").classes("said").props('data-name="read-only"')
+                ui.label("read only: controls need the address with the token").classes("note").props('data-name="read-only"')
             ui.html(MENU.format(id="view", label="View"), sanitize=False)
             ui.html(PAUSE, sanitize=False, tag="label").classes("pause")
             if writes:
                 button("Emergency stop", graph.emergency_stop, "dense color=negative")
-        self._programme = ui.label("").classes("said").props('data-name="programme"')
+        self._programme = ui.label("").classes("note").props('data-name="programme"')
         with ui.element("div").classes("trouble") as self._trouble:
             self._text = ui.label("").props('data-name="trouble"')
             if writes:
@@ -180,7 +180,7 @@ class StartCard:
         with ui.element("section").classes("beginning").props('data-name="beginning"') as self._card:
             self._title = ui.label("").classes("title")
             self._nodes = ui.html("", sanitize=False, tag="dl")
-            self._text = ui.label("").classes("said")
+            self._text = ui.label("").classes("note")
 
     def show(self, progress: StartProgress | None, *, graph_seen: bool) -> None:
         """Update the card.
@@ -202,7 +202,7 @@ class NodesTab:
 
     def __init__(self) -> None:
         """Build the tab in the current slot."""
-        self._none = ui.label("No node publishes diagnostics.").classes("said")
+        self._none = ui.label("No node publishes diagnostics.").classes("note")
         self._list = ui.element("div").classes("nodes")
         self._rows: dict[str, _Row] = {}
 
@@ -227,7 +227,7 @@ class _Row:
             with ui.element("summary"):
                 ui.html(escape(name), sanitize=False, tag="b")
                 self._level = ui.label("").classes("badge")
-                self._message = ui.label("").classes("said")
+                self._message = ui.label("").classes("note")
             self._figures = ui.html("", sanitize=False, tag="dl")
 
     def show(self, health: NodeHealth) -> None:

@@ -31,11 +31,11 @@ class RigTab:
             writes: whether changes can be acknowledged.
         """
         self._tab = tab
-        self._none = ui.label("No monitor is running.").classes("said")
+        self._none = ui.label("No monitor is running.").classes("note")
         with ui.element("div").classes("rig") as self._all:
             ui.label("Rig health").classes("title")
             self._summary = ui.label("").props('data-name="rig-summary"')
-            self._state = ui.label("").classes("said")
+            self._state = ui.label("").classes("note")
             self._changes = ui.html("", sanitize=False, tag="ul").props('data-name="rig-changes"')
             self._acknowledge = button("Acknowledge changes", graph.acknowledge_changes, "dense outline") if writes else None
             self._coefficients = ui.html("", sanitize=False, tag="div").props('data-name="rig-coefficients"')

@@ -102,8 +102,8 @@ class DashboardGraph(Link):
 
     def health(self) -> tuple[NodeHealth, ...]:
         """Return the nodes' diagnostics; a node that is compiling cannot publish any and is shown as OK."""
-        beginning = self.starting()
-        busy = {node for node, doing in beginning.nodes.items() if doing == COMPILING} if beginning else set()
+        starting = self.starting()
+        busy = {node for node, stage in starting.nodes.items() if stage == COMPILING} if starting else set()
         return tuple(
             health._replace(level=0, message=COMPILING) if health.node in busy else health for health in super().health()
         )
@@ -216,9 +216,9 @@ class DashboardGraph(Link):
         """Return the reason for a failed start: a node that died takes precedence over nodes that waited for it."""
         if self._cancelled.is_set():
             return "stopped before it was running"
-        if twins := self.duplicates(node.name for node in self._nodes.running):
+        if duplicates := self.duplicates(node.name for node in self._nodes.running):
             elsewhere = "stop that first, or set another ROS_DOMAIN_ID or --namespace"
-            return f"{self.where} already has a running {', '.join(twins)}: {elsewhere}"
+            return f"{self.where} already has a running {', '.join(duplicates)}: {elsewhere}"
         return next(map(_death_notice, self._nodes.dead()), refusal)
 
     def _stage(self, node: Running) -> str:

@@ -132,7 +132,7 @@ class Parameters(NamedTuple):
     """Baseline recordings, memory folder and flight recorder of the monitor."""
 
     baseline: Annotated[
-        str, text("recordings from when the rig was well, separated by commas; empty: the rig file and the first minutes")
+        str, text("recordings of the healthy rig, separated by commas; empty: the rig file and the first minutes")
     ] = ""
     folder: Annotated[
         str, text("folder of memory and flight recorder; empty: runs/monitor, with the namespace of another rig")

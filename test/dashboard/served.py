@@ -49,15 +49,15 @@ class Served:
         self.server, _, self.token = self.address.partition("?token=")
 
     def _announced(self) -> str:
-        return next((shortened for shortened in self.lines if shortened.startswith("http://")), "")
+        return next((line for line in self.lines if line.startswith("http://")), "")
 
     def requests(self) -> list[str]:
         """Return the requests that reached the stand-in graph."""
-        return [shortened.strip().removeprefix("request: ") for shortened in self.lines if shortened.startswith("request: ")]
+        return [line.strip().removeprefix("request: ") for line in self.lines if line.startswith("request: ")]
 
     def said(self) -> str:
         """Return its other output."""
-        return "".join(shortened for shortened in self.lines if not shortened.startswith("request: "))
+        return "".join(line for line in self.lines if not line.startswith("request: "))
 
     def tell(self, health: list[Any] | dict[str, Any]) -> None:
         """Set the diagnostics of the stand-in graph, [node, level, message, figures] each, or its monitor's report."""

@@ -42,8 +42,8 @@ class StandIn:
         self._rig: RigHealth | None = None
 
     def listen(self) -> None:
-        for shortened in sys.stdin:
-            said = json.loads(shortened)
+        for line in sys.stdin:
+            said = json.loads(line)
             if isinstance(said, dict):
                 self._rig = _rig_health(said)
             else:

@@ -16,11 +16,11 @@ from ehls_ros.nodes.dashboard_link import Link
 from ehls_ros.nodes.transport import control_qos
 from ehls_ros.recording.topics import MODEL_HEALTH
 
-MAX_NAME = "leakage_coefficient"
+NAME = "leakage_coefficient"
 
 
 def said(second: int, value: float, *, told: bool = True) -> ModelHealth:
-    coefficient = TrackedCoefficient(name=MAX_NAME, unit="m^5/(N s)", value=value, deviation=1e-13, told=told)
+    coefficient = TrackedCoefficient(name=NAME, unit="m^5/(N s)", value=value, deviation=1e-13, told=told)
     changes = [ModelChange(sentence=f"change {number}", active=True) for number in (1, 2)]
     message = ModelHealth(state=ModelHealth.WATCHING, summary="all is well", changes=changes, coefficients=[coefficient])
     message.header.stamp = Time(sec=second)
@@ -83,6 +83,6 @@ def test_a_clock_that_goes_back_begins_a_new_trend(participant):
     try:
         for second in (100, 160, 160, 5, 10):
             watch._register(said(second, 4e-12))
-        assert list(watch._past[MAX_NAME]) == [(5.0, 4e-12), (10.0, 4e-12)]
+        assert list(watch._past[NAME]) == [(5.0, 4e-12), (10.0, 4e-12)]
     finally:
         watch.destroy()

@@ -62,7 +62,7 @@ def arguments(parser: ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="OLD",
-        help="recordings from when the rig was well; without any, the first samples are learnt from",
+        help="recordings of the healthy rig; without any, the monitor learns from the first samples",
     )
     parser.add_argument("--columns", type=Path, help="YAML that maps the files' own column names and units")
     for name, metavar in (("mean_time_between_false_alarms", "H"), ("learning_time", "S")):
