@@ -37,18 +37,7 @@ from ehls_ros.experiments.monitoring.benefit import Benefit
 from ehls_ros.experiments.monitoring.cycle_assembly import LOCKSTEP_MAX_WAIT, MAX_WAIT, CycleAssembler, LoaderSnapshot
 from ehls_ros.experiments.monitoring.examination import ProcessExaminer
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
-from ehls_ros.experiments.monitoring.health import (
-    DebouncedSummary,
-    Event,
-    FoundChange,
-    Health,
-    State,
-    Summary,
-    describe_change,
-    effect_group,
-    summarise,
-    today,
-)
+from ehls_ros.experiments.monitoring.health import DebouncedSummary, Event, FoundChange, Health, State, Summary, today
 from ehls_ros.experiments.monitoring.memory import UNUSABLE, Memory, SavedMonitor
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.monitor import Parameters as MonitoringParameters
@@ -473,7 +462,7 @@ class MonitorNode(ControlNode):
         elif not self.assembler.driving:
             health = health._replace(state=State.IDLE, reason="the gate is closed, so no command reaches the valve")
         self.published_health = health
-        self.summary = self.debounced.update(summarise(health, self.spec.controller_rig, self.assembler.stamp_ns))
+        self.summary = self.debounced.update(health.summary(self.spec.controller_rig, self.assembler.stamp_ns))
         self.health_publisher.publish(self._message(health))
         self.report_change()
 
@@ -500,7 +489,7 @@ class MonitorNode(ControlNode):
             number=change.number,
             cause=change.causes[0].name if change.causes else "",
             equivalent_to=list(change.causes[0].equivalent_to) if change.causes else [],
-            group=effect_group(change),
+            group=change.group,
             stage=change.stage,
             probability=change.causes[0].probability if change.causes else 0.0,
             parameters=list(parameters),
@@ -513,7 +502,7 @@ class MonitorNode(ControlNode):
             cleared=time_of(stamp_ns(change.cleared)),
             active=change.active,
             acknowledged=change.acknowledged,
-            sentence=describe_change(change, self.spec.controller_rig, stamp_ns, now_ns),
+            sentence=change.describe(self.spec.controller_rig, stamp_ns, now_ns),
         )
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:

@@ -18,9 +18,7 @@ from ehls_ros.experiments.monitoring.health import (
     Health,
     State,
     Summary,
-    effect_group,
     format_instant,
-    summarise,
 )
 from ehls_ros.experiments.spec import load_rig
 
@@ -40,7 +38,7 @@ UNKNOWN = FoundChange(2, (), "force_balance", ("velocity",), 0.0, 0.0, 1.0, 2.0,
 
 def said(*changes: FoundChange, state: State = State.WATCHING) -> Summary:
     health = Health(60.0, state, "", changes, (), 7200.0, "the rig file", 0.0, {})
-    return summarise(health, RIG, lambda instant: MONDAY + round(instant * 1e9))
+    return health.summary(RIG, lambda instant: MONDAY + round(instant * 1e9))
 
 
 def test_a_change_is_said_with_size_since_when_and_whose_fault():
@@ -49,7 +47,7 @@ def test_a_change_is_said_with_size_since_when_and_whose_fault():
         "sensor: offset of the pressure sensor 2e+05 ± 2e+04 Pa since Mon 09:12, 98 % (or constant_load)"
     )
     assert said(UNKNOWN).sentence == "unknown change of the force balance since Mon 09:12, depends on velocity"
-    assert (effect_group(LEAK), effect_group(BIAS), effect_group(UNKNOWN)) == ("flow", "sensors", "")
+    assert (LEAK.group, BIAS.group, UNKNOWN.group) == ("flow", "sensors", "")
 
 
 def test_it_warns_until_an_operator_has_seen_it():

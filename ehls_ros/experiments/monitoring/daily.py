@@ -54,8 +54,7 @@ def results_of_day(folder: Path, day: date) -> tuple[MonitoringResult, datetime]
     changes = tuple(change.with_times(lambda instant: _since(midnight, instant, state.anchors)) for change in changes)
     history = _history(folder / COEFFICIENTS, midnight)
     end = (datetime.now().astimezone() - midnight).total_seconds()
-    identified = {reading.name for reading in readings if reading.identified}
-    missing = tuple(reading.name for reading in readings if reading.name not in identified)
+    missing = tuple(reading.name for reading in readings if not reading.identified)
     health = Health(end, State.WATCHING, "", changes, readings, state.watched, "the healthy rig", 0.0, rates(history))
     return MonitoringResult(rig, Parameters(), health, history, (), missing=missing), midnight
 

@@ -105,6 +105,11 @@ class FoundChange(NamedTuple):
             cleared=convert(self.cleared),
         )
 
+    @property
+    def group(self) -> str:
+        """Group of its first cause; empty if it has none."""
+        return EFFECTS.load(self.causes[0].name).GROUP if self.causes else ""
+
     def sentence(self) -> str:
         """Describe the change."""
         if not self.causes:
@@ -114,6 +119,25 @@ class FoundChange(NamedTuple):
         sizes = ", ".join(f"{name} {_size(value)}" for name, value in cause.parameters.items())
         equivalent = f" (or {', '.join(cause.equivalent_to)})" if cause.equivalent_to else ""
         return f"{cause.name}{equivalent}: {sizes}, {100.0 * cause.probability:.0f} %"
+
+    def describe(self, rig: Rig, wall: Wall, now_ns: int) -> str:
+        """Describe the change to an operator: cause, size and time of onset.
+
+        Args:
+            rig: the rig as described in its file, the reference of sizes.
+            wall: returns the stamps along the monitor's axis.
+            now_ns: the newest stamp [ns].
+        """
+        since = f" since {format_instant(wall(self.since), now_ns)}"
+        if not self.causes:
+            depends = f", depends on {', '.join(self.depends_on)}" if self.depends_on else ""
+            return f"{self.name}{since}{depends}"
+        cause = self.causes[0]
+        origin = "sensor" if self.group == SENSORS else "rig"
+        sizes = ", ".join(_relative_size(cause.name, parameter, value, rig) for parameter, value in cause.parameters.items())
+        label = "" if _tracked(cause.name, next(iter(cause.parameters), "")) else f"{cause.name.replace('_', ' ')}: "
+        equivalent = f" (or {', '.join(cause.equivalent_to)})" if cause.equivalent_to else ""
+        return f"{origin}: {label}{sizes}{since}, {100.0 * cause.probability:.0f} %{equivalent}"
 
 
 def _size(value: Estimate) -> str:
@@ -133,6 +157,18 @@ class Event(NamedTuple):
     time: float
     kind: str
     text: str
+
+
+class Summary(NamedTuple):
+    """Rig health in brief.
+
+    Attributes:
+        level: :data:`GOOD` or :data:`WARNING`.
+        sentence: description.
+    """
+
+    level: int
+    sentence: str
 
 
 class Health(NamedTuple):
@@ -165,25 +201,31 @@ class Health(NamedTuple):
         """The active changes."""
         return tuple(change for change in self.changes if change.active)
 
+    def summary(self, rig: Rig, wall: Wall) -> Summary:
+        """Return level and sentence; a warning while a change is active and not acknowledged.
 
-# --- sentences for operators ---------------------------------------------------------------------
+        Args:
+            rig: the rig as described in its file.
+            wall: returns the stamps along the monitor's axis.
+        """
+        now_ns = wall(self.time)
+        new = [change for change in self.active if not change.acknowledged]
+        seen = [change for change in self.active if change.acknowledged]
+        parts = [change.describe(rig, wall, now_ns) for change in new]
+        parts += [f"acknowledged: {change.describe(rig, wall, now_ns)}" for change in seen]
+        if self.state == State.IDLE:
+            parts.append(f"nothing is judged: {self.reason or 'no samples'}")
+        elif self.state == State.LEARNING:
+            parts.append("learning the scatter of the healthy rig")
+        elif self.outside > MIN_REPORTED_OUTSIDE:
+            parts.append(f"{100.0 * self.outside:.0f} % of the last minute is outside the range of the baseline")
+        quiet = f"no change against {self.baseline} in {self.watched / 3600.0:.3g} h"
+        return Summary(WARNING if new else GOOD, "; ".join(parts) if parts else quiet)
 
 
 def today() -> date:
     """Return the day in the local time zone."""
     return datetime.now().astimezone().date()
-
-
-class Summary(NamedTuple):
-    """Rig health in brief.
-
-    Attributes:
-        level: :data:`GOOD` or :data:`WARNING`.
-        sentence: description.
-    """
-
-    level: int
-    sentence: str
 
 
 class DebouncedSummary:
@@ -209,32 +251,6 @@ class DebouncedSummary:
             self._since = now
         self._held = summary
         return summary
-
-
-def effect_group(change: FoundChange) -> str:
-    """Return the group of a change's first cause; empty for an unknown one."""
-    return EFFECTS.load(change.causes[0].name).GROUP if change.causes else ""
-
-
-def describe_change(change: FoundChange, rig: Rig, wall: Wall, now_ns: int) -> str:
-    """Describe a change: cause, size and time of onset.
-
-    Args:
-        change: the change.
-        rig: the rig as described in its file, the reference of sizes.
-        wall: returns the stamps along the monitor's axis.
-        now_ns: the newest stamp [ns].
-    """
-    since = f" since {format_instant(wall(change.since), now_ns)}"
-    if not change.causes:
-        depends = f", depends on {', '.join(change.depends_on)}" if change.depends_on else ""
-        return f"{change.name}{since}{depends}"
-    cause = change.causes[0]
-    origin = "sensor" if effect_group(change) == SENSORS else "rig"
-    sizes = ", ".join(_relative_size(cause.name, parameter, value, rig) for parameter, value in cause.parameters.items())
-    label = "" if _tracked(cause.name, next(iter(cause.parameters), "")) else f"{cause.name.replace('_', ' ')}: "
-    equivalent = f" (or {', '.join(cause.equivalent_to)})" if cause.equivalent_to else ""
-    return f"{origin}: {label}{sizes}{since}, {100.0 * cause.probability:.0f} %{equivalent}"
 
 
 def _tracked(effect: str, parameter: str) -> Tracked | None:
@@ -264,26 +280,3 @@ def format_instant(stamp_ns: int, now_ns: int) -> str:
         return f"{stamp_ns * 1e-9:.1f} s" if stamp_ns else "before monitoring"
     wall = datetime.fromtimestamp(stamp_ns * 1e-9).astimezone()
     return wall.strftime("%Y-%m-%d %H:%M" if now_ns - stamp_ns > WEEK_NS else "%a %H:%M")
-
-
-def summarise(health: Health, rig: Rig, wall: Wall) -> Summary:
-    """Return level and sentence of the rig's health; a warning while a change is active and not acknowledged.
-
-    Args:
-        health: health reported by the monitor.
-        rig: the rig as described in its file.
-        wall: returns the stamps along the monitor's axis.
-    """
-    now_ns = wall(health.time)
-    new = [change for change in health.active if not change.acknowledged]
-    seen = [change for change in health.active if change.acknowledged]
-    parts = [describe_change(change, rig, wall, now_ns) for change in new]
-    parts += [f"acknowledged: {describe_change(change, rig, wall, now_ns)}" for change in seen]
-    if health.state == State.IDLE:
-        parts.append(f"nothing is judged: {health.reason or 'no samples'}")
-    elif health.state == State.LEARNING:
-        parts.append("learning the scatter of the healthy rig")
-    elif health.outside > MIN_REPORTED_OUTSIDE:
-        parts.append(f"{100.0 * health.outside:.0f} % of the last minute is outside the range of the baseline")
-    quiet = f"no change against {health.baseline} in {health.watched / 3600.0:.3g} h"
-    return Summary(WARNING if new else GOOD, "; ".join(parts) if parts else quiet)
