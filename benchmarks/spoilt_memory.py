@@ -52,7 +52,7 @@ from ehls_ros.control.programme.motion import Rows, Runner
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.monitoring.blocks import Scores
 from ehls_ros.diagnosis.monitoring.directions import Direction
-from ehls_ros.diagnosis.monitoring.tracking import Reading
+from ehls_ros.diagnosis.monitoring.tracking import PastReadings, Reading
 from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -60,15 +60,14 @@ from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.accepted_rig import accepted_model, write_accepted
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.monitoring import flight_recorder
-from ehls_ros.experiments.monitoring.examination import AtOnce, FoundCause
+from ehls_ros.experiments.monitoring.cycle_assembly import Anchor
+from ehls_ros.experiments.monitoring.examination import FoundCause, SynchronousExaminer
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
-from ehls_ros.experiments.monitoring.following import Anchor
 from ehls_ros.experiments.monitoring.health import FoundChange
 from ehls_ros.experiments.monitoring.memory import UNUSABLE, Memory
 from ehls_ros.experiments.monitoring.monitor import Monitor
-from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
-from ehls_ros.experiments.monitoring.remembered import Learnt, Remembered
-from ehls_ros.experiments.monitoring.remembered import Past as Reached
+from ehls_ros.experiments.monitoring.monitor import Parameters as Watching
+from ehls_ros.experiments.monitoring.saved_state import LearntRig, SavedState
 from ehls_ros.experiments.programme_records import LOG, digest, open_records, plain, state_file
 from ehls_ros.experiments.spec import Spec, company_of, load_rig, spec_from_mapping
 from ehls_ros.experiments.state_files import archive
@@ -301,7 +300,7 @@ def use_programme(folder: Path) -> str:
 # --- the monitor ----------------------------------------------------------------------------------------
 
 
-def remembered() -> Remembered:
+def saved_state() -> SavedState:
     """Return the memory of a monitor that has watched a healthy rig for a while."""
     leak = Candidate(
         name="internal_leakage_shift",
@@ -325,15 +324,15 @@ def remembered() -> Remembered:
     sections = (tuple(Scores(row[0], row[1], row[2], none) for row in rows(40).swapaxes(0, 1)),)
     readings = (
         Reading("leakage_coefficient", 4.7e-12, 1e-13, "m^5/(N s)"),
-        Reading("moving_mass", 70.0, math.inf, "kg", "the programme does not show it"),
+        Reading("moving_mass", 70.0, math.inf, "kg", "not excited by the programme"),
     )
     cause = FoundCause("internal_leakage_shift", "flow", 0.98, ("turbulent_leakage",), {"added": Estimate(2e-12, 1e-13, "1")})
-    return Remembered(
-        learnt=Learnt("the rig file", directions, sections),
-        well=RIG,
+    return SavedState(
+        learnt=LearntRig("the rig file", directions, sections),
+        healthy_rig=RIG,
         model=RIG,
         changes=(FoundChange(1, (cause,), "flow", (), 30.0, -math.inf, 33.0, 35.0, 36.0),),
-        history=tuple(Reached(60.0 * (k + 1), readings) for k in range(10)),
+        history=tuple(PastReadings(60.0 * (k + 1), readings) for k in range(10)),
         readings=readings,
         watched=600.0,
         begins=tuple(2.5 * k for k in range(30)),
@@ -347,7 +346,7 @@ ANCHORS = (Anchor(0.0, 1_700_000_000 * 10**9),)
 def make_monitor(folder: Path, name: str) -> Path:
     """Write a monitor's memory, and return one of its files."""
     memory = Memory(folder, ORIGIN)
-    memory.keep(remembered(), ANCHORS, 600.0)
+    memory.save(saved_state(), ANCHORS, 600.0)
     memory.close()
     return folder / name
 
@@ -356,10 +355,10 @@ def use_monitor(folder: Path) -> str:
     """Start a monitor and end it."""
     outcome = TAKEN
     memory = Memory(folder, ORIGIN)
-    monitor = Monitor(RIG, Watching(), AtOnce())
+    monitor = Monitor(RIG, Watching(), SynchronousExaminer())
     try:
         if (kept := memory.restore()) is not None:
-            monitor.restore(kept.remembered)
+            monitor.restore(kept.state)
             monitor.health()
     except UNUSABLE as error:
         outcome = ASIDE
@@ -369,7 +368,7 @@ def use_monitor(folder: Path) -> str:
         memory.check_writable()
     try:
         outcome = ASIDE if memory.open_history() else outcome
-        memory.keep(remembered(), ANCHORS, 700.0)
+        memory.save(saved_state(), ANCHORS, 700.0)
     finally:
         memory.close()
     return outcome

@@ -16,8 +16,7 @@ from benchmarks.monitor.hidden import AFTER, OFFLINE, ONSET, offline, shortest, 
 from benchmarks.monitor.streams import Rng, part
 from benchmarks.monitor.watching import Timed, powers
 from ehls_ros.experiments.loop import run_in_stretches
-from ehls_ros.experiments.monitoring.monitor import Monitor
-from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse, Rig

@@ -13,13 +13,11 @@ from benchmarks.monitor.watching import Timed, feed
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.monitoring.blocks import scores
-from ehls_ros.diagnosis.monitoring.change_test import ChangeTest
+from ehls_ros.diagnosis.monitoring.change_test import BlockStatistics, ChangeTest, block_statistics
 from ehls_ros.diagnosis.monitoring.directions import directions
-from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import setup
-from ehls_ros.experiments.monitoring.monitor import Monitor
-from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 from ehls_ros.trajectory import Trajectory
 
 PROGRAMMES, LEARNT, DURATION = "rich+random+steps", 70.0, 300.0
@@ -77,6 +75,6 @@ def _parts(recording: Trajectory) -> tuple[dict[str, list[float]], int]:
     return out, len(followed)
 
 
-def _any(count: int) -> Healthy:
+def _any(count: int) -> BlockStatistics:
     """Return a dummy scatter of one block: no time depends on it."""
-    return learn(np.zeros((1, count)), np.ones((1, count)), np.zeros(1, dtype=np.intp))
+    return block_statistics(np.zeros((1, count)), np.ones((1, count)), np.zeros(1, dtype=np.intp))

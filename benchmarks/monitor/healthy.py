@@ -6,8 +6,7 @@ from typing import Any
 
 from benchmarks.monitor.streams import episode, stretches_of
 from benchmarks.monitor.watching import Timed, bounds, feed, powers, test_of, told
-from ehls_ros.experiments.monitoring.monitor import Monitor
-from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 
 SETTINGS = (100.0, 1000.0)
 """Mean times between false alarms [h]; monitors run at the first, and the largest sums show what others would have noticed."""

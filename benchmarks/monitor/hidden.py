@@ -13,8 +13,7 @@ from benchmarks.diagnosis.exams import effect_of
 from benchmarks.monitor.streams import Onset, in_chunks, part, recording_of
 from benchmarks.monitor.watching import Timed, powers
 from ehls_ros.experiments.monitoring.examination import Finding, Task, examine
-from ehls_ros.experiments.monitoring.monitor import Monitor
-from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 from ehls_ros.trajectory import Trajectory
 from truth_generator import LISTED, draw_effect
 from truth_generator.effects import EFFECTS
@@ -48,7 +47,7 @@ def draw(seed: int, number: int, pool: Mapping[str, Any] | None = None) -> tuple
 
 def names_of(found: Finding) -> list[str]:
     """Return the first cause of a diagnosis and its equivalents; none if it names none."""
-    return [found.causes[0].name, *found.causes[0].equivalent_to] if found.names else []
+    return [found.causes[0].name, *found.causes[0].equivalent_to] if found.names_causes else []
 
 
 def offline(recording: Trajectory) -> list[str]:

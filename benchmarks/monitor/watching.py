@@ -16,6 +16,7 @@ from ehls_ros.diagnosis.stages import CHANNELS, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.monitoring.examination import Finding, Task, examine
 from ehls_ros.experiments.monitoring.health import Event
+from ehls_ros.experiments.monitoring.modes import Comparing, Learning
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
@@ -60,8 +61,8 @@ class Timed:
 
 
 def test_of(monitor: Monitor) -> ChangeTest | None:
-    """Return the test inside a monitor, which has no public interface."""
-    return monitor._test  # noqa: SLF001
+    """Return the test of a monitor; None while it learns."""
+    return None if isinstance(monitor.mode, Learning | Comparing) else monitor.mode.blocks.test
 
 
 def bounds(monitor: Monitor, hours: Sequence[float]) -> list[float]:

@@ -360,7 +360,7 @@ def own_parameters(node: str) -> tuple[type, ...]:
     if node in {"plant_sim_node", "hardware_bridge_node"}:
         sets.insert(0, import_module("ehls_ros.nodes.plant").Parameters)
     if node == "monitor_node":
-        sets.insert(0, import_module("ehls_ros.experiments.monitoring.parameters").Parameters)
+        sets.insert(0, import_module("ehls_ros.experiments.monitoring.monitor").Parameters)
     return tuple(sets)
 
 

@@ -12,9 +12,9 @@ from ehls_ros.api.simulation import RigSource
 from ehls_ros.api.simulation import rig as rig_of
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.experiments.monitoring.health import Event, Health
-from ehls_ros.experiments.monitoring.limits import check_limits
-from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.replay import Part, Watched, replay
+from ehls_ros.experiments.monitoring.monitor import Parameters
+from ehls_ros.experiments.monitoring.replay import MonitoredRecording, MonitoringResult, replay
+from ehls_ros.experiments.monitoring.trends import check_limits
 from ehls_ros.progress import progress_bar
 from ehls_ros.report.monitor import write_monitor_report
 from ehls_ros.report.monitor_findings import answer
@@ -38,7 +38,7 @@ class MonitorResult:
     health: Health
     events: tuple[Event, ...]
     name: str
-    watched: Watched = field(repr=False)
+    watched: MonitoringResult = field(repr=False)
 
     @property
     def sentence(self) -> str:
@@ -52,7 +52,7 @@ class MonitorResult:
         columns = ["time_s", "coefficient", "value", "std", "unit", "why_not"]
         nan = float("nan")
         rows = [
-            (past.time, r.name, *((r.value, r.deviation) if r.told else (nan, nan)), r.unit, r.why_not)
+            (past.time, r.name, *((r.value, r.deviation) if r.identified else (nan, nan)), r.unit, r.why_not)
             for past in self.watched.history
             for r in past.readings
         ]
@@ -71,8 +71,8 @@ class MonitorResult:
         return f"<{type(self).__name__} {self.name}: {self.sentence}>"
 
     def _repr_html_(self) -> str:
-        said = "".join(f"<li>{event.time:.1f} s: {escape(event.text)}</li>" for event in self.events)
-        return f"<p><b>{escape(self.sentence)}</b></p><ul>{said}</ul>"
+        items = "".join(f"<li>{event.time:.1f} s: {escape(event.text)}</li>" for event in self.events)
+        return f"<p><b>{escape(self.sentence)}</b></p><ul>{items}</ul>"
 
 
 def monitor(
@@ -118,12 +118,12 @@ def monitor(
     with progress_bar("watching", shown=progress) as bar:
         recordings, baselines = by_name(data, columns, USED), by_name(baseline, columns, USED)
         watched = replay(
-            [Part(name, recording) for name, recording in recordings.items()],
+            [MonitoredRecording(name, recording) for name, recording in recordings.items()],
             model,
             parameters,
             baselines=baselines,
             limits=limits or {},
             progress=bar,
-            tell=lambda _: None,
+            on_event=lambda _: None,
         )
     return MonitorResult(health=watched.health, events=tuple(watched.events), name=", ".join(recordings), watched=watched)

@@ -9,21 +9,28 @@ The page can stop a rig, so other web pages in the same browser and other people
 
 The token stays in the page's address. A cookie would be sent to every server on this machine, whatever its port, and would give
 every page of the browser the write permission of one.
+
+The libraries behind the socket trust their input: an event for another page's button, a text for the terminal, an announced
+attachment that never arrives. So each message over a socket is checked first. A read-only page may only acknowledge received
+messages.
 """
 
 import ipaddress
 import secrets
 import socket
 from collections import deque
+from collections.abc import Callable
+from enum import Enum, auto
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import orjson
 from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ehls_ros.dashboard.connections import Connections
-from ehls_ros.dashboard.messages import Verdict, judge
 
 TOKEN = "token"  # noqa: S105 - its name, not the token
 """Query field of the token in the page's address."""
@@ -34,17 +41,25 @@ PAGE = "client_id"
 WRITES = "writes"
 """Key in a request's state: whether the requested page may change things."""
 
-PAGES = 16
+MAX_PAGES = 16
 """Maximum number of pages open at once, for read-only pages and for pages that may write separately."""
 
-REMEMBERED = 256
-"""Closed pages whose id is still accepted."""
+MAX_ENDED_PAGES = 256
+"""Maximum number of closed pages whose id is still accepted."""
 
 AWAY = 30.0
 """Time without an answer from the browser after which a page is dropped [s]; a browser that returns gets a new page."""
 
 FILES, SOCKETS, ICON = "/_nicegui/", "/_nicegui_ws/socket.io/", "/favicon.ico"
 """Paths NiceGUI serves beside the page."""
+
+MAX_MESSAGE = 64 * 1024
+"""Maximum size of a message over a socket [B]; the text of a field is sent in one piece."""
+
+_SIGNALS = {"1", "3", "40", "40{}", "41"}
+"""Engine.IO and Socket.IO packets: close, pong, connect, connect, disconnect."""
+
+_EVENT = "42"
 
 _POLICY = {
     # Vue compiles templates in the browser and needs eval for it. Nothing may be loaded from other hosts.
@@ -53,6 +68,15 @@ _POLICY = {
     "referrer-policy": "no-referrer",
     "x-content-type-options": "nosniff",
 }
+
+
+class Verdict(Enum):
+    """Treatment of a message."""
+
+    PASSED = auto()
+    DROPPED = auto()
+    CUT_OFF = auto()
+    """A browser running the page never sends this, so the socket is closed."""
 
 
 class Access:
@@ -68,7 +92,7 @@ class Access:
         self._host = host
         self._loopback = _is_loopback(host)
         self._pages: dict[str, bool] = {}
-        self._ended: deque[str] = deque(maxlen=REMEMBERED)
+        self._ended: deque[str] = deque(maxlen=MAX_ENDED_PAGES)
 
     def refusal(self, connection: HTTPConnection) -> str:
         """Return why a request is refused; empty if it is allowed."""
@@ -96,7 +120,7 @@ class Access:
 
     def has_room(self, *, writes: bool) -> bool:
         """Return whether another page can be served; readers and writers are counted separately."""
-        return sum(each == writes for each in self._pages.values()) < PAGES
+        return sum(each == writes for each in self._pages.values()) < MAX_PAGES
 
     def give(self, page: str, *, writes: bool) -> None:
         """Register a served page: knowing its id permits opening its socket."""
@@ -165,8 +189,8 @@ class AccessMiddleware:
             await send(message)
 
         # The token is not passed downstream, so it cannot be logged there.
-        told = {**scope, "query_string": b"", "state": {**scope.get("state", {}), WRITES: writes}}
-        await self._app(told, receive, send_with_policy)
+        stripped = {**scope, "query_string": b"", "state": {**scope.get("state", {}), WRITES: writes}}
+        await self._app(stripped, receive, send_with_policy)
 
     def _refusal(self, connection: HTTPConnection, *, writes: bool) -> tuple[int, str]:
         refusal = self._access.refusal(connection)
@@ -180,7 +204,7 @@ class AccessMiddleware:
         if path not in {"/", ICON} and not path.startswith(FILES):
             return 404, "there is no such page: the dashboard is at /"
         if path == "/" and not self._access.has_room(writes=writes):
-            return 503, f"{PAGES} pages are open already: close one, and wait a minute"
+            return 503, f"{MAX_PAGES} pages are open already: close one, and wait a minute"
         return 200, ""
 
     async def _listen(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -194,9 +218,9 @@ class AccessMiddleware:
         if page:
             self._connections.belongs(scope["client"], page)
 
-        async def receive_what_is_allowed() -> Message:
+        async def receive_permitted() -> Message:
             while (message := await receive())["type"] == "websocket.receive":
-                verdict = judge(message.get("text"), page, writes=self._access.writes(page))
+                verdict = judge_message(message.get("text"), page, writes=self._access.writes(page))
                 if verdict is Verdict.PASSED:
                     break
                 if verdict is Verdict.CUT_OFF:
@@ -204,7 +228,7 @@ class AccessMiddleware:
                     return {"type": "websocket.disconnect", "code": 1008}
             return message
 
-        await self._app(scope, receive_what_is_allowed, send)
+        await self._app(scope, receive_permitted, send)
 
 
 def _query(connection: HTTPConnection) -> dict[str, list[str]]:
@@ -225,3 +249,58 @@ def _is_number(name: str) -> bool:
 
 def _is_loopback(name: str) -> bool:
     return name == "localhost" or (_is_number(name) and ipaddress.ip_address(name).is_loopback)
+
+
+# --- messages of a socket -----------------------------------------------------------------------
+
+
+def judge_message(text: str | None, page: str, *, writes: bool) -> Verdict:
+    """Return the treatment of a message.
+
+    Args:
+        text: the message; None: it is binary.
+        page: id of the page the socket belongs to; empty: none.
+        writes: whether that page may change things.
+    """
+    if text in _SIGNALS:
+        return Verdict.PASSED
+    if text is None or not page or not text.startswith(_EVENT):
+        return Verdict.CUT_OFF
+    # A number before the bracket requests an acknowledgement.
+    number, bracket, rest = text.removeprefix(_EVENT).partition("[")
+    try:
+        name, message = orjson.loads(bracket + rest)
+        fits = message["client_id"] == page and (not number or (number.isdecimal() and len(number) < 10))
+        known = fits and name in _CHECKS and _CHECKS[name](message)
+    except (ValueError, TypeError, KeyError):
+        return Verdict.CUT_OFF
+    if not known:
+        return Verdict.CUT_OFF
+    return Verdict.PASSED if name in {"ack", "handshake"} or (name == "event" and writes) else Verdict.DROPPED
+
+
+def _is_event(message: dict[str, Any]) -> bool:
+    arguments = message.get("args", [])
+    for argument in arguments:
+        if argument is not None:
+            orjson.loads(argument)
+    return type(message["id"]) is int and type(message["listener_id"]) is str and type(arguments) is list
+
+
+def _is_ack(message: dict[str, Any]) -> bool:
+    return type(message["next_message_id"]) is int
+
+
+def _is_handshake(message: dict[str, Any]) -> bool:
+    names = all(type(message[name]) is str for name in ("tab_id", "document_id"))
+    return names and type(message.get("old_tab_id")) in {str, type(None)} and type(message.get("next_message_id", 0)) is int
+
+
+_CHECKS: dict[str, Callable[[dict[str, Any]], bool]] = {
+    "event": _is_event,
+    "ack": _is_ack,
+    "handshake": _is_handshake,
+    # Texts for the terminal and results of scripts: nothing here uses them.
+    "log": lambda _: True,
+    "javascript_response": lambda _: True,
+}

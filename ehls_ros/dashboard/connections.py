@@ -18,30 +18,30 @@ from typing import Any
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-PER_PEER = 16
+MAX_PER_PEER = 16
 """Maximum number of connections of one address outside a page; a browser opens six."""
 
-IN_ALL = 64
+MAX_CONNECTIONS = 64
 """Maximum number of connections of all addresses outside a page."""
 
-PER_PAGE = 2
+MAX_SOCKETS_PER_PAGE = 2
 """Maximum number of sockets of one page: the one in use, and one lost without notice to the server."""
 
 PASS = 1.0
 """Time between two passes [s]."""
 
-LONGEST_HEAD = 16 * 1024
+MAX_HEAD = 16 * 1024
 """Maximum size of the request line and headers [B]."""
 
 _BLANK_LINE = re.compile(rb"\n\r?\n")
 
 _TOO_LARGE = (
     b"HTTP/1.1 431 Request Header Fields Too Large\r\ncontent-type: text/plain; charset=utf-8\r\nconnection: close\r\n\r\n"
-    b"request line and headers may have %d bytes\n" % LONGEST_HEAD
+    b"request line and headers may have %d bytes\n" % MAX_HEAD
 )
 
 
-class State(Enum):
+class ConnectionState(Enum):
     """State of a connection."""
 
     ASKING = auto()
@@ -50,7 +50,7 @@ class State(Enum):
     CLOSING = auto()
 
 
-PASSES = {State.ASKING: 5, State.ANSWERED: 60, State.CLOSING: 5}
+PASSES = {ConnectionState.ASKING: 5, ConnectionState.ANSWERED: 60, ConnectionState.CLOSING: 5}
 """Maximum number of passes in a state: making the request, reading the answer, closing."""
 
 Address = tuple[str, int]
@@ -74,7 +74,7 @@ class Connections:
 
             def handle_events(self) -> None:
                 # h11 limits incomplete heads only: a head received complete in a single read would pass.
-                if self.conn.their_state is h11.IDLE and _head_size(self.conn.trailing_data[0]) > LONGEST_HEAD:
+                if self.conn.their_state is h11.IDLE and _head_size(self.conn.trailing_data[0]) > MAX_HEAD:
                     self.transport.write(_TOO_LARGE)
                     self.transport.close()
                     return
@@ -86,13 +86,17 @@ class Connections:
         """Register a connection; if there are too many, cut the oldest, those still making their request first."""
         peer = transport.get_extra_info("peername")
         self._open[_address(peer)] = _Connection(transport)
-        counted = [address for address, one in self._open.items() if one.state() in {State.ASKING, State.ANSWERED}]
+        counted = [
+            address for address, one in self._open.items() if one.state() in {ConnectionState.ASKING, ConnectionState.ANSWERED}
+        ]
         held = Counter(host for host, _ in counted)
         host, most = peer[0], held[peer[0]]
-        if len(counted) > IN_ALL:
+        if len(counted) > MAX_CONNECTIONS:
             host, most = held.most_common(1)[0]
-        if most > PER_PEER or len(counted) > IN_ALL:
-            self._cut(min((a for a in counted if a[0] == host), key=lambda a: self._open[a].state() is State.ANSWERED))
+        if most > MAX_PER_PEER or len(counted) > MAX_CONNECTIONS:
+            self._cut(
+                min((a for a in counted if a[0] == host), key=lambda a: self._open[a].state() is ConnectionState.ANSWERED)
+            )
 
     @contextmanager
     def answered(self, peer: Any) -> Iterator[None]:
@@ -123,16 +127,16 @@ class Connections:
         if connection is None:
             return
         connection.page = page
-        same = [address for address, one in self._open.items() if one.page == page and one.state() is State.OF_PAGE]
-        if len(same) > PER_PAGE:
+        same = [address for address, one in self._open.items() if one.page == page and one.state() is ConnectionState.OF_PAGE]
+        if len(same) > MAX_SOCKETS_PER_PAGE:
             self._cut(same[0])
 
-    async def watch(self) -> None:
+    async def cut_slow(self) -> None:
         """Cut connections that take too long, until cancelled."""
         while True:
             await asyncio.sleep(PASS)
             for address, connection in list(self._open.items()):
-                if connection.takes_too_long():
+                if connection.is_overdue():
                     self._cut(address)
 
     def _cut(self, address: Address) -> None:
@@ -148,22 +152,22 @@ class _Connection:
         self.answered = False
         self.page = ""
         self.passes = 0
-        self._before = State.ASKING
+        self._last_state = ConnectionState.ASKING
 
-    def state(self) -> State:
+    def state(self) -> ConnectionState:
         # A slow reader still has data to fetch: its connection is neither idle nor, if it is to close afterwards, closing.
         unsent = self.transport.get_write_buffer_size() > 0
         if self.transport.is_closing() and (self.page or not unsent):
-            return State.CLOSING
+            return ConnectionState.CLOSING
         if self.page:
-            return State.OF_PAGE
-        return State.ANSWERED if self.answered or unsent else State.ASKING
+            return ConnectionState.OF_PAGE
+        return ConnectionState.ANSWERED if self.answered or unsent else ConnectionState.ASKING
 
-    def takes_too_long(self) -> bool:
+    def is_overdue(self) -> bool:
         """Count a pass; return whether the state has lasted too long."""
         state = self.state()
-        self.passes = self.passes + 1 if state is self._before else 1
-        self._before = state
+        self.passes = self.passes + 1 if state is self._last_state else 1
+        self._last_state = state
         return self.passes > PASSES.get(state, self.passes)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from nicegui import ui
 
 from ehls_ros.dashboard.controls import ask, button
-from ehls_ros.dashboard.graph import Answer, Graph, Snapshot, Timing
+from ehls_ros.dashboard.graph import Answer, Graph, GraphSnapshot, Timing
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_spec
@@ -96,16 +96,16 @@ class ExperimentTab:
         self._spec = ui.select(names, value=first, label="experiment file").props("dense").style("width: 100%")
         timings = {choice: choice.value for choice in Timing}
         self._timing = ui.select(timings, value=timing, label="time").props('dense data-name="timing"').style("width: 100%")
-        ui.label("Effects hidden in the simulated rig; the controller does not know them.").classes("said")
+        ui.label("Effects hidden in the simulated rig; the controller does not know them.").classes("note")
         self._effects = EffectsForm()
         with ui.element("div").classes("row-of"):
             self._start = ui.button("Start", on_click=self._start_graph).props('dense color=positive data-name="start"')
             self._stop = button("Stop", graph.stop, "dense outline")
             self._record = ui.button("Record", on_click=self._toggle_recording).props('dense outline data-name="record"')
         self._refused = ui.label("").classes("refused").props('data-name="refused-start"')
-        self._activity = ui.label("").classes("said").props('data-name="activity"')
+        self._activity = ui.label("").classes("note").props('data-name="activity"')
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: GraphSnapshot) -> None:
         """Update buttons and status line."""
         here, there = snapshot.started_here, snapshot.rate > 0.0
         self._recording = snapshot.recording

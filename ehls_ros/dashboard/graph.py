@@ -1,6 +1,9 @@
-"""Interface of the page to the graph; ``ehls_ros.nodes.dashboard_graph`` implements it over ROS."""
+"""Interface of the page to the graph; ``ehls_ros.nodes.dashboard_graph`` implements it over ROS.
 
-from collections.abc import Mapping
+Any participant of the graph may send texts of any length, so they are shortened for display.
+"""
+
+from collections.abc import Iterable, Mapping
 from enum import Enum
 from typing import NamedTuple, Protocol
 
@@ -9,8 +12,17 @@ from ehls_ros.experiments.spec import Spec
 
 Value = float | int | bool | str
 
+MAX_NAME = 100
+"""Maximum length of a name [characters]."""
 
-class Health(NamedTuple):
+MAX_TEXT = 500
+"""Maximum length of a message or value [characters]."""
+
+MAX_FIGURES = 100
+"""Maximum number of values of a node."""
+
+
+class NodeHealth(NamedTuple):
     """A node's latest diagnostics.
 
     Attributes:
@@ -56,7 +68,7 @@ class Timing(Enum):
     REALTIME = "real time: late answers count as late"
 
 
-class Beginning(NamedTuple):
+class StartProgress(NamedTuple):
     """Progress of nodes being started.
 
     Attributes:
@@ -122,14 +134,14 @@ class RigHealth(NamedTuple):
     outside: float = 0.0
 
 
-class Snapshot(NamedTuple):
+class GraphSnapshot(NamedTuple):
     """State of the graph at one moment; all texts of the page at one time come from one snapshot.
 
     Attributes:
         rate: rate of cycles over about the last second [1/s]; 0 without a graph.
         period: the rig's time between two cycles [s]; 0 if unknown.
         health: the nodes' diagnostics.
-        beginning: progress of the nodes being started here; None if none are.
+        starting: progress of the nodes being started here; None if none are.
         complaint: name of a node started here that died, and the last line of its log; empty if none died.
         activity: recording and files started here.
         started_here: whether nodes started here are running.
@@ -139,8 +151,8 @@ class Snapshot(NamedTuple):
 
     rate: float = 0.0
     period: float = 0.0
-    health: tuple[Health, ...] = ()
-    beginning: Beginning | None = None
+    health: tuple[NodeHealth, ...] = ()
+    starting: StartProgress | None = None
     complaint: str = ""
     activity: str = ""
     started_here: bool = False
@@ -166,7 +178,7 @@ class Graph(Protocol):
     window: Window
     where: str
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> GraphSnapshot:
         """Return the present state of everything the page shows beside the signals."""
 
     def tunable_nodes(self) -> tuple[str, ...]:
@@ -205,5 +217,26 @@ class Graph(Protocol):
     def record(self, *, on: bool) -> Answer:
         """Start or end a recording."""
 
-    def give_up(self) -> None:
+    def abort(self) -> None:
         """Abort every pending request: the server is shutting down."""
+
+
+def shortened(text: str, max_length: int = MAX_TEXT) -> str:
+    """Return a text as one line of limited length, with unprintable characters replaced.
+
+    Args:
+        text: the text.
+        max_length: maximum number of characters kept.
+    """
+    kept = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text[:max_length])
+    return kept if len(text) <= max_length else f"{kept}…"
+
+
+def shortened_figures(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
+    """Return the values by name, at most :data:`FIGURES` of them."""
+    kept: dict[str, str] = {}
+    for name, value in pairs:
+        if len(kept) == MAX_FIGURES:
+            break
+        kept[shortened(name, MAX_NAME)] = shortened(value)
+    return kept

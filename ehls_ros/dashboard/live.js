@@ -1,32 +1,32 @@
-// Draws what the server sends: the minimum and maximum of each signal in every short interval.
-// The page calls ehlsLive.begin once and ehlsLive.extend several times a second. What is shown - signals, units, time -
-// is chosen here and kept in this browser, so that a read-only page can choose too.
+// Draws the data sent by the server: the minimum and maximum of each signal in every short interval.
+// The page calls ehlsLive.begin once and ehlsLive.extend several times a second. The choice of signals, units and time span
+// is handled and stored in this browser, so that it works on a read-only page too.
 "use strict";
 
 const ehlsLive = (() => {
-  const GONE_AFTER = 3000; // without a message from the server [ms]
+  const MAX_SILENCE = 3000; // without a message from the server [ms]
   const POINTS = 500; // intervals drawn at most: a longer time is drawn in longer intervals
   const COLOURS = 8; // besides grey, in the stylesheet
-  const KEPT_AS = "ehls-view";
-  let settings, signals, first, era, heard, paused, awaited, view;
+  const STORAGE_KEY = "ehls-view";
+  let settings, signals, first, era, lastMessage, paused, awaited, view;
 
   function begin(given) {
     settings = given; // interval, kept, spans, units, signals by name, charts: id, title, unit, signals
-    view = { span: settings.spans[1], units: {}, shown: {}, ...remembered() };
+    view = { span: settings.spans[1], units: {}, shown: {}, ...storedView() };
     signals = {};
     first = 0;
     era = -1;
     paused = awaited = false;
-    heard = performance.now();
-    offer();
+    lastMessage = performance.now();
+    buildMenus();
     paint();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => setTimeout(paint));
     setInterval(watch, 500);
   }
 
-  function remembered() {
+  function storedView() {
     try {
-      const kept = JSON.parse(localStorage.getItem(KEPT_AS)) ?? {};
+      const kept = JSON.parse(localStorage.getItem(STORAGE_KEY)) ?? {};
       const known = (names) => Array.isArray(names) && names.every((name) => name in settings.signals);
       return {
         ...(settings.spans.includes(kept.span) && { span: kept.span }),
@@ -34,13 +34,13 @@ const ehlsLive = (() => {
         shown: Object.fromEntries(Object.entries(kept.shown ?? {}).filter(([, names]) => known(names))),
       };
     } catch {
-      return {}; // storage is forbidden, or holds something else
+      return {}; // storage is forbidden, or has invalid content
     }
   }
 
   function changed() {
     try {
-      localStorage.setItem(KEPT_AS, JSON.stringify(view));
+      localStorage.setItem(STORAGE_KEY, JSON.stringify(view));
     } catch {
       // storage is forbidden: the choice lasts as long as the page
     }
@@ -50,7 +50,7 @@ const ehlsLive = (() => {
 
   // part.low and part.high: by signal, one value per interval, null where there is none.
   function extend(part) {
-    heard = performance.now();
+    lastMessage = performance.now();
     if (part.era !== era || part.first !== first + length()) {
       signals = {};
       first = part.first;
@@ -98,7 +98,7 @@ const ehlsLive = (() => {
     }
   }
 
-  // The lines of a chart: what was chosen, of that what has data; a bound twice.
+  // The lines of a chart: the chosen signals that have data; a bound twice.
   function linesOf(chart) {
     let colour = 0;
     return chosen(chart)
@@ -211,26 +211,26 @@ const ehlsLive = (() => {
   }
 
   // The fields with which time, units and signals are chosen.
-  function offer() {
+  function buildMenus() {
     const place = document.getElementById("view");
     // The page is built after this script has run.
-    if (!place || !settings.charts.every(({ id }) => document.getElementById(`signals-${id}`))) return setTimeout(offer, 50);
+    if (!place || !settings.charts.every(({ id }) => document.getElementById(`signals-${id}`))) return setTimeout(buildMenus, 50);
     place.append(field("time shown", settings.spans, view.span, (span) => (view.span = Number(span)), (span) => `${span} s`));
     const names = { N: "force", Pa: "pressure", m: "length", "m/s": "speed" };
     for (const [own, units] of Object.entries(settings.units)) {
       const choose = (unit) => (unit ? (view.units[own] = unit) : delete view.units[own]);
       const choices = ["", ...Object.keys(units)];
-      place.append(field(names[own], choices, view.units[own] ?? "", choose, (unit) => unit || "as the plot"));
+      place.append(field(names[own], choices, view.units[own] ?? "", choose, (unit) => unit || "default"));
     }
-    const reset = item("button", "as at first");
+    const reset = item("button", "reset");
     reset.onclick = () => {
       view = { span: settings.spans[1], units: {}, shown: {} };
       place.replaceChildren();
-      offer();
+      buildMenus();
       changed();
     };
     place.append(reset);
-    for (const chart of settings.charts) offerSignals(chart);
+    for (const chart of settings.charts) buildSignalMenu(chart);
   }
 
   function field(label, choices, chosen, choose, say) {
@@ -247,7 +247,7 @@ const ehlsLive = (() => {
   }
 
   // A plot has one unit: choosing a signal of another kind puts it in place of the others.
-  function offerSignals(chart) {
+  function buildSignalMenu(chart) {
     const list = document.getElementById(`signals-${chart.id}`);
     const boxes = Object.entries(settings.signals).map(([name, { label, unit }]) => {
       const made = item("label", `${label} [${unit}]`);
@@ -269,7 +269,7 @@ const ehlsLive = (() => {
   }
 
   function watch() {
-    document.body.classList.toggle("cut-off", performance.now() - heard > GONE_AFTER);
+    document.body.classList.toggle("cut-off", performance.now() - lastMessage > MAX_SILENCE);
   }
 
   function pause(wanted) {

@@ -9,33 +9,40 @@ import orjson
 from nicegui import ui
 from numpy.typing import NDArray
 
-from ehls_ros.dashboard.beginning import BeginningCard
 from ehls_ros.dashboard.controls import button
 from ehls_ros.dashboard.experiment import ExperimentTab
-from ehls_ros.dashboard.graph import Graph, Health, Timing
+from ehls_ros.dashboard.graph import Graph, NodeHealth, StartProgress, Timing
 from ehls_ros.dashboard.panels import PANELS, SIGNALS, SPANS, UNITS, Panel, options
-from ehls_ros.dashboard.programme import programme_line
 from ehls_ros.dashboard.rig_health import RigTab
-from ehls_ros.dashboard.status import WARNING, Remedy, status_of
+from ehls_ros.dashboard.status import WARNING, Remedy, programme_line, status_of
 from ehls_ros.dashboard.tuning import TuningTab
 from ehls_ros.dashboard.window import INTERVAL
 
 FOLDER = Path(__file__).parent
 
-PICTURES = 0.1
+PLOT_INTERVAL = 0.1
 """Time between two updates of the plots [s]."""
 
-WORDS = 0.5
+TEXT_INTERVAL = 0.5
 """Time between two updates of the texts [s]."""
 
 PAUSE = '<input type="checkbox" onchange="ehlsLive.pause(this.checked)"> pause'
 """Handled in the browser alone, as is the choice of signals, since a read-only page cannot send events."""
 
-MENU = '<details class="menu"><summary>{words}</summary><div id="{id}" class="choices"></div></details>'
+MENU = '<details class="menu"><summary>{label}</summary><div id="{id}" class="choices"></div></details>'
 """A menu that the browser fills."""
 
 LEVELS = ("OK", "warning", "error", "silent")
 """Names of the levels of :class:`Health`."""
+
+COMPILING_TEXT = (
+    "The control law and the simulated rig are being compiled for this machine: about half a minute the first time, a few "
+    "seconds later on. The plots then start automatically."
+)
+
+NO_GRAPH_TEXT = "The plots start automatically when a graph runs."
+
+NO_GRAPH_TEXT_WITH_CONTROLS = "Start one under Experiment or from another terminal. The plots then start automatically."
 
 
 class Page:
@@ -53,7 +60,7 @@ class Page:
         self._graph = graph
         self._client = ui.context.client
         self._following, self._era = 0, -1
-        self._was_there = False
+        self._graph_seen = False
         self._tuning: TuningTab | None = None
         self._experiment: ExperimentTab | None = None
         self._remedies: dict[Remedy, ui.button] = {}
@@ -61,7 +68,7 @@ class Page:
         self._head(writes=writes)
         with ui.element("div").classes("plots"):
             charts = [_plot(panel) for panel in PANELS]
-        self._beginning = BeginningCard(graph, writes=writes)
+        self._start_card = StartCard(graph, writes=writes)
         with ui.element("div").classes("side"):
             self._side(spec, timing, writes=writes)
         settings = {
@@ -74,26 +81,26 @@ class Page:
         }
         script = (FOLDER / "live.js").read_text(encoding="utf-8")
         ui.add_body_html(f"<script>{script}\nehlsLive.begin({_json(settings)})</script>")
-        self._show_words()
-        ui.timer(PICTURES, self._send_pictures)
-        ui.timer(WORDS, self._send_words)
+        self._show_texts()
+        ui.timer(PLOT_INTERVAL, self._send_plots)
+        ui.timer(TEXT_INTERVAL, self._send_texts)
 
     def _head(self, *, writes: bool) -> None:
         graph = self._graph
         with ui.element("div").classes("head"):
             ui.html("Electro-hydraulic load simulator", sanitize=False, tag="h1")
             self._state = ui.label("no graph").classes("badge").props('data-name="state"')
-            ui.label(graph.where).classes("said").props('data-name="where"')
+            ui.label(graph.where).classes("note").props('data-name="where"')
             ui.element("div").classes("grow")
             if not writes:
-                ui.label("read only: controls need the address with the token").classes("said").props('data-name="read-only"')
-            ui.html(MENU.format(id="view", words="View"), sanitize=False)
+                ui.label("read only: controls need the address with the token").classes("note").props('data-name="read-only"')
+            ui.html(MENU.format(id="view", label="View"), sanitize=False)
             ui.html(PAUSE, sanitize=False, tag="label").classes("pause")
             if writes:
                 button("Emergency stop", graph.emergency_stop, "dense color=negative")
-        self._programme = ui.label("").classes("said").props('data-name="programme"')
+        self._programme = ui.label("").classes("note").props('data-name="programme"')
         with ui.element("div").classes("trouble") as self._trouble:
-            self._words = ui.label("").props('data-name="trouble"')
+            self._text = ui.label("").props('data-name="trouble"')
             if writes:
                 requests = {
                     Remedy.ACKNOWLEDGE: graph.acknowledge_stop,
@@ -119,7 +126,7 @@ class Page:
             with ui.tab_panel(made["Rig"]):
                 self._rig = RigTab(self._graph, made["Rig"], writes=writes)
 
-    def _send_pictures(self) -> None:
+    def _send_plots(self) -> None:
         window = self._graph.window
         part = window.part(self._following, self._era)
         self._following, self._era = part.following, part.era
@@ -131,32 +138,63 @@ class Page:
         }
         self._client.run_javascript(f"ehlsLive.extend({_json(message)})")
 
-    async def _send_words(self) -> None:
-        self._show_words()
+    async def _send_texts(self) -> None:
+        self._show_texts()
         if self._tuning is not None:
             await self._tuning.follow()
 
-    def _show_words(self) -> None:
+    def _show_texts(self) -> None:
         snapshot = self._graph.snapshot()
-        status = status_of(snapshot, was_there=self._was_there)
-        self._was_there |= snapshot.rate > 0.0
+        status = status_of(snapshot, graph_seen=self._graph_seen)
+        self._graph_seen |= snapshot.rate > 0.0
         self._state.set_text(status.text)
         _set_level(self._state, status.level)
         programme = programme_line(snapshot.health)
         self._programme.set_text(programme)
         self._programme.set_visibility(bool(programme))
-        self._words.set_text(status.trouble)
+        self._text.set_text(status.trouble)
         self._trouble.set_visibility(bool(status.trouble))
         self._trouble.classes(
             add="bad" if status.level > WARNING else "warn", remove="warn" if status.level > WARNING else "bad"
         )
         for remedy, pressed in self._remedies.items():
             pressed.set_visibility(remedy is status.remedy)
-        self._beginning.show(snapshot.beginning, was_there=self._was_there)
+        self._start_card.show(snapshot.starting, graph_seen=self._graph_seen)
         self._nodes.show(snapshot.health)
         self._rig.show(snapshot.rig)
         if self._experiment is not None:
             self._experiment.show(snapshot)
+
+
+class StartCard:
+    """Card shown until a graph has been seen, and again while another one is being started."""
+
+    def __init__(self, graph: Graph, *, writes: bool) -> None:
+        """Build the card in the current slot.
+
+        Args:
+            graph: the graph to be started.
+            writes: whether the page has a Start button.
+        """
+        self._none = f"Looking in {graph.where}. {NO_GRAPH_TEXT_WITH_CONTROLS if writes else NO_GRAPH_TEXT}"
+        with ui.element("section").classes("beginning").props('data-name="beginning"') as self._card:
+            self._title = ui.label("").classes("title")
+            self._nodes = ui.html("", sanitize=False, tag="dl")
+            self._text = ui.label("").classes("note")
+
+    def show(self, progress: StartProgress | None, *, graph_seen: bool) -> None:
+        """Update the card.
+
+        Args:
+            progress: progress of the nodes, if any are being started.
+            graph_seen: whether the plots have anything to show.
+        """
+        self._card.set_visibility(progress is not None or not graph_seen)
+        self._title.set_text(f"Starting the graph: {progress.seconds:.0f} s" if progress else "No graph is running")
+        self._nodes.set_visibility(progress is not None)
+        rows = progress.nodes.items() if progress else ()
+        self._nodes.set_content("".join(f"<dt>{escape(node)}</dt><dd>{escape(stage)}</dd>" for node, stage in rows))
+        self._text.set_text(COMPILING_TEXT if progress else self._none)
 
 
 class NodesTab:
@@ -164,11 +202,11 @@ class NodesTab:
 
     def __init__(self) -> None:
         """Build the tab in the current slot."""
-        self._none = ui.label("No node publishes diagnostics.").classes("said")
+        self._none = ui.label("No node publishes diagnostics.").classes("note")
         self._list = ui.element("div").classes("nodes")
         self._rows: dict[str, _Row] = {}
 
-    def show(self, health: tuple[Health, ...]) -> None:
+    def show(self, health: tuple[NodeHealth, ...]) -> None:
         """Update the rows."""
         self._none.set_visibility(not health)
         if [node.node for node in health] != list(self._rows):
@@ -189,10 +227,10 @@ class _Row:
             with ui.element("summary"):
                 ui.html(escape(name), sanitize=False, tag="b")
                 self._level = ui.label("").classes("badge")
-                self._message = ui.label("").classes("said")
+                self._message = ui.label("").classes("note")
             self._figures = ui.html("", sanitize=False, tag="dl")
 
-    def show(self, health: Health) -> None:
+    def show(self, health: NodeHealth) -> None:
         self._level.set_text(LEVELS[health.level])
         _set_level(self._level, health.level)
         self._message.set_text(health.message)
@@ -210,7 +248,7 @@ def _plot(panel: Panel) -> dict[str, Any]:
         head = ui.html("", sanitize=False, tag="header")
         chart = ui.echart(options(panel))
     legend = f'<span class="legend" id="legend-{chart.id}"></span>'
-    menu = MENU.format(id=f"signals-{chart.id}", words="+")
+    menu = MENU.format(id=f"signals-{chart.id}", label="+")
     head.set_content(f'<b id="title-{chart.id}">{escape(panel.title)}</b>{legend}{menu}')
     return {"id": chart.id, "title": panel.title, "unit": panel.unit, "signals": panel.signals}
 

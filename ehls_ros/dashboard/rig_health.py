@@ -9,11 +9,11 @@ from nicegui import ui
 from ehls_ros.dashboard.controls import button
 from ehls_ros.dashboard.graph import Graph, RigChange, RigCoefficient, RigHealth
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
-from ehls_ros.experiments.monitoring.limits import NORMAL_95
+from ehls_ros.experiments.monitoring.trends import NORMAL_95
 from ehls_ros.report.diagnosis_units import after, percent, unit_for
 from ehls_ros.report.identification_findings import written
 
-WIDTH, HEIGHT, AIR = 96, 22, 2
+WIDTH, HEIGHT, MARGIN = 96, 22, 2
 """Size of a trend and the room around its line, in pixels."""
 
 GOOD, WARNING = 0, 1
@@ -31,11 +31,11 @@ class RigTab:
             writes: whether changes can be acknowledged.
         """
         self._tab = tab
-        self._none = ui.label("No monitor watches the rig.").classes("said")
+        self._none = ui.label("No monitor is running.").classes("note")
         with ui.element("div").classes("rig") as self._all:
             ui.label("Rig health").classes("title")
             self._summary = ui.label("").props('data-name="rig-summary"')
-            self._said = ui.label("").classes("said")
+            self._state = ui.label("").classes("note")
             self._changes = ui.html("", sanitize=False, tag="ul").props('data-name="rig-changes"')
             self._acknowledge = button("Acknowledge changes", graph.acknowledge_changes, "dense outline") if writes else None
             self._coefficients = ui.html("", sanitize=False, tag="div").props('data-name="rig-coefficients"')
@@ -57,8 +57,8 @@ class RigTab:
         # Visible on every tab until acknowledged.
         for place, wrong in ((self._summary, any(change.active for change in rig.changes)), (self._tab, new)):
             place.classes(add=f"level-{WARNING if wrong else GOOD}", remove=f"level-{GOOD if wrong else WARNING}")
-        beyond = f"; {percent(rig.outside)} of the last minute lies outside what the baseline covers" if rig.outside else ""
-        self._said.set_text(f"{rig.state}{beyond}")
+        outside = f"; {percent(rig.outside)} of the last minute is outside the range of the baseline" if rig.outside else ""
+        self._state.set_text(f"{rig.state}{outside}")
         self._changes.set_content(changes_list(rig.changes))
         self._changes.set_visibility(bool(rig.changes))
         if self._acknowledge is not None:
@@ -70,7 +70,7 @@ def changes_list(changes: Iterable[RigChange]) -> str:
     """Return the entries of a list of changes, as HTML."""
     return "".join(
         f'<li class="{"" if change.active else "gone"}">{"" if change.acknowledged else "<b>new</b> "}'
-        f"{escape(change.sentence)}{'' if change.active else ' (shows no more)'}</li>"
+        f"{escape(change.sentence)}{'' if change.active else ' (cleared)'}</li>"
         for change in changes
     )
 
@@ -87,8 +87,8 @@ def _row(coefficient: RigCoefficient) -> str:
         return f'<tr class="grey"><th>{name}</th><td>{escape(coefficient.why_not)}</td><td>{trend(coefficient)}</td></tr>'
     unit = unit_for(coefficient.unit, abs(coefficient.value))
     text = written(unit.factor * coefficient.value, unit.factor * NORMAL_95 * coefficient.deviation)
-    said = f"{text.value} ± {text.error}{after(unit)}"
-    return f"<tr><th>{name}</th><td>{escape(said)}</td><td>{trend(coefficient)}</td></tr>"
+    value = f"{text.value} ± {text.error}{after(unit)}"
+    return f"<tr><th>{name}</th><td>{escape(value)}</td><td>{trend(coefficient)}</td></tr>"
 
 
 def trend(coefficient: RigCoefficient) -> str:
@@ -107,8 +107,8 @@ def trend(coefficient: RigCoefficient) -> str:
         if not math.isfinite(value):
             pen = "M"
             continue
-        x = AIR + (WIDTH - 2 * AIR) * (time - begin) / (end - begin)
-        y = 0.5 * HEIGHT - (HEIGHT - 2 * AIR) * (value - middle) / span
+        x = MARGIN + (WIDTH - 2 * MARGIN) * (time - begin) / (end - begin)
+        y = 0.5 * HEIGHT - (HEIGHT - 2 * MARGIN) * (value - middle) / span
         parts.append(f"{pen}{x:.1f} {y:.1f}")
         pen = "L"
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}"><path d="{"".join(parts)}"/></svg>'

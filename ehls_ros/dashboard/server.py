@@ -14,10 +14,9 @@ from nicegui import app as library
 from nicegui import ui
 from starlette.responses import PlainTextResponse
 
-from ehls_ros.dashboard.access import AWAY, TOKEN, WRITES, Access, AccessMiddleware
-from ehls_ros.dashboard.connections import LONGEST_HEAD, Connections
+from ehls_ros.dashboard.access import AWAY, MAX_MESSAGE, TOKEN, WRITES, Access, AccessMiddleware
+from ehls_ros.dashboard.connections import MAX_HEAD, Connections
 from ehls_ros.dashboard.graph import Graph, Timing
-from ehls_ros.dashboard.messages import LARGEST
 from ehls_ros.dashboard.page import Page
 from ehls_ros.errors import BadInput
 
@@ -59,11 +58,11 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        watch = asyncio.create_task(connections.watch())
+        cutting = asyncio.create_task(connections.cut_slow())
         up(f"http://{shown}:{port}/?{TOKEN}={access.token}")
         yield
-        watch.cancel()
-        graph.give_up()
+        cutting.cancel()
+        graph.abort()
 
     app = FastAPI(openapi_url=None, lifespan=lifespan)
 
@@ -80,8 +79,8 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing
     config = uvicorn.Config(
         app,
         http=connections.protocol(),
-        h11_max_incomplete_event_size=LONGEST_HEAD,
-        ws_max_size=LARGEST,
+        h11_max_incomplete_event_size=MAX_HEAD,
+        ws_max_size=MAX_MESSAGE,
         # A compressed message could expand without limit, and compression would cost more than it saves here.
         ws_per_message_deflate=False,
         # The peer is the connection's address, not the one claimed in a header.

@@ -9,7 +9,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import NamedTuple
 
-from ehls_ros.dashboard.graph import Health, Snapshot
+from ehls_ros.dashboard.graph import GraphSnapshot, NodeHealth
 from ehls_ros.dashboard.panels import UNITS
 from ehls_ros.hardware.gate_parameters import REACTIONS
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
@@ -24,6 +24,9 @@ STOP = "stop"
 
 TOO_SLOW = "too slow"
 """Part of a node's message when this machine cannot keep its cycle time."""
+
+NODE = "programme_node"
+"""Node that runs test programmes."""
 
 GONE = "No more snapshots: the graph was stopped, or the plant node has died."
 
@@ -61,26 +64,26 @@ class Status(NamedTuple):
     remedy: Remedy | None = None
 
 
-def status_of(snapshot: Snapshot, *, was_there: bool) -> Status:
+def status_of(snapshot: GraphSnapshot, *, graph_seen: bool) -> Status:
     """Return the status to show.
 
     Args:
         snapshot: of the graph.
-        was_there: whether this page has seen a running graph before.
+        graph_seen: whether this page has seen a running graph before.
     """
-    return _running(snapshot) if snapshot.rate else _absent(snapshot, was_there=was_there)
+    return _running(snapshot) if snapshot.rate else _absent(snapshot, graph_seen=graph_seen)
 
 
-def _absent(snapshot: Snapshot, *, was_there: bool) -> Status:
+def _absent(snapshot: GraphSnapshot, *, graph_seen: bool) -> Status:
     """Return the status while no cycles arrive."""
-    if snapshot.beginning:
-        return Status(f"starting, {snapshot.beginning.seconds:.0f} s", WARNING, snapshot.complaint)
-    if was_there:
+    if snapshot.starting:
+        return Status(f"starting, {snapshot.starting.seconds:.0f} s", WARNING, snapshot.complaint)
+    if graph_seen:
         return Status("graph gone", BAD, snapshot.complaint or GONE)
     return Status("no graph", BAD if snapshot.complaint else WARNING, snapshot.complaint)
 
 
-def _running(snapshot: Snapshot) -> Status:
+def _running(snapshot: GraphSnapshot) -> Status:
     """Return the status while cycles arrive."""
     gate = next((node for node in snapshot.health if OF_GATE in node.figures), None)
     speed = f"{snapshot.rate:.0f} cycles/s{_pace(snapshot)}"
@@ -100,21 +103,21 @@ def _running(snapshot: Snapshot) -> Status:
     return Status(f"{TOO_SLOW if slow else 'running'}, {speed}", level, trouble)
 
 
-def _pace(snapshot: Snapshot) -> str:
+def _pace(snapshot: GraphSnapshot) -> str:
     """Return the pace of the rig's time relative to the wall clock, as text; empty in real time."""
     pace = snapshot.rate * snapshot.period
     return f", {pace:.2g} times real time" if snapshot.period and abs(pace - 1.0) > SAME else ""
 
 
-def _trip(gate: Health, snapshot: Snapshot) -> tuple[str, Remedy]:
+def _trip(gate: NodeHealth, snapshot: GraphSnapshot) -> tuple[str, Remedy]:
     """Return the description of a trip and its remedy."""
-    happened = explained(gate.figures[TRIPPED_BY])
+    explanation = explained(gate.figures[TRIPPED_BY])
     if gate.figures.get(STOP):
         remedy, then = Remedy.ACKNOWLEDGE, f", then {Remedy.RESET.value}"
     else:
         remedy, then = Remedy.RESET, ""
-    anew = " If it trips again: stop and start under Experiment." if snapshot.started_here else ""
-    return f"{happened} The valve is closed. To go on: {remedy.value}{then}.{anew}", remedy
+    again = " If it trips again: stop and start under Experiment." if snapshot.started_here else ""
+    return f"{explanation} The valve is closed. To go on: {remedy.value}{then}.{again}", remedy
 
 
 _CAUSE = re.compile(
@@ -123,15 +126,15 @@ _CAUSE = re.compile(
 )
 """Text form of :class:`ehls_ros.hardware.safety_gate.Cause`, with time and reaction."""
 
-_SEVERAL = {"force_mismatch": "sensor_mismatch", "position_mismatch": "sensor_mismatch", "supply_mismatch": "sensor_mismatch"}
+_SHARED = {"force_mismatch": "sensor_mismatch", "position_mismatch": "sensor_mismatch", "supply_mismatch": "sensor_mismatch"}
 """Detectors that share one declaration."""
 
-_OWN = MappingProxyType(
+_UNDECLARED = MappingProxyType(
     {
         "emergency stop": "emergency stop requested",
         "left active": "the plant node ended its loop while commands reached the valve",
         "gap": "the plant's loop paused",
-        "services_silent": "the plant node could not have heard an emergency stop",
+        "services_silent": "the plant node could not receive an emergency stop",
         "device_null": "the device itself keeps the valve closed",
     }
 )
@@ -147,14 +150,14 @@ def explained(cause: str) -> str:
     match = _CAUSE.fullmatch(cause)
     if match is None:
         return f"Tripped by {cause}."
-    words = _declared().get(match["name"]) or _OWN.get(match["name"]) or match["name"].replace("_", " ")
+    label = _declared().get(match["name"]) or _UNDECLARED.get(match["name"]) or match["name"].replace("_", " ")
     subject = f" ({match['subject']})" if match["subject"] else ""
     figures = ""
     if match["value"]:
         unit, factor = _readable(match["unit"] or "", abs(float(match["limit"])))
         value, limit = (f"{factor * float(match[which]):.4g} {unit}".rstrip() for which in ("value", "limit"))
         figures = f": {value}, allowed {limit}"
-    return f"Tripped: {words}{subject}{figures}, at {float(match['time']):.3f} s."
+    return f"Tripped: {label}{subject}{figures}, at {float(match['time']):.3f} s."
 
 
 def _readable(own: str, value: float) -> tuple[str, float]:
@@ -171,4 +174,19 @@ def _declared() -> dict[str, str]:
         for declared in declarations(GateParameters)
         if declared.name.startswith("on_")
     }
-    return found | {name: found[shared] for name, shared in _SEVERAL.items()}
+    return found | {name: found[shared] for name, shared in _SHARED.items()}
+
+
+def programme_line(health: tuple[NodeHealth, ...]) -> str:
+    """Return title, block, load cycles and state of the programme; empty where none runs.
+
+    Args:
+        health: the nodes' diagnostics.
+    """
+    figures = next((node.figures for node in health if node.node == NODE), {})
+    if "programme" not in figures:
+        return ""
+    block = f"block {figures.get('block', '')} {figures.get('block_name', '')}"
+    count = f"{figures.get('load_cycles', '')} of {figures.get('of_load_cycles', '')} load cycles"
+    last = f"peak {figures['peak']}, valley {figures['valley']}" if "peak" in figures and "valley" in figures else ""
+    return " · ".join(filter(None, [figures["programme"], block, count, figures.get("programme_state", ""), last]))

@@ -47,7 +47,7 @@ class TuningTab:
             for tunable in found:
                 _Tuner(self._graph, str(chosen), tunable)
             if not found:
-                ui.label(f"{chosen} does not answer." if chosen else "There is no node to tune.").classes("said")
+                ui.label(f"{chosen} does not answer." if chosen else "There is no node to tune.").classes("note")
 
     async def follow(self) -> None:
         """Update the list of nodes; keep the input for a node that is still present."""

@@ -1,8 +1,9 @@
-"""The last seconds of all signals: minimum and maximum of each in every short interval."""
+"""Signals of the page: minimum and maximum of each in every short interval of the last seconds, and peaks of load cycles."""
 
+import math
 import threading
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,11 @@ INTERVALS = 3100
 OPEN = 6
 """Number of newest intervals held back: topics are read one after another, so some may still add samples."""
 
+PROGRAMME_CYCLES = 8192
+"""Control cycles whose position in the programme is kept until their snapshot arrives; a programme is published 200 ahead."""
 
-class Part(NamedTuple):
+
+class WindowPart(NamedTuple):
     """Some intervals of the window.
 
     Attributes:
@@ -82,7 +86,7 @@ class Window:
             self._newest = -1
             self._era += 1
 
-    def part(self, following: int, era: int) -> Part:
+    def part(self, following: int, era: int) -> WindowPart:
         """Return the intervals completed since the last call; all of them if a new era has begun.
 
         Args:
@@ -93,7 +97,7 @@ class Window:
             end = max(0, self._newest + 1 - OPEN)
             first = max(0 if era != self._era else following, end - INTERVALS + OPEN)
             rows = np.arange(first, end) % INTERVALS
-            return Part(first, max(first, end), self._era, self._low[rows], self._high[rows])
+            return WindowPart(first, max(first, end), self._era, self._low[rows], self._high[rows])
 
     def _make_room(self, newest: int) -> None:
         if newest <= self._newest:
@@ -102,3 +106,50 @@ class Window:
         rows = np.arange(first, newest + 1) % INTERVALS
         self._low[rows] = self._high[rows] = np.nan
         self._newest = newest
+
+
+class Peaks:
+    """Peak and valley of the last completed load cycle; NaN without a programme."""
+
+    def __init__(self) -> None:
+        """Start without a programme."""
+        self._cycle = np.full(PROGRAMME_CYCLES, -1, dtype=np.int64)
+        self._load_cycle = np.zeros(PROGRAMME_CYCLES, dtype=np.int64)
+        self._open: int | None = None
+        self._high, self._low = -math.inf, math.inf
+        self._peak = self._valley = math.nan
+
+    def note(self, cycle: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> None:
+        """Store the position in the programme at some control cycles.
+
+        Args:
+            cycle: their numbers, shape (n,).
+            columns: fields of ``programme_point`` by name, shape (n,) each.
+        """
+        within = ~np.isnan(columns["phase"])
+        self._cycle[cycle % PROGRAMME_CYCLES] = np.where(within, cycle, -1)
+        self._load_cycle[cycle % PROGRAMME_CYCLES] = columns["load_cycles"].astype(np.int64)
+
+    def of(self, cycle: NDArray[np.int64], force: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return peak and valley of the last completed load cycle at consecutive control cycles [N].
+
+        Args:
+            cycle: their numbers, shape (n,).
+            force: measured force, shape (n,) [N].
+        """
+        peaks, valleys = np.empty(len(cycle)), np.empty(len(cycle))
+        known = self._cycle[cycle % PROGRAMME_CYCLES] == cycle
+        for i, (place, inside) in enumerate(
+            zip(self._load_cycle[cycle % PROGRAMME_CYCLES].tolist(), known.tolist(), strict=True)
+        ):
+            if inside:
+                self._add(place, float(force[i]))
+            peaks[i], valleys[i] = self._peak, self._valley
+        return peaks, valleys
+
+    def _add(self, load_cycle: int, force: float) -> None:
+        if load_cycle != self._open:
+            if self._open is not None and self._high >= self._low:
+                self._peak, self._valley = self._high, self._low
+            self._open, self._high, self._low = load_cycle, -math.inf, math.inf
+        self._high, self._low = max(self._high, force), min(self._low, force)

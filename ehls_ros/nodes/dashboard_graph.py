@@ -10,7 +10,7 @@ from typing import Any
 
 from lifecycle_msgs.msg import Transition
 
-from ehls_ros.dashboard.graph import Answer, Beginning, Health, Snapshot, Timing
+from ehls_ros.dashboard.graph import Answer, GraphSnapshot, NodeHealth, StartProgress, Timing
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
@@ -47,17 +47,17 @@ class DashboardGraph(Link):
         """Join the graph of this process's domain; see :class:`Link`."""
         super().__init__(namespace)
         self._changing = threading.Lock()
-        self._nodes = _Started()
-        self._recorder = _Started()
-        self._unwanted = threading.Event()
-        self._began: float | None = None
+        self._nodes = _StartedProcesses()
+        self._recorder = _StartedProcesses()
+        self._cancelled = threading.Event()
+        self._start_time: float | None = None
         self._timing = LOCKSTEP
-        self._reached: dict[str, str] = {}
+        self._stages: dict[str, str] = {}
         self._failure = ""
 
     def close(self) -> None:
         """Stop everything started here and leave the graph."""
-        self.give_up()
+        self.abort()
         with self._changing:
             self._recorder.end()
             self._nodes.end()
@@ -67,13 +67,13 @@ class DashboardGraph(Link):
         """Return whether nodes started here are running."""
         return bool(self._nodes.running)
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> GraphSnapshot:
         """Return the present state of everything the page shows besides the signals."""
-        return Snapshot(
+        return GraphSnapshot(
             rate=self.rate(),
             period=self.period,
             health=self.health(),
-            beginning=self.beginning(),
+            starting=self.starting(),
             complaint=self.complaint(),
             activity=self.activity(),
             started_here=self.started_here(),
@@ -85,25 +85,25 @@ class DashboardGraph(Link):
         """Return whether a recording started here is running."""
         return bool(self._recorder.running)
 
-    def beginning(self) -> Beginning | None:
+    def starting(self) -> StartProgress | None:
         """Return the progress of the nodes being started here; None if none are."""
-        began = self._began
+        began = self._start_time
         if began is None:
             return None
-        return Beginning(time.monotonic() - began, {node.name: self._doing(node) for node in self._nodes.running})
+        return StartProgress(time.monotonic() - began, {node.name: self._stage(node) for node in self._nodes.running})
 
     def complaint(self) -> str:
         """Return which node started here died, and the last line of its log; empty if none did."""
-        return " ".join([self._failure, *map(_last_words, self._nodes.dead() + self._recorder.dead())]).strip()
+        return " ".join([self._failure, *map(_death_notice, self._nodes.dead() + self._recorder.dead())]).strip()
 
     def activity(self) -> str:
         """Return one sentence on the recording and the files started here."""
-        return " ".join(part for part in (self._nodes.says, self._recorder.says) if part)
+        return " ".join(part for part in (self._nodes.status, self._recorder.status) if part)
 
-    def health(self) -> tuple[Health, ...]:
+    def health(self) -> tuple[NodeHealth, ...]:
         """Return the nodes' diagnostics; a node that is compiling cannot publish any and is shown as OK."""
-        beginning = self.beginning()
-        busy = {node for node, doing in beginning.nodes.items() if doing == COMPILING} if beginning else set()
+        starting = self.starting()
+        busy = {node for node, stage in starting.nodes.items() if stage == COMPILING} if starting else set()
         return tuple(
             health._replace(level=0, message=COMPILING) if health.node in busy else health for health in super().health()
         )
@@ -123,24 +123,24 @@ class DashboardGraph(Link):
             del parameters[RECORDER]
             parameters[SIMULATED.node] |= {"cycles": 0, "speed": 1.0 if timing is Timing.LOCKSTEP else 0.0}
             parameters[reference_node(spec)]["start_time"] = START_TIME
-            self._unwanted.clear()
-            self._reached, self._failure = {}, ""
-            self._began = time.monotonic()
+            self._cancelled.clear()
+            self._stages, self._failure = {}, ""
+            self._start_time = time.monotonic()
             self._nodes.begin(parameters, folder, self.namespace)
             refusal = self._activate()
             if refusal:
                 self._end_nodes()
-                self._failure = "" if self._unwanted.is_set() else refusal
-            self._began = None
+                self._failure = "" if self._cancelled.is_set() else refusal
+            self._start_time = None
             if refusal:
                 return Answer(done=False, message=refusal)
-            self._nodes.says = f"Spec and logs of the nodes are in {folder.path}."
+            self._nodes.status = f"Spec and logs of the nodes are in {folder.path}."
             return Answer(done=True, message=f"{name} is running")
 
     def stop(self) -> Answer:
         """Stop the nodes started here, and their recording."""
-        self._unwanted.set()
-        starting = self.beginning() is not None
+        self._cancelled.set()
+        starting = self.starting() is not None
         with self._changing:
             if starting and not self.started_here():
                 return Answer(done=True, message="the start was cancelled")
@@ -157,7 +157,7 @@ class DashboardGraph(Link):
                 return Answer(done=False, message="already recording" if on else "not recording")
             if not on:
                 self._end_recording()
-                return Answer(done=True, message=self._recorder.says)
+                return Answer(done=True, message=self._recorder.status)
             try:
                 spec, name, timing = self._spec_of_graph()
                 folder = _folder(spec, f"{name}-recording")
@@ -168,8 +168,8 @@ class DashboardGraph(Link):
             chosen |= {"priority": REALTIME_PRIORITY} if timing == REALTIME else {}
             bag = {"bag": str(folder.bag.resolve()), "storage": STORAGE}
             self._recorder.begin({RECORDER: {**chosen, **bag}}, folder, self.namespace)
-            self._recorder.says = f"Recording to {folder.bag}."
-            return Answer(done=True, message=self._recorder.says)
+            self._recorder.status = f"Recording to {folder.bag}."
+            return Answer(done=True, message=self._recorder.status)
 
     def _end_nodes(self) -> None:
         """Stop the nodes without reporting their silence."""
@@ -181,48 +181,50 @@ class DashboardGraph(Link):
         if self.recording():
             bag = self._recorder.folder.bag
             self._recorder.end()
-            self._recorder.says = f"Recorded: {bag}."
+            self._recorder.status = f"Recorded: {bag}."
 
     def _activate(self) -> str:
-        """Take the started nodes through their lifecycle; return the reason of a failure, or an empty string."""
+        """Configure and activate the started nodes; return the reason of a failure, or an empty string."""
         running = self._nodes.running
         deadline = time.monotonic() + UP_TIME
         # Configured in parallel, as compiling dominates; activated in order, the plant last.
         with ThreadPoolExecutor(len(running)) as pool:
-            configured = pool.map(lambda node: self._lead(node, Transition.TRANSITION_CONFIGURE, READY, deadline), running)
+            configured = pool.map(
+                lambda node: self._transition(node, Transition.TRANSITION_CONFIGURE, READY, deadline), running
+            )
             refusals = [refusal for refusal in configured if refusal]
         if refusals:
-            return self._why(refusals[0])
+            return self._failure_reason(refusals[0])
         share_processors(running, self._timing)
         for node in running:
-            if refusal := self._lead(node, Transition.TRANSITION_ACTIVATE, RUNNING, deadline):
-                return self._why(refusal)
+            if refusal := self._transition(node, Transition.TRANSITION_ACTIVATE, RUNNING, deadline):
+                return self._failure_reason(refusal)
         return ""
 
-    def _lead(self, node: Running, transition: int, reached: str, deadline: float) -> str:
-        """Take a node through a transition; return why it failed, or an empty string."""
+    def _transition(self, node: Running, transition: int, reached: str, deadline: float) -> str:
+        """Request a transition of a node; return the reason of a failure, or an empty string."""
         answer = self.change_state(node.name, transition, deadline - time.monotonic(), self._is_hopeless)
         if not answer.done:
             return f"{answer.message}: {last_line(node.log)}"
-        self._reached[node.name] = reached
+        self._stages[node.name] = reached
         return ""
 
     def _is_hopeless(self) -> bool:
-        return self._unwanted.is_set() or bool(self._nodes.dead())
+        return self._cancelled.is_set() or bool(self._nodes.dead())
 
-    def _why(self, refusal: str) -> str:
-        """Return why the start failed: a node that died takes precedence over those that waited for it."""
-        if self._unwanted.is_set():
+    def _failure_reason(self, refusal: str) -> str:
+        """Return the reason for a failed start: a node that died takes precedence over nodes that waited for it."""
+        if self._cancelled.is_set():
             return "stopped before it was running"
-        if twins := self.twins(node.name for node in self._nodes.running):
+        if duplicates := self.duplicates(node.name for node in self._nodes.running):
             elsewhere = "stop that first, or set another ROS_DOMAIN_ID or --namespace"
-            return f"{self.where} already has a running {', '.join(twins)}: {elsewhere}"
-        return next(map(_last_words, self._nodes.dead()), refusal)
+            return f"{self.where} already has a running {', '.join(duplicates)}: {elsewhere}"
+        return next(map(_death_notice, self._nodes.dead()), refusal)
 
-    def _doing(self, node: Running) -> str:
+    def _stage(self, node: Running) -> str:
         if node.process.poll() is not None:
             return ENDED
-        return self._reached.get(node.name) or (COMPILING if self.is_up(node.name) else STARTING)
+        return self._stages.get(node.name) or (COMPILING if self.is_up(node.name) else STARTING)
 
     def _spec_of_graph(self) -> tuple[Spec, str, str]:
         """Return the spec the graph's plant was started with, its name, and the timing.
@@ -238,13 +240,13 @@ class DashboardGraph(Link):
         raise BadInput("there is no plant node", "graph", f"one of {', '.join(PLANTS.values())}")
 
 
-class _Started:
+class _StartedProcesses:
     """Processes started here."""
 
     def __init__(self) -> None:
         self.running: list[Running] = []
         self.folder = RunFolder(Path())
-        self.says = ""
+        self.status = ""
         self._stack = ExitStack()
 
     def begin(self, parameters: Mapping[str, Mapping[str, Any]], folder: RunFolder, namespace: str) -> None:
@@ -256,13 +258,13 @@ class _Started:
         # Nodes end one after the other: those being stopped have not died.
         self.running = []
         self._stack.close()
-        self.says = ""
+        self.status = ""
 
     def dead(self) -> list[Running]:
         return [node for node in self.running if node.process.poll() is not None]
 
 
-def _last_words(node: Running) -> str:
+def _death_notice(node: Running) -> str:
     return f"{node.name} died: {last_line(node.log)}"
 
 

@@ -28,15 +28,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.dashboard.graph import Answer, Health, RigHealth, Tunable, Value
+from ehls_ros.dashboard.graph import MAX_NAME, Answer, NodeHealth, RigHealth, Tunable, Value, shortened, shortened_figures
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, RESPONSE, SIGNALS, VALLEY
-from ehls_ros.dashboard.window import Window
-from ehls_ros.dashboard.words import NAME, figures, line
+from ehls_ros.dashboard.window import Peaks, Window
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
-from ehls_ros.nodes.dashboard_peaks import Peaks
 from ehls_ros.nodes.dashboard_rig import RigWatch
 from ehls_ros.nodes.graph import GOALS, LOST, PLANTS, REALTIME_PRIORITY
 from ehls_ros.nodes.transport import Inbox, message_class
@@ -54,25 +52,25 @@ from ehls_ros.recording.topics import (
 )
 from ehls_ros.recording.typestore import typestore
 
-REST = 0.05
+READ_INTERVAL = 0.05
 """Interval between bulk reads of the messages [s]."""
 
-FOUND = 5.0
+DISCOVERY_TIMEOUT = 5.0
 """Longest wait for the discovery of a service [s]."""
 
-ANSWERED = 30.0
+ANSWER_TIMEOUT = 30.0
 """Longest wait for the answer of a service [s]; real-time nodes leave other threads little time."""
 
-SILENCE = 3.0
+MAX_SILENCE = 3.0
 """Time without diagnostics, which are due every second, after which a node counts as silent [s]."""
 
-FORGOTTEN = 15.0
+MAX_SHOWN_SILENCE = 15.0
 """Time without diagnostics after which a node is no longer shown [s]."""
 
-GONE = 1.0
+MAX_SNAPSHOT_SILENCE = 1.0
 """Time without a snapshot after which there is no graph [s].
 
-SILENCE, FORGOTTEN and GONE are counted in passes of the reading thread, so that a stalled dashboard does not time nodes out.
+These three times are counted in passes of the reading thread, so that a stalled dashboard does not time nodes out.
 """
 
 SERVICES = (
@@ -84,22 +82,22 @@ SERVICES = (
 )
 """Services of plant and monitor that the page's buttons call."""
 
-INSISTS = 2.0
-"""Time for which a refused reset or enabling is retried [s]: the ramp to null is not instantaneous."""
+RETRY_TIME = 2.0
+"""Time for which a refused reset or enabling is retried [s]: the ramp to null takes time."""
 
-REPORTS = 16
+REPORT_DEPTH = 16
 """Queue depth for diagnostics; other publishers' messages may be large."""
 
-STRANGERS = 32
+MAX_FOREIGN_NODES = 32
 """Maximum number of nodes shown that are not this project's."""
 
-LONGEST_REPORT = 64 * 1024
+MAX_REPORT_SIZE = 64 * 1024
 """Size of the largest diagnostics message read [B]; one of this project's has about 3 kB."""
 
-TUNABLES = 200
+MAX_TUNABLES = 200
 """Maximum number of parameters read from a node."""
 
-OWN = frozenset(node_names())
+OWN_NODES = frozenset(node_names())
 """Names that include all of this project's nodes, which are always shown."""
 
 LATE = 1
@@ -108,7 +106,7 @@ LATE = 1
 SILENT = 3
 """Level of a silent node otherwise, above those of diagnostics."""
 
-KEPT = 8192
+CYCLES = 8192
 """Snapshots whose sending time is kept until their command arrives."""
 
 TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE, PROGRAMME_POINT)
@@ -125,10 +123,10 @@ def observer_qos() -> QoSProfile:
     )
 
 
-class _Heard(NamedTuple):
+class _Report(NamedTuple):
     when: float
     at_pass: int
-    health: Health
+    health: NodeHealth
 
 
 class _Source:
@@ -183,19 +181,19 @@ class Link:
         with preferring_what_starts(REALTIME_PRIORITY):
             self._node = rclpy.create_node("dashboard", namespace=f"/{self.namespace}")
         self._lock = threading.Lock()
-        self._heard: dict[str, _Heard] = {}
-        self._forgotten: dict[str, int] = {}
+        self._reports: dict[str, _Report] = {}
+        self._ignored_until: dict[str, int] = {}
         self._clients: dict[str, Any] = {}
         # Created in advance: a node drops the answer to a client that it has not discovered yet.
         for kind, service in SERVICES:
             self._client(kind, service)
-        self._reports = Inbox(self._node, DiagnosticArray, "/diagnostics", QoSProfile(depth=REPORTS), bytes)
+        self._diagnostics = Inbox(self._node, DiagnosticArray, "/diagnostics", QoSProfile(depth=REPORT_DEPTH), bytes)
         self._sources = [_Source(self._node, topic) for topic in TOPICS]
         self._origin_ns: int | None = None
         self._newest = -1
-        self._sent_at = np.zeros(KEPT, dtype=np.int64)
-        self._sent_cycle = np.full(KEPT, -1, dtype=np.int64)
-        self._force = np.full(KEPT, np.nan)
+        self._sent_at = np.zeros(CYCLES, dtype=np.int64)
+        self._sent_cycle = np.full(CYCLES, -1, dtype=np.int64)
+        self._force = np.full(CYCLES, np.nan)
         self._peaks = Peaks()
         self._rig = RigWatch(self._node)
         self._arrivals: list[tuple[float, int]] = []
@@ -205,30 +203,30 @@ class Link:
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
         self._threads = [
-            threading.Thread(target=self._take, name="signals"),
+            threading.Thread(target=self._read, name="signals"),
             threading.Thread(target=self._serve, name="services"),
         ]
         for thread in self._threads:
             thread.start()
 
-    def give_up(self) -> None:
+    def abort(self) -> None:
         """Abort every pending request."""
         self._closing.set()
 
     def close(self) -> None:
         """Leave the graph."""
-        self.give_up()
+        self.abort()
         for thread in self._threads:
             thread.join()
         self._executor.remove_node(self._node)
         self._executor.shutdown()
         for source in self._sources:
             source.destroy()
-        self._reports.destroy()
+        self._diagnostics.destroy()
         self._rig.destroy()
         self._node.destroy_node()
         # Objects that refer to the middleware must be collected before it shuts down.
-        del self._executor, self._sources, self._reports, self._rig, self._clients, self._node
+        del self._executor, self._sources, self._diagnostics, self._rig, self._clients, self._node
         gc.collect()
         rclpy.try_shutdown()
 
@@ -236,29 +234,31 @@ class Link:
         """Return the rate of snapshots over about the last second [1/s]; 0 without a graph."""
         with self._lock:
             arrivals = list(self._arrivals)
-        if len(arrivals) < 2 or self._passed(self._last_arrival) > GONE:
+        if len(arrivals) < 2 or self._passed(self._last_arrival) > MAX_SNAPSHOT_SILENCE:
             return 0.0
         (begin, _), (end, _) = arrivals[0], arrivals[-1]
         return sum(count for _, count in arrivals[1:]) / (end - begin)
 
-    def health(self) -> tuple[Health, ...]:
+    def health(self) -> tuple[NodeHealth, ...]:
         """Return the nodes' diagnostics, sorted by name; a silent node is shown as late while cycles arrive, else as silent."""
         now, level = time.monotonic(), LATE if self.rate() else SILENT
         with self._lock:
-            self._heard = {name: heard for name, heard in self._heard.items() if self._passed(heard.at_pass) < FORGOTTEN}
-            heard = sorted(self._heard.items())
+            self._reports = {
+                name: report for name, report in self._reports.items() if self._passed(report.at_pass) < MAX_SHOWN_SILENCE
+            }
+            reports = sorted(self._reports.items())
         return tuple(
             health._replace(level=level, message=f"no diagnostics for {now - when:.0f} s")
-            if self._passed(at) > SILENCE
+            if self._passed(at) > MAX_SILENCE
             else health
-            for _, (when, at, health) in heard
+            for _, (when, at, health) in reports
         )
 
     def forget(self, nodes: Collection[str]) -> None:
         """Forget some nodes, and ignore messages they have sent before now."""
         with self._lock:
-            self._forgotten |= dict.fromkeys(nodes, time.time_ns())
-            self._heard = {name: heard for name, heard in self._heard.items() if name not in nodes}
+            self._ignored_until |= dict.fromkeys(nodes, time.time_ns())
+            self._reports = {name: report for name, report in self._reports.items() if name not in nodes}
             if any(plant in nodes for plant in PLANTS.values()):
                 self._arrivals = []
 
@@ -272,7 +272,7 @@ class Link:
         listed = self.call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
         if listed is None:
             return ()
-        names = [name for name in listed.result.names[:TUNABLES] if name == line(name, NAME)]
+        names = [name for name in listed.result.names[:MAX_TUNABLES] if name == shortened(name, MAX_NAME)]
         described = self.call(DescribeParameters, f"{node}/describe_parameters", DescribeParameters.Request(names=names))
         got = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
         if described is None or got is None:
@@ -293,7 +293,7 @@ class Link:
         if response is None or not response.results:
             return Answer(done=False, message=f"{node} does not answer")
         result = response.results[0]
-        reason = line(result.reason) or f"{node} refused {name} without giving a reason"
+        reason = shortened(result.reason) or f"{node} refused {name} without giving a reason"
         return Answer(result.successful, f"{name} is now {value}" if result.successful else reason)
 
     def emergency_stop(self) -> Answer:
@@ -325,8 +325,10 @@ class Link:
         """Reset the gate's latched trips and let commands through again; retry requests that are refused for the moment."""
         answer = Answer(done=False, message="")
         for request in (self.reset_trips, self.enable):
-            deadline = time.monotonic() + INSISTS
-            while not (answer := request()).done and time.monotonic() < deadline and not self._closing.wait(2.0 * REST):
+            deadline = time.monotonic() + RETRY_TIME
+            while (
+                not (answer := request()).done and time.monotonic() < deadline and not self._closing.wait(2.0 * READ_INTERVAL)
+            ):
                 pass
             if not answer.done:
                 return answer
@@ -336,8 +338,8 @@ class Link:
         """Return whether a lifecycle node is ready for requests."""
         return bool(self._client(ChangeState, f"{node}/change_state").service_is_ready())
 
-    def twins(self, nodes: Iterable[str]) -> list[str]:
-        """Return those of the nodes whose name occurs more than once in the graph."""
+    def duplicates(self, nodes: Iterable[str]) -> list[str]:
+        """Return the nodes whose name occurs more than once in the graph."""
         names = [(f"/{self.namespace}", node) for node in nodes]
         present = Counter((space, name) for name, space in self._node.get_node_names_and_namespaces())
         return [name for space, name in names if present[space, name] > 1]
@@ -374,36 +376,36 @@ class Link:
         kind: Any,
         service: str,
         request: Any,
-        found: float = FOUND,
-        answered: float = ANSWERED,
+        discovery_timeout: float = DISCOVERY_TIMEOUT,
+        answer_timeout: float = ANSWER_TIMEOUT,
         hopeless: Callable[[], bool] = lambda: False,
     ) -> Any:
-        """Call a service and wait for its answer; None if it is late, the link closes, or the wait becomes hopeless.
+        """Call a service and wait for its answer; None after a timeout, when the link closes, or if the wait is aborted.
 
         Args:
             kind: service type.
             service: service name.
             request: the request.
-            found: longest wait for discovery [s].
-            answered: longest wait for the answer from then on [s]; the wait ends early if the service disappears.
-            hopeless: returns whether waiting has become pointless.
+            discovery_timeout: longest wait for discovery [s].
+            answer_timeout: longest wait for the answer from then on [s]; the wait ends early if the service disappears.
+            hopeless: returns whether the wait should be aborted.
         """
         client = self._client(kind, service)
-        deadline = time.monotonic() + found
+        deadline = time.monotonic() + discovery_timeout
 
-        def in_vain() -> bool:
+        def is_over() -> bool:
             return time.monotonic() > deadline or self._closing.is_set() or hopeless()
 
         while not client.service_is_ready():
-            if in_vain():
+            if is_over():
                 return None
-            self._closing.wait(REST)
-        deadline = time.monotonic() + answered
-        came = threading.Event()
+            self._closing.wait(READ_INTERVAL)
+        deadline = time.monotonic() + answer_timeout
+        arrived = threading.Event()
         future = client.call_async(request)
-        future.add_done_callback(lambda _: came.set())
-        while not came.wait(REST):
-            if in_vain() or not client.service_is_ready():
+        future.add_done_callback(lambda _: arrived.set())
+        while not arrived.wait(READ_INTERVAL):
+            if is_over() or not client.service_is_ready():
                 client.remove_pending_request(future)
                 return None
         return future.result()
@@ -412,7 +414,7 @@ class Link:
         response = self.call(kind, service, request)
         if response is None:
             return Answer(done=False, message=f"{service}: no {server} node answers")
-        return Answer(response.success, line(response.message))
+        return Answer(response.success, shortened(response.message))
 
     def _client(self, kind: Any, service: str) -> Any:
         with self._lock:
@@ -428,49 +430,53 @@ class Link:
 
     def _passed(self, since: int) -> float:
         """Return the time the reading thread has spent since one of its passes [s]."""
-        return REST * (self._passes - since)
+        return READ_INTERVAL * (self._passes - since)
 
-    def _take_reports(self) -> None:
+    def _read_diagnostics(self) -> None:
         """Read the nodes' diagnostics."""
-        while (taken := self._reports.take_raw()) is not None:
+        while (taken := self._diagnostics.take_raw()) is not None:
             report = taken[0]
-            if len(report) > LONGEST_REPORT:
+            if len(report) > MAX_REPORT_SIZE:
                 continue
             # Another publisher's message may hold invalid UTF-8.
             with contextlib.suppress(UnicodeDecodeError):
-                self._note(deserialize_message(report, DiagnosticArray), taken[1]["source_timestamp"])
+                self._register_diagnostics(deserialize_message(report, DiagnosticArray), taken[1]["source_timestamp"])
 
-    def _note(self, array: DiagnosticArray, sent_ns: int) -> None:
+    def _register_diagnostics(self, array: DiagnosticArray, sent_ns: int) -> None:
         now = time.monotonic()
         with self._lock:
             for status in array.status:
-                name = line(status.name.removeprefix(f"{self.namespace}/"), NAME)
-                if status.hardware_id != self.namespace or sent_ns < self._forgotten.get(name, 0):
+                name = shortened(status.name.removeprefix(f"{self.namespace}/"), MAX_NAME)
+                if status.hardware_id != self.namespace or sent_ns < self._ignored_until.get(name, 0):
                     continue
-                if name not in OWN and name not in self._heard and len(self._heard.keys() - OWN) == STRANGERS:
+                if (
+                    name not in OWN_NODES
+                    and name not in self._reports
+                    and len(self._reports.keys() - OWN_NODES) == MAX_FOREIGN_NODES
+                ):
                     continue
-                said = figures((pair.key, pair.value) for pair in status.values)
+                values_by_name = shortened_figures((pair.key, pair.value) for pair in status.values)
                 level = int.from_bytes(status.level, "little")
-                health = Health(name, min(level, SILENT), line(status.message), said)
-                self._heard[name] = _Heard(now, self._passes, health)
+                health = NodeHealth(name, min(level, SILENT), shortened(status.message), values_by_name)
+                self._reports[name] = _Report(now, self._passes, health)
 
-    def _take(self) -> None:
+    def _read(self) -> None:
         """Read messages in bulk until the link closes."""
-        while not self._closing.wait(REST):
+        while not self._closing.wait(READ_INTERVAL):
             for source in self._sources:
                 taken = source.take()
                 if taken is not None:
-                    self._take_in(source.topic, *taken)
-            self._take_reports()
+                    self._process(source.topic, *taken)
+            self._read_diagnostics()
             self._rig.take()
             self._passes += 1
 
-    def _take_in(self, topic: Topic, columns: Mapping[str, NDArray[Any]], sent_ns: NDArray[np.int64]) -> None:
+    def _process(self, topic: Topic, columns: Mapping[str, NDArray[Any]], sent_ns: NDArray[np.int64]) -> None:
         cycle = columns[CYCLE].astype(np.int64)
         stamp_ns = columns[SECONDS].astype(np.int64) * codec.NANOSECONDS + columns[NANOSECONDS]
         values = _by_signal(topic, columns)
         if topic is LOADER_STATE:
-            self._take_snapshots(cycle, stamp_ns, sent_ns, values["force_n"])
+            self._process_snapshots(cycle, stamp_ns, sent_ns, values["force_n"])
             values[PEAK], values[VALLEY] = self._peaks.of(cycle, values["force_n"])
         if topic is PROGRAMME_POINT:
             self._peaks.note(cycle, columns)
@@ -478,24 +484,24 @@ class Link:
         if self._origin_ns is None:
             return
         if topic is VALVE_COMMAND:
-            response_ns = sent_ns - self._sent_at[cycle % KEPT]
+            response_ns = sent_ns - self._sent_at[cycle % CYCLES]
             # A node in the plant's process has answered before either message is sent, and its command is sent first.
             values[RESPONSE] = 1e-3 * self._since_snapshot(cycle, np.where(response_ns >= 0, response_ns, np.nan))
         if topic is CONTROLLER_STATUS:
-            values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % KEPT] - values["force_error_n"])
+            values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % CYCLES] - values["force_error_n"])
         time_s = 1e-9 * (stamp_ns - self._origin_ns)
         # Drop samples of a previous graph, or too far ahead of the cycles.
         fits = (time_s >= 0.0) & (cycle <= self._newest + DEPTH) & np.isfinite(time_s)
         order = np.argsort(time_s[fits], kind="stable")
         self.window.add(time_s[fits][order], {name: column[fits][order] for name, column in values.items()})
 
-    def _take_snapshots(
+    def _process_snapshots(
         self, cycle: NDArray[np.int64], stamp_ns: NDArray[np.int64], sent_ns: NDArray[np.int64], force: NDArray[np.float64]
     ) -> None:
         now = time.monotonic()
         with self._lock:
             self._arrivals.append((now, len(cycle)))
-            recent = [arrival for arrival in self._arrivals if now - arrival[0] < GONE]
+            recent = [arrival for arrival in self._arrivals if now - arrival[0] < MAX_SNAPSHOT_SILENCE]
             self._arrivals = recent if len(recent) > 1 else self._arrivals[-2:]
             self._last_arrival = self._passes
         apart = cycle[-1] - cycle[0]
@@ -508,13 +514,13 @@ class Link:
             self._origin_ns = int(stamp_ns[0] - cycle[0] * (stamp_ns[-1] - stamp_ns[0]) // apart)
             self.window.restart()
         self._newest = int(cycle[-1])
-        self._sent_at[cycle % KEPT] = sent_ns
-        self._sent_cycle[cycle % KEPT] = cycle
-        self._force[cycle % KEPT] = force
+        self._sent_at[cycle % CYCLES] = sent_ns
+        self._sent_cycle[cycle % CYCLES] = cycle
+        self._force[cycle % CYCLES] = force
 
     def _since_snapshot(self, cycle: NDArray[np.int64], values: NDArray[Any]) -> NDArray[np.float64]:
         """Return the values, with NaN where the cycle's snapshot was not received."""
-        return np.where(self._sent_cycle[cycle % KEPT] == cycle, values, np.nan)
+        return np.where(self._sent_cycle[cycle % CYCLES] == cycle, values, np.nan)
 
 
 def _tunable(descriptor: ParameterDescriptor, value: Any) -> Tunable:
@@ -522,8 +528,8 @@ def _tunable(descriptor: ParameterDescriptor, value: Any) -> Tunable:
     for ranges in (descriptor.floating_point_range, descriptor.integer_range):
         if ranges:
             limits = [ranges[0].from_value, ranges[0].to_value]
-    shown = line(value) if isinstance(value, str) else value
-    return Tunable(descriptor.name, shown, line(descriptor.description), *limits)
+    shown = shortened(value) if isinstance(value, str) else value
+    return Tunable(descriptor.name, shown, shortened(descriptor.description), *limits)
 
 
 def _by_signal(topic: Topic, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float64]]:

@@ -1,4 +1,4 @@
-"""`monitor_node`: watches the rig while it runs and reports changes of its model since the healthy baseline."""
+"""`monitor_node`: monitors the running rig and reports changes of its model since the healthy baseline."""
 
 import gc
 import math
@@ -34,15 +34,14 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.accepted_rig import accepted_model, write_accepted
 from ehls_ros.experiments.monitoring.benefit import Benefit
-from ehls_ros.experiments.monitoring.examination import InItsOwnProcess
+from ehls_ros.experiments.monitoring.cycle_assembly import LOCKSTEP_MAX_WAIT, MAX_WAIT, CycleAssembler, LoaderSnapshot
+from ehls_ros.experiments.monitoring.examination import ProcessExaminer
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
-from ehls_ros.experiments.monitoring.following import LONG_PATIENCE, PATIENCE, Follower, Snapshot
-from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
-from ehls_ros.experiments.monitoring.memory import UNUSABLE, Kept, Memory
+from ehls_ros.experiments.monitoring.health import DebouncedSummary, Event, FoundChange, Health, State, Summary, today
+from ehls_ros.experiments.monitoring.memory import UNUSABLE, Memory, SavedMonitor
 from ehls_ros.experiments.monitoring.monitor import Monitor
-from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
-from ehls_ros.experiments.monitoring.rates import MOST_HISTORY
-from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, today, word
+from ehls_ros.experiments.monitoring.monitor import Parameters as MonitoringParameters
+from ehls_ros.experiments.monitoring.trends import MAX_HISTORY
 from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.experiments.state_files.folder_lock import FolderLock
 from ehls_ros.experiments.state_files.kinds import LEARNS_ANEW
@@ -74,25 +73,25 @@ from ehls_ros.recording.topics import (
 from ehls_ros.schema import quantity, text
 from ehls_ros.trajectory import Trajectory
 
-REST = 0.1
-"""Interval between bulk reads of the messages [s]; the middleware holds them meanwhile."""
+READ_INTERVAL = 0.1
+"""Interval between bulk reads of the messages [s]; the middleware stores them meanwhile."""
 
-HELD_UP = 20.0
+MAX_READ_DELAY = 20.0
 """Longest interval between bulk reads while the monitor computes something else [s]."""
 
-MOST_GATHERED = 100_000
-"""Maximum number of messages of a topic that gather: 20 s at 5 kHz."""
+MAX_GATHERED = 100_000
+"""Maximum number of messages of a topic between two reads: 20 s at 5 kHz."""
 
-TELL = 2.5
+PUBLISH_INTERVAL = 2.5
 """Shortest time between two messages if no event occurs [s]."""
 
-TIDY = 60.0
+MEMORY_RELEASE_INTERVAL = 60.0
 """Time between two releases of free memory [s]; no cycle waits for this loop."""
 
-QUIET = 2.0
-"""Time without snapshots after which judging stops [s]."""
+MAX_SILENCE = 2.0
+"""Longest time without snapshots; beyond it, the state is idle [s]."""
 
-AFTER_TRIP = 0.5
+TRIP_DELAY = 0.5
 """Time after the report of a trip by which the samples before it have arrived [s]."""
 
 GATE = f"{OF_GATE}\0".encode()
@@ -101,16 +100,16 @@ GATE = f"{OF_GATE}\0".encode()
 ACCEPTED = "rig_accepted.yaml"
 """File of the rig with the changes that an operator has accepted, in the monitor's folder."""
 
-BENEFIT = 30.0
+BENEFIT_TIME = 30.0
 """Time over which the force error is measured before and after controllers receive an accepted rig [s]."""
 
 SETTLING = 2.0
 """Time between the two measurements [s]."""
 
-MOST_FLIGHTS = 2
+MAX_PENDING_FLIGHTS = 2
 """Maximum number of trips waiting to be written; repeated trips add no information."""
 
-MOST_CHANGES = 50
+MAX_CHANGES = 50
 """Maximum number of changes published, the newest ones; the memory has all."""
 
 HOUR = 3600.0
@@ -122,7 +121,7 @@ class Parameters(NamedTuple):
     """Baseline recordings, memory folder and flight recorder of the monitor."""
 
     baseline: Annotated[
-        str, text("recordings from when the rig was well, separated by commas; empty: the rig file and the first minutes")
+        str, text("recordings of the healthy rig, separated by commas; empty: the rig file and the first minutes")
     ] = ""
     folder: Annotated[
         str, text("folder of memory and flight recorder; empty: runs/monitor, with the namespace of another rig")
@@ -133,7 +132,7 @@ class Parameters(NamedTuple):
 
 
 class MonitorNode(ControlNode):
-    """Follows the graph like the recorder; no cycle waits for it, and it blocks no sender."""
+    """Monitor of a running graph. It reads like the recorder: no cycle waits for it, and it blocks no sender."""
 
     answers = False
     background = True
@@ -142,13 +141,13 @@ class MonitorNode(ControlNode):
     def __init__(self) -> None:
         """Declare the parameters and the services."""
         super().__init__("monitor_node")
-        declare(self, Watching, live=False)
+        declare(self, MonitoringParameters, live=False)
         declare(self, Parameters, live=False)
-        self.watching = values_of(self, Watching, self.get_name())
-        self.own = values_of(self, Parameters, self.get_name())
+        self.monitoring_parameters = values_of(self, MonitoringParameters, self.get_name())
+        self.settings = values_of(self, Parameters, self.get_name())
         self.frame = loader_frame(self.get_namespace())
-        self.asked = deque[str]()
-        self.told: Health | None = None
+        self.requests = deque[str]()
+        self.published_health: Health | None = None
         self.create_service(Trigger, "monitor_acknowledge", self._on_acknowledge)
         self.create_service(Trigger, "monitor_accept", self._on_accept)
         self.create_service(Trigger, "monitor_reset", self._on_reset)
@@ -164,38 +163,38 @@ class MonitorNode(ControlNode):
         be_modest()
         namespace = self.get_namespace().strip("/")
         below = "monitor" if namespace == NAMESPACE else f"monitor_{namespace.replace('/', '_')}"
-        self.folder = Path(self.own.folder or Path("runs") / below)
-        self.baselines, period = _baselines(self.own.baseline), self.spec.settings.control_period
+        self.folder = Path(self.settings.folder or Path("runs") / below)
+        self.baselines, period = _baselines(self.settings.baseline), self.spec.settings.control_period
         self.memory = Memory(self.folder, Origin.of(self.spec.controller_rig, period), tuple(self.baselines))
         self.lock = FolderLock(self.folder, "monitor")
         if self.lock.remark:
             self.get_logger().warning(self.lock.remark)
-        self.recorder = FlightRecorder(self.folder / "flights", self.own.flights, self.own.flight_size)
-        self.held = HeldLevel()
-        self.word = Word(0, "no samples yet")
+        self.recorder = FlightRecorder(self.folder / "flights", self.settings.flights, self.settings.flight_size)
+        self.debounced = DebouncedSummary()
+        self.summary = Summary(0, "no samples yet")
         self.failure = ""
-        self.kept = -math.inf
+        self.last_saved = -math.inf
         self.trip = ""
         self.tripped = deque[tuple[float, str]]()
         self.flights = deque[Flight]()
         self._begin_monitor()
-        self.states = self._cycle_inbox(LoaderState, LOADER_STATE)
-        self.commands = self._cycle_inbox(ValveCommand, VALVE_COMMAND)
-        self.disturbances = self._cycle_inbox(Disturbance, DISTURBANCE)
-        self.drivers = Inbox(self, Driver, DRIVER.name, control_qos(DRIVER.depth), owned=LOADER_STATE.name)
-        self.driving = Inbox(self, Bool, DRIVING.name, control_qos(DRIVING.depth))
-        self.diagnostics = Inbox(self, DiagnosticArray, DIAGNOSTICS.name, QoSProfile(depth=200))
+        self.state_inbox = self._cycle_inbox(LoaderState, LOADER_STATE)
+        self.command_inbox = self._cycle_inbox(ValveCommand, VALVE_COMMAND)
+        self.disturbance_inbox = self._cycle_inbox(Disturbance, DISTURBANCE)
+        self.driver_inbox = Inbox(self, Driver, DRIVER.name, control_qos(DRIVER.depth), owned=LOADER_STATE.name)
+        self.driving_inbox = Inbox(self, Bool, DRIVING.name, control_qos(DRIVING.depth))
+        self.diagnostics_inbox = Inbox(self, DiagnosticArray, DIAGNOSTICS.name, QoSProfile(depth=200))
         self.state, self.command, self.disturbance, self.status = (
             Decoder(LoaderState),
             Decoder(ValveCommand),
             Decoder(Disturbance),
             Decoder(ControllerStatus),
         )
-        self.telling = self.create_publisher(ModelHealth, MODEL_HEALTH.name, control_qos(MODEL_HEALTH.depth))
-        self.accepted = self.create_publisher(String, ACCEPTED_RIG.name, control_qos(ACCEPTED_RIG.depth))
+        self.health_publisher = self.create_publisher(ModelHealth, MODEL_HEALTH.name, control_qos(MODEL_HEALTH.depth))
+        self.accepted_publisher = self.create_publisher(String, ACCEPTED_RIG.name, control_qos(ACCEPTED_RIG.depth))
         self.benefit: Benefit | None = None
-        self.rig_told = ""
-        self.errors: Inbox | None = None
+        self.accepted_rig = ""
+        self.status_inbox: Inbox | None = None
 
     def _cycle_inbox(self, message: Any, topic: Topic) -> Inbox:
         """Return an inbox that blocks no sender: in realtime no sender waits for acknowledgement, and lost messages are gaps.
@@ -204,74 +203,75 @@ class MonitorNode(ControlNode):
         """
         if self.lockstep:
             return Inbox(self, message, topic.name, control_qos(RECORDER_DEPTH))
-        depth = min(round(HELD_UP / self.spec.settings.control_period), MOST_GATHERED)
+        depth = min(round(MAX_READ_DELAY / self.spec.settings.control_period), MAX_GATHERED)
         return Inbox(self, message, topic.name, QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT))
 
     def release(self) -> None:
         """Close memory and topics, and end a diagnosis under way."""
-        # The folder first: topics that `prepare` did not get to open do not exist.
+        # The folder first: if `prepare` failed, some topics do not exist.
         self.memory.close()
         self.lock.release()
-        for inbox in (self.states, self.commands, self.disturbances, self.drivers, self.driving, self.diagnostics):
+        cycle = (self.state_inbox, self.command_inbox, self.disturbance_inbox)
+        for inbox in (*cycle, self.driver_inbox, self.driving_inbox, self.diagnostics_inbox):
             inbox.destroy()
         self._end_benefit()
-        self.destroy_publisher(self.telling)
-        self.destroy_publisher(self.accepted)
+        self.destroy_publisher(self.health_publisher)
+        self.destroy_publisher(self.accepted_publisher)
         self.monitor.close()
 
     def _begin_monitor(self) -> None:
         """Create a monitor that continues from the folder's memory; unusable files are set aside."""
         self.monitor = self._new_monitor()
-        kept = self._recall()
+        saved = self._restore()
         try:
             self.memory.check_writable()
-            if said := self.memory.open_history():
-                self.get_logger().warning(said)
+            if remark := self.memory.open_history():
+                self.get_logger().warning(remark)
         except (BadInput, NotWritten) as error:
-            self._fail(f"what is known cannot be kept: {error}")
-        patience = LONG_PATIENCE if self.lockstep else PATIENCE
-        anchors, end = (kept.anchors, kept.end) if kept else ((), 0.0)
-        self.follower = Follower(self.spec.settings.control_period, anchors, end, patience)
+            self._report_failure(f"the memory cannot be written: {error}")
+        max_wait = LOCKSTEP_MAX_WAIT if self.lockstep else MAX_WAIT
+        anchors, end = (saved.anchors, saved.end) if saved else ((), 0.0)
+        self.assembler = CycleAssembler(self.spec.settings.control_period, anchors, end, max_wait)
 
     def _new_monitor(self) -> Monitor:
-        return Monitor(self.spec.controller_rig, self.watching, InItsOwnProcess(), self.baselines)
+        return Monitor(self.spec.controller_rig, self.monitoring_parameters, ProcessExaminer(), self.baselines)
 
-    def _recall(self) -> Kept | None:
+    def _restore(self) -> SavedMonitor | None:
         """Continue from the folder's memory; set it aside if it cannot be used."""
         try:
-            kept = self.memory.restore()
-            if kept is not None:
-                self.monitor.restore(kept.remembered)
+            saved = self.memory.restore()
+            if saved is not None:
+                self.monitor.restore(saved.state)
         except UNUSABLE as error:
-            what = f"the monitor's memory makes no sense ({error})"
-            reason = error if isinstance(error, BadInput) else BadInput(what, str(self.folder), LEARNS_ANEW)
-            self.get_logger().warning(f"the monitor learns anew: {self.memory.put_aside(reason)}")
+            problem = f"the monitor's memory is inconsistent ({error})"
+            reason = error if isinstance(error, BadInput) else BadInput(problem, str(self.folder), LEARNS_ANEW)
+            self.get_logger().warning(f"the monitor learns again: {self.memory.put_aside(reason)}")
             self.monitor.close()
             self.monitor = self._new_monitor()
             return None
-        return kept
+        return saved
 
     def start(self) -> None:
-        """Start following the graph."""
-        # The loops with deadlines run without garbage collection; this one has time, and lists of findings refer to each other.
+        """Start reading the graph."""
+        # The loops with deadlines run without garbage collection; this one has time, and cyclic references accumulate.
         gc.enable()
         tidy()
-        self.heard = self.tidied = time.monotonic()
+        self.last_snapshots = self.memory_released = time.monotonic()
         self.day = today()
-        self.published = -math.inf
+        self.last_published = -math.inf
 
     def stop(self) -> None:
         """Save the memory."""
-        self._keep(happened=True)
+        self._save(happened=True)
 
     # --- the loop -------------------------------------------------------------------------------------
 
     def once(self) -> None:
         """Read the gathered messages and judge the complete blocks."""
-        time.sleep(REST)
-        events = self._asked()
+        time.sleep(READ_INTERVAL)
+        events = self._carry_out_requests()
         try:
-            events += self._follow()
+            events += self._read_messages()
             events += self._measure_benefit()
         except RuntimeError as error:
             # The diagnosis process died; the memory dates from before it began.
@@ -282,51 +282,51 @@ class MonitorNode(ControlNode):
         for event in events:
             self.get_logger().info(f"{event.kind}: {event.text}")
         self._record_flights()
-        self._keep(happened=bool(events))
-        self._tell(happened=bool(events))
-        self._report_day()
+        self._save(happened=bool(events))
+        self._publish(happened=bool(events))
+        self._start_daily_report()
         # Learning or diagnosis took more memory than is needed from now on.
-        if events or time.monotonic() - self.tidied > TIDY:
-            self.tidied = time.monotonic()
+        if events or time.monotonic() - self.memory_released > MEMORY_RELEASE_INTERVAL:
+            self.memory_released = time.monotonic()
             tidy()
 
-    def _follow(self) -> list[Event]:
+    def _read_messages(self) -> list[Event]:
         """Read all messages, and return the events."""
-        follower, plant = self.follower, self.owners.of(LOADER_STATE.name)
-        while (driver := self.drivers.take()) is not None:
-            follower.hear_driver(driver[1], driver[3])
+        assembler, plant = self.assembler, self.owners.of(LOADER_STATE.name)
+        while (driver := self.driver_inbox.take()) is not None:
+            assembler.add_controller(driver[1], driver[3])
         snapshots = [
-            Snapshot(message[0], message[1], message[2:-1], info["source_timestamp"])
-            for raw, info in _taken(self.states)
+            LoaderSnapshot(message[0], message[1], message[2:-1], info["source_timestamp"])
+            for raw, info in _messages(self.state_inbox)
             if (message := self.state(raw)) is not None and plant.admits(message[-1])
         ]
         # After the snapshots: messages older than the newest snapshot have arrived by now.
-        for raw, info in _taken(self.driving):
-            follower.hear_driving(deserialize_message(raw, Bool).data, info["source_timestamp"])
-        follower.hear_commands(
+        for raw, info in _messages(self.driving_inbox):
+            assembler.add_driving(deserialize_message(raw, Bool).data, info["source_timestamp"])
+        assembler.add_commands(
             (message[1], message[2], message[3], info["source_timestamp"])
-            for raw, info in _taken(self.commands)
+            for raw, info in _messages(self.command_inbox)
             if (message := self.command(raw)) is not None
         )
-        follower.hear_disturbances(
+        assembler.add_disturbances(
             (message[1], message[2:-1])
-            for raw, _ in _taken(self.disturbances)
+            for raw, _ in _messages(self.disturbance_inbox)
             if (message := self.disturbance(raw)) is not None
         )
-        self._hear_trips()
+        self._register_trips()
         events = self.monitor.add(np.zeros(0), {})
-        for stretch in follower.follow(snapshots):
+        for stretch in assembler.add_snapshots(snapshots):
             if stretch.interrupted:
                 self.monitor.interrupt()
             events += self.monitor.add(stretch.time_s, stretch.signals)
         if snapshots:
             # After the work on the snapshots, which may take long: messages that arrive meanwhile wait.
-            self.heard = time.monotonic()
+            self.last_snapshots = time.monotonic()
         return events
 
-    def _hear_trips(self) -> None:
+    def _register_trips(self) -> None:
         """Register each trip of the gate once."""
-        for raw, _ in _taken(self.diagnostics):
+        for raw, _ in _messages(self.diagnostics_inbox):
             if GATE not in raw:
                 continue
             for status in deserialize_message(raw, DiagnosticArray).status:
@@ -335,22 +335,22 @@ class MonitorNode(ControlNode):
                     continue
                 cause = figures.get(TRIPPED_BY, "")
                 if cause and cause != self.trip:
-                    self.tripped.append((time.monotonic() + AFTER_TRIP, cause))
+                    self.tripped.append((time.monotonic() + TRIP_DELAY, cause))
                 self.trip = cause
 
-    def _asked(self) -> list[Event]:
+    def _carry_out_requests(self) -> list[Event]:
         """Carry out the service requests."""
         events = list[Event]()
-        while self.asked:
-            request = self.asked.popleft()
-            self.held.release()
+        while self.requests:
+            request = self.requests.popleft()
+            self.debounced.release()
             if request == "acknowledge":
-                events.append(Event(self.follower.end, "acknowledged", f"{self.monitor.acknowledge()} changes"))
+                events.append(Event(self.assembler.end, "acknowledged", f"{self.monitor.acknowledge()} changes"))
             elif request == "accept":
-                events.append(Event(self.follower.end, "accepted", self._accept()))
+                events.append(Event(self.assembler.end, "accepted", self._accept()))
             else:
                 self.monitor.reset()
-                events.append(Event(self.follower.end, "reset", "the rig was repaired: what is healthy is learnt anew"))
+                events.append(Event(self.assembler.end, "reset", "after a repair: the healthy rig is learnt again"))
         return events
 
     def _accept(self) -> str:
@@ -358,138 +358,138 @@ class MonitorNode(ControlNode):
         rig = self.monitor.accept()
         if rig is None:
             return "there is no change with a cause to accept"
-        self.rig_told = rig_text(rig_to_mapping(rig))
+        self.accepted_rig = rig_text(rig_to_mapping(rig))
         path = self.folder / ACCEPTED
-        kept = f"the rig with its changes is {path}"
+        result = f"the rig with its changes is in {path}"
         try:
-            write_accepted(path, self.rig_told)
+            write_accepted(path, self.accepted_rig)
         except NotWritten as error:
-            kept = f"the rig with its changes is in no file: {error}"
-            self._fail(kept)
+            result = f"the rig with its changes cannot be written: {error}"
+            self._report_failure(result)
         self._end_benefit()
         period = self.spec.settings.control_period
         try:
-            accepted_model(self.rig_told, self.spec.controller_rig, period, "accepted rig")
+            accepted_model(self.accepted_rig, self.spec.controller_rig, period, "accepted rig")
         except BadInput as error:
-            return f"{kept}; no controller is told: {error}"
-        self.benefit = Benefit(round(BENEFIT / period))
-        self.errors = self._cycle_inbox(ControllerStatus, CONTROLLER_STATUS)
-        return f"{kept}; controllers with accept_rig are told in {BENEFIT:g} s"
+            return f"{result}; no controller is informed: {error}"
+        self.benefit = Benefit(round(BENEFIT_TIME / period))
+        self.status_inbox = self._cycle_inbox(ControllerStatus, CONTROLLER_STATUS)
+        return f"{result}; controllers with accept_rig are informed in {BENEFIT_TIME:g} s"
 
     def _measure_benefit(self) -> list[Event]:
         """Measure the force error before and after controllers receive an accepted rig."""
-        if self.benefit is None or self.errors is None:
+        if self.benefit is None or self.status_inbox is None:
             return []
-        decoded = (self.status(raw) for raw, _ in _taken(self.errors))
+        decoded = (self.status(raw) for raw, _ in _messages(self.status_inbox))
         self.benefit.add(np.array([message[2 + FORCE_ERROR] for message in decoded if message is not None]))
         if self.benefit.ready:
-            self.accepted.publish(String(data=self.rig_told))
-            self.benefit.tell(round(SETTLING / self.spec.settings.control_period))
-            return [Event(self.follower.end, "told", "the controllers are told of the accepted rig")]
+            self.accepted_publisher.publish(String(data=self.accepted_rig))
+            self.benefit.inform(round(SETTLING / self.spec.settings.control_period))
+            return [Event(self.assembler.end, "told", "the controllers are informed of the accepted rig")]
         if not self.benefit.complete:
             return []
-        said = self.benefit.sentence()
+        text = self.benefit.sentence()
         self._end_benefit()
-        return [Event(self.follower.end, "benefit", said)]
+        return [Event(self.assembler.end, "benefit", text)]
 
     def _end_benefit(self) -> None:
-        if self.errors is not None:
-            self.errors.destroy()
-        self.benefit, self.errors = None, None
+        if self.status_inbox is not None:
+            self.status_inbox.destroy()
+        self.benefit, self.status_inbox = None, None
 
     def _record_flights(self) -> None:
         """Start writing and diagnosing the record before a trip, one flight at a time, and only while no diagnosis runs."""
         while self.tripped and time.monotonic() > self.tripped[0][0]:
             _, cause = self.tripped.popleft()
-            recording = self.monitor.recording(self.own.flight_time)
-            if len(recording) and self.own.flights and len(self.flights) < MOST_FLIGHTS:
-                stamp_ns = self.follower.stamp_ns(self.follower.end)
+            recording = self.monitor.recording(self.settings.flight_time)
+            if len(recording) and self.settings.flights and len(self.flights) < MAX_PENDING_FLIGHTS:
+                stamp_ns = self.assembler.stamp_ns(self.assembler.end)
                 self.flights.append(Flight(recording, cause, stamp_ns))
-        busy = self.recorder.busy or (self.told is not None and self.told.state == State.EXAMINING)
+        busy = self.recorder.busy or (self.published_health is not None and self.published_health.state == State.EXAMINING)
         if not self.flights or busy:
             return
-        learnt = self.monitor.remembered().learnt
+        learnt = self.monitor.saved_state().learnt
         baselines, own = [Path(name) for name in self.baselines], learnt.recording if learnt else None
         rig, period = self.spec.controller_rig, self.spec.settings.control_period
         try:
             folder = self.recorder.begin(self.flights.popleft(), rig, period, baselines, own)
         except (OSError, NotWritten) as error:
-            self._fail(f"a flight cannot be written: {error}")
+            self._report_failure(f"the flight recorder cannot write: {error}")
             return
-        self.get_logger().warning(f"the gate has tripped: the time before it is in {folder}")
+        self.get_logger().warning(f"the gate has tripped: the samples before it are in {folder}")
 
-    def _report_day(self) -> None:
+    def _start_daily_report(self) -> None:
         """Start the report of the day that has ended, in another process: plotting takes memory."""
         if (now := today()) == self.day:
             return
         over, self.day = self.day, now
-        self._keep(happened=True)
+        self._save(happened=True)
         command = [sys.executable, "-m", "ehls_ros", "report", str(self.folder), "--day", over.isoformat()]
         self.reporting = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
-        self.get_logger().info(f"the report of {over} is written to {self.folder}")
+        self.get_logger().info(f"writing the report of {over} to {self.folder}")
 
-    def _keep(self, *, happened: bool) -> None:
+    def _save(self, *, happened: bool) -> None:
         """Save the memory, at once after an event."""
         monitor = self.monitor
         newest = monitor.history[-1].time if monitor.history else -math.inf
-        if not happened and newest == self.kept and not self.memory.due():
+        if not happened and newest == self.last_saved and not self.memory.due():
             return
-        self.kept = newest
+        self.last_saved = newest
         try:
-            self.memory.keep(monitor.remembered(), self.follower.anchors, self.follower.end, happened=happened)
+            self.memory.save(monitor.saved_state(), self.assembler.anchors, self.assembler.end, happened=happened)
         except NotWritten as error:
-            self._fail(f"what is known cannot be kept: {error}")
-        del monitor.history[:-MOST_HISTORY]
+            self._report_failure(f"the memory cannot be written: {error}")
+        del monitor.history[:-MAX_HISTORY]
 
-    def _fail(self, complaint: str) -> None:
-        """Report a failure in log and diagnostics; the watch continues."""
+    def _report_failure(self, complaint: str) -> None:
+        """Report a failure in log and diagnostics; monitoring continues."""
         self.failure = complaint
         self.get_logger().error(complaint)
 
     # --- publishing -------------------------------------------------------------------------------------
 
-    def _tell(self, *, happened: bool) -> None:
+    def _publish(self, *, happened: bool) -> None:
         """Publish the rig's health on change, and at intervals."""
         now = time.monotonic()
-        if not happened and now - self.published < TELL:
+        if not happened and now - self.last_published < PUBLISH_INTERVAL:
             return
-        self.published = now
+        self.last_published = now
         health = self.monitor.health()
-        if now - self.heard > QUIET:
-            health = health._replace(state=State.IDLE, reason="no cycles arrive")
-        elif not self.follower.driving:
+        if now - self.last_snapshots > MAX_SILENCE:
+            health = health._replace(state=State.IDLE, reason="no snapshots arrive")
+        elif not self.assembler.driving:
             health = health._replace(state=State.IDLE, reason="the gate is closed, so no command reaches the valve")
-        self.told = health
-        self.word = self.held.take(word(health, self.spec.controller_rig, self.follower.stamp_ns))
-        self.telling.publish(self._message(health))
+        self.published_health = health
+        self.summary = self.debounced.update(health.summary(self.spec.controller_rig, self.assembler.stamp_ns))
+        self.health_publisher.publish(self._message(health))
         self.report_change()
 
     def _message(self, health: Health) -> ModelHealth:
-        stamp_ns = self.follower.stamp_ns
-        now_ns = stamp_ns(self.follower.end)
+        stamp_ns = self.assembler.stamp_ns
+        now_ns = stamp_ns(self.assembler.end)
         return ModelHealth(
             header=Header(stamp=time_of(now_ns), frame_id=self.frame),
             state=int(health.state),
             reason=health.reason,
-            summary=self.word.sentence,
+            summary=self.summary.sentence,
             baseline=health.baseline,
             watched=health.watched / HOUR,
             outside=health.outside,
-            false_alarms=self.watching.mean_time_between_false_alarms,
-            changes=[self._change(change, now_ns) for change in health.changes[-MOST_CHANGES:]],
+            false_alarms=self.monitoring_parameters.mean_time_between_false_alarms,
+            changes=[self._change(change, now_ns) for change in health.changes[-MAX_CHANGES:]],
             coefficients=[_coefficient(reading, health.rates.get(reading.name, UNKNOWN)) for reading in health.readings],
         )
 
     def _change(self, change: FoundChange, now_ns: int) -> ModelChange:
-        stamp_ns = self.follower.stamp_ns
+        stamp_ns = self.assembler.stamp_ns
         parameters = change.causes[0].parameters if change.causes else {}
         return ModelChange(
             number=change.number,
             cause=change.causes[0].name if change.causes else "",
             equivalent_to=list(change.causes[0].equivalent_to) if change.causes else [],
-            group=group(change),
+            group=change.group,
             stage=change.stage,
             probability=change.causes[0].probability if change.causes else 0.0,
             parameters=list(parameters),
@@ -502,47 +502,49 @@ class MonitorNode(ControlNode):
             cleared=time_of(stamp_ns(change.cleared)),
             active=change.active,
             acknowledged=change.acknowledged,
-            sentence=sentence(change, self.spec.controller_rig, stamp_ns, now_ns),
+            sentence=change.describe(self.spec.controller_rig, stamp_ns, now_ns),
         )
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
-        """Report an unacknowledged change as a warning, otherwise the state of the watch."""
-        follower, told = self.follower, self.told
-        figures: dict[str, Any] = {"lost": follower.lost, "unanswered": follower.unanswered, "folder": self.folder}
-        if told is not None:
+        """Report an unacknowledged change as a warning, otherwise the state of the monitor."""
+        assembler, health = self.assembler, self.published_health
+        figures: dict[str, Any] = {"lost": assembler.lost, "unanswered": assembler.unanswered, "folder": self.folder}
+        if health is not None:
             figures |= {
-                "state": told.state.name.lower(),
-                "watched_h": told.watched / HOUR,
-                "active_changes": len(told.active),
-                "outside": told.outside,
-                "baseline": told.baseline,
+                "state": health.state.name.lower(),
+                "watched_h": health.watched / HOUR,
+                "active_changes": len(health.active),
+                "outside": health.outside,
+                "baseline": health.baseline,
             }
         if not self._active.is_set():
             return OK, "inactive", figures
-        level = WARN if self.failure or self.word.level else OK
-        return level, "; ".join(filter(None, (self.failure, self.word.sentence))), figures
+        level = WARN if self.failure or self.summary.level else OK
+        return level, "; ".join(filter(None, (self.failure, self.summary.sentence))), figures
 
     def _on_acknowledge(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        new = [change for change in self.told.changes if not change.acknowledged] if self.told else []
-        self.asked.append("acknowledge")
+        changes = self.published_health.changes if self.published_health else ()
+        new = [change for change in changes if not change.acknowledged]
+        self.requests.append("acknowledge")
         response.success, response.message = True, "; ".join(change.name for change in new) or "nothing new"
         return response
 
     def _on_accept(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        changes = [change for change in self.told.active if change.causes and not change.before] if self.told else []
+        active = self.published_health.active if self.published_health else ()
+        changes = [change for change in active if change.causes and not change.before]
         response.success = bool(changes)
         response.message = "; ".join(change.name for change in changes) or "there is no change with a cause to accept"
         if changes:
-            self.asked.append("accept")
+            self.requests.append("accept")
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.asked.append("reset")
-        response.success, response.message = True, "what is healthy is learnt anew"
+        self.requests.append("reset")
+        response.success, response.message = True, "the healthy rig is learnt again"
         return response
 
 
-def _taken(inbox: Inbox) -> Iterator[tuple[bytes, Mapping[str, int]]]:
+def _messages(inbox: Inbox) -> Iterator[tuple[bytes, Mapping[str, int]]]:
     """Yield the waiting messages of an inbox."""
     while (taken := inbox.take_raw()) is not None:
         yield taken
@@ -554,7 +556,7 @@ def _coefficient(reading: Reading, rate: Estimate) -> TrackedCoefficient:
         unit=reading.unit,
         value=reading.value,
         deviation=reading.deviation,
-        told=reading.told,
+        told=reading.identified,
         why_not=reading.why_not,
         rate=rate.value,
         rate_deviation=rate.std,

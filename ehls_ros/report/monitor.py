@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
-from ehls_ros.experiments.monitoring.health import Event, FoundChange
-from ehls_ros.experiments.monitoring.limits import NORMAL_95
-from ehls_ros.experiments.monitoring.remembered import Past
-from ehls_ros.experiments.monitoring.replay import Watched
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
+from ehls_ros.experiments.monitoring.health import Event
+from ehls_ros.experiments.monitoring.replay import MonitoringResult
+from ehls_ros.experiments.monitoring.trends import NORMAL_95
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import capital
 from ehls_ros.report.diagnosis_units import percent, unit_for
@@ -29,7 +28,7 @@ from ehls_ros.report.monitor_findings import (
     duration,
     false_alarms,
     known,
-    limit_words,
+    limit_text,
     offered,
     outside,
     table_row,
@@ -54,14 +53,14 @@ from ehls_ros.report.plot import (
 
 DAY_SECONDS = 86400.0
 
-MOST_LISTED = 12
+MAX_LISTED_EVENTS = 12
 """Maximum number of events listed without a click."""
 
 
 class _Scale:
     """Time axis of all figures."""
 
-    def __init__(self, watched: Watched, clock: Clock) -> None:
+    def __init__(self, watched: MonitoringResult, clock: Clock) -> None:
         """Choose unit and span of the axis."""
         times = [watched.health.time, *(event.time for event in watched.events), *(past.time for past in watched.history)]
         self.end = max((time for time in times if np.isfinite(time)), default=1.0)
@@ -94,7 +93,7 @@ class _Scale:
         return layout
 
 
-def daily_report(watched: Watched, folder: Path, day: date, clock: Clock, out: Path | None = None) -> Path:
+def daily_report(watched: MonitoringResult, folder: Path, day: date, clock: Clock, out: Path | None = None) -> Path:
     """Write the report of one day and return its path.
 
     Args:
@@ -115,7 +114,9 @@ def daily_report(watched: Watched, folder: Path, day: date, clock: Clock, out: P
 
     health = watched.health
     of_day = watched._replace(
-        health=health._replace(time=health.time - begin, changes=tuple(_moved(change, -begin) for change in health.changes)),
+        health=health._replace(
+            time=health.time - begin, changes=tuple(change.with_times(lambda time: time - begin) for change in health.changes)
+        ),
         history=tuple(past._replace(time=past.time - begin) for past in watched.history if begin <= past.time < end),
         events=tuple(event._replace(time=event.time - begin) for event in watched.events if begin <= event.time < end),
         stretches=(),
@@ -125,19 +126,7 @@ def daily_report(watched: Watched, folder: Path, day: date, clock: Clock, out: P
     return path
 
 
-def _moved(change: FoundChange, by: float) -> FoundChange:
-    """Return a change with all times shifted by some seconds."""
-    return change._replace(
-        since=change.since + by,
-        earliest=change.earliest + by,
-        latest=change.latest + by,
-        noticed=change.noticed + by,
-        named=change.named + by,
-        cleared=change.cleared + by,
-    )
-
-
-def write_monitor_report(watched: Watched, path: Path, source: str = "", clock: Clock = FROM_ZERO) -> None:
+def write_monitor_report(watched: MonitoringResult, path: Path, source: str = "", clock: Clock = FROM_ZERO) -> None:
     """Write one self-contained HTML file on a rig's health and its history.
 
     Args:
@@ -152,63 +141,66 @@ def write_monitor_report(watched: Watched, path: Path, source: str = "", clock: 
     parts = [
         ("Changes", _changes(watched, clock)),
         ("Events", _events(watched, scale, clock)),
-        ("Coefficients", [page.table(HEADER, [table_row(reading, watched) for reading in known(watched) if reading.told])]),
+        (
+            "Coefficients",
+            [page.table(HEADER, [table_row(reading, watched) for reading in known(watched) if reading.identified])],
+        ),
         ("Trends", [page.figures(panels, columns=2)]),
-        ("Not told", _not_told(watched, panels)),
-        ("What is judged", [page.bullets([false_alarms(watched.parameters.mean_time_between_false_alarms), _judged(watched)])]),
+        ("Not identified", _not_identified(watched, panels)),
+        ("Judged data", [page.bullets([false_alarms(watched.parameters.mean_time_between_false_alarms), _judged(watched)])]),
         ("Method", [page.paragraph(_METHOD)]),
     ]
     title = {True: "The rig is healthy", False: "The rig has changed", None: "The rig is not judged"}[good]
     page.write_page(path, title, source, [page.verdict(sentence, good=good), _facts(watched), *page.sections(parts)])
 
 
-def _facts(watched: Watched) -> str:
+def _facts(watched: MonitoringResult) -> str:
     health = watched.health
-    told = sum(reading.told for reading in known(watched))
+    identified = sum(reading.identified for reading in known(watched))
     return page.facts(
         [
-            ("watched", duration(health.watched)),
-            ("measured from", health.baseline),
+            ("monitored", duration(health.watched)),
+            ("baseline", health.baseline),
             ("false alarms, at most", f"one in {watched.parameters.mean_time_between_false_alarms:g} h"),
-            ("coefficients told", f"{told} of {len(COEFFICIENTS)}"),
+            ("coefficients identified", f"{identified} of {len(COEFFICIENTS)}"),
             *([] if covers_all(health.baseline) else [("outside the baseline", percent(health.outside))]),
         ]
     )
 
 
-def _judged(watched: Watched) -> str:
+def _judged(watched: MonitoringResult) -> str:
     idle = sum(stretch.not_driven for stretch in watched.stretches)
     driven = f" Of the recordings, {duration(idle)} were not driven and are not judged." if idle > 0.0 else ""
     return f"{outside(watched.health.outside, watched.health.baseline)}{driven}"
 
 
-def _changes(watched: Watched, clock: Clock) -> list[str]:
+def _changes(watched: MonitoringResult, clock: Clock) -> list[str]:
     rows: list[Row] = [
         [
             str(change.number),
             change_sentence(change, watched.rig, clock),
-            clock.said(change.named),
-            "still shows" if change.active else f"gone since {clock.said(change.cleared)}",
+            clock.text(change.named),
+            "active" if change.active else f"cleared at {clock.text(change.cleared)}",
         ]
         for change in watched.health.changes
     ]
-    return [page.table(["number", "change", "named at", "now"], rows)] if rows else []
+    return [page.table(["number", "change", "named at", "state"], rows)] if rows else []
 
 
-def _events(watched: Watched, scale: _Scale, clock: Clock) -> list[str]:
+def _events(watched: MonitoringResult, scale: _Scale, clock: Clock) -> list[str]:
     events = watched.events
     if not events:
         return []
     kinds = list(dict.fromkeys(event.kind for event in events))
-    rows: list[Row] = [[clock.said(event.time), event.kind, event.text] for event in events]
-    listing = page.table(["time", "event", "what"], rows)
-    if len(rows) > MOST_LISTED:
-        text = "\n".join(f"{clock.said(event.time)}  {event.kind}: {event.text}" for event in events)
+    rows: list[Row] = [[clock.text(event.time), event.kind, event.text] for event in events]
+    listing = page.table(["time", "event", "description"], rows)
+    if len(rows) > MAX_LISTED_EVENTS:
+        text = "\n".join(f"{clock.text(event.time)}  {event.kind}: {event.text}" for event in events)
         listing = page.collapsed(f"All {len(events)} events", text)
     return [page.figures([_time_line(events, kinds, watched, scale)]), listing]
 
 
-def _time_line(events: Sequence[Event], kinds: Sequence[str], watched: Watched, scale: _Scale) -> Panel:
+def _time_line(events: Sequence[Event], kinds: Sequence[str], watched: MonitoringResult, scale: _Scale) -> Panel:
     traces: list[Trace] = []
     for place, kind in enumerate(kinds, start=1):
         own = [event for event in events if event.kind == kind]
@@ -223,27 +215,27 @@ def _time_line(events: Sequence[Event], kinds: Sequence[str], watched: Watched, 
 # --- trends ------------------------------------------------------------------------------------
 
 
-def _trend(reading: Reading, watched: Watched, scale: _Scale) -> Panel | LeftOut:
+def _trend(reading: Reading, watched: MonitoringResult, scale: _Scale) -> Panel | LeftOut:
     """Draw a coefficient over time; grey where it was not identifiable from the programme."""
     title = capital(COEFFICIENTS[reading.name].words)
     past = [(time, one) for time, one in _past(reading, watched) if time <= scale.end]
-    told = np.array([one.told for _, one in past], dtype=np.bool_)
-    if not np.any(told):
+    identified = np.array([one.identified for _, one in past], dtype=np.bool_)
+    if not np.any(identified):
         return LeftOut(title, reading.why_not)
     times = np.array([time for time, _ in past])
-    values = np.where(told, [one.value for _, one in past], np.nan)
-    half = NORMAL_95 * np.where(told, [one.deviation for _, one in past], np.nan)
+    values = np.where(identified, [one.value for _, one in past], np.nan)
+    half = NORMAL_95 * np.where(identified, [one.deviation for _, one in past], np.nan)
     given = COEFFICIENTS[reading.name].given(watched.rig)
     limit = watched.limits.get(reading.name)
     shown = [given, *([limit.limit] if limit else [])]
-    unit = unit_for(past[int(np.argmax(told))][1].unit, float(np.nanmax(np.abs([*values[told], *shown]))))
+    unit = unit_for(past[int(np.argmax(identified))][1].unit, float(np.nanmax(np.abs([*values[identified], *shown]))))
     # A reading covers the time over which it is averaged.
     starts = times - watched.parameters.reading_time
     traces: list[Trace] = []
-    for first, last in _runs(told):
+    for first, last in _runs(identified):
         x = scale.at(np.concatenate([[max(starts[first], scale.begin)], times[first:last]]))
         y, width = (np.concatenate([[v[first]], v[first:last]]) for v in (values, half))
-        shared = {"showlegend": first == _runs(told)[0][0]}
+        shared = {"showlegend": first == _runs(identified)[0][0]}
         traces.append(_band(x, (y - width) * unit.factor, (y + width) * unit.factor) | shared | {"legendgroup": "band"})
         traces.append(line(x, y, "value", unit, BLUE, width=2.0) | shared | {"legendgroup": "value"})
     ends = scale.at(np.array([scale.begin, scale.end]))
@@ -256,14 +248,16 @@ def _trend(reading: Reading, watched: Watched, scale: _Scale) -> Panel | LeftOut
         for place, since in enumerate(begun)
     ]
     layout = scale.layout([Axis(COEFFICIENTS[reading.name].words, unit)])
-    layout["shapes"] = [_grey(*scale.at(np.array([starts[first], times[last - 1]])).tolist()) for first, last in _runs(~told)]
+    layout["shapes"] = [
+        _grey(*scale.at(np.array([starts[first], times[last - 1]])).tolist()) for first, last in _runs(~identified)
+    ]
     layout["yaxis"]["tickformat"] = "~g"
-    return Panel(title, traces, layout, _trend_note(reading, watched, grey=not np.all(told)), height=250)
+    return Panel(title, traces, layout, _trend_note(reading, watched, grey=not np.all(identified)), height=250)
 
 
-def _past(reading: Reading, watched: Watched) -> list[tuple[float, Reading]]:
+def _past(reading: Reading, watched: MonitoringResult) -> list[tuple[float, Reading]]:
     """Return the readings of a coefficient with their times, the newest last."""
-    newest = Past(watched.health.time, watched.health.readings)
+    newest = PastReadings(watched.health.time, watched.health.readings)
     behind = [past for past in watched.history if past.time < newest.time - 1.0] if newest.readings else list(watched.history)
     return [
         (past.time, one)
@@ -299,37 +293,38 @@ def _grey(begin: float, end: float) -> Layout:
     return place | {"fillcolor": "rgba(118, 118, 118, 0.18)", "line": {"width": 0}, "layer": "below"}
 
 
-def _trend_note(reading: Reading, watched: Watched, *, grey: bool) -> str:
+def _trend_note(reading: Reading, watched: MonitoringResult, *, grey: bool) -> str:
     """Return a note on a coefficient's change, the time to its limit and, if so, why it is not identifiable."""
     _, _, _, change, _ = table_row(reading, watched)
     limit = watched.limits.get(reading.name)
-    said = [f"In an hour {change}." if reading.told and change[:1].strip("–") else ""]
-    said.append("" if limit is None or not reading.told else f"Limit {limit_words(limit, reading.unit)}.")
-    said.append(f"Not told now: {reading.why_not}." if not reading.told else "")
-    said.append("Grey: not told." if grey else "")
-    return " ".join(filter(None, said))
+    parts = [f"Change per hour: {change}." if reading.identified and change[:1].strip("–") else ""]
+    parts.append("" if limit is None or not reading.identified else f"Limit {limit_text(limit, reading.unit)}.")
+    parts.append(f"Not identified now: {reading.why_not}." if not reading.identified else "")
+    parts.append("Grey: not identified." if grey else "")
+    return " ".join(filter(None, parts))
 
 
-def _not_told(watched: Watched, panels: Sequence[Panel | LeftOut]) -> list[str]:
+def _not_identified(watched: MonitoringResult, panels: Sequence[Panel | LeftOut]) -> list[str]:
     never = {panel.title: panel.reason for panel in panels if isinstance(panel, LeftOut)}
     rows: list[Row] = [
         [COEFFICIENTS[reading.name].words, reading.why_not]
         for reading in known(watched)
-        if not reading.told or capital(COEFFICIENTS[reading.name].words) in never
+        if not reading.identified or capital(COEFFICIENTS[reading.name].words) in never
     ]
     if not rows:
         return []
-    offer, said = watched.offer, offered(watched)
-    spec = [] if offer is None else [page.collapsed("The offered experiment", page.as_yaml(offer.spec))]
-    return [page.table(["coefficient", "why it is not told"], rows), *([page.paragraph(said)] if said else []), *spec]
+    offer, text = watched.offer, offered(watched)
+    spec = [] if offer is None else [page.collapsed("The proposed experiment", page.as_yaml(offer.spec))]
+    return [page.table(["coefficient", "reason"], rows), *([page.paragraph(text)] if text else []), *spec]
 
 
 _METHOD = (
-    "The samples are read in blocks of a few seconds. Each block's residuals of the model are weighed against what each known"
-    " departure would change; that gives a score and its information, which add up over blocks. A change is noticed where a sum"
-    " over the last seconds to an hour exceeds what chance gives once in the mean time between false alarms, all departures and"
-    " times together, with the scatter of blocks as the healthy rig has it. What is noticed is diagnosed against the healthy"
-    " rig on the samples since its onset. The coefficients are fitted together, linearly around the model, to the last blocks;"
-    " their intervals come from the same scatter and contain no error that the whole model has."
+    "The samples are divided into blocks of a few seconds. The residuals of each block are projected on the change due to"
+    " each known departure; this gives a score and its information, which are added over blocks. A change is detected if a"
+    " sum over the last seconds to an hour exceeds the bound that chance exceeds once in the mean time between false alarms,"
+    " for all departures and times together, with the scatter of the healthy rig's blocks. A detected change is diagnosed"
+    " against the healthy rig with the samples since its onset. The coefficients are fitted jointly to the last blocks,"
+    " linearised around the model; their intervals follow from the same scatter and include no error common to the whole"
+    " model."
 )
 """Description of the method."""

@@ -10,7 +10,7 @@ import yaml
 from ehls_ros.cli.main import main
 from ehls_ros.cli.verbs import monitor as verb
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
-from ehls_ros.experiments.monitoring.replay import Watched
+from ehls_ros.experiments.monitoring.replay import MonitoringResult
 
 RIG = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
 SECONDS = 45.0
@@ -43,7 +43,7 @@ def again(monkeypatch, tmp_path):
     class Reached(Exception):
         pass
 
-    def kept(parts, rig, parameters, **options) -> Watched:
+    def kept(parts, rig, parameters, **options) -> MonitoringResult:
         calls.append((parts, parameters, options))
         raise Reached
 
@@ -63,7 +63,7 @@ def test_a_healthy_recording_gives_no_change(watched):
     assert document["changes"] == []
     assert document["state"] == "watching"
     assert document["mean_time_between_false_alarms"] == 1000.0
-    assert document["summary"].startswith("No change shows")
+    assert document["summary"].startswith("No change detected")
     assert [event["kind"] for event in document["events"]] == ["learnt", "watching"]
     assert [stretch["name"] for stretch in document["recordings"]] == ["axis.csv"]
     assert 0.0 < document["watched"] < SECONDS - 30.0

@@ -13,11 +13,11 @@ import numpy as np
 
 from ehls_ros.dashboard.graph import (
     Answer,
-    Health,
+    GraphSnapshot,
+    NodeHealth,
     RigChange,
     RigCoefficient,
     RigHealth,
-    Snapshot,
     Timing,
     Tunable,
     Value,
@@ -38,7 +38,7 @@ class StandIn:
         cycle = np.arange(CYCLES)
         self.window.add(1e-3 * cycle, dict.fromkeys(SIGNALS, np.sin(1e-3 * cycle)))
         # A closed gate, so that there is a button that opens it: those that are not shown do nothing.
-        self._health = (Health("plant_sim_node", 0, "disabled", {"state": "disabled", "owner": "nobody"}),)
+        self._health = (NodeHealth("plant_sim_node", 0, "disabled", {"state": "disabled", "owner": "nobody"}),)
         self._rig: RigHealth | None = None
 
     def listen(self) -> None:
@@ -47,10 +47,10 @@ class StandIn:
             if isinstance(said, dict):
                 self._rig = _rig_health(said)
             else:
-                self._health = tuple(Health(*node) for node in said)
+                self._health = tuple(NodeHealth(*node) for node in said)
 
-    def snapshot(self) -> Snapshot:
-        return Snapshot(rate=1000.0, period=1e-3, health=self._health, started_here=True, rig=self._rig)
+    def snapshot(self) -> GraphSnapshot:
+        return GraphSnapshot(rate=1000.0, period=1e-3, health=self._health, started_here=True, rig=self._rig)
 
     def tunable_nodes(self) -> tuple[str, ...]:
         return ("fasmc_node",)
@@ -88,7 +88,7 @@ class StandIn:
     def record(self, *, on: bool) -> Answer:
         return self._request("record")
 
-    def give_up(self) -> None:
+    def abort(self) -> None:
         pass
 
     def _request(self, request: str) -> Answer:

@@ -15,9 +15,8 @@ from patience import PATIENCE
 from served import answer, begin, event, hear, open_socket, own_address, page, served, until
 from websockets.protocol import State
 
-from ehls_ros.dashboard.access import PAGES
-from ehls_ros.dashboard.connections import LONGEST_HEAD, PER_PEER
-from ehls_ros.dashboard.messages import LARGEST
+from ehls_ros.dashboard.access import MAX_MESSAGE, MAX_PAGES
+from ehls_ros.dashboard.connections import MAX_HEAD, MAX_PER_PEER
 
 HALF_OPEN = (b"", b"GET / HTTP/1.1\r\nHost: x\r\n")
 MANY = 200
@@ -80,7 +79,7 @@ def connections(host, port, begun):
 def test_half_open_requests_take_a_few_places_and_end_after_seconds_while_others_are_served(everywhere, there):
     before = everywhere.memory()
     with connections(own_address(), everywhere.port, HALF_OPEN) as opened:
-        until(lambda: everywhere.held() <= PER_PEER, "one address holds more than its share of connections")
+        until(lambda: everywhere.held() <= MAX_PER_PEER, "one address holds more than its share of connections")
         assert answer(f"{there}?token={everywhere.token}")[0] == 200
         assert answer(f"http://127.0.0.1:{everywhere.port}/")[0] == 200
         until(lambda: all(map(has_ended, opened)), "half-open requests are never closed")
@@ -130,7 +129,7 @@ def test_on_this_machine_sockets_without_a_page_last_for_seconds_and_an_open_pag
         for _ in range(MANY):
             with contextlib.suppress(OSError, websockets.exceptions.InvalidHandshake):  # closed before it was answered
                 flood.append(stack.enter_context(open_socket(here, "")))
-        until(lambda: shown.held() <= PER_PEER + 1, "one address holds more than its share of connections")
+        until(lambda: shown.held() <= MAX_PER_PEER + 1, "one address holds more than its share of connections")
         until(lambda: shown.held() == 1, "sockets without a page are never closed")
         until(lambda: all(one.state is State.CLOSED for one in flood), "sockets without a page are never closed")
         opened.send(event("event", got.click("enable")))
@@ -151,7 +150,7 @@ def test_the_number_of_reading_pages_is_limited_and_leaves_room_for_writers():
         before = server.memory()
         codes = [answer(here)[0] for _ in range(MANY)]
         # A page that is not opened is dropped after a while, making room for another.
-        assert codes[: PAGES + 1] == [200] * PAGES + [503]
+        assert codes[: MAX_PAGES + 1] == [200] * MAX_PAGES + [503]
         assert set(codes) == {200, 503}
         assert answer(f"{here}?token={server.token}")[0] == 200
         assert server.memory() - before < GROWTH
@@ -200,7 +199,7 @@ def head_of(size, upgrade=b""):
 
 
 @pytest.mark.parametrize("upgrade", [b"", b"Upgrade: websocket\r\nConnection: upgrade\r\n"], ids=["page", "socket"])
-@pytest.mark.parametrize("size", [LONGEST_HEAD + 1, 40_000, 200_000])
+@pytest.mark.parametrize("size", [MAX_HEAD + 1, 40_000, 200_000])
 def test_a_head_beyond_the_limit_is_refused_however_it_arrives(shown, size, upgrade):
     head = head_of(size, upgrade)
     assert len(head) == size
@@ -210,10 +209,10 @@ def test_a_head_beyond_the_limit_is_refused_however_it_arrives(shown, size, upgr
 
 def test_a_head_up_to_the_limit_is_answered_also_behind_another_request(shown):
     bare = b"GET /favicon.ico HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-    last = head_of(LONGEST_HEAD, b"Connection: close\r\n")
+    last = head_of(MAX_HEAD, b"Connection: close\r\n")
     assert heard(shown.port, last) == b"HTTP/1.1 200 OK"
     with socket.create_connection(("127.0.0.1", shown.port), timeout=PATIENCE) as one:
-        one.sendall(bare + head_of(LONGEST_HEAD + 1))
+        one.sendall(bare + head_of(MAX_HEAD + 1))
         answered = b""
         with contextlib.suppress(OSError):
             while part := one.recv(65536):
@@ -283,7 +282,7 @@ def test_a_read_only_page_changes_nothing_whatever_it_sends(shown, here):
         b"\x00\x01",
         '451-["event",{"_placeholder":true,"num":0}]',
         "42" + "9" * 5000 + "[]",
-        "x" * (LARGEST + 1),
+        "x" * (MAX_MESSAGE + 1),
     ]
     with open_socket(here, writer.number) as writing:
         begin(writing)
@@ -313,7 +312,7 @@ def test_a_socket_without_a_page_speaks_for_none(shown, here):
 
 def test_a_reader_that_sends_without_end_costs_no_memory_and_leaves_others_heard(shown, here):
     writer, reader = page(here, shown.token), page(here)
-    dropped = event("log", {"client_id": reader.number, "message": "x" * (LARGEST - 1000)})
+    dropped = event("log", {"client_id": reader.number, "message": "x" * (MAX_MESSAGE - 1000)})
     with open_socket(here, writer.number) as writing, open_socket(here, reader.number) as reading:
         begin(writing)
         begin(reading)

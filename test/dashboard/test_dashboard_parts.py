@@ -12,7 +12,7 @@ from starlette.requests import HTTPConnection
 
 from ehls_ros.dashboard import connections as module
 from ehls_ros.dashboard.access import Access
-from ehls_ros.dashboard.connections import PASSES, Connections, State
+from ehls_ros.dashboard.connections import PASSES, Connections, ConnectionState
 from ehls_ros.dashboard.tuning import help_and_unit, place_of, reach, value_at
 from ehls_ros.dashboard.window import INTERVAL, INTERVALS, OPEN, Window
 
@@ -167,7 +167,7 @@ class Transport:
         self.cut = True
 
 
-@pytest.mark.parametrize(("state", "unsent"), [*((state, 0) for state in State), (State.ANSWERED, 100)])
+@pytest.mark.parametrize(("state", "unsent"), [*((state, 0) for state in ConnectionState), (ConnectionState.ANSWERED, 100)])
 def test_a_connection_has_as_many_passes_as_its_state_allows(state, unsent, monkeypatch):
     connections, transport, lived = Connections(), Transport(5), []
     transport.unsent = unsent
@@ -180,21 +180,21 @@ def test_a_connection_has_as_many_passes_as_its_state_allows(state, unsent, monk
 
     monkeypatch.setattr(module.asyncio, "sleep", count)
     connections.opened(transport)
-    transport.closing = state is State.CLOSING
-    if state is State.OF_PAGE:
+    transport.closing = state is ConnectionState.CLOSING
+    if state is ConnectionState.OF_PAGE:
         connections.belongs(transport.peer, "page")
-    answers = state is State.ANSWERED and not unsent
+    answers = state is ConnectionState.ANSWERED and not unsent
     answered = connections.answered(transport.peer) if answers else contextlib.nullcontext()
     with answered, pytest.raises(asyncio.CancelledError):
-        asyncio.run(connections.watch())
+        asyncio.run(connections.cut_slow())
     assert lived.count(False) == PASSES.get(state, 200) + 1
 
 
 def test_idle_connections_are_cut_before_those_that_wait_for_an_answer():
     connections = Connections()
-    busy, *idle = (Transport(port) for port in range(module.PER_PEER + 1))
+    busy, *idle = (Transport(port) for port in range(module.MAX_PER_PEER + 1))
     connections.opened(busy)
     with connections.answered(busy.peer):
         for transport in idle:
             connections.opened(transport)
-        assert [transport.cut for transport in (busy, *idle)] == [False, True] + [False] * (module.PER_PEER - 1)
+        assert [transport.cut for transport in (busy, *idle)] == [False, True] + [False] * (module.MAX_PER_PEER - 1)

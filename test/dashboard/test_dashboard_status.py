@@ -2,7 +2,7 @@
 
 import pytest
 
-from ehls_ros.dashboard.graph import Beginning, Health, Snapshot
+from ehls_ros.dashboard.graph import GraphSnapshot, NodeHealth, StartProgress
 from ehls_ros.dashboard.status import BAD, GOOD, WARNING, Remedy, explained, status_of
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import load_rig
@@ -10,18 +10,18 @@ from ehls_ros.hardware.safety_gate import LEFT, STOP, Cause, Gate
 
 
 def plant(level=0, message="active", **figures):
-    return Health("plant_sim_node", level, message, {"state": "active", "owner": "nobody", **figures})
+    return NodeHealth("plant_sim_node", level, message, {"state": "active", "owner": "nobody", **figures})
 
 
-def said(*health, rate=1000.0, was_there=True, **more):
-    return status_of(Snapshot(rate=rate, period=1e-3, health=health, **more), was_there=was_there)
+def said(*health, rate=1000.0, graph_seen=True, **more):
+    return status_of(GraphSnapshot(rate=rate, period=1e-3, health=health, **more), graph_seen=graph_seen)
 
 
 TRIP = {"state": "cut", "cause_1": "velocity: 1.23457 m/s, limit 0.9 m/s at 3.2 s, cut"}
 
 
 def test_a_trip_says_what_happened_why_and_what_to_press_and_nothing_else_is_said():
-    slow = Health("fasmc_node", 1, "too slow: 500 of 1000 cycles/s", {})
+    slow = NodeHealth("fasmc_node", 1, "too slow: 500 of 1000 cycles/s", {})
     status = said(plant(2, "cut, tripped by velocity; reset_trips and enable to go on", **TRIP), slow)
     assert status.text == "tripped, valve closed, 1000 cycles/s"
     assert status.remedy is Remedy.RESET
@@ -83,8 +83,8 @@ def test_what_cannot_be_understood_is_shown_as_it_is():
         (said(plant(), rate=500.0), "running, 500 cycles/s, 0.5 times real time", GOOD, ""),
         # The last report of a plant that is gone or not yet there is not shown beside that.
         (said(plant(**TRIP), rate=0.0, complaint="plant_sim_node died: oil"), "graph gone", BAD, "plant_sim_node died: oil"),
-        (said(plant(**TRIP), rate=0.0, beginning=Beginning(3.0, {})), "starting, 3 s", WARNING, ""),
-        (said(plant(), rate=0.0, was_there=False), "no graph", WARNING, ""),
+        (said(plant(**TRIP), rate=0.0, starting=StartProgress(3.0, {})), "starting, 3 s", WARNING, ""),
+        (said(plant(), rate=0.0, graph_seen=False), "no graph", WARNING, ""),
         (said(plant(), complaint="fasmc_node died: oil"), "a node died, 1000 cycles/s", BAD, "fasmc_node died: oil"),
         (
             said(plant(1, "too slow: 5 of 9 cycles/s")),
@@ -92,7 +92,7 @@ def test_what_cannot_be_understood_is_shown_as_it_is():
             WARNING,
             "plant_sim_node: too slow: 5 of 9 cycles/s",
         ),
-        (said(Health("x", 2, "broken", {}), plant()), "running, 1000 cycles/s", BAD, "x: broken"),
+        (said(NodeHealth("x", 2, "broken", {}), plant()), "running, 1000 cycles/s", BAD, "x: broken"),
     ],
 )
 def test_one_thing_is_said_at_a_time(status, text, level, trouble):

@@ -18,8 +18,8 @@ from rclpy.signals import SignalHandlerOptions
 from served import answer, own_address, running, served, until
 
 from ehls_msgs.msg import FrictionEstimate
-from ehls_ros.dashboard.words import FIGURES, NAME, SENTENCE, figures, line
-from ehls_ros.nodes.dashboard_link import STRANGERS
+from ehls_ros.dashboard.graph import MAX_FIGURES, MAX_NAME, MAX_TEXT, shortened, shortened_figures
+from ehls_ros.nodes.dashboard_link import MAX_FOREIGN_NODES
 
 SCRIPTS = (
     "<script>window.ran = 1</script>",
@@ -52,7 +52,7 @@ def chromium(nothing_left_behind, tmp_path_factory):
 
 
 def test_texts_of_the_graph_are_shown_and_not_run(server, chromium):
-    said = [[line(text), 1, line(text), figures([(text, text)])] for text in SCRIPTS]
+    said = [[shortened(text), 1, shortened(text), shortened_figures([(text, text)])] for text in SCRIPTS]
     with chromium.tab("about:blank") as tab:
         # First the nodes, then the page; then another node while the page is open.
         server.tell(said)
@@ -111,12 +111,12 @@ def test_a_browser_on_another_machine_shows_the_page_and_its_buttons_work(chromi
 
 
 def test_texts_are_cut_to_what_a_page_can_show():
-    assert line("running") == "running"
-    assert line("a\x1b[31m\nb\u202e\ud800") == "a�[31m�b��"
-    assert len(line("x" * 10_000_000)) == SENTENCE + 1
-    kept = figures((f"{number}{'x' * 1000}", "y" * 1000) for number in range(100_000))
-    assert len(kept) == FIGURES
-    assert {len(name) for name in kept} == {NAME + 1}
+    assert shortened("running") == "running"
+    assert shortened("a\x1b[31m\nb\u202e\ud800") == "a�[31m�b��"
+    assert len(shortened("x" * 10_000_000)) == MAX_TEXT + 1
+    kept = shortened_figures((f"{number}{'x' * 1000}", "y" * 1000) for number in range(100_000))
+    assert len(kept) == MAX_FIGURES
+    assert {len(name) for name in kept} == {MAX_NAME + 1}
 
 
 def status(name, message="running", values=()):
@@ -187,8 +187,8 @@ def test_whatever_others_publish_the_dashboard_goes_on_and_stays_small(stranger,
             publisher.publish(report(status(f"stranger {number} {'x' * 1000}")))
         until_heard("plant_sim_node")
         until(lambda: names.update(shown()) or names, "no page is served")
-        assert len(names - {"fasmc_node", "friction_estimator_node", "plant_sim_node"}) <= STRANGERS
-        assert max(map(len, names)) <= 2 * NAME
+        assert len(names - {"fasmc_node", "friction_estimator_node", "plant_sim_node"}) <= MAX_FOREIGN_NODES
+        assert max(map(len, names)) <= 2 * MAX_NAME
         assert "long" not in names
         assert server.memory() - before < GROWTH
         assert "Traceback" not in server.said()

@@ -7,9 +7,8 @@ import pytest
 
 from ehls_ros.diagnosis import rules, stages
 from ehls_ros.diagnosis.evidence import Evidence, gather
-from ehls_ros.diagnosis.monitoring.blocks import scores, telling
+from ehls_ros.diagnosis.monitoring.blocks import FRICTION, informative, scores
 from ehls_ros.diagnosis.monitoring.directions import directions
-from ehls_ros.diagnosis.monitoring.held import FRICTION
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, WANTED, readings, tracked
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.trajectory import Trajectory
@@ -31,7 +30,7 @@ def leaking(recorded):
 
 
 def fitted(rig, recording):
-    evidence = telling(compared(rig, recording))
+    evidence = informative(compared(rig, recording))
     found = directions(evidence, WANTED)
     numbers = tracked(found)
     [block] = scores(evidence, found, tuple(numbers.values()), [0.0])
@@ -40,23 +39,23 @@ def fitted(rig, recording):
 
 
 def test_the_coefficient_that_differs_is_read_with_its_interval_and_the_others_stay(rig, leaking):
-    told = fitted(rig, leaking)
-    leakage = told.pop("leakage_coefficient")
-    assert leakage.told
+    identified = fitted(rig, leaking)
+    leakage = identified.pop("leakage_coefficient")
+    assert leakage.identified
     assert abs(leakage.value - 1.3 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
     assert leakage.deviation < 0.02 * rig.plant.leakage_coefficient
-    for name, reading in told.items():
+    for name, reading in identified.items():
         given = COEFFICIENTS[name].given(rig)
-        assert not reading.told or abs(reading.value - given) < 4.5 * reading.deviation, name
-    assert told["bulk_modulus"].told
-    assert told["coulomb_force"].told
+        assert not reading.identified or abs(reading.value - given) < 4.5 * reading.deviation, name
+    assert identified["bulk_modulus"].identified
+    assert identified["coulomb_force"].identified
 
 
 def test_a_programme_that_holds_the_piston_still_tells_no_mass(rig, recorded):
-    told = fitted(rig, recorded({}, "rest", seed=6, duration=SECONDS))
-    assert not told["moving_mass"].told
-    assert told["moving_mass"].value == rig.plant.moving_mass
-    assert told["moving_mass"].why_not
+    identified = fitted(rig, recorded({}, "rest", seed=6, duration=SECONDS))
+    assert not identified["moving_mass"].identified
+    assert identified["moving_mass"].value == rig.plant.moving_mass
+    assert identified["moving_mass"].why_not
 
 
 def test_blocks_together_say_what_the_whole_does(rig, leaking):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.monitoring.change_test import HOUR, ChangeTest
-from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn
+from ehls_ros.diagnosis.monitoring.change_test import HOUR, BlockStatistics, ChangeTest, block_statistics
 
 QUANTITIES = 12
 INFORMATION = 100.0
@@ -14,7 +13,7 @@ INFORMATION = 100.0
 def healthy(scatter=1.0, certainty=np.inf, spread=0.0, remainder=0.0):
     rows = np.full((4, QUANTITIES), 0.0)
     rows[1:] = np.array([certainty, scatter, spread])[:, None]
-    return Healthy(*rows, np.ones(QUANTITIES), 1e4, np.full(QUANTITIES, remainder))
+    return BlockStatistics(*rows, np.ones(QUANTITIES), 1e4, np.full(QUANTITIES, remainder))
 
 
 def feed(test, score, information=INFORMATION):
@@ -140,7 +139,7 @@ def test_scatter_dependence_and_spread_are_those_of_the_blocks():
         rest[row] = correlation * rest[row - 1] + np.sqrt(1.0 - correlation**2) * rng.standard_normal(QUANTITIES)
     section = np.repeat(np.arange(sections), blocks)
     score = level[section] * INFORMATION + scatter * np.sqrt(INFORMATION) * rest
-    found = learn(score, np.full_like(score, INFORMATION), section)
+    found = block_statistics(score, np.full_like(score, INFORMATION), section)
     assert found.scatter == pytest.approx(scatter, rel=0.05)
     assert found.dependence == pytest.approx((1.0 + correlation) / (1.0 - correlation), rel=0.2)
     assert float(np.sqrt(np.mean(found.spread**2))) == pytest.approx(spread, rel=0.2)
@@ -150,7 +149,7 @@ def test_few_blocks_leave_a_wide_bound():
     rng = np.random.default_rng(8)
     scores = np.sqrt(INFORMATION) * rng.standard_normal((12, QUANTITIES))
     information = np.full_like(scores, INFORMATION)
-    few = learn(scores, information, np.zeros(12, dtype=np.intp))
+    few = block_statistics(scores, information, np.zeros(12, dtype=np.intp))
     test = ChangeTest(few, 1000.0)
     before = test.bound
     test.learn(few._replace(freedom=1e4))

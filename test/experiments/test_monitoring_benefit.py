@@ -11,10 +11,12 @@ def test_the_error_before_and_after_is_told_and_what_lies_between_counts_for_nei
     assert not benefit.ready
     benefit.add(np.array([np.nan] * 5 + [-4.0] * 40))
     assert benefit.ready
-    benefit.tell(10)
+    benefit.inform(10)
     assert not benefit.ready
     benefit.add(np.concatenate([np.full(10, 1e3), np.full(50, 1.0)]))
     assert not benefit.complete
     benefit.add(np.full(50, -2.0))
     assert benefit.complete
-    assert benefit.sentence() == ("force error before and after the controller was told: 3.44 to 1.58 N rms, 4 to 2 N at most")
+    assert benefit.sentence() == (
+        "force error before and after the controller was informed: 3.44 to 1.58 N rms, 4 to 2 N at most"
+    )

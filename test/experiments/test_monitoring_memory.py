@@ -13,13 +13,12 @@ from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.loop import run_in_process
+from ehls_ros.experiments.monitoring.cycle_assembly import Anchor
+from ehls_ros.experiments.monitoring.daily import results_of_day
 from ehls_ros.experiments.monitoring.examination import Finding, FoundCause, Task
-from ehls_ros.experiments.monitoring.following import Anchor
 from ehls_ros.experiments.monitoring.health import FoundChange, State
-from ehls_ros.experiments.monitoring.kept import watched_until
 from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, STATE, Memory
-from ehls_ros.experiments.monitoring.monitor import AT_ONCE, Monitor
-from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.monitor import COMPARED_TIME, Monitor, Parameters
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.experiments.state_files.state_file import Origin
@@ -92,7 +91,7 @@ def kept(healthy: tuple[Spec, Trajectory], tmp_path_factory: pytest.TempPathFact
     monitor = Monitor(spec.rig, WATCHED, FindsNothing())
     assert fed(monitor, trajectory, 0.0, 45.0) == ["learnt", "watching"]
     monitor.changes.append(CHANGE)
-    memory_of(folder, spec.rig).keep(monitor.remembered(), ANCHORS, 45.0)
+    memory_of(folder, spec.rig).save(monitor.saved_state(), ANCHORS, 45.0)
     return monitor, folder
 
 
@@ -108,20 +107,20 @@ def test_it_goes_on_with_all_it_knew_and_without_an_alarm(healthy, kept, folder:
     assert found is not None
     assert (found.anchors, found.end) == (ANCHORS, 45.0)
     after = Monitor(spec.rig, WATCHED, FindsNothing())
-    after.restore(found.remembered)
+    after.restore(found.state)
     assert [str(change) for change in after.changes] == [str(CHANGE)]
     assert after.history == before.history
     assert [past.time for past in after.history] == pytest.approx([40.4], abs=3.0)
     assert after.health().watched == before.health().watched > 0.0
-    was, now, was_watched = before.remembered(), after.remembered(), before.health().watched
+    was, now, was_watched = before.saved_state(), after.saved_state(), before.health().watched
     assert now.begins == was.begins
     assert np.allclose(now.rows, was.rows, rtol=1e-6)
     assert [d.key for d in now.learnt.directions] == [d.key for d in was.learnt.directions]
     # The next blocks are judged, as they would have been.
     assert fed(after, trajectory, 45.0, 52.0) == fed(before, trajectory, 45.0, 52.0) == []
     assert after.health().state == State.WATCHING
-    assert after.health().watched == was_watched + AT_ONCE
-    assert np.allclose(after.remembered().rows[:, -1], before.remembered().rows[:, -1], rtol=1e-3, atol=1e-6)
+    assert after.health().watched == was_watched + COMPARED_TIME
+    assert np.allclose(after.saved_state().rows[:, -1], before.saved_state().rows[:, -1], rtol=1e-3, atol=1e-6)
 
 
 def test_the_history_grows_by_what_is_new(healthy, folder: Path):
@@ -129,15 +128,15 @@ def test_the_history_grows_by_what_is_new(healthy, folder: Path):
     lines = (folder / COEFFICIENTS).read_text(encoding="utf-8").splitlines()
     memory = memory_of(folder, spec.rig)
     after = Monitor(spec.rig, WATCHED, FindsNothing())
-    after.restore(memory.restore().remembered)
-    memory.keep(after.remembered(), ANCHORS, 45.0)
+    after.restore(memory.restore().state)
+    memory.save(after.saved_state(), ANCHORS, 45.0)
     assert (folder / COEFFICIENTS).read_text(encoding="utf-8").splitlines() == lines
     fed(after, trajectory, 45.0, 59.0)
-    memory.keep(after.remembered(), ANCHORS, 59.0)
+    memory.save(after.saved_state(), ANCHORS, 59.0)
     with (folder / COEFFICIENTS).open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [list(row.values()) for row in rows][: len(lines) - 1] == [line.split(",") for line in lines[1:]]
-    new = {reading.name: reading for reading in after.history[-1].readings if reading.told}
+    new = {reading.name: reading for reading in after.history[-1].readings if reading.identified}
     assert {row["name"]: float(row["value"]) for row in rows[len(lines) - 1 :]} == pytest.approx(
         {name: reading.value for name, reading in new.items()}, rel=1e-6
     )
@@ -167,7 +166,7 @@ def test_what_cannot_be_used_is_put_aside_as_it_is_and_written_anew(healthy, kep
     assert said.endswith(f"it is now in {folder / 'aside-1'}")
     assert (folder / "aside-1" / STATE).read_bytes() == spoilt
     assert memory.restore() is None
-    memory.keep(kept[0].remembered(), ANCHORS, 50.0)
+    memory.save(kept[0].saved_state(), ANCHORS, 50.0)
     assert memory_of(folder, healthy[0].rig).restore().end == 50.0
 
 
@@ -177,7 +176,7 @@ def test_a_writer_that_is_killed_leaves_the_state_before(healthy, kept, folder: 
     before = {path.name for path in folder.iterdir()}
     monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("killed")))
     with pytest.raises(NotWritten, match="killed"):
-        memory.keep(kept[0].remembered(), ANCHORS, 50.0)
+        memory.save(kept[0].saved_state(), ANCHORS, 50.0)
     monkeypatch.undo()
     assert {path.name for path in folder.iterdir()} == before
     assert memory_of(folder, healthy[0].rig).restore().end == 45.0
@@ -207,9 +206,9 @@ def test_foreign_files_are_neither_replaced_nor_removed(healthy, kept, folder: P
     for name, content in foreign.items():
         (folder / name).write_bytes(content)
     memory = memory_of(folder, healthy[0].rig)
-    kept_by_me = kept[0].remembered()
+    kept_by_me = kept[0].saved_state()
     for end in (50.0, 55.0, 60.0):
-        memory.keep(
+        memory.save(
             kept_by_me._replace(learnt=kept_by_me.learnt._replace(directions=tuple(kept_by_me.learnt.directions))), ANCHORS, end
         )
     assert {name: (folder / name).read_bytes() for name in foreign} == foreign
@@ -229,30 +228,30 @@ def test_a_history_of_something_else_is_put_aside_and_a_torn_line_is_finished(he
     path.write_text("date,value\n", encoding="utf-8")
     assert "aside-1" in memory.open_history()
     assert (folder / "aside-1" / COEFFICIENTS).read_text(encoding="utf-8") == "date,value\n"
-    memory.keep(kept[0].remembered(), ANCHORS, 50.0)
+    memory.save(kept[0].saved_state(), ANCHORS, 50.0)
     assert path.read_bytes().splitlines()[0] == whole.splitlines()[0]
 
 
 def test_a_repair_begins_anew(healthy, folder: Path):
     spec, trajectory = healthy
     monitor = Monitor(spec.rig, WATCHED, FindsNothing())
-    monitor.restore(memory_of(folder, spec.rig).restore().remembered)
+    monitor.restore(memory_of(folder, spec.rig).restore().state)
     fed(monitor, trajectory, 45.0, 46.0)
     monitor.reset()
     assert monitor.health().active == ()
     assert monitor.health().state == State.LEARNING
-    assert monitor.remembered().learnt is None
+    assert monitor.saved_state().learnt is None
 
 
 def test_the_report_of_a_day_is_made_of_the_folder(healthy, kept, folder: Path, capsys):
     """The stamps are those of the anchors: findings are reported with their wall time."""
     begin = datetime.fromtimestamp(ANCHORS[-1].stamp_ns * 1e-9).astimezone()
-    watched, midnight = watched_until(folder, begin.date())
+    watched, midnight = results_of_day(folder, begin.date())
     assert midnight.date() == begin.date()
     [past] = watched.history
     assert midnight.timestamp() + past.time == pytest.approx(ANCHORS[-1].stamp_ns * 1e-9 + 40.4 - ANCHORS[-1].time, abs=3.0)
     assert {r.name: r.value for r in past.readings} == pytest.approx(
-        {r.name: r.value for r in kept[0].history[0].readings if r.told}, rel=1e-6
+        {r.name: r.value for r in kept[0].history[0].readings if r.identified}, rel=1e-6
     )
     assert watched.health.changes[0].name == CHANGE.name
     assert main(["report", str(folder), "--day", begin.date().isoformat()]) == 0

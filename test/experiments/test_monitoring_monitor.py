@@ -8,10 +8,11 @@ import yaml
 
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.monitoring.baseline import RECORDINGS
 from ehls_ros.experiments.monitoring.examination import Finding, FoundCause
 from ehls_ros.experiments.monitoring.health import State
-from ehls_ros.experiments.monitoring.monitor import RECORDINGS, Monitor
-from ehls_ros.experiments.monitoring.parameters import Parameters
+from ehls_ros.experiments.monitoring.modes import Examining, Learning, Watching
+from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 from ehls_ros.physics.rig import effects_from_list, rig_from_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -43,14 +44,14 @@ class Scripted:
     """Examiner with the expected diagnoses of a test, which records its tasks."""
 
     def __init__(self, *findings):
-        self.findings, self.tasks, self.ready = list(findings), [], False
+        self.findings, self.tasks, self.ready, self.held = list(findings), [], False, False
 
     def begin(self, task):
         self.tasks.append(task)
         self.ready = True
 
     def finding(self):
-        if not self.ready:
+        if not self.ready or self.held:
             return None
         self.ready = False
         return self.findings.pop(0)
@@ -93,8 +94,8 @@ def test_a_change_is_noticed_named_and_in_the_model_from_then_on(rig, streams):
     # The diagnosed samples are those after the onset.
     assert examiner.tasks[1].recording.time_s[-1] <= END - ONSET
     assert [use.name for use in monitor.model.effects] == ["internal_leakage_shift"]
-    told = {reading.name: reading for reading in monitor.health().readings}
-    leakage = told["leakage_coefficient"]
+    identified = {reading.name: reading for reading in monitor.health().readings}
+    leakage = identified["leakage_coefficient"]
     assert abs(leakage.value - 1.6 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
 
 
@@ -144,11 +145,11 @@ def test_what_differs_from_the_beginning_is_part_of_the_baseline(rig, rig_file):
     r = record(rig_file, LEAK, "rich", seed=10, duration=45.0)
     monitor, _, events = watched(rig, r.time, dict(r.columns), leaking(rig))
     assert kinds(events) == ["learnt", "differs", "watching"]
-    assert monitor.well is monitor.model
+    assert monitor.healthy_rig is monitor.model
     assert monitor.changes[0].before
     assert monitor.accept() is None
     [leakage] = [reading for reading in monitor.health().readings if reading.name == "leakage_coefficient"]
-    assert leakage.told
+    assert leakage.identified
     assert abs(leakage.value - 1.6 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
 
 
@@ -156,7 +157,7 @@ def test_an_accepted_change_is_the_healthy_rig(rig, streams):
     time, _, signals = streams
     monitor, _, _ = watched(rig, time, signals, consistent(rig), leaking(rig))
     assert monitor.accept() is monitor.model
-    assert monitor.well is monitor.model
+    assert monitor.healthy_rig is monitor.model
     assert monitor.changes[0].before
     assert monitor.accept() is None
     assert monitor.acknowledge() == 0
@@ -171,7 +172,7 @@ def test_a_change_that_no_diagnosis_names_any_more_has_cleared(rig, streams):
         monitor.add(begin + time[part], {name: values[part] for name, values in healthy.items()})
     assert not examiner.findings
     assert not monitor.changes[0].active
-    assert monitor.model is monitor.well
+    assert monitor.model is monitor.healthy_rig
 
 
 def test_recordings_of_the_healthy_rig_are_the_baseline_and_one_that_is_too_short_is_refused(rig, streams):
@@ -186,3 +187,35 @@ def test_recordings_of_the_healthy_rig_are_the_baseline_and_one_that_is_too_shor
     short = Trajectory(time[:4000], {name: values[:4000] for name, values in healthy.items()})
     with pytest.raises(BadInput, match="in which the piston moves"):
         Monitor(rig, Parameters(), Scripted(), {"short": short})
+
+
+def test_acceptance_aborts_a_diagnosis_against_the_previous_healthy_rig(rig, streams):
+    time, _, signals = streams
+    monitor, examiner, _ = watched(rig, time, signals, consistent(rig), leaking(rig))
+    begin, events = time[-1] + 0.001, []
+    with_offset = dict(signals) | {"position_m": 1.1 * signals["position_m"], "velocity_m_s": 1.1 * signals["velocity_m_s"]}
+    examiner.held = True
+    for first in range(52000, 75000, 1000):
+        part = slice(first, first + 1000)
+        events += monitor.add(begin + time[part], {name: values[part] for name, values in with_offset.items()})
+        if isinstance(monitor.mode, Examining):
+            break
+    assert kinds(events) == ["noticed"]
+    assert monitor.accept() is monitor.healthy_rig
+    assert isinstance(monitor.mode, Watching)
+    assert not examiner.ready
+    assert monitor.add(begin + time[75000:], {}) == []
+
+
+def test_a_reset_while_an_unknown_rig_is_learnt_returns_to_the_recordings(rig, streams):
+    time, healthy, leak = streams
+    recording = Trajectory(time[:20000], {name: values[:20000] for name, values in healthy.items()})
+    unknown = Finding("unknown", (), rig, "flow")
+    monitor = Monitor(rig, Parameters(), Scripted(*[unknown] * 3), {"old": recording})
+    repeated = np.concatenate([time[52000:], time[52000:] + 23.0])
+    monitor.add(repeated, {name: np.tile(values[52000:], 2) for name, values in leak.items()})
+    assert isinstance(monitor.mode, Learning)
+    assert monitor.health().baseline == RECORDINGS
+    monitor.reset()
+    assert isinstance(monitor.mode, Watching)
+    assert monitor.saved_state().learnt.sections

@@ -12,9 +12,9 @@ from ehls_ros.experiments.monitoring import offer as offers
 from ehls_ros.experiments.monitoring import replay as replaying
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import FoundChange, State
+from ehls_ros.experiments.monitoring.monitor import Parameters
 from ehls_ros.experiments.monitoring.offer import offer
-from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.replay import Part, Watched, replay, told_apart
+from ehls_ros.experiments.monitoring.replay import MonitoredRecording, MonitoringResult, invalidate_equivalent, replay
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -30,7 +30,7 @@ class Made(NamedTuple):
     """A recording whose valve changes in its middle, and the results of its replay."""
 
     trajectory: Trajectory
-    watched: Watched
+    watched: MonitoringResult
     told: list
 
 
@@ -38,7 +38,7 @@ def watch(parts, **options):
     told = []
     rig = load_rig(RIG)
     parameters = Parameters(learning_time=LEARNT, reading_time=10.0)
-    chosen = {"baselines": {}, "limits": {}, "progress": lambda *_: None, "tell": told.append} | options
+    chosen = {"baselines": {}, "limits": {}, "progress": lambda *_: None, "on_event": told.append} | options
     return replay(parts, rig, parameters, **chosen), told
 
 
@@ -49,7 +49,7 @@ def made() -> Made:
     first = int(np.searchsorted(well.time, ONSET))
     signals = {name: np.concatenate([values[:first], worn.columns[name][first:]]) for name, values in well.columns.items()}
     trajectory = Trajectory(well.time, signals)
-    return Made(trajectory, *watch([Part("axis", trajectory)], limits={"valve_gain": 0.5}))
+    return Made(trajectory, *watch([MonitoredRecording("axis", trajectory)], limits={"valve_gain": 0.5}))
 
 
 def test_a_hidden_change_is_named_in_time_with_its_size_and_onset(made):
@@ -74,7 +74,7 @@ def test_the_coefficients_are_tracked_with_intervals(made):
     friction = load_rig(RIG).friction
     for past in before:
         [reading] = [one for one in past.readings if one.name == "coulomb_force"]
-        assert reading.told
+        assert reading.identified
         assert reading.value == pytest.approx(friction.coulomb_force, abs=6.0 * reading.deviation + 2.0)
     assert set(made.watched.limits) == {"valve_gain"}
 
@@ -105,7 +105,7 @@ def test_what_was_not_driven_is_not_given_and_begins_a_new_stretch(made, monkeyp
     monkeypatch.setattr(replaying, "Monitor", Listening)
     whole = made.trajectory
     short = Trajectory(whole.time_s[:3000] + 100.0, {name: values[:3000] for name, values in whole.signals.items()})
-    watched, _ = watch([Part("one", short, ((100.9995, 101.9995),)), Part("two", short)])
+    watched, _ = watch([MonitoredRecording("one", short, ((100.9995, 101.9995),)), MonitoredRecording("two", short)])
     times = np.concatenate(Listening.last.given)
     assert len(times) == 2000 + 3000
     assert np.all(np.diff(times) > 0.0)
@@ -123,9 +123,9 @@ def test_a_coefficient_that_a_look_alike_has_taken_over_is_not_told(name, told):
     cause = FoundCause(name, "flow", 0.5, (alike,), {})
     change = FoundChange(1, (cause,), "flow", (), 1.0, 1.0, 1.0, 2.0, 2.0)
     given = [Reading("leakage_coefficient", 4.7e-12, 1e-14, "m^5/(N s)"), Reading("valve_gain", 1.0, 1e-4, "1")]
-    leakage, gain = told_apart(given, [change])
-    assert leakage.told is told
-    assert ("a leakage to the outside, which looks the same" in leakage.why_not) is not told
+    leakage, gain = invalidate_equivalent(given, [change])
+    assert leakage.identified is told
+    assert ("a leakage to the outside, which is indistinguishable" in leakage.why_not) is not told
     assert gain == given[1]
 
 

@@ -49,7 +49,7 @@ def test_nodes_that_are_there_twice_are_found(participant):
     try:
         pair = [rclpy.create_node("fasmc_node", context=participant.context, namespace="ehls") for _ in range(2)]
         other = rclpy.create_node("sic_node", context=participant.context, namespace="rig2")
-        participant.until(lambda: link.twins(["fasmc_node", "participant", "sic_node"]) == ["fasmc_node"])
+        participant.until(lambda: link.duplicates(["fasmc_node", "participant", "sic_node"]) == ["fasmc_node"])
         for node in [*pair, other]:
             node.destroy_node()
     finally:

@@ -82,7 +82,7 @@ def test_a_clock_that_goes_back_begins_a_new_trend(participant):
     watch = dashboard_rig.RigWatch(participant.node)
     try:
         for second in (100, 160, 160, 5, 10):
-            watch._note(said(second, 4e-12))
+            watch._register(said(second, 4e-12))
         assert list(watch._past[NAME]) == [(5.0, 4e-12), (10.0, 4e-12)]
     finally:
         watch.destroy()

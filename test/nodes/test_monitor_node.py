@@ -165,7 +165,7 @@ def test_a_trip_leaves_a_bag_and_a_monitor_that_hangs_holds_nobody_up(graph, par
     monitor = graph.start("monitor_node", **own)
     heard, states = participant.collect(ModelHealth, "model_health"), participant.collect(LoaderState, "loader_state")
     participant.until(lambda: bool(heard))
-    assert f"the monitor learns anew: {folder / 'learnt_0.npz'}: the healthy rig cannot be used (it is empty)" in graph.log(
+    assert f"the monitor learns again: {folder / 'learnt_0.npz'}: the healthy rig cannot be used (it is empty)" in graph.log(
         "monitor_node"
     )
     # A second monitor in the folder would remove the files of the first.

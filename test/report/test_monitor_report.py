@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from report_pages import check, numbers, panels, parts, row, rows
 
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
-from ehls_ros.experiments.monitoring.limits import Reach
+from ehls_ros.experiments.monitoring.monitor import Parameters
 from ehls_ros.experiments.monitoring.offer import Offer
-from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.remembered import Past
-from ehls_ros.experiments.monitoring.replay import Stretch, Watched
+from ehls_ros.experiments.monitoring.replay import MonitoringResult, RecordingSpan
+from ehls_ros.experiments.monitoring.trends import LimitPrediction
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.report.monitor import daily_report, write_monitor_report
 from ehls_ros.report.monitor_findings import Clock, answer, duration, false_alarms
@@ -25,7 +24,7 @@ from ehls_ros.report.monitor_findings import Clock, answer, duration, false_alar
 RIG = load_rig(configured(Path("rig_paper_measured")))
 LEAKAGE, MASS = "leakage_coefficient", "moving_mass"
 HOURS = 20
-WHY_NOT = "the programme does not show it"
+WHY_NOT = "not excited by the programme"
 CAUSE = FoundCause(
     "internal_leakage_shift", "flow", 0.98, ("external_leakage",), {"added": Estimate(4e-12, 1e-13, "m^5/(N s)")}
 )
@@ -41,7 +40,7 @@ def reading(name, value, deviation, *, told=True):
 def worn():
     """A day in which a leakage grows, and a mass that is determined only in the middle."""
     history = [
-        Past(
+        PastReadings(
             3600.0 * hour,
             (
                 reading(LEAKAGE, 4.7e-12 + 1e-13 * max(hour - 9, 0), 2e-14),
@@ -55,14 +54,14 @@ def worn():
         {LEAKAGE: Estimate(1e-13, 1e-15, "m^5/(N s)/h")},
     )  # fmt: skip
     events = (Event(60.0, "watching", "watched <against> the rig file"), Event(36100.0, "named", CHANGE.sentence()))
-    return Watched(
+    return MonitoringResult(
         rig=RIG,
         parameters=Parameters(reading_time=3600.0),
         health=health,
         history=history,
         events=events,
-        stretches=(Stretch("monday", 0.0, 30000.0, 120.0), Stretch("tuesday", 30001.0, 72000.0, 0.0)),
-        limits={LEAKAGE: Reach(1.2e-11, 62.0, 58.0, 66.5)},
+        stretches=(RecordingSpan("monday", 0.0, 30000.0, 120.0), RecordingSpan("tuesday", 30001.0, 72000.0, 0.0)),
+        limits={LEAKAGE: LimitPrediction(1.2e-11, 62.0, 58.0, 66.5)},
         offer=Offer("velocity_sweep", "friction over velocity, creeping to fast", 14.2, 2, (MASS,), {"duration": 7.1}),
     )
 
@@ -80,7 +79,7 @@ def test_every_figure_has_units_and_something_in_it(worn, written, without_plotl
     text = page_of(written, worn)
     check(text)
     assert parts(text) == [
-        "Changes", "Events", "Coefficients", "Trends", "Not told", "What is judged", "Method",
+        "Changes", "Events", "Coefficients", "Trends", "Not identified", "Judged data", "Method",
     ]  # fmt: skip
     assert set(panels(text)) == {"Events over time", "Internal leakage", "Moving mass"}
 
@@ -98,9 +97,9 @@ def test_the_head_line_says_what_since_when_and_how_sure(worn, healthy):
         "1.851 ± 0.042 times",
     ):
         assert words in sentence
-    assert answer(healthy) == ("No change shows in 19.7 h against the rig file.", True)
+    assert answer(healthy) == ("No change detected in 19.7 h against the rig file.", True)
     idle = healthy._replace(health=healthy.health._replace(state=State.IDLE, reason="the piston rests"))
-    assert answer(idle) == ("Nothing is judged: the piston rests.", None)
+    assert answer(idle) == ("The rig is not judged: the piston rests.", None)
 
 
 def test_a_trend_shows_value_band_rig_file_limit_and_change(worn, written, without_plotly):
@@ -117,19 +116,19 @@ def test_a_trend_shows_value_band_rig_file_limit_and_change(worn, written, witho
     assert layout["yaxis"]["title"]["text"].endswith("[cm³/(s bar)]")
 
 
-def test_what_is_not_told_is_grey_with_the_reason(worn, written, without_plotly):
+def test_coefficients_not_identified_are_grey_with_the_reason(worn, written, without_plotly):
     text = page_of(written, worn)
     traces, layout = panels(text)["Moving mass"]
     assert [(shape["x0"], shape["x1"]) for shape in layout["shapes"]] == [(0.0, 4.0), (11.0, 20.0)]
     told = np.concatenate([numbers(trace["x"]) for trace in traces if trace["name"] == "value"])
     assert (told.min(), told.max()) == pytest.approx((4.0, 11.0))
-    assert WHY_NOT in row(text, "Not told", "moving mass")[1]
+    assert WHY_NOT in row(text, "Not identified", "moving mass")[1]
     # Coefficients without any reading are listed as well.
-    assert len(rows(text, "Not told")) == len(COEFFICIENTS)
+    assert len(rows(text, "Not identified")) == len(COEFFICIENTS)
     assert "velocity_sweep" in text
     assert "run 2 times" in text
     text = page_of(written, worn._replace(offer=None, missing=(MASS,)))
-    assert "No experiment of the catalogue would tell moving mass from the signals" in text
+    assert "No experiment of the catalogue identifies moving mass from the recorded signals" in text
 
 
 def test_rate_and_limit_stand_with_their_intervals(worn, written, without_plotly):
@@ -137,9 +136,9 @@ def test_rate_and_limit_stand_with_their_intervals(worn, written, without_plotly
     cells = row(text, "Coefficients", "internal leakage")
     assert cells[3] == "+0.010 ± 0.00020 cm³/(s bar)"
     assert cells[4] == "1.2 cm³/(s bar): in 2.58 days (95 %: 2.42 days to 2.77 days)"
-    assert "nothing lies outside it" in text
+    assert "valid at every load and speed" in text
     old = worn._replace(health=worn.health._replace(baseline="healthy recordings"))
-    assert "25 % of the last minute lay outside" in page_of(written, old)
+    assert "25 % of the last minute was outside" in page_of(written, old)
     assert "2.00 min were not driven" in text or "120 s were not driven" in text
 
 
@@ -150,7 +149,7 @@ def test_words_of_events_are_text(worn, written, without_plotly):
 def test_a_page_without_anything_is_one_too(healthy, written, without_plotly):
     nothing = Health(math.nan, State.LEARNING, "", (), (), 0.0, "the rig file", 0.0, {})
     text = page_of(written, healthy._replace(health=nothing, history=(), events=(), stretches=(), limits={}, offer=None))
-    assert "Nothing is judged" in text
+    assert "The rig is not judged" in text
     check(text)
 
 

@@ -67,7 +67,7 @@ def run(options: Namespace) -> int:
                 graph, opened, options.spec and options.spec.resolve(), timing, lambda address: _say_where(address, graph.where)
             )
         finally:
-            graph.give_up()
+            graph.abort()
             starting.join()
             graph.close()
     return 0

@@ -21,9 +21,9 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.monitoring.document import monitor_document
 from ehls_ros.experiments.monitoring.health import Event
-from ehls_ros.experiments.monitoring.limits import check_limits
-from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.replay import Part, Watched, replay
+from ehls_ros.experiments.monitoring.monitor import Parameters
+from ehls_ros.experiments.monitoring.replay import MonitoredRecording, MonitoringResult, replay
+from ehls_ros.experiments.monitoring.trends import check_limits
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.yaml_files import spec_text
@@ -41,7 +41,7 @@ HELP = "Watch recordings of a rig for changes, with a stated rate of false alarm
 RESULT, TABLE, REPORT, OFFER = "monitor.json", "coefficients.csv", "report.html", "offered_experiment.yaml"
 """Files in the folder of the results; the last only where an experiment is offered."""
 
-SHORTEST, LONGEST = 10.0, 60.0
+MIN_READING_TIME, MAX_READING_TIME = 10.0, 60.0
 """Shortest and longest time over which coefficients are averaged unless one is given [s]."""
 
 
@@ -62,7 +62,7 @@ def arguments(parser: ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="OLD",
-        help="recordings from when the rig was well; without any, the first samples are learnt from",
+        help="recordings of the healthy rig; without any, the monitor learns from the first samples",
     )
     parser.add_argument("--columns", type=Path, help="YAML that maps the files' own column names and units")
     for name, metavar in (("mean_time_between_false_alarms", "H"), ("learning_time", "S")):
@@ -79,7 +79,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--reading-time",
         type=float,
         metavar="S",
-        help=f"{averaged} (default: a twentieth of the recordings, {SHORTEST:g} to {LONGEST:g})",
+        help=f"{averaged} (default: a twentieth of the recordings, {MIN_READING_TIME:g} to {MAX_READING_TIME:g})",
     )
     parser.add_argument(
         "--limit",
@@ -104,18 +104,18 @@ def run(options: Namespace) -> int:
     folder = writable(options.out, RESULT) if options.out else None
     with progress_bar("watching") as bar:
         bar(0, 1, "reading")
-        parts = [_part(data, columns) for data in recordings(options.data, columns)]
+        parts = [_recording(data, columns) for data in recordings(options.data, columns)]
         baselines = {str(path): load(recording_in(path), columns, USED) for path in options.baseline}
         seconds = sum(float(part.trajectory.time_s[-1] - part.trajectory.time_s[0]) for part in parts)
-        asked["reading_time"] = options.reading_time or min(max(seconds / 20.0, SHORTEST), LONGEST)
+        asked["reading_time"] = options.reading_time or min(max(seconds / 20.0, MIN_READING_TIME), MAX_READING_TIME)
         parameters = parse(Parameters, asked, "command line")
         loaded = time.perf_counter()
-        watched = replay(parts, rig, parameters, baselines=baselines, limits=limits, progress=bar, tell=_tell)
+        watched = replay(parts, rig, parameters, baselines=baselines, limits=limits, progress=bar, on_event=_print_event)
     wall = time.perf_counter() - began
     sentence, healthy = answer(watched)
     document = json_document(monitor_document(watched, sentence, healthy, wall))
     print(sentence)
-    _print(watched)
+    _print_coefficients(watched)
     if folder is not None:
         _write(folder, watched, document, f"{', '.join(part.name for part in parts)} against {options.rig.name}", options.rig)
         for name in (RESULT, TABLE, REPORT, *([OFFER] if watched.offer else [])):
@@ -126,11 +126,11 @@ def run(options: Namespace) -> int:
     return 0
 
 
-def _part(data: Path, columns: ColumnMap | None) -> Part:
+def _recording(data: Path, columns: ColumnMap | None) -> MonitoredRecording:
     """Read a recording and, from a bag of this package, the pauses in which no command reached the valve."""
     place = recording_in(data)
     ours = columns is None and not holds_tables(place)
-    return Part(data.name or str(data), load(place, columns, USED), tuple(read_pauses(place)) if ours else ())
+    return MonitoredRecording(data.name or str(data), load(place, columns, USED), tuple(read_pauses(place)) if ours else ())
 
 
 def _limits(texts: Sequence[str]) -> dict[str, float]:
@@ -154,7 +154,7 @@ def _limits(texts: Sequence[str]) -> dict[str, float]:
 # --- results -----------------------------------------------------------------------------------
 
 
-def _write(folder: Path, watched: Watched, document: object, source: str, rig: Path) -> None:
+def _write(folder: Path, watched: MonitoringResult, document: object, source: str, rig: Path) -> None:
     """Write all results into a scratch folder, then move them into place, so that an interruption leaves no partial results."""
     scratch = Path(tempfile.mkdtemp(prefix=".monitor-", dir=folder))
     try:
@@ -174,25 +174,25 @@ def _write(folder: Path, watched: Watched, document: object, source: str, rig: P
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _write_table(path: Path, watched: Watched) -> None:
+def _write_table(path: Path, watched: MonitoringResult) -> None:
     """Write the coefficients over time, one row per value; undetermined values are empty, with the reason."""
     with path.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(["time_s", "coefficient", "value", "std", "unit", "why_not"])
         for past in watched.history:
             for reading in past.readings:
-                sizes = [repr(reading.value), repr(reading.deviation)] if reading.told else ["", ""]
+                sizes = [repr(reading.value), repr(reading.deviation)] if reading.identified else ["", ""]
                 rows.writerow([f"{past.time:.3f}", reading.name, *sizes, reading.unit, reading.why_not])
 
 
 # --- terminal ----------------------------------------------------------------------------------
 
 
-def _tell(event: Event) -> None:
+def _print_event(event: Event) -> None:
     print(f"{event.time:10.1f} s  {event.text}", flush=True)
 
 
-def _print(watched: Watched) -> None:
+def _print_coefficients(watched: MonitoringResult) -> None:
     console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140)
     table = Table(title="Coefficients")
     for place, name in enumerate(HEADER):
@@ -200,6 +200,6 @@ def _print(watched: Watched) -> None:
     for reading in known(watched):
         table.add_row(*table_row(reading, watched))
     console.print(table)
-    said = offered(watched)
-    if said:
-        print(said.replace("`", ""))
+    text = offered(watched)
+    if text:
+        print(text.replace("`", ""))

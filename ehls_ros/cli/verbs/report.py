@@ -6,8 +6,8 @@ from pathlib import Path
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import evaluate_recording
-from ehls_ros.experiments.monitoring.kept import is_kept, watched_until
-from ehls_ros.experiments.monitoring.wording import today
+from ehls_ros.experiments.monitoring.daily import is_monitor_folder, results_of_day
+from ehls_ros.experiments.monitoring.health import today
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.events import read_events
@@ -32,7 +32,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Write the report."""
     data: Path = options.data
-    if is_kept(data):
+    if is_monitor_folder(data):
         return _of_day(data, options.day or today(), options.out)
     recording = recording_in(data)
     trajectory = load(recording, read_columns(options.columns) if options.columns else None)
@@ -48,7 +48,7 @@ def run(options: Namespace) -> int:
 
 def _of_day(folder: Path, day: date, out: Path | None) -> int:
     """Write the report of a day of a monitor."""
-    watched, midnight = watched_until(folder, day)
+    watched, midnight = results_of_day(folder, day)
     try:
         path = daily_report(watched, folder, day, Clock(midnight), out)
     except OSError as error:

@@ -9,14 +9,19 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
+from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, part_of
 from ehls_ros.diagnosis.loss import weights
 from ehls_ros.diagnosis.monitoring.directions import Direction, changes
-from ehls_ros.diagnosis.monitoring.held import FRICTION, held
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
+from ehls_ros.samples import Mask
+
+FRICTION: Channel = "force"
+"""Channel whose balance contains friction."""
 
 
 class Scores(NamedTuple):
@@ -35,7 +40,62 @@ class Scores(NamedTuple):
     normal: Array
 
 
-def telling(evidence: Evidence) -> Evidence:
+class HeldStretches(NamedTuple):
+    """Stretches in which static friction holds the piston, so that the friction force is known only up to a constant.
+
+    While the piston is held, the friction state keeps the error it had when the piston stopped or the block began. The
+    residuals of many windows then share one error, so each stretch has a separate unknown constant force.
+
+    Attributes:
+        stretch: number of the stretch in which each usable window of the force balance lies; 0 where the piston slides,
+            shape (n,).
+        unit: a force of 1 N in units of the noise floor, shape (n,).
+        weight: weight of each window, shape (n,).
+    """
+
+    stretch: NDArray[np.intp]
+    unit: Array
+    weight: Array
+
+    def without(self, values: Array) -> Array:
+        """Return residuals, or their change, less the best-fitting constant force of each stretch, shape (n,)."""
+        if not np.any(self.stretch):
+            return values
+        pull = np.bincount(self.stretch, self.weight * self.unit * values)
+        norm = np.bincount(self.stretch, self.weight * self.unit**2)
+        force = np.divide(pull, norm, out=np.zeros_like(pull), where=norm > 0.0)
+        force[0] = 0.0
+        left: Array = values - self.unit * force[self.stretch]
+        return left
+
+
+def held_stretches(evidence: Evidence, weight: Array, part: NDArray[np.intp]) -> HeldStretches:
+    """Find the stretches in which the piston is held.
+
+    Args:
+        evidence: a recording compared with the model.
+        weight: weight of each usable window of the force balance, shape (n,).
+        part: part of the recording in which each window lies, shape (n,); stretches do not extend from one part to the next.
+    """
+    window, still = evidence.setup.window_of(FRICTION), _still(evidence)
+    middle = window.starts(len(still))[evidence.masks[FRICTION]] + window.weights.size // 2
+    there = still[np.minimum(middle, len(still) - 1)]
+    begins = there & ((np.diff(there.astype(np.intp), prepend=0) == 1) | (np.diff(part, prepend=-1) != 0))
+    return HeldStretches(np.where(there, np.cumsum(begins), 0), 1.0 / evidence.floor[FRICTION], weight)
+
+
+def _still(evidence: Evidence) -> Mask:
+    """Return a mask of the samples up to which the piston has hardly moved for ``HELD_TIME``, shape (n,)."""
+    position = evidence.comparison().motion(evidence.rig.effective()).position
+    samples = max(1, round(rules.HELD_TIME / evidence.record.period))
+    place = (samples - 1) // 2
+    highest = scipy.ndimage.maximum_filter1d(position, samples, origin=place)
+    lowest = scipy.ndimage.minimum_filter1d(position, samples, origin=place)
+    still: Mask = highest - lowest < rules.HELD_TRAVEL * evidence.setup.presliding
+    return still
+
+
+def informative(evidence: Evidence) -> Evidence:
     """Return the informative part of the evidence: channels well above their noise, or none if the piston hardly moves.
 
     In other channels, noise biases the factors of gains; and the force that holds a stuck piston depends on unmeasured states.
@@ -69,7 +129,7 @@ def scores(
     comparison, base = evidence.comparison(), evidence.base
     part = {c: np.searchsorted(begins, evidence.times[c], side="right") for c in evidence.channels}
     counted = {c: weights(base.values[c]) for c in evidence.channels}
-    holding = held(evidence, counted[FRICTION], part[FRICTION]) if FRICTION in evidence.channels else None
+    holding = held_stretches(evidence, counted[FRICTION], part[FRICTION]) if FRICTION in evidence.channels else None
     rest = dict(base.values) if holding is None else {**base.values, FRICTION: holding.without(base.values[FRICTION])}
     pull = {c: counted[c] * rest[c] for c in evidence.channels}
     blocks, count = len(begins) + 1, len(directions)
@@ -102,11 +162,11 @@ def scores(
     out = []
     for block in range(1, blocks):
         power, certainty = _power({c: e[part[c] == block] for c, e in rest.items()})
-        doubt = _doubt(noise[:, block], information[block])
+        ratio = _variance_ratio(noise[:, block], information[block])
         out.append(
             Scores(
-                np.concatenate([score[block] / doubt, power * certainty]),
-                np.concatenate([information[block] / doubt, certainty]),
+                np.concatenate([score[block] / ratio, power * certainty]),
+                np.concatenate([information[block] / ratio, certainty]),
                 np.concatenate([share[block], np.ones(len(power))]),
                 normal[block],
             )
@@ -114,7 +174,7 @@ def scores(
     return out
 
 
-def _doubt(noise: Array, information: Array) -> Array:
+def _variance_ratio(noise: Array, information: Array) -> Array:
     """Return the ratio of each score's variance to that of independent windows, at least 1.
 
     If the piston hardly slides, noise corrupts the friction model's state for many windows in succession.

@@ -119,8 +119,8 @@ def _distinct(worker: Worker, found: Sequence[Direction], always: int) -> Iterat
         if not 0.0 < length < math.inf:
             continue
         unit = {c: m / length for c, m in moved.items()}
-        alike = (abs(sum(float(unit[c] @ other[c]) for c in unit if c in other)) for other in kept)
-        if number < always or max(alike, default=0.0) < rules.ALIKE:
+        similarities = (abs(sum(float(unit[c] @ other[c]) for c in unit if c in other)) for other in kept)
+        if number < always or max(similarities, default=0.0) < rules.ALIKE:
             kept.append(unit)
             yield direction
 

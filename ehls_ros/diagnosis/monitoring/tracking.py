@@ -18,7 +18,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import declarations
 
-NOT_SHOWN = "the programme does not show it"
+NOT_EXCITED = "not excited by the programme"
 
 
 class Tracked(NamedTuple):
@@ -106,9 +106,21 @@ class Reading(NamedTuple):
     why_not: str = ""
 
     @property
-    def told(self) -> bool:
+    def identified(self) -> bool:
         """Whether the data identify the coefficient."""
         return not self.why_not
+
+
+class PastReadings(NamedTuple):
+    """Past readings of the coefficients.
+
+    Attributes:
+        time: end of the averaged blocks [s].
+        readings: readings of all coefficients.
+    """
+
+    time: float
+    readings: tuple[Reading, ...]
 
 
 def tracked(directions: Sequence[Direction]) -> dict[str, int]:
@@ -138,7 +150,7 @@ def readings(
     seen = moved > 0.0
     size = np.zeros(len(moved))
     deviation = np.full(len(moved), np.inf)
-    alike = [""] * len(moved)
+    partners = [""] * len(moved)
     names = list(numbers)
     if np.any(seen):
         scaled = normal[np.ix_(seen, seen)] / np.outer(moved[seen], moved[seen])
@@ -149,20 +161,20 @@ def readings(
         np.fill_diagonal(correlation, 0.0)
         index = [place for place in range(len(names)) if seen[place]]
         for row, place in enumerate(index):
-            alike[place] = names[index[int(np.argmax(np.abs(correlation[row])))]]
+            partners[place] = names[index[int(np.argmax(np.abs(correlation[row])))]]
     out = []
     places = {name: place for place, name in enumerate(numbers)}
     for name, coefficient in COEFFICIENTS.items():
         given, unit = coefficient.given(rig), coefficient.unit(rig)
         if name not in places:
-            out.append(Reading(name, given, math.inf, unit, NOT_SHOWN))
+            out.append(Reading(name, given, math.inf, unit, NOT_EXCITED))
             continue
         place, direction = places[name], directions[numbers[name]]
         scale = abs(direction.step) * (abs(given) if coefficient.relative else 1.0)
         change, error = float(size[place]) * math.copysign(scale, direction.step), float(deviation[place]) * scale
-        why_not = NOT_SHOWN if not seen[place] else ""
+        why_not = NOT_EXCITED if not seen[place] else ""
         if not why_not and error > coefficient.needed(rig):
-            partner = COEFFICIENTS[alike[place]].words if alike[place] else "others"
-            why_not = f"the programme does not tell it from the {partner}"
+            partner = COEFFICIENTS[partners[place]].words if partners[place] else "others"
+            why_not = f"not distinguishable from the {partner} in this programme"
         out.append(Reading(name, given if why_not else given + change, math.inf if why_not else error, unit, why_not))
     return tuple(out)

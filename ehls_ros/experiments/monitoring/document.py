@@ -7,9 +7,9 @@ from ehls_ros import __version__
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.health import Event, FoundChange
-from ehls_ros.experiments.monitoring.limits import NORMAL_95, Reach
 from ehls_ros.experiments.monitoring.offer import Offer
-from ehls_ros.experiments.monitoring.replay import Stretch, Watched
+from ehls_ros.experiments.monitoring.replay import MonitoringResult, RecordingSpan
+from ehls_ros.experiments.monitoring.trends import NORMAL_95, LimitPrediction
 
 
 class ChangeEntry(NamedTuple):
@@ -55,7 +55,7 @@ class CoefficientEntry(NamedTuple):
     why_not: str
     healthy: float
     rate: Estimate | None
-    limit: Reach | None
+    limit: LimitPrediction | None
 
 
 class MonitorDocument(NamedTuple):
@@ -87,7 +87,7 @@ class MonitorDocument(NamedTuple):
     mean_time_between_false_alarms: float
     watched: float
     outside: float
-    recordings: Sequence[Stretch]
+    recordings: Sequence[RecordingSpan]
     changes: tuple[ChangeEntry, ...]
     coefficients: Mapping[str, CoefficientEntry]
     events: Sequence[Event]
@@ -96,7 +96,7 @@ class MonitorDocument(NamedTuple):
     wall_s: float
 
 
-def monitor_document(watched: Watched, summary: str, healthy: bool | None, wall_s: float) -> MonitorDocument:
+def monitor_document(watched: MonitoringResult, summary: str, healthy: bool | None, wall_s: float) -> MonitorDocument:
     """Return the content of ``monitor.json``.
 
     Args:
@@ -146,14 +146,14 @@ def _change(change: FoundChange) -> ChangeEntry:
     )
 
 
-def _coefficient(reading: Reading, watched: Watched) -> CoefficientEntry:
+def _coefficient(reading: Reading, watched: MonitoringResult) -> CoefficientEntry:
     half = NORMAL_95 * reading.deviation
     return CoefficientEntry(
         value=reading.value,
         std=reading.deviation,
         ci95=(reading.value - half, reading.value + half),
         unit=reading.unit,
-        told=reading.told,
+        told=reading.identified,
         why_not=reading.why_not,
         healthy=COEFFICIENTS[reading.name].given(watched.rig),
         rate=watched.health.rates.get(reading.name),

@@ -17,8 +17,8 @@ from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.process import end_with, give_way
 from ehls_ros.trajectory import Trajectory
 
-SUFFICIENT_PROBABILITY = 0.9
-"""Probability of the first cause, including equivalent ones, above which few data are sufficient."""
+MIN_CERTAIN_PROBABILITY = 0.9
+"""Probability of the first cause, including equivalent ones, from which it is named at once, however few the samples."""
 
 
 class Task(NamedTuple):
@@ -69,12 +69,15 @@ class Finding(NamedTuple):
     wall_s: float = 0.0
 
     @property
-    def sure(self) -> bool:
+    def is_certain(self) -> bool:
         """Whether the first cause, or an equivalent one, is practically certain."""
-        return self.names and self.causes[0].probability * (1 + len(self.causes[0].equivalent_to)) >= SUFFICIENT_PROBABILITY
+        return (
+            self.names_causes
+            and self.causes[0].probability * (1 + len(self.causes[0].equivalent_to)) >= MIN_CERTAIN_PROBABILITY
+        )
 
     @property
-    def names(self) -> bool:
+    def names_causes(self) -> bool:
         """Whether it names causes."""
         return self.verdict in NAMING and bool(self.causes)
 
@@ -83,23 +86,23 @@ def examine(task: Task) -> Finding:
     """Diagnose a recording; one that cannot be judged is insufficient, with the reason."""
     try:
         if task.baselines:
-            found = diagnose_against(task.recording, task.baselines, task.rig, "the last samples", threads=1)
+            found = diagnose_against(task.recording, task.baselines, task.rig, "the latest samples", threads=1)
         else:
-            found = diagnose(task.recording, task.rig, "the last samples", threads=1)
+            found = diagnose(task.recording, task.rig, "the latest samples", threads=1)
     except BadInput as error:
         return Finding("insufficient", (), task.rig, reason=str(error))
-    return _short(found, task.preferred)
+    return _finding(found, task.preferred)
 
 
-def _short(found: Diagnosis, preferred: Sequence[str]) -> Finding:
+def _finding(found: Diagnosis, preferred: Sequence[str]) -> Finding:
     causes, rig = list[FoundCause](), found.extended
     for cause in found.causes:
         named = FoundCause(cause.name, cause.stage, cause.probability, cause.equivalent_to, dict(cause.parameters))
         other = _preferred(cause, preferred, found.rig)
         if other is not None:
-            alike = tuple(name for name in (cause.name, *cause.equivalent_to) if name != other.name)
-            named = named._replace(name=other.name, equivalent_to=alike, parameters=dict(other.parameters))
-            rig = _exchanged(rig, cause.name, other)
+            equivalent = tuple(name for name in (cause.name, *cause.equivalent_to) if name != other.name)
+            named = named._replace(name=other.name, equivalent_to=equivalent, parameters=dict(other.parameters))
+            rig = _with_effect_replaced(rig, cause.name, other)
         causes.append(named)
     return Finding(
         found.verdict,
@@ -131,7 +134,7 @@ def _plain_forms(name: str, rig: Rig) -> list[Form]:
     return [form for form in EFFECTS.load(name).forms(rig) if not form.fixed]
 
 
-def _exchanged(rig: Rig, name: str, other: Rival) -> Rig:
+def _with_effect_replaced(rig: Rig, name: str, other: Rival) -> Rig:
     """Return a rig with one effect replaced by another."""
     values = {parameter: value.value for parameter, value in other.parameters.items()}
     use = EffectUse(other.name, EFFECTS.load(other.name).Parameters(**values))
@@ -151,7 +154,7 @@ class Examiner(Protocol):
         """Abort a running diagnosis."""
 
 
-class AtOnce:
+class SynchronousExaminer:
     """Synchronous examiner in this process."""
 
     def __init__(self) -> None:
@@ -171,34 +174,34 @@ class AtOnce:
         """Do nothing, as no diagnosis is running."""
 
 
-def _give_way(parent: int) -> None:
+def _initialise_worker(parent: int) -> None:
     """Initialise the diagnosing process: low priority, and end together with the monitor."""
     end_with(parent)
     give_way()
 
 
-class InItsOwnProcess:
+class ProcessExaminer:
     """Examiner in a separate process of low priority."""
 
     def __init__(self) -> None:
         """Start no process before the first diagnosis."""
         self._workers: ProcessPoolExecutor | None = None
-        self._under_way: Future[Finding] | None = None
+        self._future: Future[Finding] | None = None
 
     def begin(self, task: Task) -> None:
         """Start a diagnosis."""
         if self._workers is None:
-            self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _give_way, (os.getpid(),))
-        self._under_way = self._workers.submit(examine, task)
+            self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _initialise_worker, (os.getpid(),))
+        self._future = self._workers.submit(examine, task)
 
     def finding(self) -> Finding | None:
         """Return the result once it is available; otherwise None.
 
         After a failure, such as a kill of the process, it raises; the next diagnosis starts another process.
         """
-        if self._under_way is None or not self._under_way.done():
+        if self._future is None or not self._future.done():
             return None
-        done, self._under_way = self._under_way, None
+        done, self._future = self._future, None
         failure = done.exception()
         if failure is None:
             return done.result()
@@ -211,4 +214,4 @@ class InItsOwnProcess:
             self._workers.shutdown(wait=False, cancel_futures=True)
             for process in list((self._workers._processes or {}).values()):  # noqa: SLF001
                 process.terminate()
-        self._workers, self._under_way = None, None
+        self._workers, self._future = None, None

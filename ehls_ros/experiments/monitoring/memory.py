@@ -21,22 +21,18 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.declared_arrays import Arrays, check_arrays
 from ehls_ros.diagnosis.monitoring.blocks import Scores
+from ehls_ros.diagnosis.monitoring.tracking import PastReadings
 from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.monitoring.following import MOST_ANCHORS, Anchor
-from ehls_ros.experiments.monitoring.memory_records import (
-    MOST_CHANGES,
-    change_of,
-    change_record,
+from ehls_ros.experiments.monitoring.cycle_assembly import MAX_ANCHORS, Anchor
+from ehls_ros.experiments.monitoring.saved_state import (
+    LearntRig,
+    SavedState,
     direction_of,
     direction_record,
-    past_of,
-    past_record,
-    readings_of,
-    readings_record,
-    rig_of,
+    state_of,
+    state_record,
 )
-from ehls_ros.experiments.monitoring.remembered import Learnt, Past, Remembered
 from ehls_ros.experiments.state_files import table
 from ehls_ros.experiments.state_files.access import NotWritten, check_writable
 from ehls_ros.experiments.state_files.kinds import (
@@ -51,7 +47,7 @@ from ehls_ros.experiments.state_files.kinds import (
     MonitorState,
 )
 from ehls_ros.experiments.state_files.state_file import Kind, OfAnotherOrigin, Origin, StateFile
-from ehls_ros.physics.rig import Rig, rig_to_mapping
+from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
 STATE = "memory.json"
@@ -68,26 +64,26 @@ ASIDE = "aside"
 ARRAYS = re.compile(r"(learnt|blocks)_[0-9]{1,4}\.npz")
 """Names of the files of arrays."""
 
-OFTEN = 60.0
+SAVE_INTERVAL = 60.0
 """Time between two saved states without events [s]."""
 
-SELDOM = 300.0
-"""The same for the sums of the test, the largest part [s]; loss of the newest ones only delays the detection of a change."""
+BLOCKS_SAVE_INTERVAL = 300.0
+"""The same for the tested blocks, the largest part [s]; loss of the newest ones only delays the detection of a change."""
 
 UNUSABLE = (ValueError, ArithmeticError, LookupError, TypeError)
 """Errors of a monitor caused by a memory that is inconsistent despite all checks."""
 
 
-class Kept(NamedTuple):
+class SavedMonitor(NamedTuple):
     """Content of a folder.
 
     Attributes:
-        remembered: the monitor's state.
+        state: the monitor's state.
         anchors: wall times along its time axis.
         end: newest time on it [s].
     """
 
-    remembered: Remembered
+    state: SavedState
     anchors: tuple[Anchor, ...]
     end: float
 
@@ -113,10 +109,10 @@ class Memory:
         self._folder = folder
         self._origin = origin
         self._baselines = tuple(baselines)
-        self._learnt: Learnt | None = None
+        self._learnt: LearntRig | None = None
         self._learnt_file = self._blocks_file = ""
         self._model: Rig | None = None
-        self._told = -np.inf
+        self._appended_until = -np.inf
         self._saved = self._saved_blocks = -np.inf
         self._history: table.Table | None = None
 
@@ -126,7 +122,7 @@ class Memory:
         Raises:
             BadInput: it cannot be written.
         """
-        check_writable(self._folder / STATE, "a writable folder", "what the monitor knows")
+        check_writable(self._folder / STATE, "a writable folder", "the memory of the monitor")
 
     def close(self) -> None:
         """Close the coefficients' history."""
@@ -136,7 +132,7 @@ class Memory:
 
     # --- reading --------------------------------------------------------------------------------------
 
-    def restore(self) -> Kept | None:
+    def restore(self) -> SavedMonitor | None:
         """Return the saved state of this rig; None if there is none.
 
         Raises:
@@ -150,14 +146,14 @@ class Memory:
         if content.baselines != self._baselines:
             raise file.refusal(f"it was learnt from the baselines {', '.join(content.baselines) or 'none'}")
         try:
-            kept = self._kept(content)
+            saved = self._saved_monitor(content)
         except BadInput:
             raise
         except UNUSABLE as error:
             raise file.refusal(str(error)) from None
-        self._learnt, self._learnt_file = kept.remembered.learnt, content.learnt
-        self._told = kept.remembered.history[-1].time if kept.remembered.history else -np.inf
-        return kept
+        self._learnt, self._learnt_file = saved.state.learnt, content.learnt
+        self._appended_until = saved.state.history[-1].time if saved.state.history else -np.inf
+        return saved
 
     def put_aside(self, reason: BadInput) -> str:
         """Move unusable files unchanged into a separate folder.
@@ -171,7 +167,7 @@ class Memory:
         self._learnt, self._learnt_file, self._blocks_file = None, "", ""
         # The history does not identify its rig.
         history = (COEFFICIENTS,) if isinstance(reason, OfAnotherOrigin) else ()
-        return self._move_aside(reason, STATE, *self._own_arrays(), *history)
+        return self._move_aside(reason, STATE, *self._own_array_files(), *history)
 
     def _move_aside(self, reason: BadInput, *names: str) -> str:
         try:
@@ -184,7 +180,7 @@ class Memory:
             return f"{reason}; it cannot be put aside ({error.strerror})"
         return f"{reason}; it is now in {aside}"
 
-    def _own_arrays(self) -> list[str]:
+    def _own_array_files(self) -> list[str]:
         """Return the names of a monitor's files of arrays in the folder; none if it cannot be listed."""
         named = list[str]()
         with suppress(OSError):
@@ -194,26 +190,16 @@ class Memory:
     def _file(self, name: str, kind: Kind) -> StateFile:
         return StateFile(self._folder / name, kind, self._origin)
 
-    def _kept(self, content: MonitorState) -> Kept:
+    def _saved_monitor(self, content: MonitorState) -> SavedMonitor:
         anchors = tuple(Anchor(*anchor) for anchor in content.anchors)
-        if len(anchors) > MOST_ANCHORS or any(later.time < earlier.time for earlier, later in pairwise(anchors)):
+        if len(anchors) > MAX_ANCHORS or any(later.time < earlier.time for earlier, later in pairwise(anchors)):
             raise ValueError("its anchors do not follow one another")
         if anchors and not anchors[-1].time <= content.end:
             raise ValueError("its anchors are later than its end")
         learnt = self._read_learnt(content.learnt) if content.learnt else None
         begins, rows = self._read_blocks(content.blocks, learnt) if content.blocks and learnt else ((), np.zeros((3, 0, 0)))
-        remembered = Remembered(
-            learnt,
-            rig_of(content.well, self._origin),
-            rig_of(content.model, self._origin),
-            tuple(change_of(record) for record in content.changes),
-            tuple(past_of(record) for record in content.history),
-            readings_of(content.readings),
-            content.watched,
-            begins,
-            rows,
-        )
-        return Kept(remembered, anchors, content.end)
+        saved = state_of(content, self._origin, learnt, begins, rows)
+        return SavedMonitor(saved, anchors, content.end)
 
     def _arrays(self, name: str, kind: Kind) -> tuple[Any, Arrays]:
         """Return document and arrays of a file named in the state."""
@@ -224,7 +210,7 @@ class Memory:
             raise ValueError(f"the file {name} that it names is missing")
         return state.content, state.arrays
 
-    def _read_learnt(self, name: str) -> Learnt:
+    def _read_learnt(self, name: str) -> LearntRig:
         about, arrays = self._arrays(name, HEALTHY)
         healthy: HealthyRig = about
         directions = tuple(direction_of(record) for record in healthy.directions)
@@ -243,9 +229,9 @@ class Memory:
             if np.any(np.diff(instants) <= 0.0):
                 raise ValueError(f"{name} has times that do not increase")
             recording = Trajectory(instants, dict(zip(healthy.signals, arrays["signals"], strict=True)))
-        return Learnt(healthy.kind, directions, sections, recording)
+        return LearntRig(healthy.kind, directions, sections, recording)
 
-    def _read_blocks(self, name: str, learnt: Learnt) -> tuple[tuple[float, ...], Array]:
+    def _read_blocks(self, name: str, learnt: LearntRig) -> tuple[tuple[float, ...], Array]:
         _, arrays = self._arrays(name, BLOCKS)
         check_arrays(arrays, BLOCK_ARRAYS, {"quantities": len(learnt.directions) + len(CHANNELS)})
         begins, rows = arrays["begins"], arrays["rows"].astype(np.float64)
@@ -258,47 +244,42 @@ class Memory:
 
     def due(self) -> bool:
         """Return whether to save the state although no event occurred."""
-        return time.monotonic() - self._saved > OFTEN
+        return time.monotonic() - self._saved > SAVE_INTERVAL
 
-    def keep(self, remembered: Remembered, anchors: Sequence[Anchor], end: float, *, happened: bool = True) -> None:
+    def save(self, state: SavedState, anchors: Sequence[Anchor], end: float, *, happened: bool = True) -> None:
         """Replace the saved state.
 
         Args:
-            remembered: the monitor's current state.
+            state: the monitor's current state.
             anchors: wall times along its time axis.
             end: newest time on it [s].
-            happened: whether there was an event since; if not, the sums are saved less often.
+            happened: whether there was an event since; if not, the tested blocks are saved less often.
 
         Raises:
             NotWritten: a file cannot be written; the message has the file and the reason.
         """
         self._saved = now = time.monotonic()
-        self._append(remembered.history, anchors)
-        if remembered.learnt is None:
+        self._append(state.history, anchors)
+        if state.learnt is None:
             self._learnt_file = self._blocks_file = ""
         else:
-            if self._learnt is None or not self._learnt_file or not _same(self._learnt, remembered.learnt):
-                self._learnt_file = self._write(HEALTHY, *_healthy_arrays(remembered.learnt))
-            if happened or self._model is not remembered.model or now - self._saved_blocks > SELDOM:
+            if self._learnt is None or not self._learnt_file or not _is_unchanged(self._learnt, state.learnt):
+                self._learnt_file = self._write(HEALTHY, *_learnt_content(state.learnt))
+            if happened or self._model is not state.model or now - self._saved_blocks > BLOCKS_SAVE_INTERVAL:
                 self._saved_blocks = now
-                blocks = {"begins": np.array(remembered.begins), "rows": remembered.rows.astype(np.float32)}
+                blocks = {"begins": np.array(state.begins), "rows": state.rows.astype(np.float32)}
                 self._blocks_file = self._write(BLOCKS, {}, blocks)
-        self._learnt, self._model = remembered.learnt, remembered.model
-        state = {
+        self._learnt, self._model = state.learnt, state.model
+        content = {
             "baselines": list(self._baselines),
             "end": end,
             "anchors": list(anchors),
-            "well": rig_to_mapping(remembered.well),
-            "model": rig_to_mapping(remembered.model),
-            "changes": [change_record(change) for change in remembered.changes[-MOST_CHANGES:]],
-            "history": [past_record(past) for past in remembered.history],
-            "readings": readings_record(remembered.readings),
-            "watched": remembered.watched,
+            **state_record(state),
             "learnt": self._learnt_file,
             "blocks": self._blocks_file,
         }
-        self._file(STATE, MONITOR).write(state)
-        for old in self._own_arrays():
+        self._file(STATE, MONITOR).write(content)
+        for old in self._own_array_files():
             if old not in {self._learnt_file, self._blocks_file}:
                 with suppress(OSError):
                     (self._folder / old).unlink()
@@ -306,7 +287,7 @@ class Memory:
     def _write(self, kind: Kind, content: Mapping[str, Any], arrays: Arrays) -> str:
         """Write arrays under an unused name, and return it."""
         used = {self._learnt_file, self._blocks_file}
-        names = (f"{_first_part(kind)}_{i}.npz" for i in count())
+        names = (f"{_prefix(kind)}_{i}.npz" for i in count())
         name = next(name for name in names if name not in used and self._is_free(name, kind))
         self._file(name, kind).write(content, arrays)
         return name
@@ -314,9 +295,9 @@ class Memory:
     def _is_free(self, name: str, kind: Kind) -> bool:
         return not os.path.lexists(self._folder / name) or self._file(name, kind).is_own()
 
-    def _append(self, history: Sequence[Past], anchors: Sequence[Anchor]) -> None:
+    def _append(self, history: Sequence[PastReadings], anchors: Sequence[Anchor]) -> None:
         """Append new readings to the history."""
-        new = [past for past in history if past.time > self._told]
+        new = [past for past in history if past.time > self._appended_until]
         if not new:
             return
         if self._history is None:
@@ -324,12 +305,12 @@ class Memory:
         if self._history is None:
             self._history = table.Table(self._folder / COEFFICIENTS, ",".join(HEADING), 0)
         for past in new:
-            stamp = _wall(past.time, anchors)
+            stamp = _wall_time(past.time, anchors)
             for reading in past.readings:
-                if reading.told:
+                if reading.identified:
                     cells = (stamp, reading.name, f"{reading.value:.8g}", f"{reading.deviation:.3g}", reading.unit)
                     self._history.add(",".join(cells))
-        self._told = new[-1].time
+        self._appended_until = new[-1].time
         self._history.flush()
 
     def open_history(self) -> str:
@@ -343,16 +324,16 @@ class Memory:
         """
         if self._history is not None:
             return ""
-        path, heading, said = self._folder / COEFFICIENTS, ",".join(HEADING), ""
+        path, heading, remark = self._folder / COEFFICIENTS, ",".join(HEADING), ""
         try:
             judged = table.judge(path, heading, check_cells, LEARNS_ANEW, "the coefficients' history")
         except BadInput as error:
-            said, judged = self._move_aside(error, COEFFICIENTS), table.Judged((), 0)
+            remark, judged = self._move_aside(error, COEFFICIENTS), table.Judged((), 0)
             if os.path.lexists(path):
-                raise NotWritten(said) from None
+                raise NotWritten(remark) from None
         if judged.end:
             self._history = table.Table(path, heading, judged.end)
-        return said
+        return remark
 
 
 def check_cells(cells: Sequence[str]) -> None:
@@ -373,7 +354,7 @@ def _kind(name: str) -> Kind:
     return HEALTHY if name.startswith("learnt") else BLOCKS
 
 
-def _first_part(kind: Kind) -> str:
+def _prefix(kind: Kind) -> str:
     return "learnt" if kind is HEALTHY else "blocks"
 
 
@@ -384,21 +365,21 @@ def _check_rows(rows: Array) -> None:
         ValueError: a value is negative.
     """
     if np.any(rows[1:] < 0.0):
-        raise ValueError("a block has a negative information")
+        raise ValueError("a block has negative information")
 
 
-def _wall(instant: float, anchors: Sequence[Anchor]) -> str:
+def _wall_time(instant: float, anchors: Sequence[Anchor]) -> str:
     """Return the wall time of an instant, to the second, in UTC."""
     anchor = next((a for a in reversed(anchors) if a.time <= instant), anchors[0] if anchors else Anchor(instant, 0))
     return datetime.fromtimestamp(anchor.stamp_ns * 1e-9 + instant - anchor.time, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def _same(one: Learnt, other: Learnt) -> bool:
+def _is_unchanged(one: LearntRig, other: LearntRig) -> bool:
     """Return whether nothing was learnt in between; a learnt section does not change."""
     return one.directions is other.directions and list(map(len, one.sections)) == list(map(len, other.sections))
 
 
-def _healthy_arrays(learnt: Learnt) -> tuple[dict[str, Any], Arrays]:
+def _learnt_content(learnt: LearntRig) -> tuple[dict[str, Any], Arrays]:
     blocks = [block for section in learnt.sections for block in section]
     recording = learnt.recording
     signals = {} if recording is None else recording.signals

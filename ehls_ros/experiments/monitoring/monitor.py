@@ -8,72 +8,78 @@ so that a growing cause remains the same change, and a cause that disappears is 
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.coverage import Range, covered, ranges
 from ehls_ros.diagnosis.evidence import Evidence, gather
-from ehls_ros.diagnosis.monitoring.blocks import Scores, scores, telling
+from ehls_ros.diagnosis.monitoring.blocks import Scores, informative
 from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
-from ehls_ros.diagnosis.monitoring.directions import Direction, directions, remainders
-from ehls_ros.diagnosis.monitoring.healthy import Healthy, learn, scattering
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, WANTED, Reading, readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import CHANNELS, setup
+from ehls_ros.diagnosis.stages import setup
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.monitoring import modes
+from ehls_ros.experiments.monitoring.baseline import OWN_RECORDING, RECORDINGS, RIG_FILE, Baseline
 from ehls_ros.experiments.monitoring.examination import Examiner, Finding, Task
-from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
-from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.rates import RATES, rates
-from ehls_ros.experiments.monitoring.remembered import Learnt, Past, Remembered
+from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health
 from ehls_ros.experiments.monitoring.samples import Samples
+from ehls_ros.experiments.monitoring.saved_state import SavedState
+from ehls_ros.experiments.monitoring.trends import RATE_READINGS, rates
 from ehls_ros.physics.rig import Rig
+from ehls_ros.schema import quantity
 from ehls_ros.trajectory import Trajectory
 
-AT_ONCE = rules.MONITOR_AT_ONCE * rules.MONITOR_BLOCK
+COMPARED_TIME = rules.MONITOR_AT_ONCE * rules.MONITOR_BLOCK
 """Duration of samples compared with the model at once [s]."""
 
-GAP = 0.05
+MAX_GAP = 0.05
 """Longest time between two samples of one stretch [s]."""
 
-RIG_FILE, OWN_RECORDING, RECORDINGS = "the rig file", "the first minutes", "healthy recordings"
-"""Kinds of baseline."""
-
-LOOKED_AT = 20.0
+DEPARTURE_TIME = 20.0
 """Duration of a healthy recording from which the sizes of the departures are chosen [s]."""
 
-MORE = 1.5
-"""Factor by which the samples since an onset must have grown before they are diagnosed again."""
-
-AGAIN = 60.0
-"""Time after which they are diagnosed again in any case [s]: a drift is larger in the latest samples."""
-
-DRIFTING = 0.75
+MIN_DRIFT_EXPONENT = 0.75
 """Minimum exponent of the growth of a drift's sums with the time since its onset; those of a steady change grow as its root."""
 
 CONFIRMATION_TIME = 60.0
-"""Time after detection at which a change that no diagnosis confirms is taken for a new operating point [s]."""
+"""Time after detection at which a change that no diagnosis confirms is accepted as a new operating point [s]."""
 
-LEARNT_ON = 24
-"""Number of blocks without a change after which their scatter is learnt as well."""
-
-MOST_LEARNT = 720
-"""Maximum number of blocks from which the scatter is learnt."""
-
-UNSURE_UNTIL = 30.0
+MIN_UNCERTAIN_TIME = 30.0
 """Duration of samples after which an uncertain cause is named, or a change that no effect of the list explains [s]."""
+
+
+class Parameters(NamedTuple):
+    """Parameters of the monitoring of a rig."""
+
+    mean_time_between_false_alarms: Annotated[
+        float, quantity("h", "mean time between two false alarms, at least", minimum=1.0, maximum=1e6)
+    ] = 1000.0
+    learning_time: Annotated[
+        float, quantity("s", "time from which the scatter of a healthy rig is learnt, without a baseline", minimum=30.0)
+    ] = 60.0
+    reading_time: Annotated[float, quantity("s", "time over which coefficients are averaged", minimum=10.0, maximum=3600.0)] = (
+        60.0
+    )
+    kept_time: Annotated[
+        float,
+        quantity("s", "time for which samples are kept, for a diagnosis and the flight recorder", minimum=30.0, maximum=600.0),
+    ] = 120.0
 
 
 class Monitor:
     """Monitor of one rig.
 
     Attributes:
+        rig: the rig as described in its file.
+        healthy_rig: model of the healthy rig: the rig file with the differences found at the start of the monitor.
+        model: the same with the changes since.
+        parameters: monitoring parameters.
         changes: detected changes, oldest first.
         history: the coefficients, one entry per ``reading_time``.
-        well: model of the healthy rig: the rig file with the differences found at the start of the monitor.
-        model: the same with the changes since.
+        mode: present mode.
     """
 
     def __init__(
@@ -90,37 +96,24 @@ class Monitor:
         Raises:
             BadInput: a baseline does not match the rig.
         """
-        self.rig = self.well = self.model = rig
+        self.rig = self.healthy_rig = self.model = rig
         self.parameters = parameters
         self.changes = list[FoundChange]()
-        self.history = list[Past]()
+        self.history = list[PastReadings]()
+        self.mode: modes.Mode = modes.Learning()
         self._examiner = examiner
-        self._baselines = dict(baselines or {})
-        self._samples = Samples(max(parameters.kept_time, parameters.learning_time + 3.0 * AT_ONCE))
-        self._begin = math.nan
-        self._segment = math.nan
+        self._baseline = Baseline(baselines or {})
+        self._samples = Samples(max(parameters.kept_time, parameters.learning_time + 3.0 * COMPARED_TIME))
+        self._interrupted = True
+        self._next_begin = 0.0
         self._watched = 0.0
-        self._state = State.LEARNING
         self._reason = ""
-        self._kind = RIG_FILE
-        self._learning = list[float]()
-        self._directions: tuple[Direction, ...] = ()
-        self._numbers: dict[str, int] = {}
-        self._test: ChangeTest | None = None
-        self._sections = list[list[Scores]]()
-        self._since = list[Scores]()
-        self._seen: dict[str, Range] = {}
-        self._remainder: Array = np.zeros(0)
-        self._begins = deque[float](maxlen=rules.LONGEST_WATCH)
-        self._recent = deque[Scores](maxlen=max(1, round(parameters.reading_time / rules.MONITOR_BLOCK)))
-        self._read = 0
         self._outside = deque[bool](maxlen=24)
-        self._under_way: Change | None = None
-        self._examined = 0
-        self._unsettled = self._noticed = self._asked = math.nan
-        self._first: Change | None = None
         self._readings: tuple[Reading, ...] = ()
-        if self._baselines:
+        self._averaged = max(1, round(parameters.reading_time / rules.MONITOR_BLOCK))
+        self._unrecorded = 0
+        self._examined_from: float | None = None
+        if baselines:
             self._learn_from_baselines()
 
     # --- samples ----------------------------------------------------------------------------------
@@ -137,8 +130,8 @@ class Monitor:
         """
         events = list[Event]()
         if len(time_s):
-            jumps = np.flatnonzero(np.diff(time_s) > GAP) + 1
-            if len(self._samples) and time_s[0] - self._samples.times[-1] > GAP:
+            jumps = np.flatnonzero(np.diff(time_s) > MAX_GAP) + 1
+            if len(self._samples) and time_s[0] - self._samples.times[-1] > MAX_GAP:
                 jumps = np.concatenate([[0], jumps])
             for part in np.split(np.arange(len(time_s)), jumps):
                 if part.size:
@@ -148,7 +141,7 @@ class Monitor:
 
     def interrupt(self) -> None:
         """Start a new stretch with the next sample, as the recorded command did not drive the rig in between."""
-        self._begin = math.nan
+        self._interrupted = True
 
     def recording(self, seconds: float) -> Trajectory:
         """Return the samples of the last ``seconds`` [s]."""
@@ -156,36 +149,23 @@ class Monitor:
         return self._samples.between(end - seconds, math.inf)
 
     def _add_stretch(self, time_s: Array, signals: Mapping[str, Array], events: list[Event]) -> None:
-        follows = bool(len(self._samples)) and time_s[0] - self._samples.times[-1] <= GAP and not math.isnan(self._begin)
+        if self._interrupted or not len(self._samples) or time_s[0] - self._samples.times[-1] > MAX_GAP:
+            self._next_begin = float(time_s[0]) + rules.MONITOR_LEAD
+        self._interrupted = False
         self._samples.add(time_s, signals)
-        if not follows:
-            self._segment = float(time_s[0])
-            self._begin = self._segment + rules.MONITOR_LEAD
-        while float(time_s[-1]) >= self._begin + AT_ONCE:
-            if self._state == State.LEARNING and self._under_way_learning:
-                break
-            begin, self._begin = self._begin, self._begin + AT_ONCE
-            self._judge(begin, events)
+        # While the healthy rig is compared with its file, the samples wait.
+        while float(time_s[-1]) >= self._next_begin + COMPARED_TIME and not isinstance(self.mode, modes.Comparing):
+            begin, self._next_begin = self._next_begin, self._next_begin + COMPARED_TIME
+            if isinstance(self.mode, modes.Learning):
+                self._learn_block(self.mode, begin, events)
+            else:
+                self._judge(self.mode, begin, events)
             self._follow_examination(events)
 
     # --- blocks -----------------------------------------------------------------------------------
 
-    def _blocks(self, begin: float, samples: Trajectory | None = None) -> tuple[Evidence | None, list[Scores]]:
-        """Compare blocks with the model, and return the evidence and the score of each; none if they cannot be judged.
-
-        Args:
-            begin: begin of the first block [s].
-            samples: samples of a recording that begins with their lead; by default those of the rig.
-        """
-        if samples is None:
-            samples = self._samples.between(begin - rules.MONITOR_LEAD, begin + AT_ONCE)
-        evidence = self._compared(samples, self.model)
-        if evidence is None:
-            return None, []
-        begins = rules.MONITOR_LEAD + rules.MONITOR_BLOCK * np.arange(rules.MONITOR_AT_ONCE)
-        return evidence, scores(evidence, self._directions, self._tracked, begins.tolist())
-
-    def _compared(self, recording: Trajectory, rig: Rig) -> Evidence | None:
+    def _compare(self, recording: Trajectory, rig: Rig) -> Evidence | None:
+        """Compare a recording with a model; None, with the reason, if it contains no information."""
         try:
             record = prepare(recording, rig, "the rig")
             compared = setup(record, rig)
@@ -194,284 +174,202 @@ class Monitor:
             self._reason = str(error)
             return None
         if evidence is None or not evidence.channels:
-            self._reason = "; ".join(compared.why_not.values()) or "the signals tell nothing of the model"
+            self._reason = "; ".join(compared.why_not.values()) or "the signals contain no information on the model"
             return None
-        told = telling(evidence)
-        if not told.channels:
+        evidence = informative(evidence)
+        if not evidence.channels:
             self._reason = "the piston hardly moves"
             return None
-        return told
+        return evidence
 
-    def _judge(self, begin: float, events: list[Event]) -> None:
-        if self._state == State.LEARNING:
-            if self._compared(self._samples.between(begin - rules.MONITOR_LEAD, begin + AT_ONCE), self.model) is None:
-                # A rig at rest or hardly in motion provides no information.
-                return
-            oldest = float(self._samples.times[0]) + rules.MONITOR_LEAD
-            self._learning = [*(kept for kept in self._learning if kept >= oldest), begin]
-            if self._under_way_learning:
-                self._end_learning(events)
-            return
-        evidence, found = self._blocks(begin)
+    def _samples_of(self, begin: float) -> Trajectory:
+        """Return the samples of the blocks compared at once from a time [s] on, with the lead before them."""
+        return self._samples.between(begin - rules.MONITOR_LEAD, begin + COMPARED_TIME)
+
+    def _scores(self, samples: Trajectory) -> list[Scores]:
+        """Return the scores of blocks with their lead; none if they contain no information."""
+        evidence = self._compare(samples, self.model)
+        return [] if evidence is None else self._baseline.scores(evidence)
+
+    def _judge(self, mode: modes.Testing, begin: float, events: list[Event]) -> None:
+        evidence = self._compare(self._samples_of(begin), self.model)
         if evidence is None:
-            self._state = State.IDLE if self._under_way is None else self._state
+            self.mode = modes.unjudged(mode)
             return
-        if self._state == State.IDLE:
-            self._state, self._reason = State.WATCHING, ""
-        self._watched += AT_ONCE
-        if self._is_outside(evidence):
+        found = self._baseline.scores(evidence)
+        self.mode = modes.judged(mode)
+        if self.mode is not mode:
+            self._reason = ""
+        self._watched += COMPARED_TIME
+        self._outside.append(self._baseline.is_outside(evidence))
+        if self._outside[-1]:
             return
         for number, block in enumerate(found):
-            self._take(begin + number * rules.MONITOR_BLOCK, block, events)
+            self._test(begin + number * rules.MONITOR_BLOCK, block, events)
 
-    def _is_outside(self, evidence: Evidence) -> bool:
-        """Return whether a block lies outside the range of the healthy recordings; the rig file's model is valid everywhere."""
-        outside = self._kind != RIG_FILE and any(item.beyond > rules.MENTIONED_UNSEEN for item in covered(self._seen, evidence))
-        self._outside.append(outside)
-        return outside
-
-    def _take(self, begin: float, found: Scores, events: list[Event]) -> None:
-        if self._test is None:
+    def _test(self, begin: float, found: Scores, events: list[Event]) -> None:
+        """Test for a change with one more block."""
+        mode, end = self.mode, begin + rules.MONITOR_BLOCK
+        if isinstance(mode, modes.Learning | modes.Comparing):
             return
-        self._begins.append(begin)
-        self._test.add(found.score, found.information, found.share)
-        self._recent.append(found)
-        self._readings = self._read_off()
-        self._read += 1
-        if self._read >= (self._recent.maxlen or 1):
-            self._read = 0
-            self.history.append(Past(begin + rules.MONITOR_BLOCK, self._readings))
-        if self._under_way is not None:
+        blocks = mode.blocks
+        blocks.add(begin, found)
+        self._readings = self._baseline.readings(self.model, blocks.recent, blocks.test.healthy)
+        self._unrecorded += 1
+        if self._unrecorded >= self._averaged:
+            self._unrecorded = 0
+            self.history.append(PastReadings(end, self._readings))
+        if not isinstance(mode, modes.Watching | modes.Suspecting):
             return
-        change = self._test.change()
-        if change is None:
-            self._examined = 0
-            self._learn_on(found)
-        elif change.blocks >= MORE * self._examined or begin + rules.MONITOR_BLOCK - self._asked >= AGAIN:
-            self._examine(change, begin + rules.MONITOR_BLOCK, events)
-
-    def _read_off(self) -> tuple[Reading, ...]:
-        if self._test is None or not self._numbers:
-            return ()
-        rows = np.array(list(self._numbers.values()), dtype=np.intp)
-        score = np.sum([s.score[rows] for s in self._recent], axis=0)
-        normal = np.sum([s.normal for s in self._recent], axis=0)
-        return readings(self._directions, self._numbers, self.model, score, normal, self._test.healthy.scatter[rows])
-
-    @property
-    def _tracked(self) -> tuple[int, ...]:
-        return tuple(self._numbers.values())
+        change = blocks.test.change()
+        self.mode = mode.tested(change, end)
+        if change is None and self._baseline.learn_unchanged(found):
+            blocks.test.learn(self._baseline.statistics())
+        if isinstance(self.mode, modes.Examining):
+            self._examine(self.mode, end, events)
 
     # --- learning ---------------------------------------------------------------------------------
 
-    @property
-    def _under_way_learning(self) -> bool:
-        return len(self._learning) * AT_ONCE >= self.parameters.learning_time
+    def _learn_block(self, mode: modes.Learning, begin: float, events: list[Event]) -> None:
+        if self._compare(self._samples_of(begin), self.model) is None:
+            # A rig at rest or hardly in motion provides no information.
+            return
+        oldest = float(self._samples.times[0]) + rules.MONITOR_LEAD
+        self.mode = mode.add(begin, oldest, math.ceil(self.parameters.learning_time / COMPARED_TIME))
+        if isinstance(self.mode, modes.Comparing):
+            self._examiner.begin(Task(self._learnt_samples(self.mode), self.healthy_rig, preferred=self._preferred()))
+            text = f"{self.parameters.learning_time:g} s learnt; compared with the rig file"
+            events.append(Event(begin + COMPARED_TIME, "learnt", text))
 
-    def _end_learning(self, events: list[Event]) -> None:
-        begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
-        self._examiner.begin(Task(self._samples.between(begin, end), self.well, preferred=self._preferred()))
-        events.append(Event(end, "learnt", f"{self.parameters.learning_time:g} s learnt; compared with the rig file"))
+    def _learnt_samples(self, mode: modes.Comparing) -> Trajectory:
+        return self._samples.between(mode.begins[0] - rules.MONITOR_LEAD, mode.begins[-1] + COMPARED_TIME)
 
     def _learn_from_baselines(self) -> None:
-        seen = list[Evidence | None]()
-        for name, recording in self._baselines.items():
-            evidence = self._compared(recording, self.rig)
+        compared = list[Evidence]()
+        recordings = self._baseline.recordings
+        for name, recording in recordings.items():
+            evidence = self._compare(recording, self.rig)
             if evidence is None:
                 raise BadInput(self._reason, name, "a recording of the healthy rig")
-            if not self._directions:
-                self._directions = directions(evidence, WANTED)
-                self._numbers = tracked(self._directions)
-            seen.append(evidence)
+            if not self._baseline.directions:
+                self._baseline.choose_directions(evidence)
+            compared.append(evidence)
             time, section = recording.time_s, list[Scores]()
-            for begin in np.arange(time[0], time[-1] - AT_ONCE - rules.MONITOR_LEAD, AT_ONCE):
-                part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + AT_ONCE]))
+            for begin in np.arange(time[0], time[-1] - COMPARED_TIME - rules.MONITOR_LEAD, COMPARED_TIME):
+                part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + COMPARED_TIME]))
                 samples = Trajectory(time[part] - time[part][0], {n: v[part] for n, v in recording.signals.items()})
-                section += self._blocks(begin, samples)[1]
+                section += self._scores(samples)
             if section:
-                self._sections.append(section)
-        if not self._sections:
-            what = f"no recording of the healthy rig has {AT_ONCE + rules.MONITOR_LEAD:g} s in which the piston moves"
-            raise BadInput(what, ", ".join(self._baselines), "longer recordings of the rig at work")
-        self._kind = RECORDINGS
-        self._learn_remainder(seen)
+                self._baseline.sections.append(section)
+        if not self._baseline.sections:
+            problem = f"no recording of the healthy rig has {COMPARED_TIME + rules.MONITOR_LEAD:g} s in which the piston moves"
+            raise BadInput(problem, ", ".join(recordings), "longer recordings of the rig at work")
+        self._baseline.learn_residuals(compared)
         self._begin_watching()
 
-    def _learn_remainder(self, recordings: Sequence[Evidence | None]) -> None:
-        """Learn the remaining residuals of the model and the ranges of the signals from recordings of the healthy rig."""
-        compared = [evidence for evidence in recordings if evidence is not None]
-        left = [remainders(evidence, self._directions) for evidence in compared]
-        self._remainder = np.max(left, axis=0) if left else np.zeros(len(self._directions))
-        self._seen = ranges(compared)
-
     def _begin_watching(self) -> None:
-        healthy = self._healthy()
-        if self._test is None:
-            rising = np.arange(len(healthy.level)) >= len(self._directions)
-            self._test = ChangeTest(healthy, self.parameters.mean_time_between_false_alarms, rising)
-        else:
-            self._test.learn(healthy)
-        self._state, self._reason = State.WATCHING, ""
+        hours = self.parameters.mean_time_between_false_alarms
+        test = ChangeTest(self._baseline.statistics(), hours, self._baseline.powers)
+        self.mode, self._reason = modes.Watching(modes.ScoredBlocks(test, self._averaged)), ""
 
-    def _learn_on(self, found: Scores) -> None:
-        """Continue learning the scatter from blocks without a change."""
-        if len(self._since) >= MOST_LEARNT:
-            return
-        self._since.append(found._replace(normal=np.zeros((0, 0))))
-        if self._test is not None and len(self._since) % LEARNT_ON == 0:
-            self._test.learn(self._healthy())
-
-    def _healthy(self) -> Healthy:
-        """Return the scatter of the healthy blocks.
-
-        Departures from a valid rig file are measured from the file itself. A departure that seems present in the healthy rig
-        already is not tested: a delay, for example, averages noise and slightly improves the fit even if there is none.
-        """
-        found = _learnt(self._sections)
-        if len(self._since) >= LEARNT_ON:
-            found = scattering(found, _learnt([*self._sections, self._since]))
-        # A noise floor is never exact, and a residual below the noise is not a fault.
-        power = np.arange(len(found.level)) >= len(self._directions)
-        found = found._replace(level=np.where(power, np.maximum(found.level, 0.0) + rules.POWER_TOLERATED, found.level))
-        if self._kind != RIG_FILE:
-            # The remaining residual grows with the motion, so its power is not informative.
-            unknown = power & (found.level > 2.0 * rules.POWER_TOLERATED)
-            remainder = np.concatenate([self._remainder, np.zeros(len(CHANNELS))])
-            return found._replace(certainty=np.where(unknown, 0.0, found.certainty), remainder=remainder)
-        direction = ~power
-        biased = np.abs(found.level) * np.sqrt(found.certainty) > rules.BIASED * found.scatter * np.sqrt(found.dependence)
-        return found._replace(
-            level=np.where(direction, 0.0, found.level),
-            certainty=np.where(direction, np.where(biased, 0.0, np.inf), found.certainty),
-        )
+    def _learn_anew(self) -> None:
+        """Restart learning from the present rig."""
+        self.mode = modes.Learning()
+        self._baseline.forget()
 
     # --- examination ------------------------------------------------------------------------------
 
-    def _examine(self, change: Change, now: float, events: list[Event]) -> None:
-        if not self._examined:
-            self._noticed, self._first = now, change
-        self._asked = now
-        self._under_way, self._examined, self._state = change, change.blocks, State.EXAMINING
-        begins = list(self._begins)
+    def _examine(self, mode: modes.Examining, now: float, events: list[Event]) -> None:
+        change, begins = mode.change, list(mode.blocks.begins)
         # The block of the onset is only partly changed.
         first = begins[1 - change.blocks]
-        if change.blocks >= len(begins) - 1 and not math.isnan(self._unsettled):
+        if change.blocks >= len(begins) - 1 and self._examined_from is not None:
             # The last named cause does not explain all samples since: use more samples.
-            first = self._unsettled
-        begin = self._unsettled = max(first, now - self.parameters.kept_time)
-        events.append(Event(now, "noticed", f"{self._quantity(change.quantity)} since {begins[-change.blocks]:.1f} s"))
-        baselines = tuple(self._baselines.values())
-        self._examiner.begin(Task(self._samples.between(begin, now), self.well, baselines, self._preferred()))
+            first = self._examined_from
+        self._examined_from = max(first, now - self.parameters.kept_time)
+        text = f"{self._baseline.quantity(change.quantity)} changed since {begins[-change.blocks]:.1f} s"
+        events.append(Event(now, "noticed", text))
+        recording, baselines = self._samples.between(self._examined_from, now), tuple(self._baseline.recordings.values())
+        self._examiner.begin(Task(recording, self.healthy_rig, baselines, self._preferred()))
 
     def _preferred(self) -> tuple[str, ...]:
         """Return the effects preferred to equivalent ones: those named before, and those of the coefficients."""
         known = (change.name for change in self.changes if change.active and change.causes)
         return tuple(dict.fromkeys([*known, *(coefficient.effect for coefficient in COEFFICIENTS.values())]))
 
-    def _quantity(self, number: int) -> str:
-        if number < len(self._directions):
-            return f"{self._directions[number].name} changed"
-        return f"the residual of the channel {list(CHANNELS)[number - len(self._directions)]} changed"
-
     def _follow_examination(self, events: list[Event]) -> None:
         found = self._examiner.finding()
         if found is None:
             return
         now = float(self._samples.times[-1])
-        if self._state == State.LEARNING:
-            self._learnt(found, now, events)
-            return
-        change, self._under_way = self._under_way, None
-        self._state = State.WATCHING
-        if change is None or self._test is None:
-            return
-        begins = list(self._begins)
+        if isinstance(self.mode, modes.Comparing):
+            self._end_learning(self.mode, found, now, events)
+        elif isinstance(self.mode, modes.Examining):
+            self._end_examination(self.mode, found, now, events)
+
+    def _end_examination(self, mode: modes.Examining, found: Finding, now: float, events: list[Event]) -> None:
+        self.mode = mode.examined()
+        change, begins = mode.change, list(mode.blocks.begins)
         onset, earliest, latest = (begins[-min(n, len(begins))] for n in (change.blocks, change.earliest, change.latest))
-        enough = now - self._unsettled >= UNSURE_UNTIL
-        if found.sure or (found.names and enough):
+        enough = self._examined_from is not None and now - self._examined_from >= MIN_UNCERTAIN_TIME
+        if found.is_certain or (found.names_causes and enough):
             self._name(found, (onset, earliest, latest), now, events)
         elif found.verdict == "unknown" and enough:
-            new = self._new_change(found, (onset, earliest, latest), now)
+            new = self._add_change(found, (onset, earliest, latest), now)
             events.append(Event(now, "named", new.sentence()))
+            # An unknown change cannot be included in the model.
             self._learn_anew()
-        elif found.verdict == "consistent" and self.model is not self.well:
+        elif found.verdict == "consistent" and self.model is not self.healthy_rig:
             self._clear(self.changes, now, events)
-            self.model = self.well
-            self._restart()
-        elif now - self._noticed >= CONFIRMATION_TIME and not self._drifts(change):
-            events.append(
-                Event(now, "unconfirmed", "no diagnosis confirms the change: taken for an operating point of its own")
-            )
-            self._accept(change.blocks)
+            self.model = self.healthy_rig
+            self._clear_blocks()
+        elif now - mode.suspicion.noticed >= CONFIRMATION_TIME and not _drifts(change, mode.suspicion):
+            text = "no diagnosis confirms the change: accepted as a new operating point"
+            events.append(Event(now, "unconfirmed", text))
+            self._baseline.learn_condition(mode.blocks.test.rows()[:, -change.blocks :])
+            mode.blocks.test.learn(self._baseline.statistics())
+            self._clear_blocks()
 
-    def _drifts(self, change: Change) -> bool:
-        """Return whether a change has grown since it was first noticed."""
-        first = change if self._first is None else self._first
-        return change.ratio > first.ratio * math.pow(change.blocks / first.blocks, DRIFTING)
-
-    def _learnt(self, found: Finding, now: float, events: list[Event]) -> None:
-        begin, end = self._learning[0] - rules.MONITOR_LEAD, self._learning[-1] + AT_ONCE
-        recording = self._samples.between(begin, end)
+    def _end_learning(self, mode: modes.Comparing, found: Finding, now: float, events: list[Event]) -> None:
+        self.mode = modes.Learning()
+        recording, begin = self._learnt_samples(mode), mode.begins[0] - rules.MONITOR_LEAD
         if found.verdict == "insufficient":
-            self._learning.clear()
             self._reason = found.reason
-            events.append(Event(now, "insufficient", f"learnt from further samples: {found.reason}"))
+            events.append(Event(now, "insufficient", f"learning continues with further samples: {found.reason}"))
             return
         if found.verdict == "consistent":
-            self._kind = RIG_FILE
-        elif found.verdict == "effect" and found.names:
-            self._kind = RIG_FILE
+            self._baseline.kind = RIG_FILE
+        elif found.verdict == "effect" and found.names_causes:
+            self._baseline.kind = RIG_FILE
             for cause in found.causes:
-                new = self._new_change(found._replace(causes=(cause,)), (begin, -math.inf, begin), now, before=True)
+                new = self._add_change(found._replace(causes=(cause,)), (begin, -math.inf, begin), now, before=True)
                 events.append(Event(now, "differs", f"from the rig file from the beginning: {new.sentence()}"))
-            self.well = self.model = found.rig
+            self.healthy_rig = self.model = found.rig
         else:
-            self._kind, self._baselines = OWN_RECORDING, {OWN_RECORDING: recording}
-            events.append(
-                Event(now, "differs", f"the rig is not the rig file's: {found.verdict}; {self._kind} are the baseline")
-            )
-        evidence = self._compared(self._samples.between(begin, begin + LOOKED_AT), self.model)
+            self._baseline.use(OWN_RECORDING, {OWN_RECORDING: recording})
+            text = f"the rig is not the rig file's: {found.verdict}; {OWN_RECORDING} are the baseline"
+            events.append(Event(now, "differs", text))
+        evidence = self._compare(self._samples.between(begin, begin + DEPARTURE_TIME), self.model)
         if evidence is None:
-            self._learning.clear()
             return
-        self._directions = directions(evidence, WANTED)
-        self._numbers = tracked(self._directions)
-        self._learn_remainder([self._compared(recording, self.model)])
+        self._baseline.choose_directions(evidence)
+        self._baseline.learn_residuals([self._compare(recording, self.model)])
         section = list[Scores]()
-        for learnt in self._learning:
-            section += self._blocks(learnt)[1]
-        self._learning.clear()
+        for block in mode.begins:
+            section += self._scores(self._samples_of(block))
         if not section:
             return
-        self._sections = [section]
+        self._baseline.sections = [section]
         self._begin_watching()
-        events.append(Event(now, "watching", f"watched against {self._kind}"))
+        events.append(Event(now, "watching", f"watched against {self._baseline.kind}"))
 
-    def _learn_anew(self) -> None:
-        """Restart learning from the present rig, as an unknown change cannot be included in the model."""
-        self._state, self._test, self._sections = State.LEARNING, None, []
-        self._begins.clear()
-        self._recent.clear()
-        self._since.clear()
+    def _clear_blocks(self) -> None:
+        """Discard the tested blocks, which refer to another model."""
+        if not isinstance(self.mode, modes.Learning | modes.Comparing):
+            self.mode = modes.cleared(self.mode)
+        self._baseline.forget_unchanged()
 
-    def _accept(self, blocks: int) -> None:
-        """Accept the last blocks as a further condition of the healthy rig."""
-        if self._test is None:
-            return
-        score, information, share = self._test.rows()[:, -blocks:]
-        none = np.zeros((0, 0))
-        self._sections.append([Scores(*row, none) for row in zip(score, information, share, strict=True)])
-        self._test.learn(self._healthy())
-        self._restart()
-
-    def _restart(self) -> None:
-        """Restart the sums, which referred to another model."""
-        if self._test is not None:
-            self._test.restart()
-        self._begins.clear()
-        self._recent.clear()
-        self._since.clear()
-        self._examined = 0
+    # --- changes ----------------------------------------------------------------------------------
 
     def _name(self, found: Finding, times: tuple[float, float, float], now: float, events: list[Event]) -> None:
         """Apply the causes of a diagnosis: update known changes, add new ones, and clear those not named."""
@@ -487,12 +385,12 @@ class Monitor:
             else:
                 self._clear([change], now, events)
         for cause in named:
-            new = self._new_change(found._replace(causes=(cause,)), times, now)
+            new = self._add_change(found._replace(causes=(cause,)), times, now)
             events.append(Event(now, "named", new.sentence()))
         self.model = found.rig
-        self._restart()
+        self._clear_blocks()
 
-    def _new_change(self, found: Finding, times: tuple[float, float, float], now: float, before: bool = False) -> FoundChange:
+    def _add_change(self, found: Finding, times: tuple[float, float, float], now: float, before: bool = False) -> FoundChange:
         stage = found.causes[0].stage if found.causes else found.unknown_stage
         new = FoundChange(len(self.changes) + 1, found.causes, stage, found.depends_on, *times, now, now, before=before)
         self.changes.append(new)
@@ -502,9 +400,9 @@ class Monitor:
         for index, change in enumerate(self.changes):
             if change.active and not change.before and change in gone:
                 self.changes[index] = change._replace(cleared=now)
-                events.append(Event(now, "cleared", f"{change.name} shows no more"))
+                events.append(Event(now, "cleared", f"{change.name} is no longer detected"))
 
-    # --- current state ------------------------------------------------------------------------------
+    # --- requests and results ---------------------------------------------------------------------
 
     def acknowledge(self) -> int:
         """Register that an operator has seen all changes, and return the number of new ones."""
@@ -516,21 +414,24 @@ class Monitor:
     def accept(self) -> Rig | None:
         """Accept the rig with its changes as the healthy one from now on, and return it; None if there is none to accept.
 
-        If the baseline consists of recordings, the healthy rig is learnt again.
+        A running diagnosis of a change is aborted, as it refers to the previous healthy rig. If the baseline consists of
+        recordings, the healthy rig is learnt again.
         """
         new = [i for i, change in enumerate(self.changes) if change.active and change.causes and not change.before]
         if not new:
             return None
         for index in new:
             self.changes[index] = self.changes[index]._replace(before=True, acknowledged=True)
-        self.well = self.model
-        if self._kind == RIG_FILE:
-            self._restart()
+        self.healthy_rig = self.model
+        if self._baseline.kind == RIG_FILE:
+            if isinstance(self.mode, modes.Examining):
+                self._examiner.close()
+            self._clear_blocks()
         else:
-            self._kind, self._baselines = RIG_FILE, {}
-            self._learning.clear()
+            self._examiner.close()
+            self._baseline.use(RIG_FILE)
             self._learn_anew()
-        return self.well
+        return self.healthy_rig
 
     def reset(self) -> None:
         """Restart after a repair: clear all changes, and learn the healthy rig again.
@@ -538,78 +439,63 @@ class Monitor:
         Given recordings of the healthy rig remain the baseline.
         """
         self._examiner.close()
-        self._under_way, self._examined, self._unsettled = None, 0, math.nan
-        self.well = self.model = self.rig
+        self._examined_from = None
+        self.healthy_rig = self.model = self.rig
         self._clear(self.changes, float(self._samples.times[-1]) if len(self._samples) else 0.0, [])
-        if self._kind == RECORDINGS:
-            self._restart()
-            self._state = State.WATCHING
-            return
-        self._kind, self._baselines = RIG_FILE, {}
-        self._learning.clear()
-        self._learn_anew()
-        self._reason = ""
+        if self._baseline.kind != RECORDINGS:
+            self._baseline.use(RIG_FILE)
+            self._learn_anew()
+            self._reason = ""
+        elif isinstance(self.mode, modes.Learning | modes.Comparing):
+            self._learn_from_baselines()
+        else:
+            self._clear_blocks()
+            self.mode = modes.Watching(self.mode.blocks)
 
-    def remembered(self) -> Remembered:
+    def saved_state(self) -> SavedState:
         """Return the state from which another monitor of this rig can continue."""
-        learnt = None
-        if self._test is not None:
-            sections = tuple(map(tuple, self._sections))
-            learnt = Learnt(self._kind, self._directions, sections, self._baselines.get(OWN_RECORDING))
-        return Remembered(
-            learnt,
-            self.well,
+        blocks = None if isinstance(self.mode, modes.Learning | modes.Comparing) else self.mode.blocks
+        return SavedState(
+            None if blocks is None else self._baseline.learnt(),
+            self.healthy_rig,
             self.model,
             tuple(self.changes),
-            tuple(self.history[-RATES:]),
+            tuple(self.history[-RATE_READINGS:]),
             self._readings,
             self._watched,
-            tuple(self._begins),
-            np.zeros((3, 0, 0)) if self._test is None else self._test.rows(),
+            () if blocks is None else tuple(blocks.begins),
+            np.zeros((3, 0, 0)) if blocks is None else blocks.test.rows(),
         )
 
-    def restore(self, past: Remembered) -> None:
+    def restore(self, past: SavedState) -> None:
         """Restore the state of another monitor of this rig; called before the first sample.
 
         Args:
             past: state of that monitor, with times on the axis that is continued.
         """
-        self.well, self.model = past.well, past.model
+        self.healthy_rig, self.model = past.healthy_rig, past.model
         self.changes, self.history = list(past.changes), list(past.history)
         self._readings, self._watched = past.readings, past.watched
-        if past.learnt is None or bool(self._baselines) != (past.learnt.kind == RECORDINGS):
+        if past.learnt is None or bool(self._baseline.recordings) != (past.learnt.kind == RECORDINGS):
             return
-        self._kind = past.learnt.kind
-        if [d.key for d in self._directions] != [d.key for d in past.learnt.directions]:
-            self._directions, self._remainder = past.learnt.directions, np.zeros(len(past.learnt.directions))
-        self._numbers = tracked(self._directions)
-        self._sections = [list(section) for section in past.learnt.sections]
+        self._baseline.restore(past.learnt)
         if past.learnt.recording is not None:
-            self._baselines = {OWN_RECORDING: past.learnt.recording}
-            self._learn_remainder([self._compared(past.learnt.recording, self.model)])
+            self._baseline.learn_residuals([self._compare(past.learnt.recording, self.model)])
         self._begin_watching()
-        if self._test is None or len(past.begins) != past.rows.shape[1]:
-            return
-        self._begins.extend(past.begins)
-        for row in past.rows.swapaxes(0, 1):
-            self._test.add(*row)
-        if self._test.change() is not None:
-            # The samples for its diagnosis are lost; a change that persists is detected again.
-            self._restart()
+        if isinstance(self.mode, modes.Watching) and len(past.begins) == past.rows.shape[1]:
+            self.mode.blocks.restore(past.begins, past.rows)
 
     def health(self) -> Health:
         """Return the current health of the rig."""
-        time = float(self._samples.times[-1]) if len(self._samples) else math.nan
-        outside = float(np.mean(self._outside)) if self._outside else 0.0
         return Health(
-            time,
-            self._state,
+            float(self._samples.times[-1]) if len(self._samples) else math.nan,
+            self.mode.state,
             self._reason,
             tuple(self.changes),
             self._readings,
             self._watched,
-            self._kind,
-            outside,
+            self._baseline.kind,
+            float(np.mean(self._outside)) if self._outside else 0.0,
             rates(self.history),
         )
 
@@ -618,7 +504,7 @@ class Monitor:
         self._examiner.close()
 
 
-def _learnt(sections: Sequence[Sequence[Scores]]) -> Healthy:
-    blocks = [block for section in sections for block in section]
-    section = np.repeat(np.arange(len(sections)), [len(s) for s in sections])
-    return learn(np.array([b.score for b in blocks]), np.array([b.information for b in blocks]), section)
+def _drifts(change: Change, suspicion: modes.Suspicion) -> bool:
+    """Return whether a change has grown since it was first noticed."""
+    first = suspicion.first
+    return change.ratio > first.ratio * math.pow(change.blocks / first.blocks, MIN_DRIFT_EXPONENT)

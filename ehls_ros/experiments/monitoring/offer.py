@@ -13,7 +13,7 @@ import numpy as np
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.monitoring.blocks import scores, telling
+from ehls_ros.diagnosis.monitoring.blocks import informative, scores
 from ehls_ros.diagnosis.monitoring.directions import directions
 from ehls_ros.diagnosis.monitoring.tracking import WANTED, readings, tracked
 from ehls_ros.diagnosis.record import USED, prepare
@@ -62,8 +62,8 @@ def offer(missing: Collection[str], rig: Rig, signals: Collection[str] = USED) -
     """
     if unknown_keys(rig):
         return None
-    found = [made for name in CATALOGUE if (made := _rated(name, missing, rig, signals)) is not None]
-    return max(found, key=lambda made: (len(made.tells), -made.seconds), default=None)
+    found = [rated for name in CATALOGUE if (rated := _rated(name, missing, rig, signals)) is not None]
+    return max(found, key=lambda rated: (len(rated.tells), -rated.seconds), default=None)
 
 
 def _rated(name: str, missing: Collection[str], rig: Rig, signals: Collection[str]) -> Offer | None:
@@ -78,20 +78,20 @@ def _rated(name: str, missing: Collection[str], rig: Rig, signals: Collection[st
         return None
     if not evidence.channels:
         return None
-    evidence = telling(evidence)
+    evidence = informative(evidence)
     found = directions(evidence, WANTED)
     numbers = tracked(found)
     own = [found[number] for number in numbers.values()]
-    [said] = scores(evidence, own, range(len(own)), [0.0])
+    [score] = scores(evidence, own, range(len(own)), [0.0])
     scatter = np.full(len(own), rules.LEARNT_SCATTER)
     places = {name: place for place, name in enumerate(numbers)}
     wanted, before = set(missing), set[str]()
     best = None
     for count in REPEATS:
-        read = readings(own, places, rig, count * said.score[: len(own)], count * said.normal, scatter)
-        told = {reading.name for reading in read if reading.told} & wanted
-        if told > before:
-            tells = tuple(reading.name for reading in read if reading.name in told)
+        read = readings(own, places, rig, count * score.score[: len(own)], count * score.normal, scatter)
+        identified = {reading.name for reading in read if reading.identified} & wanted
+        if identified > before:
+            tells = tuple(reading.name for reading in read if reading.name in identified)
             best = Offer(name, CATALOGUE[name].purpose, count * spec.settings.duration, count, tells, mapping)
-            before = told
+            before = identified
     return best

@@ -1,4 +1,4 @@
-"""Replay of recordings through the monitor: the work of `ehls monitor`, without files."""
+"""Replay of recordings through the monitor, as in `ehls monitor`, without files."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -9,16 +9,14 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.contradictions import check_suits
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
-from ehls_ros.experiments.monitoring.examination import AtOnce
+from ehls_ros.experiments.monitoring.examination import SynchronousExaminer
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health
-from ehls_ros.experiments.monitoring.limits import Reach, reaches
-from ehls_ros.experiments.monitoring.monitor import Monitor
+from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 from ehls_ros.experiments.monitoring.offer import Offer, offer
-from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.remembered import Past
+from ehls_ros.experiments.monitoring.trends import LimitPrediction, predict_limits
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
@@ -26,14 +24,14 @@ from ehls_ros.progress import Update
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
-PIECE = 0.25
+CHUNK = 0.25
 """Duration of the samples passed to the monitor at once [s]."""
 
-APART = 1.0
+RECORDING_GAP = 1.0
 """Time on the monitor's axis between two recordings [s]; the true time is unknown."""
 
 
-class Part(NamedTuple):
+class MonitoredRecording(NamedTuple):
     """A recording to be watched.
 
     Attributes:
@@ -47,7 +45,7 @@ class Part(NamedTuple):
     pauses: Sequence[tuple[float, float]] = ()
 
 
-class Stretch(NamedTuple):
+class RecordingSpan(NamedTuple):
     """Position of a recording on the monitor's axis.
 
     Attributes:
@@ -62,7 +60,7 @@ class Stretch(NamedTuple):
     not_driven: float
 
 
-class Watched(NamedTuple):
+class MonitoringResult(NamedTuple):
     """Results of monitoring a rig over a time, for file and page.
 
     Attributes:
@@ -80,24 +78,24 @@ class Watched(NamedTuple):
     rig: Rig
     parameters: Parameters
     health: Health
-    history: Sequence[Past]
+    history: Sequence[PastReadings]
     events: Sequence[Event]
-    stretches: Sequence[Stretch] = ()
-    limits: Mapping[str, Reach] = {}
+    stretches: Sequence[RecordingSpan] = ()
+    limits: Mapping[str, LimitPrediction] = {}
     missing: tuple[str, ...] = ()
     offer: Offer | None = None
 
 
 def replay(
-    parts: Sequence[Part],
+    parts: Sequence[MonitoredRecording],
     rig: Rig,
     parameters: Parameters,
     *,
     baselines: Mapping[str, Trajectory],
     limits: Mapping[str, float],
     progress: Update,
-    tell: Callable[[Event], None],
-) -> Watched:
+    on_event: Callable[[Event], None],
+) -> MonitoringResult:
     """Monitor recordings one after another, each as a separate stretch.
 
     Args:
@@ -107,7 +105,7 @@ def replay(
         baselines: recordings of the healthy rig, by name; none: the first samples are used for learning.
         limits: limits of coefficients by their names, each in its unit.
         progress: called with the processed and the total time [s], and the current activity.
-        tell: called with each event as it occurs.
+        on_event: called with each event as it occurs.
 
     Raises:
         BadInput: a recording does not match the rig, or contradicts the rig file.
@@ -117,49 +115,49 @@ def replay(
     with Workers() as workers:
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
     progress(0, 1, "learning from the baselines" if baselines else "watching")
-    monitor = Monitor(rig, parameters, AtOnce(), baselines)
-    events, stretches = list[Event](), list[Stretch]()
-    whole = sum(_seconds(part.trajectory) + APART for part in parts)
-    at = 0.0
+    monitor = Monitor(rig, parameters, SynchronousExaminer(), baselines)
+    events, stretches = list[Event](), list[RecordingSpan]()
+    total = sum(_seconds(part.trajectory) + RECORDING_GAP for part in parts)
+    end = 0.0
     for part in parts:
         monitor.interrupt()
-        begin = at
+        begin = end
         time = part.trajectory.time_s - part.trajectory.time_s[0]
         driven = _driven(part)
         signals = {name: part.trajectory[name] for name in USED if name in part.trajectory}
-        for first, last in _pieces(time, driven):
+        for first, last in _chunks(time, driven):
             here = {name: values[first:last] for name, values in signals.items()}
             for event in monitor.add(begin + time[first:last], here):
                 events.append(event)
-                tell(event)
-            progress(round(begin + time[last - 1]), round(whole), f"watching {part.name}")
+                on_event(event)
+            progress(round(begin + time[last - 1]), round(total), f"watching {part.name}")
             if last < len(driven) and not driven[last]:
                 monitor.interrupt()
-        at = begin + _seconds(part.trajectory)
-        stretches.append(Stretch(part.name, begin, at, float(np.sum(np.diff(time)[~driven[1:]]))))
-        at += APART
+        end = begin + _seconds(part.trajectory)
+        stretches.append(RecordingSpan(part.name, begin, end, float(np.sum(np.diff(time)[~driven[1:]]))))
+        end += RECORDING_GAP
     monitor.close()
     health = monitor.health()
-    told = {reading.name for reading in health.readings if reading.told}
-    missing = tuple(name for name in COEFFICIENTS if name not in told) if health.readings else ()
+    identified = {reading.name for reading in health.readings if reading.identified}
+    missing = tuple(name for name in COEFFICIENTS if name not in identified) if health.readings else ()
     recorded = [name for name in USED if any(name in part.trajectory for part in parts)]
-    progress(round(whole), round(whole), "looking for an experiment that tells the rest")
+    progress(round(total), round(total), "selecting an experiment for the other coefficients")
     offered = offer(missing, rig, recorded) if missing else None
-    health = health._replace(readings=told_apart(health.readings, health.active))
-    return Watched(
+    health = health._replace(readings=invalidate_equivalent(health.readings, health.active))
+    return MonitoringResult(
         rig=rig,
         parameters=parameters,
         health=health,
         history=tuple(monitor.history),
         events=tuple(events),
         stretches=tuple(stretches),
-        limits=reaches(health.readings, health.rates, limits, rig),
+        limits=predict_limits(health.readings, health.rates, limits, rig),
         missing=missing,
         offer=offered,
     )
 
 
-def told_apart(found: Sequence[Reading], changes: Sequence[FoundChange]) -> tuple[Reading, ...]:
+def invalidate_equivalent(found: Sequence[Reading], changes: Sequence[FoundChange]) -> tuple[Reading, ...]:
     """Invalidate readings whose effect is attributed to an equivalent cause of an active change.
 
     For example, if a leakage is modelled as external, the reading of the internal leakage would look healthy.
@@ -170,10 +168,14 @@ def told_apart(found: Sequence[Reading], changes: Sequence[FoundChange]) -> tupl
     """
     first = [change.causes[0] for change in changes if change.causes]
     named = {cause.name for cause in first}
-    alike = {name: EFFECTS.load(cause.name).WORDS.noun for cause in first for name in cause.equivalent_to if name not in named}
+    equivalent = {
+        name: EFFECTS.load(cause.name).WORDS.noun for cause in first for name in cause.equivalent_to if name not in named
+    }
     return tuple(
-        reading._replace(deviation=math.inf, why_not=f"what has changed is taken for {alike[effect]}, which looks the same")
-        if reading.told and (effect := COEFFICIENTS[reading.name].effect) in alike
+        reading._replace(
+            deviation=math.inf, why_not=f"the change is attributed to {equivalent[effect]}, which is indistinguishable"
+        )
+        if reading.identified and (effect := COEFFICIENTS[reading.name].effect) in equivalent
         else reading
         for reading in found
     )
@@ -183,7 +185,7 @@ def _seconds(trajectory: Trajectory) -> float:
     return float(trajectory.time_s[-1] - trajectory.time_s[0]) if len(trajectory) else 0.0
 
 
-def _driven(part: Part) -> Mask:
+def _driven(part: MonitoredRecording) -> Mask:
     """Return which samples follow a command that reached the valve, shape (n,)."""
     time = part.trajectory.time_s
     driven = np.ones(len(time), dtype=np.bool_)
@@ -192,8 +194,8 @@ def _driven(part: Part) -> Mask:
     return driven
 
 
-def _pieces(time: Array, driven: Mask) -> list[tuple[int, int]]:
+def _chunks(time: Array, driven: Mask) -> list[tuple[int, int]]:
     """Return the ranges of samples passed at once; none spans a pause."""
-    turns = np.flatnonzero((np.diff(np.floor(time / PIECE)) > 0.0) | (driven[1:] != driven[:-1])) + 1
+    turns = np.flatnonzero((np.diff(np.floor(time / CHUNK)) > 0.0) | (driven[1:] != driven[:-1])) + 1
     ends = [0, *turns.tolist(), len(time)]
     return [(first, last) for first, last in pairwise(ends) if last > first and driven[first]]

@@ -1,4 +1,4 @@
-"""Data of one day in a monitor's folder, for its report: changes and coefficients."""
+"""Results of one day from a monitor's folder, for the daily report: changes and coefficients."""
 
 import math
 from collections import deque
@@ -7,15 +7,14 @@ from datetime import date, datetime, timedelta
 from pathlib import Path
 
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS as KNOWN
-from ehls_ros.diagnosis.monitoring.tracking import Reading
+from ehls_ros.diagnosis.monitoring.tracking import PastReadings, Reading
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.monitoring.health import FoundChange, Health, State
+from ehls_ros.experiments.monitoring.health import Health, State
 from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, HEADING, STATE, UNUSABLE, check_cells
-from ehls_ros.experiments.monitoring.memory_records import change_of, readings_of, rig_of
-from ehls_ros.experiments.monitoring.parameters import Parameters
-from ehls_ros.experiments.monitoring.rates import MOST_HISTORY, rates
-from ehls_ros.experiments.monitoring.remembered import Past
-from ehls_ros.experiments.monitoring.replay import Watched
+from ehls_ros.experiments.monitoring.monitor import Parameters
+from ehls_ros.experiments.monitoring.replay import MonitoringResult
+from ehls_ros.experiments.monitoring.saved_state import change_of, readings_of, rig_of
+from ehls_ros.experiments.monitoring.trends import MAX_HISTORY, rates
 from ehls_ros.experiments.state_files import table
 from ehls_ros.experiments.state_files.kinds import MONITOR, MonitorState
 from ehls_ros.experiments.state_files.state_file import StateFile
@@ -23,12 +22,12 @@ from ehls_ros.experiments.state_files.state_file import StateFile
 EXPECTED = "the folder of a monitor, as its parameter folder names it"
 
 
-def is_kept(folder: Path) -> bool:
-    """Return whether a folder is a monitor's."""
+def is_monitor_folder(folder: Path) -> bool:
+    """Return whether a folder contains the memory of a monitor."""
     return (folder / STATE).is_file()
 
 
-def watched_until(folder: Path, day: date) -> tuple[Watched, datetime]:
+def results_of_day(folder: Path, day: date) -> tuple[MonitoringResult, datetime]:
     """Return the results of a monitor for a day, with times from its midnight on, and that midnight.
 
     Args:
@@ -46,45 +45,34 @@ def watched_until(folder: Path, day: date) -> tuple[Watched, datetime]:
     state: MonitorState = read.content
     try:
         rig = rig_of(state.well, read.origin)
-        changes = tuple(_since(midnight, change_of(record), state.anchors) for record in state.changes)
+        changes = tuple(map(change_of, state.changes))
         readings = readings_of(state.readings)
     except BadInput:
         raise
     except UNUSABLE as error:
         raise file.refusal(str(error)) from None
+    changes = tuple(change.with_times(lambda instant: _since(midnight, instant, state.anchors)) for change in changes)
     history = _history(folder / COEFFICIENTS, midnight)
     end = (datetime.now().astimezone() - midnight).total_seconds()
-    told = {reading.name for reading in readings if reading.told}
-    missing = tuple(reading.name for reading in readings if reading.name not in told)
+    missing = tuple(reading.name for reading in readings if not reading.identified)
     health = Health(end, State.WATCHING, "", changes, readings, state.watched, "the healthy rig", 0.0, rates(history))
-    return Watched(rig, Parameters(), health, history, (), missing=missing), midnight
+    return MonitoringResult(rig, Parameters(), health, history, (), missing=missing), midnight
 
 
-def _since(midnight: datetime, change: FoundChange, anchors: Sequence[tuple[float, int]]) -> FoundChange:
-    """Convert the times of a change from the monitor's axis to seconds from a midnight on."""
-
-    def moved(instant: float) -> float:
-        known = [anchor for anchor in anchors if anchor[0] <= instant] or list(anchors[:1])
-        if not math.isfinite(instant) or not known:
-            return instant
-        begin, stamp_ns = known[-1]
-        return stamp_ns * 1e-9 + instant - begin - midnight.timestamp()
-
-    return change._replace(
-        since=moved(change.since),
-        earliest=moved(change.earliest),
-        latest=moved(change.latest),
-        noticed=moved(change.noticed),
-        named=moved(change.named),
-        cleared=moved(change.cleared),
-    )
+def _since(midnight: datetime, instant: float, anchors: Sequence[tuple[float, int]]) -> float:
+    """Convert an instant on the monitor's axis to seconds from a midnight on."""
+    known = [anchor for anchor in anchors if anchor[0] <= instant] or list(anchors[:1])
+    if not math.isfinite(instant) or not known:
+        return instant
+    begin, stamp_ns = known[-1]
+    return stamp_ns * 1e-9 + instant - begin - midnight.timestamp()
 
 
-def _history(path: Path, midnight: datetime) -> tuple[Past, ...]:
+def _history(path: Path, midnight: datetime) -> tuple[PastReadings, ...]:
     """Return the last readings in the file up to the end of the day, with times from its midnight on."""
     until = midnight + timedelta(days=1)
-    times = deque[datetime](maxlen=MOST_HISTORY)
-    rows = deque[list[Reading]](maxlen=MOST_HISTORY)
+    times = deque[datetime](maxlen=MAX_HISTORY)
+    rows = deque[list[Reading]](maxlen=MAX_HISTORY)
     for cells in table.rows(path, ",".join(HEADING), check_cells, EXPECTED, "the coefficients' history"):
         stamp, name, value, deviation, unit = cells
         time = datetime.fromisoformat(stamp)
@@ -94,4 +82,4 @@ def _history(path: Path, midnight: datetime) -> tuple[Past, ...]:
             times.append(time)
             rows.append([])
         rows[-1].append(Reading(name, float(value), float(deviation), unit))
-    return tuple(Past((time - midnight).total_seconds(), tuple(read)) for time, read in zip(times, rows, strict=True))
+    return tuple(PastReadings((time - midnight).total_seconds(), tuple(read)) for time, read in zip(times, rows, strict=True))

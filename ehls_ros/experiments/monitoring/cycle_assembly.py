@@ -19,28 +19,28 @@ STATE_SIGNALS = tuple(LOADER_STATE.signals.values())
 COMMAND_SIGNAL = VALVE_COMMAND.signals["spool"]
 DISTURBANCE_SIGNALS = tuple(DISTURBANCE.signals.values())
 
-PATIENCE = 0.2
+MAX_WAIT = 0.2
 """Time for which a snapshot waits for its command and its disturbance before they count as missing [s]."""
 
-LONG_PATIENCE = 10.0
+LOCKSTEP_MAX_WAIT = 10.0
 """The same in lockstep [s], where each snapshot has both and only the middleware may delay them."""
 
-OVERDUE = 200
+MAX_LATE_CYCLES = 200
 """Number of cycles after which a message counts as lost, since each sender's messages arrive in order."""
 
 SETTLING = 1.0
 """Time after the opening of the gate that is left out [s], as commands are blended in."""
 
-PAUSE = 1.0
+MIN_PAUSE = 1.0
 """Minimum time between two runs of the rig on the axis, sufficient to start a new stretch [s]."""
 
-LONGEST_PAUSE = 400.0 * 86400.0
+MAX_PAUSE = 400.0 * 86400.0
 """Longest plausible time between two stamps [s]; beyond it, the clock was set."""
 
-CLOCK_SET = 0.05
+MAX_CLOCK_ERROR = 0.05
 """Deviation of a stamp from its prediction above which the clock was set, or a cycle was delayed [s]."""
 
-MOST_ANCHORS = 1000
+MAX_ANCHORS = 1000
 """Maximum number of anchors; the oldest ones are no longer needed for any change."""
 
 
@@ -56,7 +56,7 @@ class Anchor(NamedTuple):
     stamp_ns: int
 
 
-class Snapshot(NamedTuple):
+class LoaderSnapshot(NamedTuple):
     """A loader_state message.
 
     Attributes:
@@ -86,8 +86,8 @@ class Stretch(NamedTuple):
     interrupted: bool
 
 
-class Follower:
-    """Assembly of the messages of a graph.
+class CycleAssembler:
+    """Assembler of the messages of a graph to samples.
 
     Attributes:
         anchors: wall times along the axis, oldest first.
@@ -96,61 +96,61 @@ class Follower:
         runs: number of restarts of the cycle count.
     """
 
-    def __init__(self, period: float, anchors: Sequence[Anchor] = (), end: float = 0.0, patience: float = PATIENCE) -> None:
+    def __init__(self, period: float, anchors: Sequence[Anchor] = (), end: float = 0.0, max_wait: float = MAX_WAIT) -> None:
         """Begin without messages.
 
         Args:
             period: time between two control cycles [s].
-            anchors: anchors of an earlier follower whose axis is continued.
+            anchors: anchors of an earlier assembler, whose axis is continued.
             end: end of that axis [s].
-            patience: time for which a snapshot waits for the other messages of its cycle, by the system clock [s].
+            max_wait: time for which a snapshot waits for the other messages of its cycle, by the system clock [s].
         """
         self._period = period
-        self._patience_ns = round(patience * 1e9)
+        self._max_wait_ns = round(max_wait * 1e9)
         self.anchors = list(anchors)
         self.lost = self.unanswered = self.runs = 0
         self._offset = math.nan
         self._end = end
-        self._pending = list[Snapshot]()
+        self._pending = list[LoaderSnapshot]()
         self._newest = -1
         self._commands: dict[int, tuple[float, int]] = {}
         self._disturbances: dict[int, tuple[float, ...]] = {}
         self._disturbed = False
-        self._drivers = list[tuple[int, str]]()
-        self._driving = list[tuple[int, bool]]()
-        self._shut = -math.inf
+        self._controllers = list[tuple[int, str]]()
+        self._gate_states = list[tuple[int, bool]]()
+        self._closed_until = -math.inf
         self._interrupted = True
 
     # --- messages -----------------------------------------------------------------------------------
 
-    def hear_driver(self, cycle: int, sender: str) -> None:
+    def add_controller(self, cycle: int, sender: str) -> None:
         """Register the active controller from a cycle on; an empty name: any."""
-        self._drivers = [known for known in self._drivers if known[0] < cycle][-10:]
-        self._drivers.append((cycle, sender))
+        self._controllers = [known for known in self._controllers if known[0] < cycle][-10:]
+        self._controllers.append((cycle, sender))
 
-    def hear_driving(self, driving: bool, sent_ns: int) -> None:
+    def add_driving(self, driving: bool, sent_ns: int) -> None:
         """Register whether commands reach the valve from a time of the system clock on [ns]."""
-        self._driving = [*self._driving[-10:], (sent_ns, driving)]
+        self._gate_states = [*self._gate_states[-10:], (sent_ns, driving)]
 
-    def hear_commands(self, messages: Iterable[tuple[int, float, str, int]]) -> None:
+    def add_commands(self, messages: Iterable[tuple[int, float, str, int]]) -> None:
         """Add valve commands: cycle, spool [m], sender and time of sending [ns]; the first for a cycle is used."""
         for cycle, spool, sender, sent_ns in messages:
-            if not self._drivers or self._driver(cycle) in {"", sender}:
+            if not self._controllers or self._controller(cycle) in {"", sender}:
                 self._commands.setdefault(cycle, (spool, sent_ns))
 
-    def hear_disturbances(self, messages: Iterable[tuple[int, tuple[float, ...]]]) -> None:
+    def add_disturbances(self, messages: Iterable[tuple[int, tuple[float, ...]]]) -> None:
         """Add disturbances: cycle and values in the order of the fields."""
         for cycle, values in messages:
             self._disturbances[cycle] = values
             self._disturbed = True
 
-    def _driver(self, cycle: int) -> str:
-        known = bisect_right(self._drivers, cycle, key=lambda entry: entry[0])
-        return self._drivers[known - 1][1] if known else ""
+    def _controller(self, cycle: int) -> str:
+        known = bisect_right(self._controllers, cycle, key=lambda entry: entry[0])
+        return self._controllers[known - 1][1] if known else ""
 
     # --- samples --------------------------------------------------------------------------------------
 
-    def follow(self, snapshots: Iterable[Snapshot]) -> list[Stretch]:
+    def add_snapshots(self, snapshots: Iterable[LoaderSnapshot]) -> list[Stretch]:
         """Add snapshots, and return the completed samples.
 
         Args:
@@ -170,16 +170,16 @@ class Follower:
         last = self._pending[ready - 1] if ready else None
         self._emit(ready, out)
         if last is not None:
-            self._forget(last)
+            self._discard_late(last)
         return out
 
-    def _end_run(self, first: Snapshot, out: list[Stretch]) -> None:
+    def _end_run(self, first: LoaderSnapshot, out: list[Stretch]) -> None:
         """End a run of the rig when a snapshot starts a new one."""
         self._emit(len(self._pending), out)
         self.runs += 1
         self._offset = math.nan
         self._commands = {cycle: known for cycle, known in self._commands.items() if known[1] >= first.sent_ns}
-        self._drivers = self._drivers[-1:]
+        self._controllers = self._controllers[-1:]
         self._pending.clear()
 
     def _ready(self) -> int:
@@ -189,13 +189,13 @@ class Follower:
         """
         if not self._pending:
             return 0
-        patience_ns = self._pending[-1].sent_ns - self._patience_ns
+        oldest_ns = self._pending[-1].sent_ns - self._max_wait_ns
         newest = max(self._commands, default=-1)
         if self._disturbed:
             newest = min(newest, max(self._disturbances, default=-1))
         for index, snapshot in enumerate(self._pending[:-1]):
             known = snapshot.cycle in self._commands and (not self._disturbed or snapshot.cycle in self._disturbances)
-            if not known and snapshot.sent_ns > patience_ns and snapshot.cycle > newest - OVERDUE:
+            if not known and snapshot.sent_ns > oldest_ns and snapshot.cycle > newest - MAX_LATE_CYCLES:
                 return index
         return len(self._pending) - 1
 
@@ -225,54 +225,54 @@ class Follower:
             else:
                 self._interrupted = True
 
-    def _driven(self, rows: Sequence[Snapshot], following: Sequence[Snapshot], time: Array) -> NDArray[np.bool_]:
+    def _driven(self, rows: Sequence[LoaderSnapshot], following: Sequence[LoaderSnapshot], time: Array) -> NDArray[np.bool_]:
         """Return which samples are driven by the recorded command, shape (n,)."""
-        if not self._driving:
+        if not self._gate_states:
             return np.ones(len(rows), dtype=np.bool_)
         after = [*(row.sent_ns for row in following), rows[-1].sent_ns][: len(rows)]
         drives = self._drives([row.sent_ns for row in rows]) & self._drives(after)
-        shut = np.maximum.accumulate(np.where(drives, self._shut, time))
-        self._shut = float(shut[-1])
-        out: NDArray[np.bool_] = drives & (time >= shut + SETTLING)
+        closed_until = np.maximum.accumulate(np.where(drives, self._closed_until, time))
+        self._closed_until = float(closed_until[-1])
+        out: NDArray[np.bool_] = drives & (time >= closed_until + SETTLING)
         return out
 
     def _drives(self, sent_ns: Sequence[int]) -> NDArray[np.bool_]:
         """Return whether commands reached the valve at times of the system clock [ns]."""
-        since = np.array([since_ns for since_ns, _ in self._driving], dtype=np.int64)
+        since = np.array([since_ns for since_ns, _ in self._gate_states], dtype=np.int64)
         # The state before the first message is unknown and taken from it; the plant publishes on change.
         known = np.maximum(np.searchsorted(since, np.array(sent_ns, dtype=np.int64), side="right") - 1, 0)
-        return np.array([driving for _, driving in self._driving], dtype=np.bool_)[known]
+        return np.array([driving for _, driving in self._gate_states], dtype=np.bool_)[known]
 
-    def _begin_run(self, first: Snapshot) -> None:
+    def _begin_run(self, first: LoaderSnapshot) -> None:
         """Place the first cycle of a run on the axis, after the previous run, by the time between the stamps if plausible."""
         begin = self._end
         if self.anchors:
             since = (first.stamp_ns - self.stamp_ns(self._end)) * 1e-9
-            begin += min(max(since, PAUSE), LONGEST_PAUSE)
+            begin += min(max(since, MIN_PAUSE), MAX_PAUSE)
         self._offset = begin - first.cycle * self._period
         self._interrupted = True
 
-    def _anchor(self, rows: Sequence[Snapshot], time: Array) -> None:
+    def _anchor(self, rows: Sequence[LoaderSnapshot], time: Array) -> None:
         """Add anchors at stamps that deviate from their prediction."""
         stamps_ns = np.array([row.stamp_ns for row in rows], dtype=np.int64)
         first = 0
         while first < len(rows):
-            if not self.anchors or abs(int(stamps_ns[first]) - self.stamp_ns(float(time[first]))) > CLOCK_SET * 1e9:
-                self.anchors = [*self.anchors[1 - MOST_ANCHORS :], Anchor(float(time[first]), int(stamps_ns[first]))]
+            if not self.anchors or abs(int(stamps_ns[first]) - self.stamp_ns(float(time[first]))) > MAX_CLOCK_ERROR * 1e9:
+                self.anchors = [*self.anchors[1 - MAX_ANCHORS :], Anchor(float(time[first]), int(stamps_ns[first]))]
             anchor = self.anchors[-1]
             apart = (stamps_ns[first:] - anchor.stamp_ns) * 1e-9 - (time[first:] - anchor.time)
-            first += int(np.argmax(np.abs(apart) > CLOCK_SET)) if np.any(np.abs(apart) > CLOCK_SET) else len(rows)
+            first += int(np.argmax(np.abs(apart) > MAX_CLOCK_ERROR)) if np.any(np.abs(apart) > MAX_CLOCK_ERROR) else len(rows)
 
-    def _forget(self, last: Snapshot) -> None:
+    def _discard_late(self, last: LoaderSnapshot) -> None:
         """Discard messages too late for their cycle; much later ones belong to another run."""
-        late = last.sent_ns + round(PAUSE * 1e9)
+        late = last.sent_ns + round(MIN_PAUSE * 1e9)
         self._commands = {cycle: c for cycle, c in self._commands.items() if cycle > last.cycle or c[1] > late}
         self._disturbances = {cycle: d for cycle, d in self._disturbances.items() if cycle > last.cycle}
 
     @property
     def driving(self) -> bool:
         """Whether commands reach the valve now; True if nothing is known."""
-        return not self._driving or self._driving[-1][1]
+        return not self._gate_states or self._gate_states[-1][1]
 
     # --- wall time ------------------------------------------------------------------------------------
 

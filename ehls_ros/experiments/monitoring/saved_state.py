@@ -1,29 +1,116 @@
-"""Records of a monitor's memory: plain values for its files, with finite numbers and known names only."""
+"""State of a monitor, from which another monitor of the same rig continues, and its records for files.
+
+Records are plain values, with finite numbers and known names only.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.hypotheses import Candidate
+from ehls_ros.diagnosis.monitoring.blocks import Scores
 from ehls_ros.diagnosis.monitoring.directions import Direction
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
 from ehls_ros.diagnosis.stages import STAGES
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import FoundChange
-from ehls_ros.experiments.monitoring.remembered import Past
-from ehls_ros.experiments.state_files.kinds import CauseRecord, ChangeRecord, DirectionRecord, PastRecord, ReadingRecord
+from ehls_ros.experiments.state_files.kinds import CauseRecord, ChangeRecord, DirectionRecord, MonitorState, ReadingRecord
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
+from ehls_ros.trajectory import Trajectory
 
-MOST_CHANGES = 1000
+MAX_CHANGES = 1000
 """Maximum number of changes kept, the newest."""
 
-MOST_EFFECTS = 64
+MAX_EFFECTS = 64
 """Maximum number of effects of a rig's model: each one slows down every later diagnosis."""
+
+
+class LearntRig(NamedTuple):
+    """The healthy rig as a monitor has learnt it.
+
+    Attributes:
+        kind: kind of baseline.
+        directions: the departures tested.
+        sections: scores of the healthy blocks, one section per condition of the rig.
+        recording: the first minutes of the rig, if they are the baseline.
+    """
+
+    kind: str
+    directions: tuple[Direction, ...]
+    sections: tuple[tuple[Scores, ...], ...]
+    recording: Trajectory | None = None
+
+
+class SavedState(NamedTuple):
+    """State of a monitor.
+
+    Attributes:
+        learnt: learnt model of the healthy rig; None while unknown.
+        healthy_rig: model of the healthy rig.
+        model: the same with the changes since.
+        changes: detected changes, oldest first.
+        history: the last readings of the coefficients.
+        readings: the newest readings.
+        watched: time for which blocks were judged [s].
+        begins: begin times of the tested blocks [s].
+        rows: score, information and share of these blocks, shape (3, blocks, n).
+    """
+
+    learnt: LearntRig | None
+    healthy_rig: Rig
+    model: Rig
+    changes: tuple[FoundChange, ...]
+    history: tuple[PastReadings, ...]
+    readings: tuple[Reading, ...]
+    watched: float
+    begins: tuple[float, ...]
+    rows: Array
+
+
+def state_record(state: SavedState) -> dict[str, Any]:
+    """Return a state, except for its arrays, as a record."""
+    return {
+        "well": rig_to_mapping(state.healthy_rig),
+        "model": rig_to_mapping(state.model),
+        "changes": [_change_record(change) for change in state.changes[-MAX_CHANGES:]],
+        "history": [{"time": past.time, "readings": [*map(_finite_values, past.readings)]} for past in state.history],
+        "readings": [*map(_finite_values, state.readings)],
+        "watched": state.watched,
+    }
+
+
+def state_of(
+    record: MonitorState, origin: Origin, learnt: LearntRig | None, begins: tuple[float, ...], rows: Array
+) -> SavedState:
+    """Return a state.
+
+    Args:
+        record: the state except for its arrays.
+        origin: the rig as described in its file.
+        learnt: the healthy rig; None while unknown.
+        begins: begin times of the tested blocks [s].
+        rows: score, information and share of these blocks, shape (3, blocks, n).
+
+    Raises:
+        ValueError: the record is inconsistent.
+    """
+    return SavedState(
+        learnt,
+        rig_of(record.well, origin),
+        rig_of(record.model, origin),
+        tuple(map(change_of, record.changes)),
+        tuple(PastReadings(past.time, readings_of(past.readings)) for past in record.history),
+        readings_of(record.readings),
+        record.watched,
+        begins,
+        rows,
+    )
 
 
 def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
@@ -34,28 +121,16 @@ def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
     """
     own, given = ({key: value for key, value in rig.items() if key != "effects"} for rig in (content, origin.rig))
     if own != given:
-        raise ValueError("the model of the rig is another rig's")
+        raise ValueError("the model belongs to another rig")
     effects = content.get("effects")
-    if isinstance(effects, list) and len(effects) > MOST_EFFECTS:
-        raise ValueError(f"the model of the rig has {len(effects)} effects, at most {MOST_EFFECTS}")
+    if isinstance(effects, list) and len(effects) > MAX_EFFECTS:
+        raise ValueError(f"the model of the rig has {len(effects)} effects, at most {MAX_EFFECTS}")
     return rig_from_mapping(content, "model of the rig")
 
 
-def change_record(change: FoundChange) -> dict[str, Any]:
-    """Return a change as a record."""
-    causes = [
-        {
-            **cause._asdict(),
-            "parameters": {name: [_finite(part) for part in value] for name, value in cause.parameters.items()},
-        }
-        for cause in change.causes
-    ]
-    for cause in causes:
-        cause["parameters"] = {
-            name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in cause["parameters"].items()
-        }
-    times = {key: _finite(value) if isinstance(value, float) else value for key, value in change._asdict().items()}
-    return {**times, "causes": causes}
+def _change_record(change: FoundChange) -> dict[str, Any]:
+    causes = [{**c._asdict(), "parameters": {n: _finite_values(e) for n, e in c.parameters.items()}} for c in change.causes]
+    return {**_finite_values(change), "causes": causes}
 
 
 def change_of(record: ChangeRecord) -> FoundChange:
@@ -85,11 +160,6 @@ def _cause(record: CauseRecord) -> FoundCause:
     return FoundCause(record.name, record.stage, record.probability, record.equivalent_to, parameters)
 
 
-def readings_record(readings: Sequence[Reading]) -> list[dict[str, Any]]:
-    """Return readings as records."""
-    return [{key: _finite(value) for key, value in reading._asdict().items()} for reading in readings]
-
-
 def readings_of(records: Sequence[ReadingRecord]) -> tuple[Reading, ...]:
     """Return readings.
 
@@ -111,16 +181,6 @@ def readings_of(records: Sequence[ReadingRecord]) -> tuple[Reading, ...]:
         )
         for record in records
     )
-
-
-def past_record(past: Past) -> dict[str, Any]:
-    """Return the coefficients at a time as a record."""
-    return {"time": past.time, "readings": readings_record(past.readings)}
-
-
-def past_of(record: PastRecord) -> Past:
-    """Return the coefficients at a time."""
-    return Past(record.time, readings_of(record.readings))
 
 
 def direction_record(direction: Direction) -> dict[str, Any]:
@@ -163,3 +223,8 @@ def direction_of(record: DirectionRecord) -> Direction:
 def _finite(value: Any) -> Any:
     """Return a value; None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _finite_values(record: FoundChange | Reading | Estimate) -> dict[str, Any]:
+    """Return the fields of a tuple by name, None for numbers that are not finite."""
+    return {key: _finite(value) for key, value in record._asdict().items()}
