@@ -20,7 +20,7 @@ from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.columns import ColumnMap, columns_from_mapping, read_columns
 from ehls_ros.recording.csv_file import write_csv
 from ehls_ros.report.experiment import write_experiment_report
-from ehls_ros.report.signal_figure import signals_over_time
+from ehls_ros.report.run_figures import signals_over_time
 from ehls_ros.trajectory import READABLE, SIGNALS, Trajectory
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, comes_from, depends, named, rest
 from ehls_ros.report.diagnosis_residuals import Cloud, planes
 from ehls_ros.report.diagnosis_units import estimate, percent, shown_signal, value
-from ehls_ros.report.diagnosis_views import NATURAL, explained
+from ehls_ros.report.diagnosis_views import PREFERRED_SIGNALS, explained
 from ehls_ros.report.page import Entry, Row, listed, number
 from ehls_ros.report.plot import GREY, VERMILION
 
@@ -93,7 +93,7 @@ def _signal(found: Diagnosis, channel: Channel, old: ChannelTrace, new: ChannelT
     if not (found.causes or found.unknown_stage) and ONE_VIEW in shared:
         return ONE_VIEW
     best = {s: explained(new.against[s], new.after) for s in shared}
-    preferred = NATURAL[EFFECTS.load(found.causes[0].name).GROUP] if found.causes else ()
+    preferred = PREFERRED_SIGNALS[EFFECTS.load(found.causes[0].name).GROUP] if found.causes else ()
     most = max(best.values())
     return next((s for s in preferred if best.get(s, 0.0) > 0.5 * most), max(best, key=lambda s: best[s]))
 

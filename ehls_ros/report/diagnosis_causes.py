@@ -4,9 +4,9 @@ from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
+from ehls_ros.report.diagnosis_figures import share_bars
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
 from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remaining
-from ehls_ros.report.diagnosis_shares import share_bars
 from ehls_ros.report.diagnosis_units import likely, percent, quantity
 from ehls_ros.report.diagnosis_views import view_of_cause, views_of_rest
 from ehls_ros.report.page import Entry, Row, listed
@@ -58,12 +58,7 @@ def causes(found: Diagnosis) -> list[str]:
     blocks = [page.figures(over_signal(found, view), columns=2) for view in views]
     if found.causes:
         about: list[Row] = [
-            [
-                cause.name,
-                findings.meaning(cause.name),
-                EFFECTS.load(cause.name).EQUATION,
-            ]
-            for cause in found.causes
+            [cause.name, findings.meaning(cause.name), EFFECTS.load(cause.name).EQUATION] for cause in found.causes
         ]
         blocks.append(page.table(["cause", "meaning", "equation"], about))
     return blocks

@@ -12,22 +12,8 @@ from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.report.diagnosis_findings import CHANNEL_SHORT, MEASURED, after_name, before_name, capital, compares
 from ehls_ros.report.diagnosis_units import Shown, quantity, shown_signal, unit_for
 from ehls_ros.report.diagnosis_views import BINS, View, classes, signals_of
-from ehls_ros.report.page import Panel, number
-from ehls_ros.report.plot import (
-    BLACK,
-    BLUE,
-    GREEN,
-    SKY,
-    VERMILION,
-    Axis,
-    Trace,
-    Unit,
-    band,
-    packed,
-    plane_layout,
-    time_layout,
-    time_line,
-)
+from ehls_ros.report.page import Panel, Rows, number, plane
+from ehls_ros.report.plot import BLACK, BLUE, GREEN, SKY, VERMILION, Axis, Trace, Unit, band, packed, region
 
 POINTS = 2000
 """Maximum number of dots of one residual in the main figure."""
@@ -40,6 +26,9 @@ GAP = 3.0
 
 FLOOR, SPREAD = "noise, 95 %", 2.0
 """Name of the noise band, and its half width in standard deviations."""
+
+DARK = {VERMILION: "#8a3c00", BLUE: "#003e63"}
+"""Colour of the mean of dots of a colour, if it is not the same."""
 
 BESIDE = ((BLACK, "dash"), (GREEN, "dot"))
 """Colour and pattern of further means in a figure."""
@@ -78,17 +67,19 @@ def over_time(found: Diagnosis, channel: Channel) -> Panel:
     models = [(before_name(found), VERMILION, "solid", trace.before)]
     if compares(found):
         models.append((after_name(found), BLUE, "dash", trace.after))
-    traces = [time_line(time, broken(trace.measured), "measured", above, SKY, width=4.0)]
-    traces += band(trace.time, SPREAD * trace.floor, f"{FLOOR}, {_rms(trace.floor, below)}", below, row=2)
+    title = f"{capital(CHANNEL_SHORT[channel])}, measured and simulated"
+    figure = Rows(title, time, Axis(MEASURED[channel], above))
+    figure.line(broken(trace.measured), "measured", SKY, width=4.0)
+    figure.traces += band(trace.time, SPREAD * trace.floor, f"{FLOOR}, {_rms(trace.floor, below)}", below, row=2)
+    labels = {name: f"{name}, residual {_rms(residual, below)}" for name, _, _, residual in models}
     for name, color, dash, residual in models:
-        said = f"{name}, residual {_rms(residual, below)}"
-        simulated = time_line(time, broken(trace.simulated(residual)), said, above, color, width=1.3, dash=dash)
-        left = time_line(time, broken(residual), said, below, color, row=2, width=1.2)
-        traces += [simulated | {"legendgroup": name}, left | {"legendgroup": name, "showlegend": False}]
-    rows = [Axis(MEASURED[channel], above), Axis("residual", below)]
-    layout = time_layout(float(trace.time[-1]), rows)
+        simulated = broken(trace.simulated(residual))
+        figure.line(simulated, labels[name], color, width=1.3, dash=dash, legendgroup=name)
+    figure.row(Axis("residual", below))
+    for name, color, _, residual in models:
+        figure.line(broken(residual), labels[name], color, width=1.2, legendgroup=name, showlegend=False)
     note = "" if found.baseline is None else "Less what the baselines lead to expect, and what varies without a fault."
-    return Panel(f"{capital(CHANNEL_SHORT[channel])}, measured and simulated", traces, layout, note, height=460)
+    return figure.panel(note, 460)
 
 
 def _rms(residual: Array, unit: Unit) -> str:
@@ -144,22 +135,22 @@ def planes(channel: Channel, signal: str, unit: str, clouds: Sequence[Cloud], *,
 
 
 def _plane(cloud: Cloud, scaled: Callable[[Array], Shown], axes: tuple[Axis, Axis]) -> Panel:
-    x, unit = scaled(cloud.signal), axes[1].unit
-    kept = _thinned(len(x.values))
-    traces = _band(x, cloud.floor, unit)
-    traces.append(_dots(x.values[kept], cloud.residual[kept] * unit.factor, unit, cloud.color))
+    x, unit = scaled(cloud.signal).values, axes[1].unit
+    kept = slice(None, None, max(1, -(-len(x) // POINTS)))
+    squares, middles, _ = classes(x, cloud.floor**2, SMALL_BINS)
+    half = SPREAD * np.sqrt(squares)
+    noise = region(middles, -half, half, unit, GREEN, 0.22) | {"line": {"color": GREEN, "width": 0.8}, "name": FLOOR}
+    marker = {"color": cloud.color, "size": 3.5, "opacity": 0.35}
+    windows = curve(x[kept], cloud.residual[kept], "windows", unit, cloud.color, mode="markers", marker=marker)
+    traces = [noise, windows]
     lines = {"mean": (cloud.signal, cloud.residual), **cloud.beside}
-    styles = ((_dark(cloud.color), "solid"), *BESIDE)
+    styles = ((DARK.get(cloud.color, cloud.color), "solid"), *BESIDE)
     for (name, (signal, residual)), (color, dash) in zip(lines.items(), styles, strict=False):
-        means, middles, _ = classes(scaled(signal).values, residual * unit.factor, BINS)
-        traces.append(curve(middles, means, name, unit, color) | {"line": {"color": color, "width": 2.2, "dash": dash}})
-    layout = plane_layout(*axes)
-    layout["legend"] |= {"itemsizing": "constant"}
-    return Panel(f"{cloud.title}: {_rms(cloud.residual, unit)}", traces, layout, height=400, over_time=False)
-
-
-def _thinned(count: int) -> slice:
-    return slice(None, None, max(1, -(-count // POINTS)))
+        means, middles, _ = classes(scaled(signal).values, residual, BINS)
+        traces.append(curve(middles, means, name, unit, color, width=2.2, dash=dash))
+    panel = plane(f"{cloud.title}: {_rms(cloud.residual, unit)}", traces, *axes, height=400)
+    panel.layout["legend"] |= {"itemsizing": "constant"}
+    return panel
 
 
 def whole(values: Array) -> tuple[float, float]:
@@ -177,49 +168,27 @@ def span(residuals: Sequence[Array], part: float = 0.002) -> tuple[float, float]
     return low - air, high + air
 
 
-def _band(x: Shown, floor: Array, unit: Unit) -> list[Trace]:
-    squares, middles, _ = classes(x.values, floor**2, SMALL_BINS)
-    half = SPREAD * np.sqrt(squares) * unit.factor
-    at = np.concatenate([middles, middles[::-1]])
-    return [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "x": packed(at),
-            "y": packed(np.concatenate([half, -half[::-1]])),
-            "fill": "toself",
-            "fillcolor": "rgba(0, 158, 115, 0.22)",
-            "line": {"color": GREEN, "width": 0.8},
-            "name": FLOOR,
-            "hoverinfo": "skip",
-        }
-    ]
+def curve(
+    x: Array, y: Array, name: str, unit: Unit, color: str, *, width: float = 1.8, dash: str = "solid", **style: object
+) -> Trace:
+    """Return a line over a signal.
 
-
-def _dots(x: Array, y: Array, unit: Unit, color: str) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": packed(x),
-        "y": packed(y),
-        "name": "windows",
-        "marker": {"color": color, "size": 3.5, "opacity": 0.35},
-        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
-    }
-
-
-def curve(x: Array, y: Array, name: str, unit: Unit, color: str) -> Trace:
-    """Return a line over a signal."""
+    Args:
+        x: abscissa as shown, shape (n,).
+        y: ordinate before conversion, shape (n,).
+        name: entry in the legend.
+        unit: unit to show y in.
+        color: colour of the line.
+        width: line width in pixels.
+        dash: plotly's name of the pattern.
+        style: further keys of plotly's trace.
+    """
     return {
         "type": "scatter",
         "mode": "lines",
         "x": packed(x),
-        "y": packed(y),
+        "y": packed(y * unit.factor),
         "name": name,
-        "line": {"color": color, "width": 2.4},
+        "line": {"color": color, "width": width, "dash": dash},
         "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}<extra></extra>",
-    }
-
-
-def _dark(color: str) -> str:
-    return {VERMILION: "#8a3c00", BLUE: "#003e63"}.get(color, color)
+    } | style

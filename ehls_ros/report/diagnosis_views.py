@@ -12,10 +12,10 @@ from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Group
 
-BINS, LEAST_IN_BIN = 40, 12
+BINS, MIN_IN_BIN = 40, 12
 """Largest number of classes of a signal for which means are drawn, and smallest number of windows in a class."""
 
-MOST_SIGNALS = 4
+MAX_SIGNALS = 4
 """Largest number of signals against which a remainder is drawn."""
 
 TIMES = 8
@@ -24,7 +24,7 @@ TIMES = 8
 NEAR = 0.05
 """Shortfall in explained power, relative to the best signal, up to which a typical signal of an effect is preferred."""
 
-NATURAL: Mapping[Group, tuple[str, ...]] = {
+PREFERRED_SIGNALS: Mapping[Group, tuple[str, ...]] = {
     "valve": ("spool_m", "valve_command_m"),
     "flow": ("load_pressure_pa", "load_pressure_rate_pa_s", "spool_m"),
     "friction": ("velocity_m_s",),
@@ -55,7 +55,7 @@ def view_of_cause(found: Diagnosis, cause: Cause) -> View | None:
     """Return the view that shows a cause best; None without traces."""
     if cause.channel not in found.traces:
         return None
-    return _best_view(found, cause.channel, NATURAL[EFFECTS.load(cause.name).GROUP], after=False)
+    return _best_view(found, cause.channel, PREFERRED_SIGNALS[EFFECTS.load(cause.name).GROUP], after=False)
 
 
 def views_of_rest(found: Diagnosis) -> list[View]:
@@ -64,7 +64,7 @@ def views_of_rest(found: Diagnosis) -> list[View]:
     if not channels:
         return []
     channel = max(channels, key=lambda c: _power(found.traces[c].after / np.maximum(found.traces[c].floor, 1e-300)))
-    signals = [signal for signal in found.depends_on if signal in signals_of(found.traces[channel])][:MOST_SIGNALS]
+    signals = [signal for signal in found.depends_on if signal in signals_of(found.traces[channel])][:MAX_SIGNALS]
     return [_best_view(found, channel, (), after=True, first=(signal,)) for signal in signals] or [
         _best_view(found, channel, (), after=True)
     ]
@@ -75,7 +75,7 @@ def _power(values: Array) -> float:
     return float(np.mean(known**2)) if known.size else 0.0
 
 
-def _best_view(found: Diagnosis, channel: Channel, natural: Sequence[str], *, after: bool, first: Sequence[str] = ()) -> View:
+def _best_view(found: Diagnosis, channel: Channel, preferred: Sequence[str], *, after: bool, first: Sequence[str] = ()) -> View:
     trace = found.traces[channel]
     residual = trace.after if after else trace.before
     views = [
@@ -96,7 +96,7 @@ def _best_view(found: Diagnosis, channel: Channel, natural: Sequence[str], *, af
     if pointed:
         return max(pointed, key=lambda view: view.explained)
     most = max(view.explained for view in views)
-    order = {signal: place for place, signal in enumerate(natural)}
+    order = {signal: place for place, signal in enumerate(preferred)}
     good = [view for view in views if view.explained >= most - NEAR]
     return min(good, key=lambda view: (order.get(view.signal, len(order)), view.along, -view.explained))
 
@@ -115,8 +115,8 @@ def explained(values: Array, residual: Array, bins: int = BINS) -> float:
 
 
 def _edges(values: Array, bins: int) -> Array:
-    number_of = int(np.clip(len(values) // LEAST_IN_BIN, 1, bins))
-    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, number_of + 1)))
+    count = int(np.clip(len(values) // MIN_IN_BIN, 1, bins))
+    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, count + 1)))
 
 
 def _class_of(values: Array, edges: Array) -> Array:

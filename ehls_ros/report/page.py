@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from ehls_ros.report.plot import FONT, Layout, Trace
+from ehls_ros.arrays import Array
+from ehls_ros.report.decimation import BUCKETS
+from ehls_ros.report.plot import FONT, Axis, Layout, Trace, plane_layout, time_layout, time_line
 
 MISSING_NUMBER = "–"
 
@@ -48,6 +50,73 @@ class Panel:
     height: int = 260
     over_time: bool = True
     least_width: int = 0
+
+
+def plane(title: str, traces: Sequence[Trace], x: Axis, y: Axis, note: str = "", height: int = 340, **layout: object) -> Panel:
+    """Return a figure of one quantity against another.
+
+    Args:
+        title: heading.
+        traces: plotly traces.
+        x: horizontal axis.
+        y: vertical axis.
+        note: explanation of the figure.
+        height: height in pixels.
+        layout: further keys of plotly's layout.
+    """
+    return Panel(title, traces, plane_layout(x, y) | layout, note, height, over_time=False)
+
+
+class Rows:
+    """A figure of rows over one time axis, built from top to bottom.
+
+    Attributes:
+        title: heading.
+        time: time of the samples since the start, shape (n,) [s].
+        traces: the plotly traces so far.
+    """
+
+    def __init__(self, title: str, time: Array, *rows: Axis, buckets: int = BUCKETS) -> None:
+        """Begin a figure.
+
+        Args:
+            title: heading.
+            time: time of the samples since the start, shape (n,) [s].
+            rows: axes of the first rows; lines go to the last one.
+            buckets: number of intervals to which a long line is reduced.
+        """
+        self.title, self.time, self.traces = title, time, list[Trace]()
+        self._rows, self._buckets = list(rows), buckets
+
+    def row(self, axis: Axis) -> int:
+        """Add a row to which the next lines go, and return its number."""
+        self._rows.append(axis)
+        return len(self._rows)
+
+    def line(self, values: Array, name: str, color: str, *, width: float = 1.5, dash: str = "solid", **style: object) -> None:
+        """Draw a signal in the last row.
+
+        Args:
+            values: in the trajectory's unit, shape (n,), NaN in gaps.
+            name: entry in the legend.
+            color: colour of the line.
+            width: line width in pixels.
+            dash: plotly's name of the pattern.
+            style: further keys of plotly's trace.
+        """
+        unit, row = self._rows[-1].unit, len(self._rows)
+        trace = time_line(self.time, values, name, unit, color, row=row, width=width, dash=dash, buckets=self._buckets)
+        self.traces.append(trace | style)
+
+    def panel(self, note: str = "", height: int = 260, *, over_time: bool = True) -> Panel:
+        """Return the figure.
+
+        Args:
+            note: explanation of the figure.
+            height: height in pixels.
+            over_time: whether the horizontal axis is the time of the run.
+        """
+        return Panel(self.title, self.traces, time_layout(float(self.time[-1]), self._rows), note, height, over_time)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', 'DejaVu Sans', 
 BACKDROP = "y9"
 """Axis from 0 to 1 behind the first row, for marks of a time instead of a value."""
 
-_SILENT = {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}
+SILENT = {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}
+"""Keys of a trace without an entry in the legend and without a value under the cursor."""
 
 
 class Unit(NamedTuple):
@@ -67,6 +68,15 @@ class Axis(NamedTuple):
     share: float = 1.0
     logarithmic: bool = False
     names: tuple[str, ...] = ()
+
+
+VELOCITY, FRICTION = Axis("velocity", MILLIMETRE_PER_SECOND), Axis("friction", NEWTON)
+
+
+def shade(color: str, opacity: float) -> str:
+    """Return a colour such as "#0072B2" with an opacity, for areas."""
+    red, green, blue = bytes.fromhex(color[1:])
+    return f"rgba({red}, {green}, {blue}, {opacity:g})"
 
 
 def packed(values: NDArray[Any]) -> dict[str, str]:
@@ -174,8 +184,47 @@ def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, 
     known = np.isfinite(half_width)
     lower = time_line(time[known], -half_width[known], name, unit, GREY, row=row, width=0.8)
     upper = time_line(time[known], half_width[known], name, unit, GREY, row=row, width=0.8)
-    fill = {"fill": "tonexty", "fillcolor": "rgba(0, 158, 115, 0.16)"}
-    return [lower | _SILENT, upper | fill]
+    fill = {"fill": "tonexty", "fillcolor": shade(GREEN, 0.16)}
+    return [lower | SILENT, upper | fill]
+
+
+def region(
+    x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], unit: Unit, color: str, opacity: float
+) -> Trace:
+    """Shade the region between two curves, without an outline.
+
+    Args:
+        x: abscissa as shown, shape (n,).
+        low: lower curve before conversion, shape (n,).
+        high: upper curve before conversion, shape (n,).
+        unit: unit to show y in.
+        color: colour of the area.
+        opacity: opacity of the area.
+    """
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": packed(np.concatenate([x, x[::-1]])),
+        "y": packed(np.concatenate([low, high[::-1]]) * unit.factor),
+        "fill": "toself",
+        "fillcolor": shade(color, opacity),
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+    }
+
+
+def bars(x: object, y: object, name: str, color: str, hover: str, **style: object) -> Trace:
+    """Draw bars.
+
+    Args:
+        x: abscissa as shown, or the lengths of horizontal bars.
+        y: lengths as shown, or the ordinate of horizontal bars.
+        name: entry in the legend.
+        color: colour of the bars.
+        hover: plotly's template of the value under the cursor.
+        style: further keys of plotly's trace.
+    """
+    return {"type": "bar", "x": x, "y": y, "name": name, "marker": {"color": color}, "hovertemplate": hover, **style}
 
 
 def limits(time: NDArray[np.float64], value: NDArray[np.float64], name: str, unit: Unit) -> list[Trace]:
@@ -192,7 +241,7 @@ def limits(time: NDArray[np.float64], value: NDArray[np.float64], name: str, uni
     """
     upper = time_line(time, value, name, unit, GREY, width=1.2, dash="dash") | {"legendgroup": name}
     lower = time_line(time, -value, name, unit, GREY, width=1.2, dash="dash") | {"legendgroup": name}
-    return [upper, lower | _SILENT]
+    return [upper, lower | SILENT]
 
 
 def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: str, color: str) -> list[Trace]:

@@ -79,6 +79,11 @@ def missing_reason(run: Trajectory, *names: str) -> str:
     )
 
 
+def none_known(run: Trajectory, *names: str) -> str:
+    """Return the reason why none of some signals can be shown; empty if one can."""
+    return "" if any(known(run, name) for name in names) else missing_reason(run, *names)
+
+
 def missing_together(run: Trajectory, samples: slice, *names: str) -> str:
     """Return the reason why signals cannot be shown together in some samples; empty if they can."""
     if missing := missing_reason(run, *names):
