@@ -103,8 +103,8 @@ def share_bars(found: Diagnosis) -> Panel | None:
         labelled += [(f"{percent(share)}: {noun}", (None, share, None)) for noun, share in own if len(own) > 1]
     if not labelled:
         return None
-    labels, lengths = zip(*labelled, strict=True)
-    rows = list(range(len(labels), 0, -1))
+    texts, lengths = zip(*labelled, strict=True)
+    rows = list(range(len(texts), 0, -1))
     style = {"orientation": "h", "width": BAR_WIDTH}
     traces = [
         bars([100.0 * (x or 0.0) for x in part], rows, name, color, f"{name}: %{{x:,.3~g}} %<extra></extra>", **style)
@@ -112,7 +112,7 @@ def share_bars(found: Diagnosis) -> Panel | None:
         if any(x is not None for x in part)
     ]
     longest = max(sum(filter(None, parts)) for parts in lengths)
-    label = {"x": 0.0, "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 11}}
+    beside = {"x": 0.0, "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 11}}
     note = (
         "100 % is the mean square of the given model's residual beyond the noise. A cause's share is what returns without it,"
         " all others fitted again; shares need not add up, as causes may replace or need each other."
@@ -121,12 +121,12 @@ def share_bars(found: Diagnosis) -> Panel | None:
         "Shares of the error",
         traces,
         Axis("share of the removable error", Unit("%"), (0.0, 102.0 * max(longest, 1.0))),
-        Axis("", PURE_NUMBER, (0.4, len(labels) + 0.8)),
+        Axis("", PURE_NUMBER, (0.4, len(texts) + 0.8)),
         note,
-        100 + ROW_OF_BAR * len(labels),
+        100 + ROW_OF_BAR * len(texts),
         barmode="stack",
         annotations=[
-            label | {"y": row + 0.5 * BAR_WIDTH, "text": escape(text)} for row, text in zip(rows, labels, strict=True)
+            beside | {"y": row + 0.5 * BAR_WIDTH, "text": escape(text)} for row, text in zip(rows, texts, strict=True)
         ],
     )
     panel.layout["yaxis"]["visible"] = False
@@ -178,7 +178,7 @@ def _small_span(trace: ChannelTrace, residuals: Sequence[Array], unit: Unit) -> 
 
 
 def _small(
-    values: Array, trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, axes: Mapping[str, str]
+    values: Array, trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, axes: Trace
 ) -> list[Trace]:
     """Draw means, bands and noise over the classes of a signal, with the legend in the first plot only."""
     out: list[Trace] = []
@@ -201,7 +201,7 @@ def _small(
 
 
 def _spectra(
-    trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, axes: Mapping[str, str]
+    trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, axes: Trace
 ) -> tuple[list[Trace], tuple[Axis, Axis]]:
     out: list[Trace] = []
     largest, smallest, frequency = 0.0, np.inf, np.ones(1)
@@ -230,8 +230,8 @@ def spectrum(time: Array, residual: Array) -> tuple[Array, Array]:
     return frequency[1:], np.sqrt(density[1:] / share)
 
 
-def _axes(place: int) -> dict[str, str]:
-    """Return the axes of a small plot."""
+def _axes(place: int) -> Trace:
+    """Return the keys of a trace that put it into a small plot."""
     suffix = str(place + 1) if place else ""
     return {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
 

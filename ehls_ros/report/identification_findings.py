@@ -2,22 +2,19 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.elements import EVIDENCE
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.stribeck import StaticFriction
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
-from ehls_ros.report.page import (
-    MISSING_NUMBER,
-    listed,
-    number,
-)
+from ehls_ros.report.page import MISSING_NUMBER, listed, number
 from ehls_ros.report.plot import Unit
 from ehls_ros.schema import declarations
 
@@ -71,8 +68,13 @@ class Written(NamedTuple):
     low: str
     high: str
 
+    @property
+    def interval(self) -> str:
+        """The 95 % interval."""
+        return MISSING_NUMBER if self.low == MISSING_NUMBER else f"{self.low} to {self.high}"
 
-class NotTold(NamedTuple):
+
+class NotIdentified(NamedTuple):
     """A coefficient that the data do not identify.
 
     Attributes:
@@ -84,6 +86,14 @@ class NotTold(NamedTuple):
     name: str
     value: str
     reason: str
+
+
+class Pair(NamedTuple):
+    """A pair of coefficients with the correlation of their estimates."""
+
+    correlation: float
+    first: str
+    second: str
 
 
 def written(value: float, std: float, digits: int = 2) -> Written:
@@ -126,6 +136,23 @@ def percent(part: float) -> str:
     if not math.isfinite(part):
         return MISSING_NUMBER
     return f"{number(100 * part, 2)} %" if abs(part) >= 1e-5 or part == 0 else "< 0.001 %"
+
+
+def relative_error(estimate: Estimate) -> str:
+    """Write the standard error of an estimate in per cent of its value."""
+    return percent(estimate.std / abs(estimate.value) if estimate.value else math.nan)
+
+
+def strong_pairs(names: Sequence[str], correlations: Array) -> tuple[list[Pair], Pair | None]:
+    """Return the strongly correlated pairs, the strongest first, and the strongest pair of all; None if there is none."""
+    pairs = [
+        Pair(float(correlations[i, j]), names[j], names[i])
+        for i in range(len(names))
+        for j in range(i)
+        if np.isfinite(correlations[i, j])
+    ]
+    pairs.sort(key=lambda pair: (abs(pair.correlation), pair.first, pair.second), reverse=True)
+    return [pair for pair in pairs if abs(pair.correlation) >= STRONG], pairs[0] if pairs else None
 
 
 def split(name: str) -> tuple[str, str]:
@@ -174,9 +201,9 @@ def value_in(rig: Rig, name: str) -> float | tuple[float, ...] | None:
     return None
 
 
-def not_told(found: Identification) -> list[NotTold]:
+def not_identified(found: Identification) -> list[NotIdentified]:
     """List the coefficients that are not identifiable, with the reason for each."""
-    return [NotTold(name, _kept(found, name), _reason(found, name)) for name in found.not_identifiable]
+    return [NotIdentified(name, _kept(found, name), _reason(found, name)) for name in found.not_identifiable]
 
 
 def _kept(found: Identification, name: str) -> str:
@@ -222,14 +249,14 @@ def verdict_sentence(found: Identification) -> tuple[str, bool | None]:
         too uncertain or a search has not converged.
     """
     scalars = [name for name in found.rig.friction._fields if name in found.estimates]
-    told = [f"{symbol(name)} {readable(found.estimates[name])}" for name in scalars]
-    parts = [f"{listed(told)} (± one standard error)" if told else "The data tell no coefficient of friction"]
+    named = [f"{symbol(name)} {readable(found.estimates[name])}" for name in scalars]
+    parts = [f"{listed(named)} (± one standard error)" if named else "The data identify no coefficient of friction"]
     if found.elements:
         parts.append(elements_remark(found))
-    missing = [name for name in found.not_identifiable if not _acts_alike(found, name)]
+    missing = [name for name in found.not_identifiable if not _inseparable(found, name)]
     if missing:
         parts.append(f"not identifiable: {listed(missing)}")
-    if any(_acts_alike(found, name) for name in found.not_identifiable):
+    if any(_inseparable(found, name) for name in found.not_identifiable):
         parts.append("viscous_damping cannot be separated from viscous_coefficient")
     good: bool | None = True
     if found.static is None or (found.branch is None if found.elements else bool(missing)):
@@ -243,7 +270,7 @@ def verdict_sentence(found: Identification) -> tuple[str, bool | None]:
     return "; ".join(parts) + ".", good
 
 
-def _acts_alike(found: Identification, name: str) -> bool:
+def _inseparable(found: Identification, name: str) -> bool:
     return name == "viscous_damping" and "viscous_coefficient" in found.estimates
 
 
@@ -275,9 +302,9 @@ def criteria_remark(found: Identification) -> str:
     text = f"{elements_remark(found)}."
     text = text[0].upper() + text[1:]
     if others:
-        told = [f"{_change(change)} with {count}" for count, change in others]
+        changes = [f"{_change(change)} with {count}" for count, change in others]
         text += (
-            f" The Bayesian information criterion (BIC) changes by {listed(told)}; one more element has to lower it by"
+            f" The Bayesian information criterion (BIC) changes by {listed(changes)}; one more element has to lower it by"
             f" {EVIDENCE:g}."
         )
     ways = [node.way for node in found.nodes]
@@ -294,20 +321,13 @@ def _change(value: float) -> str:
 
 def correlation_remark(found: Identification) -> str:
     """Return a remark on the most strongly correlated pairs."""
-    names = list(found.estimates)
-    pairs = [
-        (abs(float(found.correlations[i, j])), names[j], names[i], float(found.correlations[i, j]))
-        for i in range(len(names))
-        for j in range(i)
-        if np.isfinite(found.correlations[i, j])
-    ]
-    strong = sorted((pair for pair in pairs if pair[0] >= STRONG), reverse=True)[:5]
+    strong, largest = strong_pairs(list(found.estimates), found.correlations)
     if strong:
-        told = [f"{symbol(first)} and {symbol(second)} {_fixed(value, 3)}" for _, first, second, value in strong]
-        return f"Strongest: {listed(told)}."
-    if not pairs:
+        named = [f"{symbol(pair.first)} and {symbol(pair.second)} {_fixed(pair.correlation, 3)}" for pair in strong[:5]]
+        return f"Strongest: {listed(named)}."
+    if largest is None:
         return ""
-    _, first, second, value = max(pairs)
+    value, first, second = largest
     return f"None reaches {STRONG:g} in size; the largest is {_fixed(value, 2)}, {symbol(first)} and {symbol(second)}."
 
 

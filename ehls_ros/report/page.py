@@ -7,11 +7,12 @@ import json
 import logging
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import import_module
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import yaml
@@ -171,6 +172,12 @@ def limit_text(limit: float) -> str:
     return f"{limit:.1f} N" if limit >= LEAST_LIMIT else f"<{LEAST_LIMIT:g} N"
 
 
+def with_unit(value: object, unit: str, missing: str = MISSING_NUMBER) -> str:
+    """Write a number with its unit; if it is not a finite number, the text for a missing one."""
+    text = number(value)
+    return missing if text == MISSING_NUMBER else f"{text} {unit}"
+
+
 def signed(value: float, digits: int = 3) -> str:
     """Write a change with its sign."""
     return f"{'+' if value > 0 else '−' if value < 0 else '±'}{number(abs(value), digits)}"
@@ -234,9 +241,9 @@ def facts(items: Iterable[tuple[str, str]]) -> str:
     """Return a compact grid of key figures.
 
     Args:
-        items: label and value of each.
+        items: label and value of each; one with an empty value is left out.
     """
-    cells = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in items)
+    cells = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in items if value)
     return f'<dl class="facts">{cells}</dl>'
 
 
@@ -273,6 +280,20 @@ def table(header: Sequence[str], rows: Sequence[Row]) -> str:
     return (
         f'<div class="wide"><table{LISTED if listed else ""}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
     )
+
+
+Item = TypeVar("Item")
+
+
+def table_of(items: Iterable[Item], columns: Mapping[str, Callable[[Item], str | Entry]]) -> str:
+    """Return a table with a row for each item; empty without items.
+
+    Args:
+        items: the items, in order.
+        columns: title of each column, and the function that returns an item's cell in it.
+    """
+    rows = [[cell(item) for cell in columns.values()] for item in items]
+    return table(tuple(columns), rows) if rows else ""
 
 
 NARROW, CHARACTER, PADDING = 340, 7.5, 17

@@ -495,7 +495,7 @@ def test_numbers_that_are_none_do_not_spoil_the_page(report):
 
 def test_nothing_found_at_all(report):
     text = report(without_sliding()._replace(estimates={}, correlations=np.zeros((0, 0))))
-    assert "The data tell no coefficient of friction" in text
+    assert "The data identify no coefficient of friction" in text
     assert "Correlations" not in parts(text)
     check(text)
 
