@@ -16,8 +16,8 @@ from ehls_ros.report import page
 from ehls_ros.report.diagnosis_baseline import learnt, old_and_new, since_sentence
 from ehls_ros.report.diagnosis_causes import causes, measured_and_simulated, rivals, shares, unexplained, what_to_do
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
-from ehls_ros.report.diagnosis_units import percent, quantity
 from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, listed, number, signed
+from ehls_ros.report.quantities import percent, quantity
 
 TITLES = {
     "effect": "What is wrong in the simulation",

@@ -8,10 +8,10 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, comes_from, depends, named, rest
 from ehls_ros.report.diagnosis_residuals import Cloud, planes
-from ehls_ros.report.diagnosis_units import estimate, percent, shown_signal, value
 from ehls_ros.report.diagnosis_views import PREFERRED_SIGNALS, explained
 from ehls_ros.report.page import Entry, Row, listed, number
 from ehls_ros.report.plot import GREY, VERMILION
+from ehls_ros.report.quantities import estimate, percent, shown_signal, value
 
 EXPECTED = "expected"
 """Name of the curve expected without a change."""

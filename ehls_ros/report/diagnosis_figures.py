@@ -22,10 +22,10 @@ from ehls_ros.report.diagnosis_findings import (
     words,
 )
 from ehls_ros.report.diagnosis_residuals import FLOOR, SMALL_BINS, SPREAD, curve, span, whole
-from ehls_ros.report.diagnosis_units import percent, shown_signal, unit_for
 from ehls_ros.report.diagnosis_views import MIN_IN_BIN, members, signals_of
 from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
 from ehls_ros.report.plot import BLACK, BLUE, GREEN, PURE_NUMBER, SKY, VERMILION, Axis, Layout, Trace, Unit, bars, plane_layout
+from ehls_ros.report.quantities import percent, shown_signal, unit_for
 
 ROW_HEIGHT, COLUMN_WIDTH, MAX_COLUMNS = 190, 190, 4
 """Height and least width of the small plots in pixels, and maximum number of them side by side."""

@@ -12,8 +12,8 @@ from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
-from ehls_ros.report.diagnosis_units import change, estimate, percent, quantity, value
 from ehls_ros.report.page import listed, number
+from ehls_ros.report.quantities import change, estimate, percent, quantity, value
 from ehls_ros.schema import declarations
 
 AT_NOISE = 1.5

@@ -10,10 +10,10 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.report.diagnosis_findings import CHANNEL_SHORT, MEASURED, after_name, before_name, capital, compares
-from ehls_ros.report.diagnosis_units import Shown, quantity, shown_signal, unit_for
 from ehls_ros.report.diagnosis_views import BINS, View, classes, signals_of
 from ehls_ros.report.page import Panel, Rows, number, plane
 from ehls_ros.report.plot import BLACK, BLUE, GREEN, SKY, VERMILION, Axis, Trace, Unit, band, packed, region
+from ehls_ros.report.quantities import Shown, quantity, shown_signal, unit_for
 
 POINTS = 2000
 """Maximum number of dots of one residual in the main figure."""

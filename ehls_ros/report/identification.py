@@ -13,6 +13,7 @@ from ehls_ros.report import identification_figures as drawn
 from ehls_ros.report import identification_findings as findings
 from ehls_ros.report import page
 from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, listed, number, paragraph, signed, table_of
+from ehls_ros.report.quantities import as_shown, unit_text, written
 
 RECORDINGS = 6
 """Maximum number of recordings for which the joint fit is drawn."""
@@ -58,7 +59,7 @@ def _subtitle(found: Identification) -> str:
 
 
 def _coefficients(found: Identification, before: Rig | None) -> list[str]:
-    rounded = {name: findings.written(e.value, e.std) for name, e in found.estimates.items()}
+    rounded = {name: written(e.value, e.std) for name, e in found.estimates.items()}
     columns: dict[str, Callable[[tuple[str, Estimate]], str | Entry]] = {
         "coefficient": lambda item: _named(found, item[0]),
         "": lambda item: findings.symbol(item[0]),
@@ -66,7 +67,7 @@ def _coefficients(found: Identification, before: Rig | None) -> list[str]:
         "standard error": lambda item: rounded[item[0]].error,
         "in % of the value": lambda item: findings.relative_error(item[1]),
         "95 % interval": lambda item: rounded[item[0]].interval,
-        "unit": lambda item: findings.unit_text(item[1].unit),
+        "unit": lambda item: unit_text(item[1].unit),
     }
     if before is not None:
         columns["rig file before"] = lambda item: _before(*item, found, before)
@@ -104,8 +105,8 @@ def _before(name: str, estimate: Estimate, found: Identification, before: Rig) -
         return Entry(MISSING_NUMBER)
     change = estimate.value / old - 1 if old else math.nan
     if not math.isfinite(change):
-        return Entry(findings.as_shown(old))
-    return Entry(findings.as_shown(old), f"{signed(100 * change, 2)} %" if abs(change) >= 1e-5 else "unchanged")
+        return Entry(as_shown(old))
+    return Entry(as_shown(old), f"{signed(100 * change, 2)} %" if abs(change) >= 1e-5 else "unchanged")
 
 
 def _static(found: Identification) -> list[str]:
@@ -188,7 +189,7 @@ def _making(found: Identification) -> list[str]:
         {
             "recording": lambda item: item[0].name,
             "length": lambda item: f"{number(len(item[0].time) * item[0].period, 4)} s",
-            "block": lambda item: f"{findings.as_shown(1e3 * item[0].period)} ms",
+            "block": lambda item: f"{as_shown(1e3 * item[0].period)} ms",
             "blocks": lambda item: number(len(item[0].time)),
             "counted": lambda item: f"{number(100 * float(np.mean(np.isfinite(item[1]))) if len(item[1]) else 0.0, 2)} %",
             "outliers or missing": lambda item: f"{number(100 * item[0].outliers, 2)} %",

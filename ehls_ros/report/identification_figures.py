@@ -12,7 +12,7 @@ from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction, steady_force
 from ehls_ros.report import plot
-from ehls_ros.report.identification_findings import as_shown, elements_remark
+from ehls_ros.report.identification_findings import elements_remark
 from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
 from ehls_ros.report.plot import (
     BLACK,
@@ -28,6 +28,7 @@ from ehls_ros.report.plot import (
     dots,
     line,
 )
+from ehls_ros.report.quantities import as_shown
 from ehls_ros.samples import Mask
 
 CURVE_POINTS = 400

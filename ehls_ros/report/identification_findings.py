@@ -16,10 +16,8 @@ from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report.page import MISSING_NUMBER, listed, number
 from ehls_ros.report.plot import Unit
+from ehls_ros.report.quantities import as_shown, fixed_point, unit_text, written
 from ehls_ros.schema import declarations
-
-NORMAL_95 = 1.96
-"""Half of the 95 % interval of a normal distribution, in standard errors."""
 
 TOGETHER = 1.2
 """Ratio of the travels at which elements start to slip, below which they act as one."""
@@ -29,9 +27,6 @@ STRONG = 0.9
 
 NOISY = 3.0
 """Ratio of residuals to the sensor's noise above which noise does not explain them."""
-
-EXACT = 1e-12
-"""Standard error, as a fraction of the value, below which it counts as zero."""
 
 SYMBOLS = {
     "coulomb_force": "Fc",
@@ -51,27 +46,6 @@ SYMBOLS = {
 }
 READABLE = {"m/s": Unit("mm/s", 1e3), "N s/m": Unit("N s/mm", 1e-3), "N/m": Unit("N/mm", 1e-3)}
 """Units of the paper and the figures, by the SI units of the rig file."""
-
-
-class Written(NamedTuple):
-    """An estimate as text.
-
-    Attributes:
-        value: rounded to the last significant digit of the standard error.
-        error: the standard error, with as many decimals.
-        low: lower end of the 95 % interval.
-        high: upper end.
-    """
-
-    value: str
-    error: str
-    low: str
-    high: str
-
-    @property
-    def interval(self) -> str:
-        """The 95 % interval."""
-        return MISSING_NUMBER if self.low == MISSING_NUMBER else f"{self.low} to {self.high}"
 
 
 class NotIdentified(NamedTuple):
@@ -94,41 +68,6 @@ class Pair(NamedTuple):
     correlation: float
     first: str
     second: str
-
-
-def written(value: float, std: float, digits: int = 2) -> Written:
-    """Write a value and its standard error with the same number of decimals.
-
-    Args:
-        value: the value.
-        std: its standard error; numbers that are not finite are written as a dash.
-        digits: significant digits of the standard error.
-    """
-    if not math.isfinite(value):
-        return Written(*[MISSING_NUMBER] * 4)
-    if not math.isfinite(std):
-        return Written(as_given(value), *[MISSING_NUMBER] * 3)
-    if std <= EXACT * abs(value):
-        text = as_given(value)
-        return Written(text, number(std, digits), text, text)
-    exponent = int(f"{std:.{digits - 1}e}".split("e")[1])
-    decimals = max(0, digits - 1 - exponent)
-    low, high = value - NORMAL_95 * std, value + NORMAL_95 * std
-    return Written(*(_fixed(x, decimals) for x in (value, std, low, high)))
-
-
-def _fixed(value: float, decimals: int) -> str:
-    return f"{value:,.{decimals}f}".replace(",", "\u202f").replace("-", "−")
-
-
-def as_given(value: float) -> str:
-    """Write a given, not measured, number with exactly its digits."""
-    if not math.isfinite(value):
-        return MISSING_NUMBER
-    text = f"{value:,.10g}" if value == 0 or 1e-6 <= abs(value) < 1e10 else f"{value:.6g}"
-    if "e-" in text and abs(value) >= 1e-6:
-        text = f"{value:.12f}".rstrip("0")
-    return text.replace(",", "\u202f").replace("-", "−")
 
 
 def percent(part: float) -> str:
@@ -176,11 +115,6 @@ def meaning(rig: Rig, name: str) -> str:
     return re.sub(r" \w+_i\b", "", text).replace("each element", f"element {index}") if index else text
 
 
-def unit_text(unit: str) -> str:
-    """Write a unit with raised powers."""
-    return unit.replace("^2", "²").replace("^3", "³").replace("^5", "⁵")
-
-
 def readable(estimate: Estimate, digits: int = 1) -> str:
     """Write an estimate with its standard error in the unit of the figures."""
     unit = READABLE.get(estimate.unit, Unit(unit_text(estimate.unit)))
@@ -213,11 +147,6 @@ def _kept(found: Identification, name: str) -> str:
     if value is None:
         return MISSING_NUMBER
     return ", ".join(map(as_shown, value)) if isinstance(value, tuple) else as_shown(value)
-
-
-def as_shown(value: float) -> str:
-    """Write a number of a rig file, fitted or given, with six digits at most."""
-    return as_given(float(f"{value:.6g}"))
 
 
 def _reason(found: Identification, name: str) -> str:
@@ -323,12 +252,12 @@ def correlation_remark(found: Identification) -> str:
     """Return a remark on the most strongly correlated pairs."""
     strong, largest = strong_pairs(list(found.estimates), found.correlations)
     if strong:
-        named = [f"{symbol(pair.first)} and {symbol(pair.second)} {_fixed(pair.correlation, 3)}" for pair in strong[:5]]
+        named = [f"{symbol(pair.first)} and {symbol(pair.second)} {fixed_point(pair.correlation, 3)}" for pair in strong[:5]]
         return f"Strongest: {listed(named)}."
     if largest is None:
         return ""
     value, first, second = largest
-    return f"None reaches {STRONG:g} in size; the largest is {_fixed(value, 2)}, {symbol(first)} and {symbol(second)}."
+    return f"None reaches {STRONG:g} in size; the largest is {fixed_point(value, 2)}, {symbol(first)} and {symbol(second)}."
 
 
 def noise_remark(found: Identification) -> str:

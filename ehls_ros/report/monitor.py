@@ -14,7 +14,6 @@ from ehls_ros.experiments.monitoring.remembered import Past
 from ehls_ros.experiments.monitoring.replay import Watched
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import capital
-from ehls_ros.report.diagnosis_units import percent, unit_for
 from ehls_ros.report.monitor_findings import (
     FROM_ZERO,
     HEADER,
@@ -51,6 +50,7 @@ from ehls_ros.report.plot import (
     time_layout,
     time_mark,
 )
+from ehls_ros.report.quantities import percent, unit_for
 
 DAY_SECONDS = 86400.0
 

@@ -16,8 +16,8 @@ from typing import TypeVar
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from ehls_ros.arrays import Array
 from ehls_ros.report.decimation import BUCKETS
 from ehls_ros.report.plot import FONT, Axis, Layout, Trace, plane_layout, time_layout, time_line
 
@@ -77,7 +77,7 @@ class Rows:
         traces: the plotly traces so far.
     """
 
-    def __init__(self, title: str, time: Array, *rows: Axis, buckets: int = BUCKETS) -> None:
+    def __init__(self, title: str, time: NDArray[np.float64], *rows: Axis, buckets: int = BUCKETS) -> None:
         """Begin a figure.
 
         Args:
@@ -94,7 +94,17 @@ class Rows:
         self._rows.append(axis)
         return len(self._rows)
 
-    def line(self, values: Array, name: str, color: str, *, width: float = 1.5, dash: str = "solid", **style: object) -> None:
+    def line(
+        self,
+        values: NDArray[np.float64],
+        name: str,
+        color: str,
+        *,
+        width: float = 1.5,
+        dash: str = "solid",
+        time: NDArray[np.float64] | None = None,
+        **style: object,
+    ) -> None:
         """Draw a signal in the last row.
 
         Args:
@@ -103,10 +113,11 @@ class Rows:
             color: colour of the line.
             width: line width in pixels.
             dash: plotly's name of the pattern.
+            time: times of the samples [s]; by default those of the figure.
             style: further keys of plotly's trace.
         """
-        unit, row = self._rows[-1].unit, len(self._rows)
-        trace = time_line(self.time, values, name, unit, color, row=row, width=width, dash=dash, buckets=self._buckets)
+        unit, row, time = self._rows[-1].unit, len(self._rows), self.time if time is None else time
+        trace = time_line(time, values, name, unit, color, row=row, width=width, dash=dash, buckets=self._buckets)
         self.traces.append(trace | style)
 
     def panel(self, note: str = "", height: int = 260, *, over_time: bool = True) -> Panel:

@@ -12,17 +12,9 @@ from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report import page
-from ehls_ros.report.identification_findings import (
-    STRONG,
-    Pair,
-    as_shown,
-    percent,
-    relative_error,
-    strong_pairs,
-    unit_text,
-    written,
-)
+from ehls_ros.report.identification_findings import STRONG, Pair, percent, relative_error, strong_pairs
 from ehls_ros.report.page import MISSING_NUMBER, Entry, listed, number, paragraph, signed, table_of
+from ehls_ros.report.quantities import as_shown, unit_text, written
 
 UNEXPLAINED = 3.0
 """Ratio of a residual to its noise above which the fitted model does not explain it."""

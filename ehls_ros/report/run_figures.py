@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ehls_ros.errors import BadInput
 from ehls_ros.report import plot
 from ehls_ros.report.decimation import part_means
-from ehls_ros.report.diagnosis_units import unit_for
 from ehls_ros.report.page import LeftOut, Panel, Rows, number
 from ehls_ros.report.plot import MEGAPASCAL, MICROSECOND, MILLIMETRE, NEWTON, PURE_NUMBER, Axis, Trace, Unit
+from ehls_ros.report.quantities import unit_for
 from ehls_ros.report.run_signals import (
     WITHOUT_VISCOUS,
     columns_of,

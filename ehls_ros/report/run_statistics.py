@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.report.diagnosis_units import percent, shown_signal
 from ehls_ros.report.page import MISSING_NUMBER, Row, number
+from ehls_ros.report.quantities import percent, shown_signal
 from ehls_ros.trajectory import Trajectory
 
 GAP = 1.5

@@ -24,7 +24,7 @@ from ehls_ros.physics.friction.gms import Parameters as Gms
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.report import diagnosis_figures as drawn
-from ehls_ros.report import diagnosis_units as units
+from ehls_ros.report import quantities as units
 from ehls_ros.report.diagnosis import write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import (
     CHANNEL_SHORT,

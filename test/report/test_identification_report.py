@@ -28,15 +28,8 @@ from report_pages import check, effort, numbers, panels, parts, row, rows
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.presliding import nodes
 from ehls_ros.report.identification import write_identification_report
-from ehls_ros.report.identification_findings import (
-    as_given,
-    correlation_remark,
-    criteria_remark,
-    noise_remark,
-    percent,
-    verdict_sentence,
-    written,
-)
+from ehls_ros.report.identification_findings import correlation_remark, criteria_remark, noise_remark, percent, verdict_sentence
+from ehls_ros.report.quantities import as_given, written
 
 PARTS = ("Coefficients", "Static friction", "Presliding", "Joint fit", "Correlations", "Search", "How it was made")
 TITLES = [

@@ -31,7 +31,7 @@ from ehls_ros.recording.columns import ColumnMap, read_columns
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps, words
-from ehls_ros.report.diagnosis_units import likely, percent
+from ehls_ros.report.quantities import likely, percent
 from ehls_ros.trajectory import Trajectory
 
 HELP = "Find what is wrong in the simulation of a rig, from a recording: diagnosis.json, a report, an extended rig file."
