@@ -255,7 +255,7 @@ def facts(items: Iterable[tuple[str, str]]) -> str:
         items: label and value of each; one with an empty value is left out.
     """
     cells = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in items if value)
-    return f'<dl class="facts">{cells}</dl>'
+    return f'<dl class="facts">{cells}</dl>' if cells else ""
 
 
 LEAST_LIMIT = 0.1

@@ -107,7 +107,7 @@ def force_tracking(run: Trajectory) -> Panel | LeftOut:
     """Draw force and reference, and the disturbance behind them."""
     if missing := missing_reason(run, "force_n"):
         return LeftOut("Force", missing)
-    figure = _Figure(run, "Force", Axis("force", force_unit(run)))
+    figure = _Figure(run, "Force", Axis("force", force_unit(run["force_n"])))
     figure.signal("disturbance_force_n", "disturbance", plot.ORANGE, width=1.2)
     figure.signal("force_n", "force", plot.BLUE, width=2.2)
     figure.reference("force_reference_n", "reference")

@@ -110,6 +110,6 @@ def force_against_position(run: Trajectory) -> Panel | LeftOut:
     title, steady = "Force against position", last_samples(run)
     if missing := missing_together(run, steady, "force_n", "position_m"):
         return LeftOut(title, missing)
-    x, y = Axis("position", plot.MILLIMETRE), Axis("force", force_unit(run))
+    x, y = Axis("position", plot.MILLIMETRE), Axis("force", force_unit(run["force_n"]))
     traces = [line(run["position_m"][steady] * x.unit.factor, run["force_n"][steady], "force", y.unit, plot.BLUE, width=1.3)]
     return plane(title, traces, x, y, f"The {last_seconds(run)}.")

@@ -113,9 +113,9 @@ def largest_of(values: NDArray[np.float64]) -> float:
     return float(known.max()) if known.size else 0.0
 
 
-def force_unit(run: Trajectory) -> Unit:
-    """Return the unit in which the force is shown."""
-    return KILONEWTON if largest_of(run["force_n"]) >= 1.0 / KILONEWTON.factor else NEWTON
+def force_unit(*forces: NDArray[np.float64]) -> Unit:
+    """Return the unit in which forces [N] are shown together."""
+    return KILONEWTON if max(map(largest_of, forces)) >= 1.0 / KILONEWTON.factor else NEWTON
 
 
 def last_samples(run: Trajectory) -> slice:
