@@ -65,8 +65,8 @@ def verdict_sentence(results: CampaignResults) -> tuple[str, bool | None]:
     Returns:
         The sentence, and False if a run failed or never converged, else None if a run has no force error, else True.
     """
-    errors, lost, open_ended = results.max_error_n, len(results.failed), len(results.not_converged)
-    untold = int(np.isnan(errors).sum()) - lost
+    errors, lost, not_converged = results.max_error_n, len(results.failed), len(results.not_converged)
+    unevaluated = int(np.isnan(errors).sum()) - lost
     parts = [f"{number(len(errors))} runs"]
     if np.isfinite(errors).any():
         parts.append(
@@ -76,13 +76,13 @@ def verdict_sentence(results: CampaignResults) -> tuple[str, bool | None]:
         )
     if lost:
         parts.append(f"{number(lost)} failed")
-    if open_ended:
-        parts.append(f"{number(open_ended)} never converged{_worst_of(results)}")
-    if untold > 0:
-        parts.append(f"{number(untold)} without a force error")
-    if lost or open_ended:
+    if not_converged:
+        parts.append(f"{number(not_converged)} never converged{_worst_of(results)}")
+    if unevaluated > 0:
+        parts.append(f"{number(unevaluated)} without a force error")
+    if lost or not_converged:
         return f"{'; '.join(parts)}.", False
-    return f"{'; '.join(parts)}.", None if untold > 0 else True
+    return f"{'; '.join(parts)}.", None if unevaluated > 0 else True
 
 
 def _worst_of(results: CampaignResults) -> str:

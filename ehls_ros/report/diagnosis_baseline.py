@@ -99,33 +99,36 @@ def _signal(found: Diagnosis, channel: Channel, old: ChannelTrace, new: ChannelT
 
 
 def _channels(baseline: BaselineSummary) -> list[str]:
-    rows: list[Row] = [
-        [
-            Entry(STAGE_NAMES[item.stage], CHANNEL_NAMES[channel]),
-            percent(item.fitted),
-            percent(item.left),
-            percent(item.noise_floor),
-            percent(item.allowed),
-        ]
-        for channel, item in baseline.channels.items()
-    ]
-    header = ["stage of the model", "fitted model", "less the rig's own remainder", "noise", "allowed for"]
+    table = page.table_of(
+        baseline.channels.items(),
+        {
+            "stage of the model": lambda item: Entry(STAGE_NAMES[item[1].stage], CHANNEL_NAMES[item[0]]),
+            "fitted model": lambda item: percent(item[1].fitted),
+            "less the rig's own remainder": lambda item: percent(item[1].left),
+            "noise": lambda item: percent(item[1].noise_floor),
+            "allowed for": lambda item: percent(item[1].allowed),
+        },
+    )
     text = (
         f"The rig file was fitted to {listed(list(baseline.recordings))}. What the fit leaves there is the rig's own remainder;"
         " what it was learnt from leaves out one block after the other. Allowed for: how far the new recording may be off"
         " without any change, from what the baselines leave open and from the natural spread. All are rms, as fractions of the"
         " balance's largest term in the baselines."
     )
-    return [page.paragraph(text), page.table(header, rows)]
+    return [page.paragraph(text), table]
 
 
 def _coefficients(baseline: BaselineSummary) -> list[str]:
-    rows: list[Row] = [
-        [name, value(item.given, item.fitted.unit), estimate(item.fitted), f"± {percent(item.spread)}"]
-        for name, item in baseline.coefficients.items()
-    ]
-    header = ["coefficient", "rig file", "fitted to the baselines", "spread that is no change"]
-    return [page.table(header, rows)] if rows else []
+    table = page.table_of(
+        baseline.coefficients.items(),
+        {
+            "coefficient": lambda item: item[0],
+            "rig file": lambda item: value(item[1].given, item[1].fitted.unit),
+            "fitted to the baselines": lambda item: estimate(item[1].fitted),
+            "spread that is no change": lambda item: f"± {percent(item[1].spread)}",
+        },
+    )
+    return [table]
 
 
 def _coverage(baseline: BaselineSummary) -> list[str]:
