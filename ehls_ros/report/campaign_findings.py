@@ -92,10 +92,10 @@ def _worst_of(results: CampaignResults) -> str:
 
 def influence_remark(results: CampaignResults, columns: Sequence[Column], within: Sequence[Group]) -> str:
     """Return a remark on the parameters most strongly correlated with the largest error in each group."""
-    said = []
+    parts = []
     for group in within:
         found = correlations(results, columns, group)
         strong = [i for i in np.argsort(-np.abs(found)) if abs(found[i]) >= LARGE_CORRELATION][:3]
         named = ", ".join(f"{columns[i].path} ({'+' if found[i] > 0 else '−'}{number(abs(found[i]), 2)})" for i in strong)
-        said.append(f"{group.name}: {named or 'no parameter stands out'}")
-    return f"Strongest rank correlations of the largest error, in brackets. {'; '.join(said)}."
+        parts.append(f"{group.name}: {named or 'no parameter stands out'}")
+    return f"Strongest rank correlations of the largest error, in brackets. {'; '.join(parts)}."

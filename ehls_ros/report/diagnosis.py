@@ -22,8 +22,8 @@ from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, lis
 from ehls_ros.report.quantities import percent, quantity
 
 TITLES = {
-    "effect": "What is wrong in the simulation",
-    "partial": "What is wrong in the simulation, and what remains",
+    "effect": "Causes of the simulation's error",
+    "partial": "Causes of a part of the simulation's error",
     "unknown": "The simulation is wrong, the cause unknown",
     "consistent": "The simulation agrees with the recording",
     "insufficient": "The data are insufficient",
@@ -31,8 +31,8 @@ TITLES = {
 """Heading of the page by verdict."""
 
 SINCE = {
-    "effect": "What has changed",
-    "partial": "What has changed, and what remains",
+    "effect": "Changes of the rig",
+    "partial": "Changes of the rig, not all explained",
     "unknown": "Something has changed, the cause unknown",
     "consistent": "Nothing has changed",
     "insufficient": "The data are insufficient",
@@ -60,11 +60,11 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     parts = [
         ("Measured and simulated", measured_and_simulated(found)),
         ("Old and new", old_and_new(found)),
-        ("What to do next", what_to_do(found)),
+        ("Next steps", what_to_do(found)),
         ("Shares and sizes", shares(found)),
         ("Unexplained", [] if found.names_causes else rest),
         ("Runner-up and caveats" if found.names_causes else "Caveats", _limits(found, follows)),
-        ("What remains", rest if found.names_causes else []),
+        ("Remainder", rest if found.names_causes else []),
         ("The cause" if len(found.causes) < 2 else "The causes", causes(found)),
         ("Stage by stage", _stages(found)),
         ("Alternatives", rivals(found)),
@@ -85,8 +85,8 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
 
 
 def _limits(found: Diagnosis, follows: Consequences) -> list[str]:
-    said = (*findings.runner_up_sentences(found), *findings.caveats(found, follows.remarks))
-    return [page.bullets(said)] if said else []
+    texts = (*findings.runner_up_sentences(found), *findings.caveats(found, follows.remarks))
+    return [page.bullets(texts)] if texts else []
 
 
 def _stages(found: Diagnosis) -> list[str]:
@@ -243,6 +243,6 @@ _METHOD = (
     f" significantly different from neutral, and at most {100.0 * (1.0 - CLOSED):.0f} % of the error beyond the noise remains;"
     " the best alternatives are kept beside it. Where more remains, it is counted as noise and the causes are assessed again"
     " beside it: those that still matter are named, the verdict is 'partial'. Where none does, it is 'unknown'. The signals"
-    " that predict what remains are named."
+    " that predict the remainder are named."
 )
 """Description of the method."""

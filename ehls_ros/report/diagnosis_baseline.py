@@ -27,15 +27,15 @@ def since_sentence(found: Diagnosis) -> str:
     if found.verdict == "consistent":
         return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread."
     if found.verdict == "effect":
-        said = listed([named(found, cause) for cause in found.causes])
-        return f"Since {since}, there is a change: {said}."
+        causes = listed([named(found, cause) for cause in found.causes])
+        return f"Since {since}, there is a change: {causes}."
     if found.verdict == "partial":
         return f"Since {since}, there is a change that {comes_from(found)}; {rest(found)}, and no known effect explains it."
     if found.verdict == "unknown":
         where = "rig" if found.unknown_stage is None else STAGE_NAMES[found.unknown_stage]
         return f"Since {since}, the {where} has changed; the change {depends(found)}, and no known effect explains it."
     missing = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged])
-    return f"The data are insufficient to tell what has changed since {since}: {missing} cannot be evaluated."
+    return f"The data are insufficient to find changes since {since}: {missing} cannot be evaluated."
 
 
 def _since(baseline: BaselineSummary | None) -> str:
@@ -65,7 +65,7 @@ def old_and_new(found: Diagnosis) -> list[str]:
         ),
     ]
     text = (
-        "Both are residuals of the model fitted to the baselines. Expected: what it leaves there where nothing has changed. A"
+        "Both are residuals of the model fitted to the baselines. Expected: its residuals if nothing has changed. A"
         " change is where the mean departs from that."
     )
     return [page.figures(planes(channel, signal, new.unit, clouds), columns=2), page.paragraph(text)]
@@ -104,15 +104,15 @@ def _channels(baseline: BaselineSummary) -> list[str]:
         {
             "stage of the model": lambda item: Entry(STAGE_NAMES[item[1].stage], CHANNEL_NAMES[item[0]]),
             "fitted model": lambda item: percent(item[1].fitted),
-            "less the rig's own remainder": lambda item: percent(item[1].left),
+            "less the rig's remainder": lambda item: percent(item[1].left),
             "noise": lambda item: percent(item[1].noise_floor),
             "allowed for": lambda item: percent(item[1].allowed),
         },
     )
     text = (
-        f"The rig file was fitted to {listed(list(baseline.recordings))}. What the fit leaves there is the rig's own remainder;"
-        " what it was learnt from leaves out one block after the other. Allowed for: how far the new recording may be off"
-        " without any change, from what the baselines leave open and from the natural spread. All are rms, as fractions of the"
+        f"The rig file was fitted to {listed(list(baseline.recordings))}. The residual of the fit there is the rig's remainder;"
+        " it is learnt with one block after the other left out. Allowed for: the deviation of the new recording"
+        " without any change, from the uncertainty of the baselines and the natural spread. All are rms, as fractions of the"
         " balance's largest term in the baselines."
     )
     return [page.paragraph(text), table]
@@ -137,5 +137,5 @@ def _coverage(baseline: BaselineSummary) -> list[str]:
         ends = shown_signal(item.signal, np.array([*item.baseline, *item.new]))
         low, high, here, there = (number(v) for v in ends.values)
         rows.append([ends.quantity, f"{low} to {high}", f"{here} to {there}", ends.unit.symbol, percent(item.beyond)])
-    header = ["signal", "baselines", "new recording", "unit", "outside what is covered"]
+    header = ["signal", "baselines", "new recording", "unit", "outside the baselines"]
     return [page.table(header, rows)] if rows else []

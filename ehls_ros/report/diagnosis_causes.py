@@ -29,17 +29,17 @@ def what_to_do(found: Diagnosis) -> list[str]:
     blocks = []
     if found.causes:
         rows: list[Row] = [
-            [Entry(cause.name, said.noun), said.inspect, said.measure, said.change]
+            [Entry(cause.name, advice.noun), advice.inspect, advice.measure, advice.change]
             for cause in found.causes
-            for said in [words(cause.name)]
+            for advice in [words(cause.name)]
         ]
-        blocks.append(page.table(["cause", "look at the rig", "confirm by a measurement", "then change"], rows))
+        blocks.append(page.table(["cause", "inspect", "confirm by a measurement", "then change"], rows))
     blocks += [page.bullets(steps)] if (steps := findings.next_steps(found)) else []
     if found.verdict == "insufficient":
         needed: list[Row] = [[stage, needs, excitation] for stage, needs, excitation in findings.to_record(found)]
         blocks.append(page.table(["stage of the model", "signals it needs", "excitation it needs"], needed))
     places: list[Row] = list(findings.where_to_look(found))
-    return [*blocks, page.table(["the error depends on", "look at"], places)] if places else blocks
+    return [*blocks, page.table(["the error depends on", "inspect"], places)] if places else blocks
 
 
 def shares(found: Diagnosis) -> list[str]:

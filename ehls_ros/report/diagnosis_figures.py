@@ -114,8 +114,8 @@ def share_bars(found: Diagnosis) -> Panel | None:
     longest = max(sum(filter(None, parts)) for parts in lengths)
     beside = {"x": 0.0, "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 11}}
     note = (
-        "100 % is the mean square of the given model's residual beyond the noise. A cause's share is what returns without it,"
-        " all others fitted again; shares need not add up, as causes may replace or need each other."
+        "100 % is the mean square of the given model's residual beyond the noise. A cause's share is the error that returns"
+        " without it, all others fitted again; shares need not add up, as causes may replace or need each other."
     )
     panel = plane(
         "Shares of the error",

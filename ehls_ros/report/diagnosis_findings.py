@@ -159,9 +159,9 @@ def comes_from(found: Diagnosis) -> str:
 
 def _in_short(found: Diagnosis, causes: Sequence[Cause]) -> str:
     """List causes within a sentence, at most two of them by name."""
-    said = [named(found, cause) for cause in causes[:IN_A_SENTENCE]]
-    more = len(causes) - len(said)
-    return listed([*said, *([f"{more} more" if more > 1 else "one more"] if more else [])])
+    names = [named(found, cause) for cause in causes[:IN_A_SENTENCE]]
+    more = len(causes) - len(names)
+    return listed([*names, *([f"{more} more" if more > 1 else "one more"] if more else [])])
 
 
 def named(found: Diagnosis, cause: Cause) -> str:
@@ -215,8 +215,8 @@ def _consistent_sentence(found: Diagnosis) -> str:
     small = [
         f"no significant error in {STAGE_NAMES[stage]} ({_size(result)})" for stage, result in judged if not at_noise(result)
     ]
-    said = [f"only noise remains in {listed(quiet)}", *small] if quiet else small
-    text = f"The simulation agrees with this recording: {listed(said)}"
+    parts = [f"only noise remains in {listed(quiet)}", *small] if quiet else small
+    text = f"The simulation agrees with this recording: {listed(parts)}"
     rest = [STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged]
     return f"{text}; the data are insufficient to assess {listed(rest)}." if rest else f"{text}."
 
@@ -234,8 +234,8 @@ def noise_meaning(found: Diagnosis) -> str:
     """Return the definition of noise in all figures, tables and sentences of the page."""
     spread = ", and the natural spread that the baselines show" if found.baseline is not None else ""
     return (
-        "Noise, everywhere on this page, is how far a right model may be off: by what the sensors' noise does to the balance,"
-        " estimated from the scatter from sample to sample, by what is lost between samples, and by"
+        "Noise, everywhere on this page, is the largest deviation of a right model: by the effect of the sensors' noise on the"
+        " balance, estimated from the scatter from sample to sample, by motion between samples, and by"
         f" {100.0 * TOLERANCE:g} % of the largest term, the accuracy no model exceeds{spread}. Tables and sentences give its"
         " rms, figures ±2 times its value, which should hold 95 % of the residual. A signal that really moves as fast as it is"
         " sampled counts as noisy: then the residual stays well below."
@@ -366,7 +366,7 @@ _LOOK: Mapping[tuple[Stage, str], str] = {
     ): "friction over velocity: identify it again (`ehls identify`), or try another friction model",
     ("force_balance", "acceleration_m_s2"): "inertia: a second body, or a mass that moves over a fraction of the stroke only",
     ("force_balance", "position_m"): "geometry: springs, stops, guides, the lever between cylinder and load",
-    ("force_balance", "load_pressure_pa"): "the characteristics of the pressure sensors, and what presses on the seals",
+    ("force_balance", "load_pressure_pa"): "the characteristics of the pressure sensors, and the pressure on the seals",
     ("force_balance", "disturbance_force_n"): "how the disturbance reaches the piston: its sensor, lever and crosstalk",
     ("force_balance", "oil_temperature_k"): "warming oil and seals, and sensor zeros that move with them",
     ("force_balance", "time_s"): "drift: a sensor's zero, the temperature, a mounting that works loose",
@@ -401,8 +401,8 @@ def next_steps(found: Diagnosis) -> list[str]:
         return [
             f"Record the same motion again: an error of the {stage} that is gone was an incident, not the model.",
             f"Check the rig file's values for the {stage} against data sheets and drawings, or fit them by `ehls identify`.",
-            "Look at the rig where the signals point to, below.",
-            "If you find an effect that the list lacks, write it down as one file (how-to: a new effect) and diagnose again.",
+            "Inspect the rig at the places below, to which the signals point.",
+            "If you find an effect that is not on the list, write it as one file (how-to: a new effect) and diagnose again.",
         ]
     if found.verdict == "insufficient":
         return [
@@ -418,8 +418,8 @@ def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:
     stage = found.unknown_stage
     if stage is None:
         return []
-    told = [(quantity(signal), _LOOK[stage, signal]) for signal in found.depends_on if (stage, signal) in _LOOK]
-    return [*told, ("in any case", _LOOK_ALWAYS[stage])]
+    places = [(quantity(signal), _LOOK[stage, signal]) for signal in found.depends_on if (stage, signal) in _LOOK]
+    return [*places, ("in any case", _LOOK_ALWAYS[stage])]
 
 
 def to_record(found: Diagnosis) -> list[tuple[str, str, str]]:

@@ -78,7 +78,7 @@ def over_time(found: Diagnosis, channel: Channel) -> Panel:
     figure.row(Axis("residual", below))
     for name, color, _, residual in models:
         figure.line(broken(residual), labels[name], color, width=1.2, legendgroup=name, showlegend=False)
-    note = "" if found.baseline is None else "Less what the baselines lead to expect, and what varies without a fault."
+    note = "" if found.baseline is None else "Less the residual expected from the baselines and variation without a fault."
     return figure.panel(note, 460)
 
 

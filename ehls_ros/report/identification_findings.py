@@ -150,9 +150,9 @@ def _kept(found: Identification, name: str) -> str:
 
 
 def _reason(found: Identification, name: str) -> str:
-    said = [remark.rstrip(".") for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
-    if said:
-        return "; ".join(said)
+    reasons = [remark.rstrip(".") for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
+    if reasons:
+        return "; ".join(reasons)
     if found.static is None and name in StaticFriction._fields:
         return "nothing slides steadily"
     if not any(motion.small for motion in found.motions) or (found.elements and found.branch is None):
@@ -205,8 +205,8 @@ def _inseparable(found: Identification, name: str) -> bool:
 
 def _is_vague(found: Identification, name: str) -> bool:
     """Return whether a coefficient was fitted without success, not left out for lack of a recording."""
-    said = [remark for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
-    return any("standard error" in remark or "told apart" in remark or "limit" in remark for remark in said)
+    remarks = [remark for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
+    return any("standard error" in remark or "told apart" in remark or "limit" in remark for remark in remarks)
 
 
 def elements_remark(found: Identification) -> str:

@@ -23,7 +23,7 @@ from ehls_ros.report.plot import FONT, Axis, Layout, Trace, plane_layout, time_l
 
 MISSING_NUMBER = "–"
 
-PLOTLY = "pip install plotly (Ubuntu's python3-plotly comes without what draws)"
+PLOTLY = "pip install plotly (Ubuntu's python3-plotly lacks plotly.js)"
 """How to install the library that draws the figures."""
 
 Configuration = Mapping[str, object]
@@ -180,7 +180,7 @@ def limit_text(limit: float) -> str:
     """Return a causal limit [N] for a table, to 0.1 N, the resolution of force sensors; "unknown" if NaN."""
     if math.isnan(limit):
         return "unknown"
-    return f"{limit:.1f} N" if limit >= LEAST_LIMIT else f"<{LEAST_LIMIT:g} N"
+    return f"{limit:.1f} N" if limit >= MIN_LIMIT else f"<{MIN_LIMIT:g} N"
 
 
 def with_unit(value: object, unit: str, missing: str = MISSING_NUMBER) -> str:
@@ -240,12 +240,12 @@ def sections(parts: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
 
 def paragraph(text: str) -> str:
     """Return a paragraph."""
-    return f"<p>{_said(text)}</p>"
+    return f"<p>{_html(text)}</p>"
 
 
 def bullets(texts: Iterable[str]) -> str:
     """Return a bulleted list of short texts."""
-    return f"<ul>{''.join(f'<li>{_said(text)}</li>' for text in texts)}</ul>"
+    return f"<ul>{''.join(f'<li>{_html(text)}</li>' for text in texts)}</ul>"
 
 
 def facts(items: Iterable[tuple[str, str]]) -> str:
@@ -258,7 +258,7 @@ def facts(items: Iterable[tuple[str, str]]) -> str:
     return f'<dl class="facts">{cells}</dl>' if cells else ""
 
 
-LEAST_LIMIT = 0.1
+MIN_LIMIT = 0.1
 """Smallest causal limit shown as a number [N]."""
 
 Row = Sequence[str | Entry]
@@ -338,11 +338,11 @@ def _shade(cell: str | Entry) -> str:
 
 
 def _inner(cell: str | Entry) -> str:
-    beside = f"<small>{_said(cell.beside)}</small>" if isinstance(cell, Entry) and cell.beside else ""
-    return _said(_text(cell)) + beside
+    beside = f"<small>{_html(cell.beside)}</small>" if isinstance(cell, Entry) and cell.beside else ""
+    return _html(_text(cell)) + beside
 
 
-def _said(text: str) -> str:
+def _html(text: str) -> str:
     """Return a text as HTML; text between backticks is marked as code."""
     return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
@@ -370,7 +370,7 @@ def left_out(panels: Iterable[Panel | LeftOut]) -> str:
     )
     if len(missing) <= A_FEW:
         return lines
-    return f"<details><summary>{len(missing)} figures are left out for want of signals</summary>{lines}</details>"
+    return f"<details><summary>{len(missing)} figures are left out, as signals are missing</summary>{lines}</details>"
 
 
 A_FEW = 3

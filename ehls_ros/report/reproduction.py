@@ -75,7 +75,7 @@ def _table3(cells: Sequence[CellResult]) -> list[str]:
         page.paragraph(
             "Largest error in the steady half of each run, in N and in % of 10 kN, with the paper's below it."
             f" {WORSE}marks errors larger than the paper's; – where the paper has no number."
-            " The causal limit is what no controller without foresight can be expected to stay below."
+            " The causal limit is the error below which no controller without foresight can be expected to stay."
         ),
         _by_cell(cells, _error_entry, ["causal limit", *findings.causal_limits(cells)]),
         page.paragraph(f"Convergence time. {findings.convergence_remark(cells)}"),

@@ -27,7 +27,7 @@ MAX_DRAWN = 12
 """Maximum number of blocks with figures; the tables have all of them."""
 
 NOTES = (
-    "Peak, valley and range are those of the reference, delayed and scaled, plus the harmonics fitted to what remains.",
+    "Peak, valley and range are those of the reference, delayed and scaled, plus the harmonics fitted to the rest.",
     "Mean, amplitude and phase are those of the fitted sine. Each is the mean over the cycles that were judged.",
     "Errors are measured less reference; a negative phase is a lag.",
     "Percentages are of the reference's range, and those of the amplitude of its amplitude.",
@@ -49,12 +49,12 @@ def answer(found: Verification) -> tuple[str, bool | None]:
     ranged = _largest(cyclic, "range")
     single = len(cyclic) == 1
     judged = "The block was judged by its" if single else f"{len(cyclic)} blocks were judged by their"
-    said = (
+    text = (
         f"{judged} cycles: range off by {'' if single else 'at most '}{_percent(ranged)}, amplitude by {_percent(amplitude)}, "
         f"phase by {signed(lag.error)}° ± {number(lag.uncertainty.expanded, 2)}°"
     )
     rest = f"; {others} {'is' if others == 1 else 'are'} not cyclic" if others else ""
-    return f"{said}{rest}. This certifies nothing.", None
+    return f"{text}{rest}. This certifies nothing.", None
 
 
 def _largest(blocks: list[JudgedBlock], name: str) -> Quantity:

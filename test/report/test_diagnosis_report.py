@@ -321,7 +321,7 @@ MADE = {
         make_found,
         [
             "Measured and simulated",
-            "What to do next",
+            "Next steps",
             "Shares and sizes",
             "Runner-up and caveats",
             "The cause",
@@ -351,7 +351,7 @@ MADE = {
         unknown,
         [
             "Measured and simulated",
-            "What to do next",
+            "Next steps",
             "Unexplained",
             "Caveats",
             "Stage by stage",
@@ -361,7 +361,7 @@ MADE = {
             "Method",
         ],
     ),
-    "insufficient": (insufficient, ["What to do next", "Caveats", "Method"]),
+    "insufficient": (insufficient, ["Next steps", "Caveats", "Method"]),
 }
 
 
@@ -425,12 +425,12 @@ def test_the_shares_are_bars_of_the_removable_error(report):
 def test_a_partial_answer_shows_what_remains_over_each_signal_it_depends_on(report):
     found = make_found(verdict="partial", unknown_stage="flow", depends_on=("spool_m", "load_pressure_pa"))
     text = report(found)
-    assert parts(text)[2:6] == ["Shares and sizes", "Runner-up and caveats", "What remains", "The cause"]
+    assert parts(text)[2:6] == ["Shares and sizes", "Runner-up and caveats", "Remainder", "The cause"]
     assert [title for title in panels(text) if title.endswith("measured and simulated")] == [
         "Flow balance, measured and simulated"
     ]
-    assert row(text, "What to do next", "valve_dead_zone")[1:] == [re.sub("`", "", said) for said in ADVICE]
-    assert row(text, "What to do next", "spool")[1] == "the valve's flow curve: lands, notches, flow forces"
+    assert row(text, "Next steps", "valve_dead_zone")[1:] == [re.sub("`", "", said) for said in ADVICE]
+    assert row(text, "Next steps", "spool")[1] == "the valve's flow curve: lands, notches, flow forces"
     titles = [title for title in panels(text) if title.startswith("Unexplained")]
     assert [title.split(":")[0] for title in titles] == ["Unexplained, over the spool", "Unexplained, over the load pressure"]
 
@@ -526,7 +526,7 @@ def test_an_unknown_cause_says_where_to_look(report):
 
 def test_too_little_says_what_to_record(report):
     text = report(insufficient(), NOTHING)
-    needed = row(text, "What to do next", "flow balance")
+    needed = row(text, "Next steps", "flow balance")
     assert "spool_m" in needed[1]
     assert "oil has to flow" in needed[2]
 

@@ -10,8 +10,8 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.cli.configured import Configured
-from ehls_ros.cli.folder import writable
+from ehls_ros.cli.arguments import add_configured, add_json, add_rig
+from ehls_ros.cli.results import writable
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
@@ -44,22 +44,15 @@ PRIORITY = 40
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "--rig", type=Path, action=Configured, help="rig file in place of the spec's (default: rig_paper_measured.yaml)"
-    )
-    parser.add_argument(
-        "--spec",
-        type=Path,
-        action=Configured,
-        folder="experiments",
-        help="experiment file: its rig, disturbance, period, initial position, oil, seed",
-    )
+    add_rig(parser, "rig file in place of the spec's (default: rig_paper_measured.yaml)", required=False)
+    about = "experiment file: its rig, disturbance, period, initial position, oil, seed"
+    add_configured(parser, "--spec", "experiments", about)
     parser.add_argument("--bridge", type=Path, help="bridge file with the udp backend (default: bridge_udp.yaml)")
     parser.add_argument("--port", type=int, help="UDP port to listen on in place of the bridge file's; 0: any free port")
     parser.add_argument("--duration", type=float, help="plant time to run in s (default: until stopped)")
     parser.add_argument("--seed", type=int, help="seed of sensor noise and network faults in place of the spec's")
     parser.add_argument("--log", type=Path, help="CSV file of the true states, cycle by cycle, written at the end")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: counts and timing")
+    add_json(parser, "counts and timing")
     parser.add_argument(
         "--disturb-at-once",
         action="store_true",
@@ -147,7 +140,7 @@ def _bridge(options: Namespace) -> Bridge:
     path = options.bridge or config_folder() / "bridge_udp.yaml"
     bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
     if bridge.backend != "udp":
-        raise BadInput(f"name is {bridge.backend!r}", f"{path}: backend", "udp, which is what the emulator speaks")
+        raise BadInput(f"name is {bridge.backend!r}", f"{path}: backend", "udp, the protocol of the emulator")
     return bridge
 
 
