@@ -7,8 +7,7 @@ from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, comes_from, depends, named, rest
-from ehls_ros.report.diagnosis_residuals import Cloud, planes
-from ehls_ros.report.diagnosis_views import PREFERRED_SIGNALS, explained
+from ehls_ros.report.diagnosis_residuals import PREFERRED_SIGNALS, Cloud, explained, planes
 from ehls_ros.report.page import Entry, Row, listed, number
 from ehls_ros.report.plot import GREY, VERMILION
 from ehls_ros.report.quantities import estimate, percent, shown_signal, value

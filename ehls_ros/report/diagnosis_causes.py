@@ -6,8 +6,7 @@ from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_figures import share_bars
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
-from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remaining
-from ehls_ros.report.diagnosis_views import view_of_cause, views_of_rest
+from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remaining, view_of_cause, views_of_rest
 from ehls_ros.report.page import Entry, Row, listed
 from ehls_ros.report.quantities import likely, percent, quantity
 

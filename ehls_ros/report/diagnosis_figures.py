@@ -21,8 +21,7 @@ from ehls_ros.report.diagnosis_findings import (
     compares,
     words,
 )
-from ehls_ros.report.diagnosis_residuals import FLOOR, SMALL_BINS, SPREAD, curve, span, whole
-from ehls_ros.report.diagnosis_views import MIN_IN_BIN, members, signals_of
+from ehls_ros.report.diagnosis_residuals import FLOOR, MIN_IN_BIN, SMALL_BINS, SPREAD, curve, members, signals_of, span, whole
 from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
 from ehls_ros.report.plot import BLACK, BLUE, GREEN, PURE_NUMBER, SKY, VERMILION, Axis, Layout, Trace, Unit, bars, plane_layout
 from ehls_ros.report.quantities import percent, shown_signal, unit_for
@@ -189,7 +188,7 @@ def _small(
     for residual, name, color in residuals:
         low, high = (np.array([float(np.quantile(residual[group], part)) for group in groups]) for part in (0.1, 0.9))
         mean = np.array([float(np.mean(residual[group])) for group in groups])
-        area = plot.region(middles, low, high, unit, color, 0.2 if color == VERMILION else 0.25)
+        area = plot.region(middles, low, high, "", unit, color, 0.2 if color == VERMILION else 0.25)
         out += [
             area | {"showlegend": False, **axes},
             curve(middles, mean, name, unit, color, showlegend=legend, legendgroup=name, **axes),

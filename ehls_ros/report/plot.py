@@ -95,6 +95,21 @@ def packed(values: NDArray[Any]) -> dict[str, str]:
     return {"dtype": "f4", "bdata": base64.b64encode(single.tobytes()).decode("ascii"), **shape}
 
 
+def scatter(mode: str, x: object, y: object, name: str, *, row: int = 1, **style: object) -> Trace:
+    """Return a trace of points, lines or both.
+
+    Args:
+        mode: plotly's "lines", "markers" or both.
+        x: abscissa as shown.
+        y: ordinate as shown.
+        name: entry in the legend.
+        row: row of the figure, 1 on top.
+        style: further keys of plotly's trace.
+    """
+    axis = "y" if row == 1 else f"y{row}"
+    return {"type": "scatter", "mode": mode, "x": x, "y": y, "yaxis": axis, "name": name} | style
+
+
 def line(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
@@ -123,17 +138,10 @@ def line(
     """
     known = np.concatenate([[False], np.isfinite(y), [False]])
     alone = bool(np.any(known[1:-1] & ~known[:-2] & ~known[2:]))
-    return {
-        "type": "scatter",
-        "mode": "lines+markers" if alone else "lines",
-        "x": packed(x),
-        "y": packed(y * unit.factor),
-        "yaxis": "y" if row == 1 else f"y{row}",
-        "name": name,
-        "line": {"color": color, "width": width, "dash": dash},
-        "marker": {"color": color, "size": 4},
-        "hovertemplate": f"%{{y:,.5~g}} {unit.symbol}",
-    }
+    style = {"line": {"color": color, "width": width, "dash": dash}, "marker": {"color": color, "size": 4}}
+    hover = f"%{{y:,.5~g}} {unit.symbol}"
+    mode = "lines+markers" if alone else "lines"
+    return scatter(mode, packed(x), packed(y * unit.factor), name, row=row, **style, hovertemplate=hover)
 
 
 def time_line(
@@ -189,7 +197,13 @@ def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, 
 
 
 def region(
-    x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], unit: Unit, color: str, opacity: float
+    x: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    name: str,
+    unit: Unit,
+    color: str,
+    opacity: float,
 ) -> Trace:
     """Shade the region between two curves, without an outline.
 
@@ -197,20 +211,14 @@ def region(
         x: abscissa as shown, shape (n,).
         low: lower curve before conversion, shape (n,).
         high: upper curve before conversion, shape (n,).
+        name: entry in the legend.
         unit: unit to show y in.
         color: colour of the area.
         opacity: opacity of the area.
     """
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(np.concatenate([x, x[::-1]])),
-        "y": packed(np.concatenate([low, high[::-1]]) * unit.factor),
-        "fill": "toself",
-        "fillcolor": shade(color, opacity),
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-    }
+    outline = packed(np.concatenate([x, x[::-1]])), packed(np.concatenate([low, high[::-1]]) * unit.factor)
+    fill = shade(color, opacity)
+    return scatter("lines", *outline, name, fill="toself", fillcolor=fill, line={"width": 0}, hoverinfo="skip")
 
 
 def bars(x: object, y: object, name: str, color: str, hover: str, **style: object) -> Trace:
@@ -260,18 +268,10 @@ def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: st
     if not at.size:
         return []
     distinct = np.unique((at / max(time[-1], 1e-9) * BUCKETS).astype(np.int64), return_index=True)[1]
-    return [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "x": packed(at[distinct]),
-            "y": packed(np.full(distinct.size, 0.965)),
-            "yaxis": BACKDROP,
-            "name": f"{name} ({at.size:,})".replace(",", "\u202f"),
-            "marker": {"symbol": "line-ns-open", "size": 9, "color": color, "line": {"width": 1.6, "color": color}},
-            "hoverinfo": "skip",
-        }
-    ]
+    marker = {"symbol": "line-ns-open", "size": 9, "color": color, "line": {"width": 1.6, "color": color}}
+    label = f"{name} ({at.size:,})".replace(",", "\u202f")
+    marks = scatter("markers", packed(at[distinct]), packed(np.full(distinct.size, 0.965)), label, marker=marker)
+    return [marks | {"yaxis": BACKDROP, "hoverinfo": "skip"}]
 
 
 def time_mark(at: float, name: str, color: str = BLACK, dash: str = "dot") -> Trace:
@@ -299,15 +299,8 @@ def upright(
         width: line width in pixels.
         dash: plotly's name of the pattern.
     """
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": [at, at],
-        "y": list(span),
-        "name": name,
-        "line": {"color": color, "width": width, "dash": dash},
-        "hoverinfo": "skip",
-    }
+    style = {"color": color, "width": width, "dash": dash}
+    return scatter("lines", [at, at], list(span), name, line=style, hoverinfo="skip")
 
 
 def dots(
@@ -335,17 +328,10 @@ def dots(
         size: size in pixels.
         remarks: text beside the value under the cursor, one per sample.
     """
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": packed(x),
-        "y": packed(y * unit.factor),
-        "yaxis": "y" if row == 1 else f"y{row}",
-        "name": name,
-        "marker": {"color": color, "size": size, "symbol": symbol, "line": {"width": 1.6, "color": color}},
-        "text": list(remarks),
-        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}{' · %{text}' if len(remarks) else ''}",
-    }
+    marker = {"color": color, "size": size, "symbol": symbol, "line": {"width": 1.6, "color": color}}
+    hover = f"%{{y:,.4~g}} {unit.symbol}{' · %{text}' if len(remarks) else ''}"
+    style = {"marker": marker, "text": list(remarks), "hovertemplate": hover}
+    return scatter("markers", packed(x), packed(y * unit.factor), name, row=row, **style)
 
 
 def time_layout(duration: float, rows: Sequence[Axis]) -> Layout:

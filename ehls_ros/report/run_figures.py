@@ -307,9 +307,9 @@ def _raster(time: NDArray[np.float64], slipping: NDArray[np.float64], row: int) 
         "ygap": 2,
         "hoverinfo": "skip",
     }
-    key: Trace = {"type": "scatter", "mode": "markers", "x": [None], "y": [None]}
     mark = {"symbol": "square", "size": 11}
-    return [raster, *(key | {"name": name, "marker": mark | {"color": color}} for name, color in colors.items())]
+    keys = [plot.scatter("markers", [None], [None], name, marker=mark | {"color": color}) for name, color in colors.items()]
+    return [raster, *keys]
 
 
 def _slip_together(slipping: NDArray[np.float64]) -> str:

@@ -44,18 +44,17 @@ def response_histogram(run: Trajectory) -> Panel | LeftOut:
     low, high = float(response.min()) * 0.95, float(response.max()) * 1.05
     counts, edges = np.histogram(response, bins=np.geomspace(low, high, 80))
     empty, top = 0.5, 2.0 * float(counts.max())
-    outline: Trace = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": plot.packed(edges),
-        "y": plot.packed(np.append(np.maximum(counts, empty), empty)),
-        "line": {"color": plot.BLUE, "width": 1, "shape": "hv"},
-        "fill": "tozeroy",
-        "fillcolor": plot.shade(plot.BLUE, 0.35),
-        "name": f"{number(response.size)} cycles",
-        "showlegend": False,
-        "hovertemplate": f"from %{{x:,.4~g}} {MICROSECOND.symbol}: %{{y:,d}} cycles<extra></extra>",
-    }
+    outline = plot.scatter(
+        "lines",
+        plot.packed(edges),
+        plot.packed(np.append(np.maximum(counts, empty), empty)),
+        f"{number(response.size)} cycles",
+        line={"color": plot.BLUE, "width": 1, "shape": "hv"},
+        fill="tozeroy",
+        fillcolor=plot.shade(plot.BLUE, 0.35),
+        showlegend=False,
+        hovertemplate=f"from %{{x:,.4~g}} {MICROSECOND.symbol}: %{{y:,d}} cycles<extra></extra>",
+    )
     quantiles: list[Trace] = []
     for name, part, color, dash in RESPONSE_QUANTILES:
         value = float(np.quantile(response, part))

@@ -35,7 +35,7 @@ from ehls_ros.report.diagnosis_findings import (
     verdict_sentence,
     where_to_look,
 )
-from ehls_ros.report.diagnosis_views import view_of_cause
+from ehls_ros.report.diagnosis_residuals import view_of_cause
 
 RIG = load_rig(Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml")
 DEAD_ZONE = {"positive": Estimate(91.2e-6, 0.4e-6, "m"), "negative": Estimate(80.1e-6, 0.5e-6, "m")}
