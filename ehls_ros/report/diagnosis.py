@@ -19,7 +19,7 @@ from ehls_ros.report.diagnosis_baseline import learnt, old_and_new, since_senten
 from ehls_ros.report.diagnosis_causes import causes, measured_and_simulated, rivals, shares, unexplained, what_to_do
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
 from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, listed, number, signed
-from ehls_ros.report.quantities import percent, quantity
+from ehls_ros.report.quantities import change, percent, quantity
 
 TITLES = {
     "effect": "Causes of the simulation's error",
@@ -216,7 +216,7 @@ def _sensitivity(found: Diagnosis) -> list[str]:
             )
         )
         # Several forms of an effect give the same result for a parameter they share.
-        distinct = dict.fromkeys((item.name, item.parameter, findings.smallest_text(item)) for item in items)
+        distinct = dict.fromkeys((item.name, item.parameter, change(item.smallest, item.unit)) for item in items)
         columns: dict[str, Callable[[tuple[str, str, str]], str | Entry]] = {
             "effect": lambda item: Entry(item[0], words(item[0]).noun),
             "parameter": lambda item: Entry(item[1], findings.parameter_meaning(item[0], item[1])),

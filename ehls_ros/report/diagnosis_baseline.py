@@ -6,7 +6,7 @@ from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
-from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, comes_from, depends, named, rest
+from ehls_ros.report.diagnosis_findings import CHANNEL_WORDS, STAGE_NAMES, comes_from, depends, named, rest
 from ehls_ros.report.diagnosis_residuals import PREFERRED_SIGNALS, Cloud, explained, planes
 from ehls_ros.report.page import Entry, Row, listed, number
 from ehls_ros.report.plot import GREY, VERMILION
@@ -101,7 +101,7 @@ def _channels(baseline: BaselineSummary) -> list[str]:
     table = page.table_of(
         baseline.channels.items(),
         {
-            "stage of the model": lambda item: Entry(STAGE_NAMES[item[1].stage], CHANNEL_NAMES[item[0]]),
+            "stage of the model": lambda item: Entry(STAGE_NAMES[item[1].stage], CHANNEL_WORDS[item[0]].residual),
             "fitted model": lambda item: percent(item[1].fitted),
             "less the rig's remainder": lambda item: percent(item[1].left),
             "noise": lambda item: percent(item[1].noise_floor),

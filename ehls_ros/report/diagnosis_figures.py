@@ -12,8 +12,7 @@ from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.report import plot
 from ehls_ros.report.diagnosis_findings import (
-    CHANNEL_NAMES,
-    CHANNEL_SHORT,
+    CHANNEL_WORDS,
     STAGE_NAMES,
     after_name,
     before_name,
@@ -23,7 +22,20 @@ from ehls_ros.report.diagnosis_findings import (
 )
 from ehls_ros.report.diagnosis_residuals import FLOOR, MIN_IN_BIN, SMALL_BINS, SPREAD, curve, members, signals_of, span, whole
 from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
-from ehls_ros.report.plot import BLACK, BLUE, GREEN, PURE_NUMBER, SKY, VERMILION, Axis, Layout, Trace, Unit, bars, plane_layout
+from ehls_ros.report.plot import (
+    BLACK,
+    BLUE,
+    GREEN,
+    PURE_NUMBER,
+    SKY,
+    VERMILION,
+    Axis,
+    Layout,
+    Trace,
+    Unit,
+    bars,
+    stacked_layout,
+)
 from ehls_ros.report.quantities import percent, shown_signal, unit_for
 
 ROW_HEIGHT, COLUMN_WIDTH, MAX_COLUMNS = 190, 190, 4
@@ -96,7 +108,7 @@ def share_bars(found: Diagnosis) -> Panel | None:
     labelled: list[tuple[str, tuple[float | None, float | None, float | None]]] = []
     for channel, gain in ({} if found.gain is None else found.gain.channels).items():
         closed = max(gain.closed, 0.0)
-        label = f"{CHANNEL_SHORT[channel]}: {percent(closed)} closed, {percent(1.0 - closed)} remains"
+        label = f"{CHANNEL_WORDS[channel].short}: {percent(closed)} closed, {percent(1.0 - closed)} remains"
         labelled.append((label, (closed, None, 1.0 - closed)))
         own = [(words(cause.name).noun, max(cause.share or 0.0, 0.0)) for cause in found.causes if cause.channel == channel]
         labelled += [(f"{percent(share)}: {noun}", (None, share, None)) for noun, share in own if len(own) > 1]
@@ -139,7 +151,7 @@ def share_bars(found: Diagnosis) -> Panel | None:
 def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
     """Draw a channel's residual against every signal, and its spectrum."""
     trace = found.traces[channel]
-    title = capital(CHANNEL_NAMES[channel])
+    title = capital(CHANNEL_WORDS[channel].residual)
     if len(trace.time) < MIN_IN_BIN:
         return LeftOut(title, f"only {len(trace.time)} windows are usable")
     if not (np.any(trace.before) or np.any(trace.after)):
@@ -238,7 +250,7 @@ def _axes(place: int) -> Trace:
 def _place(layout: Layout, place: int, grid: tuple[int, int], x: Axis, y: Axis) -> None:
     """Add the axes of a small plot to the common layout; ``grid`` is rows and columns."""
     rows, columns = grid
-    plane = plane_layout(x, y)
+    plane = stacked_layout(x, [y])
     suffix = "" if place == 0 else str(place + 1)
     if place == 0:
         layout |= plane

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
@@ -13,7 +14,7 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
 from ehls_ros.report.page import listed, number
-from ehls_ros.report.quantities import change, estimate, percent, quantity, value
+from ehls_ros.report.quantities import estimate, percent, quantity, value
 from ehls_ros.schema import declarations
 
 AT_NOISE = 1.5
@@ -38,33 +39,29 @@ STAGE_NAMES: Mapping[Stage, str] = {
     "sensors": "sensor agreement",
 }
 
-CHANNEL_NAMES: Mapping[Channel, str] = {
-    "spool": "spool, recorded minus simulated from the command",
-    "volume": "flow balance",
-    "supply": "supply pressure, recorded minus modelled",
-    "force": "force balance",
-    "cell": "load cell minus piston area times load pressure",
-    "velocity": "velocity sensor minus slope of the position",
-}
 
-CHANNEL_SHORT: Mapping[Channel, str] = {
-    "spool": "spool",
-    "volume": "flow balance",
-    "supply": "supply pressure",
-    "force": "force balance",
-    "cell": "load cell",
-    "velocity": "velocity sensor",
-}
+class ChannelWords(NamedTuple):
+    """Texts of a channel of the model's residuals.
 
-MEASURED: Mapping[Channel, str] = {
-    "spool": "spool",
-    "volume": "flow taken up",
-    "supply": "supply pressure",
-    "force": "driving force",
-    "cell": "force",
-    "velocity": "velocity",
+    Attributes:
+        short: its name in titles.
+        residual: the compared quantities.
+        measured: measured quantity, as labelled on the axis of its figure.
+    """
+
+    short: str
+    residual: str
+    measured: str
+
+
+CHANNEL_WORDS: Mapping[Channel, ChannelWords] = {
+    "spool": ChannelWords("spool", "spool, recorded minus simulated from the command", "spool"),
+    "volume": ChannelWords("flow balance", "flow balance", "flow taken up"),
+    "supply": ChannelWords("supply pressure", "supply pressure, recorded minus modelled", "supply pressure"),
+    "force": ChannelWords("force balance", "force balance", "driving force"),
+    "cell": ChannelWords("load cell", "load cell minus piston area times load pressure", "force"),
+    "velocity": ChannelWords("velocity sensor", "velocity sensor minus slope of the position", "velocity"),
 }
-"""Measured quantity of each channel, as labelled on the axis of its figure."""
 
 COMPARED: Mapping[Stage, str] = {
     "force_balance": "force balance (3), with friction simulated along the recorded motion",
@@ -359,39 +356,44 @@ def capital(text: str) -> str:
     return text if text[:1].isupper() or "_" in text.split(" ", maxsplit=1)[0] else text[:1].upper() + text[1:]
 
 
-_LOOK: Mapping[tuple[Stage, str], str] = {
-    (
-        "force_balance",
-        "velocity_m_s",
-    ): "friction over velocity: identify it again (`ehls identify`), or try another friction model",
-    ("force_balance", "acceleration_m_s2"): "inertia: a second body, or a mass that moves over a fraction of the stroke only",
-    ("force_balance", "position_m"): "geometry: springs, stops, guides, the lever between cylinder and load",
-    ("force_balance", "load_pressure_pa"): "the characteristics of the pressure sensors, and the pressure on the seals",
-    ("force_balance", "disturbance_force_n"): "how the disturbance reaches the piston: its sensor, lever and crosstalk",
-    ("force_balance", "oil_temperature_k"): "warming oil and seals, and sensor zeros that move with them",
-    ("force_balance", "time_s"): "drift: a sensor's zero, the temperature, a mounting that works loose",
-    ("flow", "spool_m"): "the valve's flow curve: lands, notches, flow forces",
-    ("flow", "valve_command_m"): "the valve's flow curve: lands, notches, flow forces",
-    ("flow", "load_pressure_pa"): "leakages and relief valves, and the pressure drop in lines and fittings",
-    ("flow", "load_pressure_rate_pa_s"): "compliance under pressure: hoses, air, an accumulator",
-    ("flow", "velocity_m_s"): "pressure drops between valve and cylinder, leakage past moving seals",
-    ("flow", "supply_pressure_pa"): "the supply: pump control, accumulator, other consumers",
-    ("valve", "valve_command_m"): "the valve's static curve from command to spool, and its amplifier",
-    ("valve", "spool_m"): "the stroke: where the spool sticks, or its sensor is not linear",
-    ("valve", "velocity_m_s"): "flow forces on the spool",
-    ("valve", "load_pressure_pa"): "flow forces on the spool",
-    ("valve", "time_s"): "drift: the null, the temperature of the pilot stage",
-    ("sensors", "load_pressure_pa"): "the characteristics of load cell and pressure sensors",
-    ("sensors", "position_m"): "the position sensor's scale along the stroke",
-    ("sensors", "oil_temperature_k"): "zeros that move with the temperature",
-    ("sensors", "time_s"): "drifting zeros, and samples that freeze",
+_ALWAYS = "in any case"
+_INSPECT: Mapping[Stage, Mapping[str, str]] = {
+    "force_balance": {
+        "velocity_m_s": "friction over velocity: identify it again (`ehls identify`), or try another friction model",
+        "acceleration_m_s2": "inertia: a second body, or a mass that moves over a fraction of the stroke only",
+        "position_m": "geometry: springs, stops, guides, the lever between cylinder and load",
+        "load_pressure_pa": "the characteristics of the pressure sensors, and the pressure on the seals",
+        "disturbance_force_n": "how the disturbance reaches the piston: its sensor, lever and crosstalk",
+        "oil_temperature_k": "warming oil and seals, and sensor zeros that move with them",
+        "time_s": "drift: a sensor's zero, the temperature, a mounting that works loose",
+        _ALWAYS: "forces missing from the balance, and elements with memory: creeping springs, stick patches, free play",
+    },
+    "flow": {
+        "spool_m": "the valve's flow curve: lands, notches, flow forces",
+        "valve_command_m": "the valve's flow curve: lands, notches, flow forces",
+        "load_pressure_pa": "leakages and relief valves, and the pressure drop in lines and fittings",
+        "load_pressure_rate_pa_s": "compliance under pressure: hoses, air, an accumulator",
+        "velocity_m_s": "pressure drops between valve and cylinder, leakage past moving seals",
+        "supply_pressure_pa": "the supply: pump control, accumulator, other consumers",
+        _ALWAYS: "elements with memory: hoses that swell, accumulators, air that comes and goes",
+    },
+    "valve": {
+        "valve_command_m": "the valve's static curve from command to spool, and its amplifier",
+        "spool_m": "the stroke: where the spool sticks, or its sensor is not linear",
+        "velocity_m_s": "flow forces on the spool",
+        "load_pressure_pa": "flow forces on the spool",
+        "time_s": "drift: the null, the temperature of the pilot stage",
+        _ALWAYS: "elements with memory: a spool that sticks, a rate limit; hum on the command",
+    },
+    "sensors": {
+        "load_pressure_pa": "the characteristics of load cell and pressure sensors",
+        "position_m": "the position sensor's scale along the stroke",
+        "oil_temperature_k": "zeros that move with the temperature",
+        "time_s": "drifting zeros, and samples that freeze",
+        _ALWAYS: "samples that freeze, missing codes of a converter, cables",
+    },
 }
-_LOOK_ALWAYS: Mapping[Stage, str] = {
-    "force_balance": "forces missing from the balance, and elements with memory: creeping springs, stick patches, free play",
-    "flow": "elements with memory: hoses that swell, accumulators, air that comes and goes",
-    "valve": "elements with memory: a spool that sticks, a rate limit; hum on the command",
-    "sensors": "samples that freeze, missing codes of a converter, cables",
-}
+"""Parts of the rig to inspect for an unknown error of a stage, by the signal on which it depends."""
 
 
 def next_steps(found: Diagnosis) -> list[str]:
@@ -415,22 +417,15 @@ def next_steps(found: Diagnosis) -> list[str]:
 
 def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:
     """Return the parts of the rig to inspect for an unknown cause, each with the signal that points to it, strongest first."""
-    stage = found.unknown_stage
-    if stage is None:
-        return []
-    places = [(quantity(signal), _LOOK[stage, signal]) for signal in found.depends_on if (stage, signal) in _LOOK]
-    return [*places, ("in any case", _LOOK_ALWAYS[stage])]
+    places = {} if found.unknown_stage is None else _INSPECT[found.unknown_stage]
+    pointed = [(quantity(signal), places[signal]) for signal in found.depends_on if signal in places]
+    return [*pointed, (_ALWAYS, places[_ALWAYS])] if places else []
 
 
 def to_record(found: Diagnosis) -> list[tuple[str, str, str]]:
     """Return the stages that were not evaluated, each with the signals and the excitation it needs."""
     lacking = [stage for stage, result in found.stages.items() if not result.judged]
     return [(STAGE_NAMES[stage], NEEDED_SIGNALS[stage], NEEDED_MOTION[stage]) for stage in lacking]
-
-
-def smallest_text(item: Sensitivity) -> str:
-    """Write the smallest size of an effect that would have been detected."""
-    return change(item.smallest, item.unit)
 
 
 def runner_up(cause: Cause) -> Rival | None:

@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.result import Cause, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Group
-from ehls_ros.report.diagnosis_findings import CHANNEL_SHORT, MEASURED, after_name, before_name, capital, compares
+from ehls_ros.report.diagnosis_findings import CHANNEL_WORDS, after_name, before_name, capital, compares
 from ehls_ros.report.page import Panel, Rows, number, plane
 from ehls_ros.report.plot import BLACK, BLUE, GREEN, SKY, VERMILION, Axis, Trace, Unit, band, packed, region, scatter
 from ehls_ros.report.quantities import Shown, quantity, shown_signal, unit_for
@@ -198,8 +198,8 @@ def over_time(found: Diagnosis, channel: Channel) -> Panel:
     models = [(before_name(found), VERMILION, "solid", trace.before)]
     if compares(found):
         models.append((after_name(found), BLUE, "dash", trace.after))
-    title = f"{capital(CHANNEL_SHORT[channel])}, measured and simulated"
-    figure = Rows(title, time, Axis(MEASURED[channel], above))
+    title = f"{capital(CHANNEL_WORDS[channel].short)}, measured and simulated"
+    figure = Rows(title, time, Axis(CHANNEL_WORDS[channel].measured, above))
     figure.line(broken(trace.measured), "measured", SKY, width=4.0)
     figure.traces += band(trace.time, SPREAD * trace.floor, f"{FLOOR}, {_rms(trace.floor, below)}", below, row=2)
     labels = {name: f"{name}, residual {_rms(residual, below)}" for name, _, _, residual in models}
@@ -257,7 +257,7 @@ def planes(channel: Channel, signal: str, unit: str, clouds: Sequence[Cloud], *,
         return shown_signal(signal, values, largest)
 
     x = scaled(np.concatenate([cloud.signal for cloud in clouds]))
-    name = f"{CHANNEL_SHORT[channel]}, residual{' × sign of velocity' if along else ''}"
+    name = f"{CHANNEL_WORDS[channel].short}, residual{' × sign of velocity' if along else ''}"
     axes = (
         Axis(x.quantity, x.unit, whole(x.values)),
         Axis(name, y_unit, span([cloud.residual * y_unit.factor for cloud in clouds])),

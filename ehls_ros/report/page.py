@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ehls_ros.report.decimation import BUCKETS
-from ehls_ros.report.plot import FONT, Axis, Layout, Trace, plane_layout, time_layout, time_line
+from ehls_ros.report.plot import FONT, Axis, Layout, Trace, stacked_layout, time_layout, time_line
 
 MISSING_NUMBER = "–"
 
@@ -65,7 +65,7 @@ def plane(title: str, traces: Sequence[Trace], x: Axis, y: Axis, note: str = "",
         height: height in pixels.
         layout: further keys of plotly's layout.
     """
-    return Panel(title, traces, plane_layout(x, y) | layout, note, height, over_time=False)
+    return Panel(title, traces, stacked_layout(x, [y]) | layout, note, height, over_time=False)
 
 
 class Rows:

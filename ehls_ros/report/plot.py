@@ -376,19 +376,6 @@ def stacked_layout(x: Axis, rows: Sequence[Axis]) -> Layout:
     return layout
 
 
-def plane_layout(x: Axis, y: Axis) -> Layout:
-    """Return the layout of one signal against another.
-
-    Args:
-        x: horizontal axis.
-        y: vertical axis.
-
-    Returns:
-        A plotly layout.
-    """
-    return _layout() | {"hovermode": "closest", "xaxis": _axis(x), "yaxis": _axis(y)}
-
-
 def decades(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
     """Return the limits of a logarithmic axis, with a margin around the finite positive values.
 

@@ -27,8 +27,7 @@ from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import quantities as units
 from ehls_ros.report.diagnosis import write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import (
-    CHANNEL_SHORT,
-    MEASURED,
+    CHANNEL_WORDS,
     caveats,
     fitted,
     left_over,
@@ -394,7 +393,7 @@ def test_the_first_picture_shows_measured_and_simulated_above_the_residual(repor
     found = make()
     trace = found.traces[channel]
     title, (traces, layout) = next(iter(panels(report(found)).items()))
-    assert title == f"{CHANNEL_SHORT[channel].capitalize()}, measured and simulated"
+    assert title == f"{CHANNEL_WORDS[channel].short.capitalize()}, measured and simulated"
     above = {line["name"].split(",")[0]: numbers(line["y"]) for line in traces if line["yaxis"] == "y"}
     below = {line["name"].split(",")[0]: numbers(line["y"]) for line in traces if line["yaxis"] == "y2"}
     # The force balance's residual is the force the model requires less the one measured.
@@ -404,7 +403,10 @@ def test_the_first_picture_shows_measured_and_simulated_above_the_residual(repor
         assert above[name] == pytest.approx(above["measured"] + sign * below[name], abs=1e-3 * float(np.ptp(above["measured"])))
     drawn = np.max(np.abs(below["given model"])) / np.max(np.abs(above["measured"]))
     assert drawn == pytest.approx(np.max(np.abs(trace.before)) / np.max(np.abs(trace.measured)), rel=1e-3)
-    assert [layout[axis]["title"]["text"].split(" [")[0] for axis in ("yaxis", "yaxis2")] == [MEASURED[channel], "residual"]
+    assert [layout[axis]["title"]["text"].split(" [")[0] for axis in ("yaxis", "yaxis2")] == [
+        CHANNEL_WORDS[channel].measured,
+        "residual",
+    ]
 
 
 def test_the_shares_are_bars_of_the_removable_error(report):
