@@ -74,11 +74,6 @@ def add_json(parser: ArgumentParser, document: str) -> None:
     parser.add_argument("--json", action="store_true", help=f"end with one line of JSON: {document}")
 
 
-def add_baseline(parser: ArgumentParser, about: str) -> None:
-    """Add ``--baseline``, recordings of the healthy rig."""
-    parser.add_argument("--baseline", type=Path, nargs="+", default=[], metavar="OLD", help=about)
-
-
 def columns_of(options: Namespace) -> "ColumnMap | None":
     """Return the map given by ``--columns``."""
     from ehls_ros.recording.columns import read_columns  # half a second that not every verb needs
@@ -103,6 +98,16 @@ def check_range(options: Namespace, name: str, low: float, high: float | None = 
     if value is not None and not low <= value <= (float("inf") if high is None else high):
         default = f"{low:g} or more" if high is None else f"{low:g} to {high:g}"
         raise BadInput(f"--{name} is {value:g}", "command line", expected or default)
+
+
+def check_duration(options: Namespace) -> None:
+    """Check the plant time given by ``--duration``, if any.
+
+    Raises:
+        BadInput: it is not a time in s.
+    """
+    if options.duration is not None and not 0.0 < options.duration < 1e6:
+        raise BadInput(f"--duration is {options.duration:g}", "command line", "seconds above 0 and below 1e6")
 
 
 @contextmanager

@@ -77,17 +77,13 @@ def verdict_sentence(results: CampaignResults) -> tuple[str, bool | None]:
     if lost:
         parts.append(f"{number(lost)} failed")
     if not_converged:
-        parts.append(f"{number(not_converged)} never converged{_worst_of(results)}")
+        the_worst = ", the worst among them" if worst(results, 1)[0] in results.not_converged else ""
+        parts.append(f"{number(not_converged)} never converged{the_worst}")
     if unevaluated > 0:
         parts.append(f"{number(unevaluated)} without a force error")
     if lost or not_converged:
         return f"{'; '.join(parts)}.", False
     return f"{'; '.join(parts)}.", None if unevaluated > 0 else True
-
-
-def _worst_of(results: CampaignResults) -> str:
-    """Return a remark if the run with the largest error never converged."""
-    return ", the worst among them" if worst(results, 1)[0] in results.not_converged else ""
 
 
 def influence_remark(results: CampaignResults, columns: Sequence[Column], within: Sequence[Group]) -> str:

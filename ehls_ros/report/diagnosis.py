@@ -57,13 +57,14 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     """
     sentence, good = answer(found)
     rest = unexplained(found)
+    limits = (*findings.runner_up_sentences(found), *findings.caveats(found, follows.remarks))
     parts = [
         ("Measured and simulated", measured_and_simulated(found)),
         ("Old and new", old_and_new(found)),
         ("Next steps", what_to_do(found)),
         ("Shares and sizes", shares(found)),
         ("Unexplained", [] if found.names_causes else rest),
-        ("Runner-up and caveats" if found.names_causes else "Caveats", _limits(found, follows)),
+        ("Runner-up and caveats" if found.names_causes else "Caveats", [page.bullets(limits)] if limits else []),
         ("Remainder", rest if found.names_causes else []),
         ("The cause" if len(found.causes) < 2 else "The causes", causes(found)),
         ("Stage by stage", _stages(found)),
@@ -82,11 +83,6 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
         subtitle=source,
         blocks=[page.verdict(sentence, good=good), *page.sections(parts)],
     )
-
-
-def _limits(found: Diagnosis, follows: Consequences) -> list[str]:
-    texts = (*findings.runner_up_sentences(found), *findings.caveats(found, follows.remarks))
-    return [page.bullets(texts)] if texts else []
 
 
 def _stages(found: Diagnosis) -> list[str]:

@@ -21,7 +21,8 @@ ONE_VIEW = "velocity_m_s"
 
 def since_sentence(found: Diagnosis) -> str:
     """Return a sentence on the change since the baselines."""
-    since = _since(found.baseline)
+    count = 0 if found.baseline is None else len(found.baseline.recordings)
+    since = "the baseline" if count == 1 else f"the {count} baselines"
     judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged] or ["nothing"])
     if found.verdict == "consistent":
         return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread."
@@ -35,11 +36,6 @@ def since_sentence(found: Diagnosis) -> str:
         return f"Since {since}, the {where} has changed; the change {depends(found)}, and no known effect explains it."
     missing = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged])
     return f"The data are insufficient to find changes since {since}: {missing} cannot be evaluated."
-
-
-def _since(baseline: BaselineSummary | None) -> str:
-    count = 0 if baseline is None else len(baseline.recordings)
-    return "the baseline" if count == 1 else f"the {count} baselines"
 
 
 def old_and_new(found: Diagnosis) -> list[str]:

@@ -1,6 +1,7 @@
 """Sections of a diagnosis report on causes: named ones with their rivals, an unknown one, or insufficient data."""
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis
+from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
@@ -35,7 +36,8 @@ def what_to_do(found: Diagnosis) -> list[str]:
         blocks.append(page.table(["cause", "inspect", "confirm by a measurement", "then change"], rows))
     blocks += [page.bullets(steps)] if (steps := findings.next_steps(found)) else []
     if found.verdict == "insufficient":
-        needed: list[Row] = [[stage, needs, excitation] for stage, needs, excitation in findings.to_record(found)]
+        lacking = [stage for stage, result in found.stages.items() if not result.judged]
+        needed: list[Row] = [[STAGE_NAMES[stage], NEEDED_SIGNALS[stage], NEEDED_MOTION[stage]] for stage in lacking]
         blocks.append(page.table(["stage of the model", "signals it needs", "excitation it needs"], needed))
     places: list[Row] = list(findings.where_to_look(found))
     return [*blocks, page.table(["the error depends on", "inspect"], places)] if places else blocks

@@ -8,7 +8,6 @@ import numpy as np
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
-from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
@@ -267,7 +266,8 @@ def runner_up_sentences(found: Diagnosis) -> list[str]:
     """Return, for each cause, the next best effect in its place and the effects indistinguishable from it."""
     out = []
     for cause in found.causes:
-        noun, runner, text = words(cause.name).noun, runner_up(cause), ""
+        noun, text = words(cause.name).noun, ""
+        runner = next((rival for rival in cause.rivals if rival.name not in cause.equivalent_to), None)
         if runner is not None:
             text = (
                 f"The runner-up to {noun} is {words(runner.name).noun}: it {why_lost(cause, runner)}, and the odds against it"
@@ -420,17 +420,6 @@ def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:
     places = {} if found.unknown_stage is None else _INSPECT[found.unknown_stage]
     pointed = [(quantity(signal), places[signal]) for signal in found.depends_on if signal in places]
     return [*pointed, (_ALWAYS, places[_ALWAYS])] if places else []
-
-
-def to_record(found: Diagnosis) -> list[tuple[str, str, str]]:
-    """Return the stages that were not evaluated, each with the signals and the excitation it needs."""
-    lacking = [stage for stage, result in found.stages.items() if not result.judged]
-    return [(STAGE_NAMES[stage], NEEDED_SIGNALS[stage], NEEDED_MOTION[stage]) for stage in lacking]
-
-
-def runner_up(cause: Cause) -> Rival | None:
-    """Return the best rival that the data distinguish from a cause."""
-    return next((rival for rival in cause.rivals if rival.name not in cause.equivalent_to), None)
 
 
 def before_name(found: Diagnosis) -> str:

@@ -42,20 +42,17 @@ def write_identification_report(found: Identification, path: Path, *, before: Ri
         ("Search", _drawn([drawn.convergence(found)])),
         ("How it was made", _making(found)),
     ]
+    names = [motion.name for motion in found.motions]
+    more = [f"{len(names) - NAMED} more"] if len(names) > NAMED else []
+    subtitle = f"from {listed([*names[:NAMED], *more])}" if names else ""
     sentence, good = findings.verdict_sentence(found)
     blocks = [page.verdict(sentence, good=good), *page.sections(parts)]
-    page.write_page(path, title="Friction identified", subtitle=_subtitle(found), blocks=blocks)
+    page.write_page(path, title="Friction identified", subtitle=subtitle, blocks=blocks)
 
 
 def _drawn(panels: Sequence[Panel | LeftOut], columns: int = 1) -> list[str]:
     """Return figures, and the list of those that could not be drawn."""
     return [page.figures(panels, columns=columns), page.left_out(panels)]
-
-
-def _subtitle(found: Identification) -> str:
-    names = [motion.name for motion in found.motions]
-    more = [f"{len(names) - NAMED} more"] if len(names) > NAMED else []
-    return f"from {listed([*names[:NAMED], *more])}" if names else ""
 
 
 def _coefficients(found: Identification, before: Rig | None) -> list[str]:

@@ -6,7 +6,6 @@ import numpy as np
 
 from ehls_ros.arrays import Array, in_python
 from ehls_ros.identification.balance import linear_columns
-from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
@@ -151,8 +150,10 @@ def hysteresis(found: Identification) -> Panel | LeftOut:
     for order, i in enumerate(small):
         motion, left = found.motions[i], found.fit.residuals[i]
         last = slice(max(0, len(motion.time) - LOOP_BLOCKS), None)
-        force = np.where(motion.resolved, friction_part(motion, found.fit), np.nan)
-        at = (motion.position - _middle(motion)) * MILLIMETRE.factor
+        friction = motion.force - linear_columns(motion, found.fit.linear_names) @ found.fit.linear
+        force = np.where(motion.resolved, friction, np.nan)
+        there = motion.position[motion.resolved]
+        at = (motion.position - 0.5 * float(there.min() + there.max())) * MILLIMETRE.factor
         color = RECORDING_COLORS[order % len(RECORDING_COLORS)]
         recorded = line(at[last], force[last], f"recorded, {motion.name}", NEWTON, color, width=4.0)
         fitted = line(at[last], (force - left)[last], "fitted", NEWTON, BLACK, width=1.2)
@@ -196,18 +197,8 @@ def element_stiffness(found: Identification) -> Array:
     return stiffness
 
 
-def _middle(motion: Motion) -> float:
-    there = motion.position[motion.resolved]
-    return 0.5 * float(there.min() + there.max())
-
-
 def _no_branch(found: Identification) -> str:
     return "it has too few reversals" if any(motion.small for motion in found.motions) else "no presliding is recorded"
-
-
-def friction_part(motion: Motion, fit: JointFit) -> Array:
-    """Return the recorded force less the linear part of the balance, shape (n,) [N]."""
-    return motion.force - linear_columns(motion, fit.linear_names) @ fit.linear
 
 
 def excerpt(motion: Motion, residual: Array, noise: float) -> Panel | LeftOut:

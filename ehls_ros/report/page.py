@@ -215,12 +215,6 @@ def heading(text: str) -> str:
     return f'<h2 class="part" id="{_anchor(text)}">{escape(text)}</h2>'
 
 
-def contents(headings: Iterable[str]) -> str:
-    """Return a line of links to the headings."""
-    links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
-    return f'<nav class="contents">{links}</nav>'
-
-
 def _anchor(text: str) -> str:
     return re.sub(r"\W+", "-", text.lower()).strip("-")
 
@@ -235,7 +229,9 @@ def sections(parts: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
         The blocks of the page.
     """
     made = [(title, kept) for title, blocks in parts if (kept := [block for block in blocks if block])]
-    return [contents(title for title, _ in made), *(block for title, blocks in made for block in (heading(title), *blocks))]
+    links = "".join(f'<a href="#{_anchor(title)}">{escape(title)}</a>' for title, _ in made)
+    contents = f'<nav class="contents">{links}</nav>'
+    return [contents, *(block for title, blocks in made for block in (heading(title), *blocks))]
 
 
 def paragraph(text: str) -> str:

@@ -4,8 +4,6 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import read
@@ -127,17 +125,12 @@ def _correlations(found: RigIdentification) -> list[str]:
 
 
 def _making(found: RigIdentification) -> list[str]:
+    _, largest = strong_pairs(list(found.estimates), found.correlations)
     items = [
         ("Recordings", number(len(found.recordings))),
         ("Coefficients fitted", number(len(found.estimates))),
         ("Friction model", found.rig.friction_model),
-        ("Largest correlation", _largest(found)),
+        ("Largest correlation", number(abs(largest.correlation), 2) if largest else MISSING_NUMBER),
         ("Wall time", f"{number(found.wall_s)} s"),
     ]
     return [page.facts(items)]
-
-
-def _largest(found: RigIdentification) -> str:
-    if len(found.estimates) < 2:
-        return MISSING_NUMBER
-    return number(float(np.max(np.abs(found.correlations - np.eye(len(found.correlations))))), 2)

@@ -403,10 +403,8 @@ def test_the_first_picture_shows_measured_and_simulated_above_the_residual(repor
         assert above[name] == pytest.approx(above["measured"] + sign * below[name], abs=1e-3 * float(np.ptp(above["measured"])))
     drawn = np.max(np.abs(below["given model"])) / np.max(np.abs(above["measured"]))
     assert drawn == pytest.approx(np.max(np.abs(trace.before)) / np.max(np.abs(trace.measured)), rel=1e-3)
-    assert [layout[axis]["title"]["text"].split(" [")[0] for axis in ("yaxis", "yaxis2")] == [
-        CHANNEL_WORDS[channel].measured,
-        "residual",
-    ]
+    titles = [layout[axis]["title"]["text"].split(" [")[0] for axis in ("yaxis", "yaxis2")]
+    assert titles == [CHANNEL_WORDS[channel].measured, "residual"]
 
 
 def test_the_shares_are_bars_of_the_removable_error(report):

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from ehls_ros.cli.arguments import add_baseline, add_columns, add_results, add_rig, check_range, columns_of
+from ehls_ros.cli.arguments import add_columns, add_results, add_rig, check_range, columns_of
 from ehls_ros.cli.results import all_or_nothing, print_files, print_table, writable, write_json
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
@@ -44,7 +44,8 @@ def arguments(parser: ArgumentParser) -> None:
         help="one recording: a bag, a run folder, a table (text, Excel, MAT, TDMS, Parquet), or the tables of the map",
     )
     add_rig(parser, "rig file of the simulation")
-    add_baseline(parser, "recordings of the healthy rig: find the changes since then, whatever errors the rig file has")
+    about = "recordings of the healthy rig: find the changes since then, whatever errors the rig file has"
+    parser.add_argument("--baseline", type=Path, nargs="+", default=[], metavar="OLD", help=about)
     add_columns(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of noise and resampling (%(default)s)")
     parser.add_argument("--threads", type=int, help="hypotheses fitted in parallel (default: one per processor)")

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.cli.arguments import add_configured, add_json, needs_ros
+from ehls_ros.cli.arguments import add_configured, add_json, check_duration, needs_ros
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
@@ -70,9 +70,10 @@ def run(options: Namespace) -> int:
         raise BadInput("--compose was given", "command line", "no --in-process with it, which starts no nodes")
     if options.bridge is not None and options.plant == "sim":
         raise BadInput("--bridge was given", "command line", "--plant bridge with it")
+    check_duration(options)
     spec = load_spec(options.spec)
     if options.duration is not None:
-        spec = _with_duration(spec, options.duration)
+        spec = spec._replace(settings=spec.settings._replace(duration=options.duration))
     # Reject an unusable companion file before anything is written or started.
     learnt_files.recall(company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), str(options.spec)), spec)
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
@@ -114,12 +115,6 @@ class _Done(NamedTuple):
     trajectory: Trajectory
     wall_s: float
     failure: RunFailed | None = None
-
-
-def _with_duration(spec: Spec, duration: float) -> Spec:
-    if not 0.0 < duration < 1e6:
-        raise BadInput(f"--duration is {duration:g}", "command line", "seconds above 0 and below 1e6")
-    return spec._replace(settings=spec.settings._replace(duration=duration))
 
 
 def _in_process(spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]) -> _Done:

@@ -53,7 +53,8 @@ def run(options: Namespace) -> int:
     check_rig(rig, where)
     check_step(rig, SHORTEST_STEP, where)
     source = "answers on the terminal" if options.answers is None else options.answers.name
-    _write(options.out, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, _origins(values))}")
+    origins = {section: {key: f"{s.origin}: {s.told}" for key, s in own.items()} for section, own in values.items()}
+    _write(options.out, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, origins)}")
     _print(values, options.out)
     if options.json:
         print(json.dumps({"rig": str(options.out), "values": _document(values, content)}))
@@ -131,10 +132,6 @@ def _content(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
     plain = {section: {key: rounded(source.value) for key, source in own.items()} for section, own in values.items()}
     friction = {"model": DEFAULT_FRICTION, **plain["friction"]}
     return {"plant": plain["plant"], "friction": friction, "effects": [], "sensors": {}, "limits": plain["limits"]}
-
-
-def _origins(values: Mapping[str, Mapping[str, Source]]) -> dict[str, dict[str, str]]:
-    return {section: {key: f"{s.origin}: {s.told}" for key, s in own.items()} for section, own in values.items()}
 
 
 def _document(values: Mapping[str, Mapping[str, Source]], content: Mapping[str, Any]) -> dict[str, Any]:

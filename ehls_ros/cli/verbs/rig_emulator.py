@@ -10,7 +10,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.cli.arguments import add_configured, add_json, add_rig
+from ehls_ros.cli.arguments import add_configured, add_json, add_rig, check_duration
 from ehls_ros.cli.results import writable
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.errors import BadInput, WorkFailed
@@ -110,7 +110,10 @@ def run(options: Namespace) -> int:
         finally:
             cpu = time.process_time() - begin
             if log is not None:
-                _write(log, options.log)
+                try:
+                    log.write(options.log)
+                except OSError as error:
+                    raise WorkFailed(f"{options.log} cannot be written ({error.strerror})") from error
     figures = _figures(emulator, target, wire, delays, lockstep=options.lockstep)
     figures["cpu_s"] = round(cpu, 2)
     print(json.dumps(figures) if options.json else "\n".join(f"  {name:<24}{value:>12g}" for name, value in figures.items()))
@@ -125,7 +128,7 @@ def _run(options: Namespace, emulator: Emulator, target: Target, wire: Wire, del
     lines: deque[str] = deque()
     if options.faults_from_stdin:
         threading.Thread(target=lambda: lines.extend(map(str.strip, sys.stdin)), daemon=True).start()
-    run_of = Run(cycles, stop.is_set, lines, _tell)
+    run_of = Run(cycles, stop.is_set, lines, lambda line, now: print(f"fault: {now:.6f} {line}", flush=True))
     print(f"rig emulator: listening at {address[0]} port {address[1]}", flush=True)
     if options.lockstep:
         run_lockstep(emulator, target, wire, run_of, options.patience)
@@ -145,8 +148,7 @@ def _bridge(options: Namespace) -> Bridge:
 
 
 def _spec(options: Namespace) -> Spec:
-    if options.duration is not None and not 0.0 < options.duration < 1e6:
-        raise BadInput(f"--duration is {options.duration:g}", "command line", "seconds above 0 and below 1e6")
+    check_duration(options)
     if not 0.0 <= options.disturb_after < 1e6:
         raise BadInput(f"--disturb-after is {options.disturb_after:g}", "command line", "seconds from 0 to below 1e6")
     rig = options.rig or config_folder() / "rig_paper_measured.yaml"
@@ -180,17 +182,6 @@ def _impairments(options: Namespace) -> Impairments:
     if options.lockstep and impairments != Impairments():
         raise BadInput("--lockstep with network faults", "command line", "--lockstep alone, or network faults in real time")
     return impairments
-
-
-def _tell(line: str, now: float) -> None:
-    print(f"fault: {now:.6f} {line}", flush=True)
-
-
-def _write(log: TruthLog, path: Path) -> None:
-    try:
-        log.write(path)
-    except OSError as error:
-        raise WorkFailed(f"{path} cannot be written ({error.strerror})") from error
 
 
 def _figures(emulator: Emulator, target: Target, wire: Wire, delays: Delays, *, lockstep: bool) -> dict[str, float]:
