@@ -43,7 +43,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--timing",
         choices=("lockstep", "realtime"),
         default="lockstep",
-        help="lockstep: deterministic, as fast as the machine goes; realtime: wall clock, last command held",
+        help="lockstep: deterministic, as fast as possible; realtime: wall clock, last command held",
     )
     parser.add_argument(
         "--compose",

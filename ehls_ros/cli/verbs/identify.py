@@ -43,11 +43,10 @@ def arguments(parser: ArgumentParser) -> None:
     )
     add_columns(parser)
     parser.add_argument(
-        "--optimiser", choices=OPTIMISERS.names(), default=DEFAULT_OPTIMISER, help="of the static fit (%(default)s)"
+        "--optimiser", choices=OPTIMISERS.names(), default=DEFAULT_OPTIMISER, help="optimiser of the static fit (%(default)s)"
     )
-    parser.add_argument(
-        "--elements", type=int, help="number of friction elements, of a model that has them (default: as many as the data show)"
-    )
+    about = "number of friction elements, if the model has elements (default: as many as the data support)"
+    parser.add_argument("--elements", type=int, help=about)
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (%(default)s)")
     add_results(parser, "runs/identify", RESULT)
 

@@ -56,11 +56,10 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--disturb-at-once",
         action="store_true",
-        help="start the disturbance at once instead of some time after the first command that opens the valve",
+        help="start the disturbance at once, not after the first command that opens the valve",
     )
-    parser.add_argument(
-        "--disturb-after", type=float, default=1.0, help="that time in s, in which the gate blends in (default: 1)"
-    )
+    about = "time from that command to the disturbance in s, in which the gate blends in (default: 1)"
+    parser.add_argument("--disturb-after", type=float, default=1.0, help=about)
     timing = parser.add_argument_group("timing")
     timing.add_argument("--lockstep", action="store_true", help="in each cycle, wait for the command that answers it")
     timing.add_argument("--patience", type=float, default=30.0, help="longest wait in lockstep in s (default: 30)")

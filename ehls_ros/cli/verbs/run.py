@@ -23,7 +23,7 @@ class _Joinable(tuple[str, ...]):
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    about = f"node to start, or several joined in one process: plant_sim_node{PLUS}friction_estimator_node{PLUS}fasmc_node"
+    about = f"node to start, or several for one process: plant_sim_node{PLUS}friction_estimator_node{PLUS}fasmc_node"
     parser.add_argument("node", choices=_Joinable(node_names()), help=about)
     parser.add_argument("ros_arguments", nargs=REMAINDER, help="arguments of ROS, such as --ros-args -p k:=14.0")
 

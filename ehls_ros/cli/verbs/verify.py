@@ -30,7 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--inertia-mass",
         type=float,
         metavar="KG",
-        help="mass between load cell and specimen [kg], whose inertia the cell shows; needs the position",
+        help="mass between load cell and specimen [kg], to correct its inertia; needs the position",
     )
     parser.add_argument(
         "--cell-uncertainty",
