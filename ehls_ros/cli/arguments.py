@@ -97,7 +97,7 @@ def check_range(options: Namespace, name: str, low: float, high: float | None = 
     value = getattr(options, name.replace("-", "_"))
     if value is not None and not low <= value <= (float("inf") if high is None else high):
         default = f"{low:g} or more" if high is None else f"{low:g} to {high:g}"
-        raise BadInput(f"--{name} is {value:g}", "command line", expected or default)
+        raise BadInput(f"--{name} is {value}", "command line", expected or default)
 
 
 def check_duration(options: Namespace) -> None:

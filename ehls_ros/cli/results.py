@@ -55,7 +55,14 @@ def write_json(path: Path, document: object) -> None:
     path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
 
 
-def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]], *, right: Sequence[str] = ()) -> None:
+def print_table(
+    title: str,
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    right: Sequence[str] = (),
+    unbroken: Sequence[str] = (),
+) -> None:
     """Print a table; where the output is no terminal, 140 characters wide.
 
     Args:
@@ -63,10 +70,11 @@ def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]
         header: one title per column.
         rows: one text per cell.
         right: titles of the columns aligned to the right.
+        unbroken: titles of the columns whose texts are not broken into lines.
     """
     table = Table(title=title)
     for heading in header:
-        table.add_column(heading, justify="right" if heading in right else "left")
+        table.add_column(heading, justify="right" if heading in right else "left", no_wrap=heading in unbroken)
     for row in rows:
         table.add_row(*row)
     Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140).print(table)

@@ -161,4 +161,5 @@ def _print_causes(causes: Sequence[Cause]) -> None:
         for name, e in cause.parameters.items():
             rows.append([*first, name, fitted(cause.name, name, e), others][: len(header)])
             first, others = [""] * len(first), ""
-    print_table("Causes", header, rows, right=("probability", "share", "value ± error"))
+    right, unbroken = ("probability", "share", "value ± error"), ("cause", "value ± error")
+    print_table("Causes", header, rows, right=right, unbroken=unbroken)

@@ -162,5 +162,5 @@ def _print(values: Mapping[str, Mapping[str, Source]], path: Path) -> None:
         for key, s in own.items()
         if s.origin == "assumed"
     ]
-    print_table("Assumed, in no data sheet", ("key", "value", "how it is assumed, and what replaces it"), rows)
+    print_table("Assumed values, which no data sheet gives", ("key", "value", "how it is assumed, and what replaces it"), rows)
     print_files([("rig", path)])
