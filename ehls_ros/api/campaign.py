@@ -3,13 +3,13 @@
 import os
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from ehls_ros.api.arguments import check_kind, check_least
-from ehls_ros.api.figures import figure
+from ehls_ros.api.results import fields_of, figure
 from ehls_ros.experiments.campaign.backends import local
 from ehls_ros.experiments.campaign.conduct import conduct
 from ehls_ros.experiments.campaign.plan import load_plan, plan_from_mapping
@@ -96,8 +96,7 @@ def campaign(
         with progress_bar(made.settings.title, shown=progress) as bar:
             conduct(made, folder, local(jobs or len(os.sched_getaffinity(0))), bar)
         table = read_results(folder.results)
-    found = results_of(made.columns, table)
-    return CampaignResult(**{field.name: getattr(found, field.name) for field in fields(found)}, table=table)
+    return CampaignResult(**fields_of(CampaignResults, results_of(made.columns, table)), table=table)
 
 
 def _written_out(plan: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,15 +1,13 @@
 """Diagnosis of a rig's model as an object, as done by `ehls diagnose`."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
-from html import escape
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ehls_ros.api.arguments import check_least
-from ehls_ros.api.figures import figure
-from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Columns, Data, as_recording, by_name
+from ehls_ros.api.results import fields_of, figure, html, written
 from ehls_ros.api.simulation import RigSource
 from ehls_ros.api.simulation import rig as rig_of
 from ehls_ros.diagnosis.record import USED
@@ -80,8 +78,7 @@ class DiagnosisResult(Diagnosis):
 
     def _repr_html_(self) -> str:
         table = self.to_pandas().to_html(index=False, float_format="{:.4g}".format) if self.causes else ""
-        said = "".join(f"<li>{escape(remark)}</li>" for remark in (*self.missing, *self.remarks, *self.follows.all_remarks))
-        return f"<p><b>{escape(self.sentence)}</b></p>{table}{f'<ul>{said}</ul>' if said else ''}"
+        return html(self.sentence, table, (*self.missing, *self.remarks, *self.follows.all_remarks))
 
 
 def diagnose(
@@ -121,5 +118,4 @@ def diagnose(
         found, follows = diagnose_recording(
             recording, model, recording.name, baselines=baselines, seed=seed, threads=threads, progress=bar
         )
-    own = {field.name: getattr(found, field.name) for field in fields(Diagnosis)}
-    return DiagnosisResult(**own, follows=follows, name=recording.name)
+    return DiagnosisResult(**fields_of(Diagnosis, found), follows=follows, name=recording.name)

@@ -1,14 +1,12 @@
 """Identification of a rig from recordings as an object, as done by `ehls identify`."""
 
 from collections.abc import Iterable, Mapping
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
 
 from ehls_ros.api.arguments import check_least
-from ehls_ros.api.figures import figure
-from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Columns, Data, by_name
+from ehls_ros.api.results import figure, html, written
 from ehls_ros.api.simulation import RigSource
 from ehls_ros.api.simulation import rig as rig_of
 from ehls_ros.errors import BadInput
@@ -101,8 +99,7 @@ def _line(found: FrictionResult | RigResult) -> str:
 
 def _html(found: FrictionResult | RigResult) -> str:
     lacking = [f"not identifiable: {', '.join(found.not_identifiable)}"] if found.not_identifiable else []
-    said = "".join(f"<li>{escape(remark)}</li>" for remark in (*lacking, *found.remarks))
-    return f"{found.to_pandas().to_html(float_format='{:.5g}'.format)}{f'<ul>{said}</ul>' if said else ''}"
+    return html("", found.to_pandas().to_html(float_format="{:.5g}".format), (*lacking, *found.remarks))
 
 
 def _table(estimates: Mapping[str, Estimate]) -> "DataFrame":

@@ -6,8 +6,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Columns, Data, by_name
+from ehls_ros.api.results import written
 from ehls_ros.api.simulation import RigSource
 from ehls_ros.api.simulation import rig as rig_of
 from ehls_ros.diagnosis.record import USED

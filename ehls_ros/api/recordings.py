@@ -1,8 +1,7 @@
 """Recording as an object: a trajectory with conversions to a table, a figure, a report or a file."""
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, fields
-from html import escape
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -10,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.api.arguments import check_kind
-from ehls_ros.api.figures import figure
-from ehls_ros.api.files import written
+from ehls_ros.api.results import fields_of, figure, html, written
 from ehls_ros.errors import one_of
 from ehls_ros.experiments.causal_limit import evaluate_recording
 from ehls_ros.experiments.run_folder import recording_in
@@ -20,7 +18,7 @@ from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.columns import ColumnMap, columns_from_mapping, read_columns
 from ehls_ros.recording.csv_file import write_csv
 from ehls_ros.report.experiment import write_experiment_report
-from ehls_ros.report.signal_figure import signals_over_time
+from ehls_ros.report.run_figures import signals_over_time
 from ehls_ros.trajectory import READABLE, SIGNALS, Trajectory
 
 if TYPE_CHECKING:
@@ -134,9 +132,8 @@ class Recording(Trajectory):
         return f"{seconds:.4g} s, {len(self)} samples, {len(self.signals)} signals"
 
     def _repr_html_(self) -> str:
-        said = "".join(f"<li>{escape(remark)}</li>" for remark in self.preparation.remarks)
         table = self.describe().to_html(float_format="{:.5g}".format)
-        return f"<p><b>{escape(self.name)}</b>: {self._extent()}</p>{table}{f'<ul>{said}</ul>' if said else ''}"
+        return html(self.name, table, self.preparation.remarks, f": {self._extent()}")
 
 
 Kind = TypeVar("Kind", bound=Recording)
@@ -144,8 +141,7 @@ Kind = TypeVar("Kind", bound=Recording)
 
 def with_methods(kind: type[Kind], trajectory: Trajectory, name: str, **more: Any) -> Kind:
     """Convert a trajectory to a kind of recording, with ``more`` of its fields."""
-    own = {field.name: getattr(trajectory, field.name) for field in fields(Trajectory)}
-    return kind(**own, name=name, **more)
+    return kind(**fields_of(Trajectory, trajectory), name=name, **more)
 
 
 def load(path: str | Path, columns: Columns | None = None) -> Recording:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ehls_ros.api.arguments import check_kind
-from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Recording, with_methods
+from ehls_ros.api.results import written
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.files import configured
@@ -124,13 +124,13 @@ def simulate(
     return with_methods(Simulation, trajectory, made.settings.title, metrics=metrics, spec=made)
 
 
-def _changed(source: SpecSource | None, own: RigSource | None, believed: RigSource | None, changes: Mapping[str, Any]) -> Spec:
+def _changed(source: SpecSource | None, true: RigSource | None, assumed: RigSource | None, changes: Mapping[str, Any]) -> Spec:
     """Return an experiment with some keys replaced."""
     content, where, folder = _content(source)
-    if own is not None:
-        content |= {"rig": rig_to_mapping(rig(own)), "controller_rig": None, "effects": None}
-    if believed is not None:
-        content["controller_rig"] = rig_to_mapping(rig(believed))
+    if true is not None:
+        content |= {"rig": rig_to_mapping(rig(true)), "controller_rig": None, "effects": None}
+    if assumed is not None:
+        content["controller_rig"] = rig_to_mapping(rig(assumed))
     content |= changes
     if "effects" in changes:
         content["effects"] = [

@@ -1,13 +1,11 @@
 """Dynamic force verification of a recording as an object, as done by `ehls verify`."""
 
-from dataclasses import dataclass, fields
-from html import escape
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ehls_ros.api.figures import figure
-from ehls_ros.api.files import written
 from ehls_ros.api.recordings import Columns, Data, as_recording
+from ehls_ros.api.results import fields_of, figure, html, written
 from ehls_ros.api.simulation import RigSource
 from ehls_ros.api.simulation import rig as rig_of
 from ehls_ros.errors import BadInput, one_of
@@ -78,8 +76,7 @@ class VerificationResult(Verification):
 
     def _repr_html_(self) -> str:
         table = self.to_pandas().to_html(index=False, float_format="{:.4g}".format)
-        said = "".join(f"<li>{escape(remark)}</li>" for remark in (CERTIFIES_NOTHING, *self.remarks))
-        return f"<p><b>{escape(self.sentence)}</b></p>{table}<ul>{said}</ul>"
+        return html(self.sentence, table, (CERTIFIES_NOTHING, *self.remarks))
 
 
 def verify(
@@ -111,5 +108,4 @@ def verify(
     recording = as_recording(data, columns)
     given = Given(None if rig is None else rig_of(rig), inertia_mass, cell_uncertainty, settling)
     found = verify_recording(recording, given, recording.name)
-    own = {field.name: getattr(found, field.name) for field in fields(Verification)}
-    return VerificationResult(**own, name=recording.name)
+    return VerificationResult(**fields_of(Verification, found), name=recording.name)

@@ -35,10 +35,10 @@ DISCOVERY_TIME = 20.0
 STARTING, ENDING = 20.0, 10.0
 """Further time for a process to start, and time for it to exit [s]."""
 
-LEAST_SPACE = 4.0
+MIN_SPACE = 4.0
 """Disk space for about an hour of recording at 1 kHz [GB]."""
 
-LATEST = 500.0
+MAX_LATENCY = 500.0
 """Maximum wake-up latency for a 1 ms period [us]."""
 
 LOCKED_MEMORY = 2**29
@@ -196,7 +196,7 @@ def clock() -> Finding:
     late = [sleep_until(start + k * PERIOD) - (start + k * PERIOD) for k in range(WAKE_UPS)]
     p50, p99, worst = 1e6 * np.percentile(late, [50, 99, 100])
     found = f"a 1 kHz loop wakes {p50:.0f} us late at the median, {p99:.0f} us at p99, {worst:.0f} us at worst"
-    if p99 > LATEST:
+    if p99 > MAX_LATENCY:
         return Finding("clock", "note", found, "too late for realtime: stop other work, or give the nodes priority")
     return Finding("clock", "ok", found)
 
@@ -225,7 +225,7 @@ def places() -> Finding:
         return Finding("files", "problem", f"{cache} cannot be written", "set EHLS_CACHE_DIR to a writable folder")
     free = shutil.disk_usage(Path.cwd()).free / 1e9
     found = f"kernels in {cache}; {free:.1f} GB free here"
-    if free < LEAST_SPACE:
+    if free < MIN_SPACE:
         return Finding("files", "note", found, "an hour of recording at 1 kHz takes about 4 GB")
     return Finding("files", "ok", found)
 

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.cli.configured import Configured
+from ehls_ros.cli.arguments import Configured
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import configured_names
 

@@ -10,8 +10,7 @@ from ehls_ros.dashboard.controls import button
 from ehls_ros.dashboard.graph import Graph, RigChange, RigCoefficient, RigHealth
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
 from ehls_ros.experiments.monitoring.trends import NORMAL_95
-from ehls_ros.report.diagnosis_units import after, percent, unit_for
-from ehls_ros.report.identification_findings import written
+from ehls_ros.report.quantities import after, percent, unit_for, written
 
 WIDTH, HEIGHT, MARGIN = 96, 22, 2
 """Size of a trend and the room around its line, in pixels."""

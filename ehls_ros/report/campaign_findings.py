@@ -65,8 +65,8 @@ def verdict_sentence(results: CampaignResults) -> tuple[str, bool | None]:
     Returns:
         The sentence, and False if a run failed or never converged, else None if a run has no force error, else True.
     """
-    errors, lost, open_ended = results.max_error_n, len(results.failed), len(results.not_converged)
-    untold = int(np.isnan(errors).sum()) - lost
+    errors, lost, not_converged = results.max_error_n, len(results.failed), len(results.not_converged)
+    unevaluated = int(np.isnan(errors).sum()) - lost
     parts = [f"{number(len(errors))} runs"]
     if np.isfinite(errors).any():
         parts.append(
@@ -76,26 +76,22 @@ def verdict_sentence(results: CampaignResults) -> tuple[str, bool | None]:
         )
     if lost:
         parts.append(f"{number(lost)} failed")
-    if open_ended:
-        parts.append(f"{number(open_ended)} never converged{_worst_of(results)}")
-    if untold > 0:
-        parts.append(f"{number(untold)} without a force error")
-    if lost or open_ended:
+    if not_converged:
+        the_worst = ", the worst among them" if worst(results, 1)[0] in results.not_converged else ""
+        parts.append(f"{number(not_converged)} never converged{the_worst}")
+    if unevaluated > 0:
+        parts.append(f"{number(unevaluated)} without a force error")
+    if lost or not_converged:
         return f"{'; '.join(parts)}.", False
-    return f"{'; '.join(parts)}.", None if untold > 0 else True
-
-
-def _worst_of(results: CampaignResults) -> str:
-    """Return a remark if the run with the largest error never converged."""
-    return ", the worst among them" if worst(results, 1)[0] in results.not_converged else ""
+    return f"{'; '.join(parts)}.", None if unevaluated > 0 else True
 
 
 def influence_remark(results: CampaignResults, columns: Sequence[Column], within: Sequence[Group]) -> str:
     """Return a remark on the parameters most strongly correlated with the largest error in each group."""
-    said = []
+    parts = []
     for group in within:
         found = correlations(results, columns, group)
         strong = [i for i in np.argsort(-np.abs(found)) if abs(found[i]) >= LARGE_CORRELATION][:3]
         named = ", ".join(f"{columns[i].path} ({'+' if found[i] > 0 else '−'}{number(abs(found[i]), 2)})" for i in strong)
-        said.append(f"{group.name}: {named or 'no parameter stands out'}")
-    return f"Strongest rank correlations of the largest error, in brackets. {'; '.join(said)}."
+        parts.append(f"{group.name}: {named or 'no parameter stands out'}")
+    return f"Strongest rank correlations of the largest error, in brackets. {'; '.join(parts)}."

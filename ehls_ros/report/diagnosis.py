@@ -1,11 +1,13 @@
 """Report of a diagnosis: errors of the simulation, the evidence, the gain from correcting them, and open questions."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
-from ehls_ros.diagnosis.free_run import FreeRun
-from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.diagnosis.free_run import Followed, FreeRun
+from ehls_ros.diagnosis.result import Diagnosis, StageResult
 from ehls_ros.diagnosis.rules import CLOSED
+from ehls_ros.diagnosis.stages import Stage
 from ehls_ros.experiments.consequences import NOTHING, Consequences
 from ehls_ros.experiments.controller_benefit import ControllerBenefit, Steady
 from ehls_ros.physics.effects import EFFECTS
@@ -16,12 +18,12 @@ from ehls_ros.report import page
 from ehls_ros.report.diagnosis_baseline import learnt, old_and_new, since_sentence
 from ehls_ros.report.diagnosis_causes import causes, measured_and_simulated, rivals, shares, unexplained, what_to_do
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
-from ehls_ros.report.diagnosis_units import percent, quantity
 from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, listed, number, signed
+from ehls_ros.report.quantities import change, percent, quantity
 
 TITLES = {
-    "effect": "What is wrong in the simulation",
-    "partial": "What is wrong in the simulation, and what remains",
+    "effect": "Causes of the simulation's error",
+    "partial": "Causes of a part of the simulation's error",
     "unknown": "The simulation is wrong, the cause unknown",
     "consistent": "The simulation agrees with the recording",
     "insufficient": "The data are insufficient",
@@ -29,8 +31,8 @@ TITLES = {
 """Heading of the page by verdict."""
 
 SINCE = {
-    "effect": "What has changed",
-    "partial": "What has changed, and what remains",
+    "effect": "Changes of the rig",
+    "partial": "Changes of the rig, not all explained",
     "unknown": "Something has changed, the cause unknown",
     "consistent": "Nothing has changed",
     "insufficient": "The data are insufficient",
@@ -55,14 +57,15 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     """
     sentence, good = answer(found)
     rest = unexplained(found)
+    limits = (*findings.runner_up_sentences(found), *findings.caveats(found, follows.remarks))
     parts = [
         ("Measured and simulated", measured_and_simulated(found)),
         ("Old and new", old_and_new(found)),
-        ("What to do next", what_to_do(found)),
+        ("Next steps", what_to_do(found)),
         ("Shares and sizes", shares(found)),
         ("Unexplained", [] if found.names_causes else rest),
-        ("Runner-up and caveats" if found.names_causes else "Caveats", _limits(found, follows)),
-        ("What remains", rest if found.names_causes else []),
+        ("Runner-up and caveats" if found.names_causes else "Caveats", [page.bullets(limits)] if limits else []),
+        ("Remainder", rest if found.names_causes else []),
         ("The cause" if len(found.causes) < 2 else "The causes", causes(found)),
         ("Stage by stage", _stages(found)),
         ("Alternatives", rivals(found)),
@@ -82,38 +85,31 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
     )
 
 
-def _limits(found: Diagnosis, follows: Consequences) -> list[str]:
-    said = (*findings.runner_up_sentences(found), *findings.caveats(found, follows.remarks))
-    return [page.bullets(said)] if said else []
-
-
 def _stages(found: Diagnosis) -> list[str]:
     if not any(result.judged for result in found.stages.values()):
         return []
     compared = findings.compares(found)
-    rows: list[Row] = []
-    for stage, result in found.stages.items():
-        depends = f"; depends on {listed([quantity(s) for s in result.depends_on])}" if result.depends_on else ""
-        said = f"{findings.left_over(result)}{depends}" if result.judged else f"not evaluated: {result.why_not}"
-        rows.append(
-            [
-                Entry(STAGE_NAMES[stage], findings.COMPARED[stage]),
-                percent(result.nrmse_before),
-                *([percent(result.nrmse_after)] if compared else []),
-                percent(result.noise_floor),
-                said,
-            ]
-        )
+    extended = {f"with the {'extension' if found.causes else 'partial causes'}": lambda item: percent(item[1].nrmse_after)}
+    columns: dict[str, Callable[[tuple[Stage, StageResult]], str | Entry]] = {
+        "stage of the model": lambda item: Entry(STAGE_NAMES[item[0]], findings.COMPARED[item[0]]),
+        "residual": lambda item: percent(item[1].nrmse_before),
+        **(extended if compared else {}),
+        "noise": lambda item: percent(item[1].noise_floor),
+        "conclusion": lambda item: _conclusion(item[1]),
+    }
     bars = [drawn.stage_bars(found)] if found.verdict != "insufficient" else []
-    after = [] if not compared else ["with the extension" if found.causes else "with the partial causes"]
-    header = ["stage of the model", "residual", *after, "noise", "conclusion"]
     note = (
         "Residual: rms of the stage's imbalance as a fraction of its largest term; of several signals, the one that stands out"
         " most."
     )
     if compared:
         note += " The extended model is evaluated on segments it was not fitted to."
-    return [page.figures(bars), page.table(header, rows), page.paragraph(note)]
+    return [page.figures(bars), page.table_of(found.stages.items(), columns), page.paragraph(note)]
+
+
+def _conclusion(result: StageResult) -> str:
+    depends = f"; depends on {listed([quantity(s) for s in result.depends_on])}" if result.depends_on else ""
+    return f"{findings.left_over(result)}{depends}" if result.judged else f"not evaluated: {result.why_not}"
 
 
 def _benefit(benefit: ControllerBenefit) -> list[str]:
@@ -123,21 +119,26 @@ def _benefit(benefit: ControllerBenefit) -> list[str]:
                 f"The benefit to the controller could not be evaluated: {benefit.reason or 'there is no case to run'}."
             )
         ]
-    rows: list[Row] = []
-    for case in benefit.cases:
-        before, after = case.before.max_error_n, case.after.max_error_n
-        ratio = MISSING_NUMBER
-        if before and after is not None:
-            ratio = f"{signed(100.0 * (after / before - 1.0), 2)} %"
-        rows.append([case.case, _steady(case.before), _steady(case.after), ratio])
+    table = page.table_of(
+        benefit.cases,
+        {
+            "largest steady force error": lambda case: case.case,
+            "designed with the given model": lambda case: _steady(case.before),
+            "designed with the extended model": lambda case: _steady(case.after),
+            "change": lambda case: _change(case.before.max_error_n, case.after.max_error_n),
+        },
+    )
     text = "The force controller (FASMC, default tuning) on the extended plant, designed with either model:"
     if benefit.same_controller:
         text = (
             "The force controller (FASMC, default tuning) on the extended plant. The extension changes no coefficient that the"
             " law uses, so both runs have the same controller: only the simulation benefits."
         )
-    header = ["largest steady force error", "designed with the given model", "designed with the extended model", "change"]
-    return [page.paragraph(text), page.table(header, rows)]
+    return [page.paragraph(text), table]
+
+
+def _change(before: float | None, after: float | None) -> str:
+    return f"{signed(100.0 * (after / before - 1.0), 2)} %" if before and after is not None else MISSING_NUMBER
 
 
 def _steady(run: Steady) -> str | Entry:
@@ -151,15 +152,19 @@ def _next(follows: Consequences) -> list[str]:
     if proposed is None:
         text = f"No experiment of the catalogue would separate the open causes: {follows.no_experiment}."
         return [page.paragraph(text)] if follows.no_experiment else []
-    rows: list[Row] = [
-        [f"{words(pair.one).noun} – {words(pair.other).noun}", f"{number(pair.sigma, 2)} σ"] for pair in proposed.separation
-    ]
+    pairs = page.table_of(
+        proposed.separation,
+        {
+            "pair": lambda pair: f"{words(pair.one).noun} – {words(pair.other).noun}",
+            "expected separation": lambda pair: f"{number(pair.sigma, 2)} σ",
+        },
+    )
     return [
         page.paragraph(
             f"To separate the open causes, record '{proposed.name}', {proposed.purpose}. {proposed.why.rstrip('.')}."
             " `ehls experiment next_experiment.yaml` runs it on the simulator; on the rig, follow its reference."
         ),
-        page.table(["pair", "expected separation"], rows),
+        pairs,
         page.collapsed("next_experiment.yaml", page.as_yaml(proposed.spec)),
     ]
 
@@ -178,22 +183,21 @@ def _residuals(found: Diagnosis) -> list[str]:
 
 def _free_run(run: FreeRun) -> list[str]:
     panel = drawn.free_run_panel(run)
-    extended = any(signal.after is not None for signal in run.signals)
-    rows: list[Row] = [
-        [quantity(signal.name), percent(signal.nrmse_before), *([percent(signal.nrmse_after)] if extended else [])]
-        for signal in run.signals
-    ]
     remarks = " ".join(f"{remark[0].upper()}{remark[1:].rstrip('.')}." for remark in run.remarks)
     text = (
         f"The first {number(float(run.time[-1]), 2)} s, simulated from the initial state with the recorded command and"
         f" disturbance only. {remarks}"
     )
+    columns: dict[str, Callable[[Followed], str | Entry]] = {
+        "signal": lambda signal: quantity(signal.name),
+        "given model": lambda signal: percent(signal.nrmse_before),
+    }
+    if any(signal.after is not None for signal in run.signals):
+        columns["extended model"] = lambda signal: percent(signal.nrmse_after)
+    table = page.table_of(run.signals, columns)
+    note = "Rms error as a fraction of the measured signal's standard deviation; a dash where the run was stopped."
     blocks = [page.paragraph(text), page.figures([panel]), page.left_out([panel])]
-    if rows:
-        header = ["signal", "given model", *(["extended model"] if extended else [])]
-        note = "Rms error as a fraction of the measured signal's standard deviation; a dash where the run was stopped."
-        blocks += [page.table(header, rows), page.paragraph(note)]
-    return blocks
+    return [*blocks, table, page.paragraph(note)] if table else blocks
 
 
 def _sensitivity(found: Diagnosis) -> list[str]:
@@ -208,15 +212,13 @@ def _sensitivity(found: Diagnosis) -> list[str]:
             )
         )
         # Several forms of an effect give the same result for a parameter they share.
-        rows: list[Row] = [
-            [
-                Entry(name, words(name).noun),
-                Entry(parameter, findings.parameter_meaning(name, parameter)),
-                smallest,
-            ]
-            for name, parameter, smallest in dict.fromkeys((i.name, i.parameter, findings.smallest_text(i)) for i in items)
-        ]
-        blocks.append(page.table(["effect", "parameter", "smallest detectable size"], rows))
+        distinct = dict.fromkeys((item.name, item.parameter, change(item.smallest, item.unit)) for item in items)
+        columns: dict[str, Callable[[tuple[str, str, str]], str | Entry]] = {
+            "effect": lambda item: Entry(item[0], words(item[0]).noun),
+            "parameter": lambda item: Entry(item[1], findings.parameter_meaning(item[0], item[1])),
+            "smallest detectable size": lambda item: item[2],
+        }
+        blocks.append(page.table_of(distinct, columns))
     stages = [(stage, result) for stage, result in found.stages.items() if not result.judged]
     if (stages or found.not_judged) and found.verdict != "insufficient":
         named: list[Row] = [[STAGE_NAMES[stage], result.why_not] for stage, result in stages]
@@ -237,6 +239,6 @@ _METHOD = (
     f" significantly different from neutral, and at most {100.0 * (1.0 - CLOSED):.0f} % of the error beyond the noise remains;"
     " the best alternatives are kept beside it. Where more remains, it is counted as noise and the causes are assessed again"
     " beside it: those that still matter are named, the verdict is 'partial'. Where none does, it is 'unknown'. The signals"
-    " that predict what remains are named."
+    " that predict the remainder are named."
 )
 """Description of the method."""

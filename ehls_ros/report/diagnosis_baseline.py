@@ -6,12 +6,11 @@ from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
-from ehls_ros.report.diagnosis_findings import CHANNEL_NAMES, STAGE_NAMES, comes_from, depends, named, rest
-from ehls_ros.report.diagnosis_residuals import Cloud, planes
-from ehls_ros.report.diagnosis_units import estimate, percent, shown_signal, value
-from ehls_ros.report.diagnosis_views import NATURAL, explained
+from ehls_ros.report.diagnosis_findings import CHANNEL_WORDS, STAGE_NAMES, comes_from, depends, named, rest
+from ehls_ros.report.diagnosis_residuals import PREFERRED_SIGNALS, Cloud, explained, planes
 from ehls_ros.report.page import Entry, Row, listed, number
 from ehls_ros.report.plot import GREY, VERMILION
+from ehls_ros.report.quantities import estimate, percent, shown_signal, value
 
 EXPECTED = "expected"
 """Name of the curve expected without a change."""
@@ -22,25 +21,21 @@ ONE_VIEW = "velocity_m_s"
 
 def since_sentence(found: Diagnosis) -> str:
     """Return a sentence on the change since the baselines."""
-    since = _since(found.baseline)
+    count = 0 if found.baseline is None else len(found.baseline.recordings)
+    since = "the baseline" if count == 1 else f"the {count} baselines"
     judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged] or ["nothing"])
     if found.verdict == "consistent":
         return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread."
     if found.verdict == "effect":
-        said = listed([named(found, cause) for cause in found.causes])
-        return f"Since {since}, there is a change: {said}."
+        causes = listed([named(found, cause) for cause in found.causes])
+        return f"Since {since}, there is a change: {causes}."
     if found.verdict == "partial":
         return f"Since {since}, there is a change that {comes_from(found)}; {rest(found)}, and no known effect explains it."
     if found.verdict == "unknown":
         where = "rig" if found.unknown_stage is None else STAGE_NAMES[found.unknown_stage]
         return f"Since {since}, the {where} has changed; the change {depends(found)}, and no known effect explains it."
     missing = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged])
-    return f"The data are insufficient to tell what has changed since {since}: {missing} cannot be evaluated."
-
-
-def _since(baseline: BaselineSummary | None) -> str:
-    count = 0 if baseline is None else len(baseline.recordings)
-    return "the baseline" if count == 1 else f"the {count} baselines"
+    return f"The data are insufficient to find changes since {since}: {missing} cannot be evaluated."
 
 
 def old_and_new(found: Diagnosis) -> list[str]:
@@ -65,7 +60,7 @@ def old_and_new(found: Diagnosis) -> list[str]:
         ),
     ]
     text = (
-        "Both are residuals of the model fitted to the baselines. Expected: what it leaves there where nothing has changed. A"
+        "Both are residuals of the model fitted to the baselines. Expected: its residuals if nothing has changed. A"
         " change is where the mean departs from that."
     )
     return [page.figures(planes(channel, signal, new.unit, clouds), columns=2), page.paragraph(text)]
@@ -93,39 +88,42 @@ def _signal(found: Diagnosis, channel: Channel, old: ChannelTrace, new: ChannelT
     if not (found.causes or found.unknown_stage) and ONE_VIEW in shared:
         return ONE_VIEW
     best = {s: explained(new.against[s], new.after) for s in shared}
-    preferred = NATURAL[EFFECTS.load(found.causes[0].name).GROUP] if found.causes else ()
+    preferred = PREFERRED_SIGNALS[EFFECTS.load(found.causes[0].name).GROUP] if found.causes else ()
     most = max(best.values())
     return next((s for s in preferred if best.get(s, 0.0) > 0.5 * most), max(best, key=lambda s: best[s]))
 
 
 def _channels(baseline: BaselineSummary) -> list[str]:
-    rows: list[Row] = [
-        [
-            Entry(STAGE_NAMES[item.stage], CHANNEL_NAMES[channel]),
-            percent(item.fitted),
-            percent(item.left),
-            percent(item.noise_floor),
-            percent(item.allowed),
-        ]
-        for channel, item in baseline.channels.items()
-    ]
-    header = ["stage of the model", "fitted model", "less the rig's own remainder", "noise", "allowed for"]
+    table = page.table_of(
+        baseline.channels.items(),
+        {
+            "stage of the model": lambda item: Entry(STAGE_NAMES[item[1].stage], CHANNEL_WORDS[item[0]].residual),
+            "fitted model": lambda item: percent(item[1].fitted),
+            "less the rig's remainder": lambda item: percent(item[1].left),
+            "noise": lambda item: percent(item[1].noise_floor),
+            "allowed for": lambda item: percent(item[1].allowed),
+        },
+    )
     text = (
-        f"The rig file was fitted to {listed(list(baseline.recordings))}. What the fit leaves there is the rig's own remainder;"
-        " what it was learnt from leaves out one block after the other. Allowed for: how far the new recording may be off"
-        " without any change, from what the baselines leave open and from the natural spread. All are rms, as fractions of the"
+        f"The rig file was fitted to {listed(list(baseline.recordings))}. The residual of the fit there is the rig's remainder;"
+        " it is learnt with one block after the other left out. Allowed for: the deviation of the new recording"
+        " without any change, from the uncertainty of the baselines and the natural spread. All are rms, as fractions of the"
         " balance's largest term in the baselines."
     )
-    return [page.paragraph(text), page.table(header, rows)]
+    return [page.paragraph(text), table]
 
 
 def _coefficients(baseline: BaselineSummary) -> list[str]:
-    rows: list[Row] = [
-        [name, value(item.given, item.fitted.unit), estimate(item.fitted), f"± {percent(item.spread)}"]
-        for name, item in baseline.coefficients.items()
-    ]
-    header = ["coefficient", "rig file", "fitted to the baselines", "spread that is no change"]
-    return [page.table(header, rows)] if rows else []
+    table = page.table_of(
+        baseline.coefficients.items(),
+        {
+            "coefficient": lambda item: item[0],
+            "rig file": lambda item: value(item[1].given, item[1].fitted.unit),
+            "fitted to the baselines": lambda item: estimate(item[1].fitted),
+            "spread that is no change": lambda item: f"± {percent(item[1].spread)}",
+        },
+    )
+    return [table]
 
 
 def _coverage(baseline: BaselineSummary) -> list[str]:
@@ -134,5 +132,5 @@ def _coverage(baseline: BaselineSummary) -> list[str]:
         ends = shown_signal(item.signal, np.array([*item.baseline, *item.new]))
         low, high, here, there = (number(v) for v in ends.values)
         rows.append([ends.quantity, f"{low} to {high}", f"{here} to {there}", ends.unit.symbol, percent(item.beyond)])
-    header = ["signal", "baselines", "new recording", "unit", "outside what is covered"]
+    header = ["signal", "baselines", "new recording", "unit", "outside the baselines"]
     return [page.table(header, rows)] if rows else []

@@ -1,15 +1,15 @@
 """Sections of a diagnosis report on causes: named ones with their rivals, an unknown one, or insufficient data."""
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis
+from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page
+from ehls_ros.report.diagnosis_figures import share_bars
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
-from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remaining
-from ehls_ros.report.diagnosis_shares import share_bars
-from ehls_ros.report.diagnosis_units import likely, percent, quantity
-from ehls_ros.report.diagnosis_views import view_of_cause, views_of_rest
+from ehls_ros.report.diagnosis_residuals import over_signal, over_time, remaining, view_of_cause, views_of_rest
 from ehls_ros.report.page import Entry, Row, listed
+from ehls_ros.report.quantities import likely, percent, quantity
 
 RIVALS = 4
 """Largest number of rivals listed for a cause."""
@@ -29,17 +29,18 @@ def what_to_do(found: Diagnosis) -> list[str]:
     blocks = []
     if found.causes:
         rows: list[Row] = [
-            [Entry(cause.name, said.noun), said.inspect, said.measure, said.change]
+            [Entry(cause.name, advice.noun), advice.inspect, advice.measure, advice.change]
             for cause in found.causes
-            for said in [words(cause.name)]
+            for advice in [words(cause.name)]
         ]
-        blocks.append(page.table(["cause", "look at the rig", "confirm by a measurement", "then change"], rows))
+        blocks.append(page.table(["cause", "inspect", "confirm by a measurement", "then change"], rows))
     blocks += [page.bullets(steps)] if (steps := findings.next_steps(found)) else []
     if found.verdict == "insufficient":
-        needed: list[Row] = [[stage, needs, excitation] for stage, needs, excitation in findings.to_record(found)]
+        lacking = [stage for stage, result in found.stages.items() if not result.judged]
+        needed: list[Row] = [[STAGE_NAMES[stage], NEEDED_SIGNALS[stage], NEEDED_MOTION[stage]] for stage in lacking]
         blocks.append(page.table(["stage of the model", "signals it needs", "excitation it needs"], needed))
     places: list[Row] = list(findings.where_to_look(found))
-    return [*blocks, page.table(["the error depends on", "look at"], places)] if places else blocks
+    return [*blocks, page.table(["the error depends on", "inspect"], places)] if places else blocks
 
 
 def shares(found: Diagnosis) -> list[str]:
@@ -58,12 +59,7 @@ def causes(found: Diagnosis) -> list[str]:
     blocks = [page.figures(over_signal(found, view), columns=2) for view in views]
     if found.causes:
         about: list[Row] = [
-            [
-                cause.name,
-                findings.meaning(cause.name),
-                EFFECTS.load(cause.name).EQUATION,
-            ]
-            for cause in found.causes
+            [cause.name, findings.meaning(cause.name), EFFECTS.load(cause.name).EQUATION] for cause in found.causes
         ]
         blocks.append(page.table(["cause", "meaning", "equation"], about))
     return blocks

@@ -1,6 +1,7 @@
-"""Further figures of the diagnosis report: all stages, a channel's residual over every signal, the free run."""
+"""Further figures of the diagnosis report: all stages, shares, a channel's residual over every signal, the free run."""
 
 from collections.abc import Mapping, Sequence
+from html import escape
 
 import numpy as np
 import scipy
@@ -9,18 +10,18 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.report import plot
 from ehls_ros.report.diagnosis_findings import (
-    CHANNEL_NAMES,
+    CHANNEL_WORDS,
     STAGE_NAMES,
     after_name,
     before_name,
     capital,
     compares,
+    words,
 )
-from ehls_ros.report.diagnosis_residuals import FLOOR, SMALL_BINS, SPREAD, curve, span, whole
-from ehls_ros.report.diagnosis_units import Shown, shown_signal, unit_for
-from ehls_ros.report.diagnosis_views import LEAST_IN_BIN, members, signals_of
-from ehls_ros.report.page import LeftOut, Panel, number
+from ehls_ros.report.diagnosis_residuals import FLOOR, MIN_IN_BIN, SMALL_BINS, SPREAD, curve, members, signals_of, span, whole
+from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
 from ehls_ros.report.plot import (
     BLACK,
     BLUE,
@@ -32,17 +33,22 @@ from ehls_ros.report.plot import (
     Layout,
     Trace,
     Unit,
-    packed,
-    plane_layout,
-    time_layout,
-    time_line,
+    bars,
+    stacked_layout,
 )
+from ehls_ros.report.quantities import percent, shown_signal, unit_for
 
-ROW_HEIGHT, COLUMN_WIDTH, MOST_COLUMNS = 190, 190, 4
+ROW_HEIGHT, COLUMN_WIDTH, MAX_COLUMNS = 190, 190, 4
 """Height and least width of the small plots in pixels, and maximum number of them side by side."""
 
 ROW_OF_STAGE = 76
 """Height of a stage's bars in pixels."""
+
+ROW_OF_BAR, BAR_WIDTH = 52, 0.5
+"""Height of a bar of shares with its label in pixels, and the fraction of it taken by the bar."""
+
+PARTS = (("closed by the causes", BLUE), ("returns without that cause", SKY), ("remains", VERMILION))
+"""Names and colours of the parts of a bar of shares."""
 
 LINES = 600
 """Number of intervals to which a line of a free run is reduced."""
@@ -77,27 +83,66 @@ def stage_bars(found: Diagnosis) -> Panel | LeftOut:
         ("noise", GREEN, [result.noise_floor for _, result in evaluated]),
     ]
     largest = max((value for *_, values in columns for value in values if value is not None), default=0.0)
-    traces: list[Trace] = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "x": [None if value is None else 100.0 * value for value in values],
-            "y": list(range(1, len(names) + 1)),
-            "name": name,
-            "marker": {"color": color},
-            "text": ["" if value is None else f"{number(100.0 * value, 2)} %" for value in values],
-            "textposition": "outside",
-            "cliponaxis": False,
-            "hovertemplate": "%{x:,.3~g} %<extra></extra>",
-        }
+    traces = [
+        bars(
+            [None if value is None else 100.0 * value for value in values],
+            list(range(1, len(names) + 1)),
+            name,
+            color,
+            "%{x:,.3~g} %<extra></extra>",
+            orientation="h",
+            text=["" if value is None else f"{number(100.0 * value, 2)} %" for value in values],
+            textposition="outside",
+            cliponaxis=False,
+        )
         for name, color, values in columns
     ]
-    layout = plane_layout(
-        Axis("rms residual", Unit("% of largest term"), (0.0, 120.0 * largest or 1.0)),
-        Axis("", PURE_NUMBER, (len(names) + 0.6, 0.4), names=tuple(names)),
+    x = Axis("rms residual", Unit("% of largest term"), (0.0, 120.0 * largest or 1.0))
+    y = Axis("", PURE_NUMBER, (len(names) + 0.6, 0.4), names=tuple(names))
+    height, text = 110 + ROW_OF_STAGE * len(names), {"minsize": 10, "mode": "show"}
+    return plane(title, traces, x, y, height=height, barmode="group", bargap=0.3, uniformtext=text)
+
+
+def share_bars(found: Diagnosis) -> Panel | None:
+    """Draw each channel's removable error closed by the causes, its remainder, and the share of each cause."""
+    labelled: list[tuple[str, tuple[float | None, float | None, float | None]]] = []
+    for channel, gain in ({} if found.gain is None else found.gain.channels).items():
+        closed = max(gain.closed, 0.0)
+        label = f"{CHANNEL_WORDS[channel].short}: {percent(closed)} closed, {percent(1.0 - closed)} remains"
+        labelled.append((label, (closed, None, 1.0 - closed)))
+        own = [(words(cause.name).noun, max(cause.share or 0.0, 0.0)) for cause in found.causes if cause.channel == channel]
+        labelled += [(f"{percent(share)}: {noun}", (None, share, None)) for noun, share in own if len(own) > 1]
+    if not labelled:
+        return None
+    texts, lengths = zip(*labelled, strict=True)
+    rows = list(range(len(texts), 0, -1))
+    style = {"orientation": "h", "width": BAR_WIDTH}
+    traces = [
+        bars([100.0 * (x or 0.0) for x in part], rows, name, color, f"{name}: %{{x:,.3~g}} %<extra></extra>", **style)
+        for (name, color), part in zip(PARTS, zip(*lengths, strict=True), strict=True)
+        if any(x is not None for x in part)
+    ]
+    longest = max(sum(filter(None, parts)) for parts in lengths)
+    beside = {"x": 0.0, "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 11}}
+    note = (
+        "100 % is the mean square of the given model's residual beyond the noise. A cause's share is the error that returns"
+        " without it, all others fitted again; shares need not add up, as causes may replace or need each other."
     )
-    layout |= {"barmode": "group", "bargap": 0.3, "uniformtext": {"minsize": 10, "mode": "show"}}
-    return Panel(title, traces, layout, height=110 + ROW_OF_STAGE * len(names), over_time=False)
+    panel = plane(
+        "Shares of the error",
+        traces,
+        Axis("share of the removable error", Unit("%"), (0.0, 102.0 * max(longest, 1.0))),
+        Axis("", PURE_NUMBER, (0.4, len(texts) + 0.8)),
+        note,
+        100 + ROW_OF_BAR * len(texts),
+        barmode="stack",
+        annotations=[
+            beside | {"y": row + 0.5 * BAR_WIDTH, "text": escape(text)} for row, text in zip(rows, texts, strict=True)
+        ],
+    )
+    panel.layout["yaxis"]["visible"] = False
+    panel.layout["margin"] |= {"l": 14}
+    return panel
 
 
 # --- small plots ------------------------------------------------------------------------------
@@ -106,8 +151,8 @@ def stage_bars(found: Diagnosis) -> Panel | LeftOut:
 def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
     """Draw a channel's residual against every signal, and its spectrum."""
     trace = found.traces[channel]
-    title = capital(CHANNEL_NAMES[channel])
-    if len(trace.time) < LEAST_IN_BIN:
+    title = capital(CHANNEL_WORDS[channel].residual)
+    if len(trace.time) < MIN_IN_BIN:
         return LeftOut(title, f"only {len(trace.time)} windows are usable")
     if not (np.any(trace.before) or np.any(trace.after)):
         return LeftOut(title, "it closes exactly and has no noise")
@@ -119,16 +164,16 @@ def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
     shown = [next((name for name in group if name in signals), None) for group in SMALL]
     last = LAST.get(channel, "acceleration_m_s2")
     against = [name for name in (*shown, last) if name is not None and name in signals]
-    rows = -(-(len(against) + 1) // MOST_COLUMNS)
+    rows = -(-(len(against) + 1) // MAX_COLUMNS)
     columns = -(-(len(against) + 1) // rows)
     y = Axis("residual", unit, _small_span(trace, [r for r, *_ in residuals], unit))
     traces: list[Trace] = []
     layout: Layout = {}
     for place, signal in enumerate(against):
         x = shown_signal(signal, signals[signal])
-        traces += _small(x, trace, residuals, unit, place + 1)
+        traces += _small(x.values, trace, residuals, unit, _axes(place))
         _place(layout, place, (rows, columns), Axis(x.quantity, x.unit, whole(x.values)), y)
-    lines, axes = _spectra(trace, residuals, unit, len(against) + 1)
+    lines, axes = _spectra(trace, residuals, unit, _axes(len(against)))
     traces += lines
     _place(layout, len(against), (rows, columns), *axes)
     layout["legend"] |= {"y": 1.0 + 0.03 * 3 / rows}
@@ -144,55 +189,40 @@ def _small_span(trace: ChannelTrace, residuals: Sequence[Array], unit: Unit) -> 
 
 
 def _small(
-    x: Shown, trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, number_of: int
+    values: Array, trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, axes: Trace
 ) -> list[Trace]:
-    axes = {"xaxis": f"x{number_of}" if number_of > 1 else "x", "yaxis": f"y{number_of}" if number_of > 1 else "y"}
+    """Draw means, bands and noise over the classes of a signal, with the legend in the first plot only."""
     out: list[Trace] = []
-    groups = members(x.values, SMALL_BINS)
-    middles = np.array([float(np.mean(x.values[group])) for group in groups])
-    noise = np.array([SPREAD * float(np.sqrt(np.mean(trace.floor[group] ** 2))) for group in groups]) * unit.factor
+    legend = axes["xaxis"] == "x"
+    groups = members(values, SMALL_BINS)
+    middles = np.array([float(np.mean(values[group])) for group in groups])
+    noise = np.array([SPREAD * float(np.sqrt(np.mean(trace.floor[group] ** 2))) for group in groups])
     for residual, name, color in residuals:
-        low, mean, high = (
-            np.array([float(f(residual[group])) for group in groups]) * unit.factor
-            for f in (lambda v: np.quantile(v, 0.1), np.mean, lambda v: np.quantile(v, 0.9))
-        )
-        band = {
-            "type": "scatter",
-            "mode": "lines",
-            "x": packed(np.concatenate([middles, middles[::-1]])),
-            "y": packed(np.concatenate([low, high[::-1]])),
-            "fill": "toself",
-            "fillcolor": "rgba(213, 94, 0, 0.20)" if color == VERMILION else "rgba(0, 114, 178, 0.25)",
-            "line": {"width": 0},
-            "showlegend": False,
-            "hoverinfo": "skip",
-            **axes,
-        }
-        out += [band, curve(middles, mean, name, unit, color) | axes | {"showlegend": number_of == 1, "legendgroup": name}]
-        out[-1]["line"] = {"color": color, "width": 1.8}
+        low, high = (np.array([float(np.quantile(residual[group], part)) for group in groups]) for part in (0.1, 0.9))
+        mean = np.array([float(np.mean(residual[group])) for group in groups])
+        area = plot.region(middles, low, high, "", unit, color, 0.2 if color == VERMILION else 0.25)
+        out += [
+            area | {"showlegend": False, **axes},
+            curve(middles, mean, name, unit, color, showlegend=legend, legendgroup=name, **axes),
+        ]
     for sign in (1.0, -1.0):
-        out.append(
-            curve(middles, sign * noise, FLOOR, unit, GREEN)
-            | axes
-            | {"line": {"color": GREEN, "width": 1.0, "dash": "dash"}, "showlegend": number_of == 1 and sign > 0.0}
-            | {"legendgroup": FLOOR, "hoverinfo": "skip"}
-        )
+        own = {"showlegend": legend and sign > 0.0, "legendgroup": FLOOR, "hoverinfo": "skip", **axes}
+        out.append(curve(middles, sign * noise, FLOOR, unit, GREEN, width=1.0, dash="dash", **own))
     return out
 
 
 def _spectra(
-    trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, number_of: int
+    trace: ChannelTrace, residuals: Sequence[tuple[Array, str, str]], unit: Unit, axes: Trace
 ) -> tuple[list[Trace], tuple[Axis, Axis]]:
     out: list[Trace] = []
     largest, smallest, frequency = 0.0, np.inf, np.ones(1)
     for residual, name, color in (*residuals, (trace.noise, FLOOR, GREEN)):
-        frequency, density = spectrum(trace.time, residual * unit.factor)
+        frequency, density = spectrum(trace.time, residual)
         largest, smallest = max(largest, float(density.max())), min(smallest, float(np.quantile(density, 0.02)))
-        line = curve(frequency, density, name, unit, color)
-        width = {"color": color, "width": 1.4, "dash": "dash" if color == GREEN else "solid"}
-        out.append(line | {"line": width, "xaxis": f"x{number_of}", "yaxis": f"y{number_of}", "showlegend": False})
-    low = max(0.7 * smallest, 1e-6 * largest, 1e-12)
-    span = low, max(1.5 * largest, 10.0 * low)
+        dash = "dash" if color == GREEN else "solid"
+        out.append(curve(frequency, density, name, unit, color, width=1.4, dash=dash, showlegend=False, **axes))
+    low = max(0.7 * smallest, 1e-6 * largest, 1e-12 / unit.factor)
+    span = low * unit.factor, max(1.5 * largest, 10.0 * low) * unit.factor
     return out, (
         Axis("frequency", Unit("Hz"), (float(frequency[0]), float(frequency[-1])), logarithmic=True),
         Axis("density", Unit(f"{unit.symbol}/√Hz"), span, logarithmic=True),
@@ -211,10 +241,16 @@ def spectrum(time: Array, residual: Array) -> tuple[Array, Array]:
     return frequency[1:], np.sqrt(density[1:] / share)
 
 
+def _axes(place: int) -> Trace:
+    """Return the keys of a trace that put it into a small plot."""
+    suffix = str(place + 1) if place else ""
+    return {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+
+
 def _place(layout: Layout, place: int, grid: tuple[int, int], x: Axis, y: Axis) -> None:
     """Add the axes of a small plot to the common layout; ``grid`` is rows and columns."""
     rows, columns = grid
-    plane = plane_layout(x, y)
+    plane = stacked_layout(x, [y])
     suffix = "" if place == 0 else str(place + 1)
     if place == 0:
         layout |= plane
@@ -244,21 +280,16 @@ def free_run_panel(run: FreeRun) -> Panel | LeftOut:
         chosen = [signal for signal in chosen if signal.name != "force_n"]
     if not chosen:
         return LeftOut(title, "no signal moves by more than its noise")
-    traces: list[Trace] = []
-    rows: list[Axis] = []
+    figure = Rows(title, run.time, buckets=LINES)
     for signal in chosen:
         x = shown_signal(signal.name, signal.measured)
-        rows.append(Axis(x.quantity, x.unit, _free_span(signal.measured, x.unit)))
+        first = figure.row(Axis(x.quantity, x.unit, _free_span(signal.measured, x.unit))) == 1
         drawn = [(signal.measured, "measured", SKY, 4.0, "solid"), (signal.before, "given model", VERMILION, 1.5, "solid")]
         if signal.after is not None:
             drawn.append((signal.after, "extended model", BLACK, 1.2, "dash"))
         for values, name, color, width, dash in drawn:
-            style = {"legendgroup": name, "showlegend": len(rows) == 1}
-            traces.append(
-                time_line(run.time, values, name, x.unit, color, row=len(rows), width=width, dash=dash, buckets=LINES) | style
-            )
-    layout = time_layout(float(run.time[-1]), rows)
-    return Panel(title, traces, layout, height=120 + 150 * len(rows), over_time=False)
+            figure.line(values, name, color, width=width, dash=dash, legendgroup=name, showlegend=first)
+    return figure.panel(height=120 + 150 * len(chosen), over_time=False)
 
 
 def _free_span(measured: Array, unit: Unit) -> tuple[float, float]:

@@ -2,18 +2,18 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
-from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
-from ehls_ros.report.diagnosis_units import change, estimate, percent, quantity, value
 from ehls_ros.report.page import listed, number
+from ehls_ros.report.quantities import estimate, percent, quantity, value
 from ehls_ros.schema import declarations
 
 AT_NOISE = 1.5
@@ -38,33 +38,29 @@ STAGE_NAMES: Mapping[Stage, str] = {
     "sensors": "sensor agreement",
 }
 
-CHANNEL_NAMES: Mapping[Channel, str] = {
-    "spool": "spool, recorded minus simulated from the command",
-    "volume": "flow balance",
-    "supply": "supply pressure, recorded minus modelled",
-    "force": "force balance",
-    "cell": "load cell minus piston area times load pressure",
-    "velocity": "velocity sensor minus slope of the position",
-}
 
-CHANNEL_SHORT: Mapping[Channel, str] = {
-    "spool": "spool",
-    "volume": "flow balance",
-    "supply": "supply pressure",
-    "force": "force balance",
-    "cell": "load cell",
-    "velocity": "velocity sensor",
-}
+class ChannelWords(NamedTuple):
+    """Texts of a channel of the model's residuals.
 
-MEASURED: Mapping[Channel, str] = {
-    "spool": "spool",
-    "volume": "flow taken up",
-    "supply": "supply pressure",
-    "force": "driving force",
-    "cell": "force",
-    "velocity": "velocity",
+    Attributes:
+        short: its name in titles.
+        residual: the compared quantities.
+        measured: measured quantity, as labelled on the axis of its figure.
+    """
+
+    short: str
+    residual: str
+    measured: str
+
+
+CHANNEL_WORDS: Mapping[Channel, ChannelWords] = {
+    "spool": ChannelWords("spool", "spool, recorded minus simulated from the command", "spool"),
+    "volume": ChannelWords("flow balance", "flow balance", "flow taken up"),
+    "supply": ChannelWords("supply pressure", "supply pressure, recorded minus modelled", "supply pressure"),
+    "force": ChannelWords("force balance", "force balance", "driving force"),
+    "cell": ChannelWords("load cell", "load cell minus piston area times load pressure", "force"),
+    "velocity": ChannelWords("velocity sensor", "velocity sensor minus slope of the position", "velocity"),
 }
-"""Measured quantity of each channel, as labelled on the axis of its figure."""
 
 COMPARED: Mapping[Stage, str] = {
     "force_balance": "force balance (3), with friction simulated along the recorded motion",
@@ -159,9 +155,9 @@ def comes_from(found: Diagnosis) -> str:
 
 def _in_short(found: Diagnosis, causes: Sequence[Cause]) -> str:
     """List causes within a sentence, at most two of them by name."""
-    said = [named(found, cause) for cause in causes[:IN_A_SENTENCE]]
-    more = len(causes) - len(said)
-    return listed([*said, *([f"{more} more" if more > 1 else "one more"] if more else [])])
+    names = [named(found, cause) for cause in causes[:IN_A_SENTENCE]]
+    more = len(causes) - len(names)
+    return listed([*names, *([f"{more} more" if more > 1 else "one more"] if more else [])])
 
 
 def named(found: Diagnosis, cause: Cause) -> str:
@@ -215,8 +211,8 @@ def _consistent_sentence(found: Diagnosis) -> str:
     small = [
         f"no significant error in {STAGE_NAMES[stage]} ({_size(result)})" for stage, result in judged if not at_noise(result)
     ]
-    said = [f"only noise remains in {listed(quiet)}", *small] if quiet else small
-    text = f"The simulation agrees with this recording: {listed(said)}"
+    parts = [f"only noise remains in {listed(quiet)}", *small] if quiet else small
+    text = f"The simulation agrees with this recording: {listed(parts)}"
     rest = [STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged]
     return f"{text}; the data are insufficient to assess {listed(rest)}." if rest else f"{text}."
 
@@ -234,8 +230,8 @@ def noise_meaning(found: Diagnosis) -> str:
     """Return the definition of noise in all figures, tables and sentences of the page."""
     spread = ", and the natural spread that the baselines show" if found.baseline is not None else ""
     return (
-        "Noise, everywhere on this page, is how far a right model may be off: by what the sensors' noise does to the balance,"
-        " estimated from the scatter from sample to sample, by what is lost between samples, and by"
+        "Noise, everywhere on this page, is the largest deviation of a right model: by the effect of the sensors' noise on the"
+        " balance, estimated from the scatter from sample to sample, by motion between samples, and by"
         f" {100.0 * TOLERANCE:g} % of the largest term, the accuracy no model exceeds{spread}. Tables and sentences give its"
         " rms, figures ±2 times its value, which should hold 95 % of the residual. A signal that really moves as fast as it is"
         " sampled counts as noisy: then the residual stays well below."
@@ -270,7 +266,8 @@ def runner_up_sentences(found: Diagnosis) -> list[str]:
     """Return, for each cause, the next best effect in its place and the effects indistinguishable from it."""
     out = []
     for cause in found.causes:
-        noun, runner, text = words(cause.name).noun, runner_up(cause), ""
+        noun, text = words(cause.name).noun, ""
+        runner = next((rival for rival in cause.rivals if rival.name not in cause.equivalent_to), None)
         if runner is not None:
             text = (
                 f"The runner-up to {noun} is {words(runner.name).noun}: it {why_lost(cause, runner)}, and the odds against it"
@@ -359,39 +356,44 @@ def capital(text: str) -> str:
     return text if text[:1].isupper() or "_" in text.split(" ", maxsplit=1)[0] else text[:1].upper() + text[1:]
 
 
-_LOOK: Mapping[tuple[Stage, str], str] = {
-    (
-        "force_balance",
-        "velocity_m_s",
-    ): "friction over velocity: identify it again (`ehls identify`), or try another friction model",
-    ("force_balance", "acceleration_m_s2"): "inertia: a second body, or a mass that moves over a fraction of the stroke only",
-    ("force_balance", "position_m"): "geometry: springs, stops, guides, the lever between cylinder and load",
-    ("force_balance", "load_pressure_pa"): "the characteristics of the pressure sensors, and what presses on the seals",
-    ("force_balance", "disturbance_force_n"): "how the disturbance reaches the piston: its sensor, lever and crosstalk",
-    ("force_balance", "oil_temperature_k"): "warming oil and seals, and sensor zeros that move with them",
-    ("force_balance", "time_s"): "drift: a sensor's zero, the temperature, a mounting that works loose",
-    ("flow", "spool_m"): "the valve's flow curve: lands, notches, flow forces",
-    ("flow", "valve_command_m"): "the valve's flow curve: lands, notches, flow forces",
-    ("flow", "load_pressure_pa"): "leakages and relief valves, and the pressure drop in lines and fittings",
-    ("flow", "load_pressure_rate_pa_s"): "compliance under pressure: hoses, air, an accumulator",
-    ("flow", "velocity_m_s"): "pressure drops between valve and cylinder, leakage past moving seals",
-    ("flow", "supply_pressure_pa"): "the supply: pump control, accumulator, other consumers",
-    ("valve", "valve_command_m"): "the valve's static curve from command to spool, and its amplifier",
-    ("valve", "spool_m"): "the stroke: where the spool sticks, or its sensor is not linear",
-    ("valve", "velocity_m_s"): "flow forces on the spool",
-    ("valve", "load_pressure_pa"): "flow forces on the spool",
-    ("valve", "time_s"): "drift: the null, the temperature of the pilot stage",
-    ("sensors", "load_pressure_pa"): "the characteristics of load cell and pressure sensors",
-    ("sensors", "position_m"): "the position sensor's scale along the stroke",
-    ("sensors", "oil_temperature_k"): "zeros that move with the temperature",
-    ("sensors", "time_s"): "drifting zeros, and samples that freeze",
+_ALWAYS = "in any case"
+_INSPECT: Mapping[Stage, Mapping[str, str]] = {
+    "force_balance": {
+        "velocity_m_s": "friction over velocity: identify it again (`ehls identify`), or try another friction model",
+        "acceleration_m_s2": "inertia: a second body, or a mass that moves over a fraction of the stroke only",
+        "position_m": "geometry: springs, stops, guides, the lever between cylinder and load",
+        "load_pressure_pa": "the characteristics of the pressure sensors, and the pressure on the seals",
+        "disturbance_force_n": "how the disturbance reaches the piston: its sensor, lever and crosstalk",
+        "oil_temperature_k": "warming oil and seals, and sensor zeros that move with them",
+        "time_s": "drift: a sensor's zero, the temperature, a mounting that works loose",
+        _ALWAYS: "forces missing from the balance, and elements with memory: creeping springs, stick patches, free play",
+    },
+    "flow": {
+        "spool_m": "the valve's flow curve: lands, notches, flow forces",
+        "valve_command_m": "the valve's flow curve: lands, notches, flow forces",
+        "load_pressure_pa": "leakages and relief valves, and the pressure drop in lines and fittings",
+        "load_pressure_rate_pa_s": "compliance under pressure: hoses, air, an accumulator",
+        "velocity_m_s": "pressure drops between valve and cylinder, leakage past moving seals",
+        "supply_pressure_pa": "the supply: pump control, accumulator, other consumers",
+        _ALWAYS: "elements with memory: hoses that swell, accumulators, air that comes and goes",
+    },
+    "valve": {
+        "valve_command_m": "the valve's static curve from command to spool, and its amplifier",
+        "spool_m": "the stroke: where the spool sticks, or its sensor is not linear",
+        "velocity_m_s": "flow forces on the spool",
+        "load_pressure_pa": "flow forces on the spool",
+        "time_s": "drift: the null, the temperature of the pilot stage",
+        _ALWAYS: "elements with memory: a spool that sticks, a rate limit; hum on the command",
+    },
+    "sensors": {
+        "load_pressure_pa": "the characteristics of load cell and pressure sensors",
+        "position_m": "the position sensor's scale along the stroke",
+        "oil_temperature_k": "zeros that move with the temperature",
+        "time_s": "drifting zeros, and samples that freeze",
+        _ALWAYS: "samples that freeze, missing codes of a converter, cables",
+    },
 }
-_LOOK_ALWAYS: Mapping[Stage, str] = {
-    "force_balance": "forces missing from the balance, and elements with memory: creeping springs, stick patches, free play",
-    "flow": "elements with memory: hoses that swell, accumulators, air that comes and goes",
-    "valve": "elements with memory: a spool that sticks, a rate limit; hum on the command",
-    "sensors": "samples that freeze, missing codes of a converter, cables",
-}
+"""Parts of the rig to inspect for an unknown error of a stage, by the signal on which it depends."""
 
 
 def next_steps(found: Diagnosis) -> list[str]:
@@ -401,8 +403,8 @@ def next_steps(found: Diagnosis) -> list[str]:
         return [
             f"Record the same motion again: an error of the {stage} that is gone was an incident, not the model.",
             f"Check the rig file's values for the {stage} against data sheets and drawings, or fit them by `ehls identify`.",
-            "Look at the rig where the signals point to, below.",
-            "If you find an effect that the list lacks, write it down as one file (how-to: a new effect) and diagnose again.",
+            "Inspect the rig at the places below, to which the signals point.",
+            "If you find an effect that is not on the list, write it as one file (how-to: a new effect) and diagnose again.",
         ]
     if found.verdict == "insufficient":
         return [
@@ -415,27 +417,9 @@ def next_steps(found: Diagnosis) -> list[str]:
 
 def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:
     """Return the parts of the rig to inspect for an unknown cause, each with the signal that points to it, strongest first."""
-    stage = found.unknown_stage
-    if stage is None:
-        return []
-    told = [(quantity(signal), _LOOK[stage, signal]) for signal in found.depends_on if (stage, signal) in _LOOK]
-    return [*told, ("in any case", _LOOK_ALWAYS[stage])]
-
-
-def to_record(found: Diagnosis) -> list[tuple[str, str, str]]:
-    """Return the stages that were not evaluated, each with the signals and the excitation it needs."""
-    lacking = [stage for stage, result in found.stages.items() if not result.judged]
-    return [(STAGE_NAMES[stage], NEEDED_SIGNALS[stage], NEEDED_MOTION[stage]) for stage in lacking]
-
-
-def smallest_text(item: Sensitivity) -> str:
-    """Write the smallest size of an effect that would have been detected."""
-    return change(item.smallest, item.unit)
-
-
-def runner_up(cause: Cause) -> Rival | None:
-    """Return the best rival that the data distinguish from a cause."""
-    return next((rival for rival in cause.rivals if rival.name not in cause.equivalent_to), None)
+    places = {} if found.unknown_stage is None else _INSPECT[found.unknown_stage]
+    pointed = [(quantity(signal), places[signal]) for signal in found.depends_on if signal in places]
+    return [*pointed, (_ALWAYS, places[_ALWAYS])] if places else []
 
 
 def before_name(found: Diagnosis) -> str:

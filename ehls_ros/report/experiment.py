@@ -13,12 +13,12 @@ from ehls_ros.report import page
 from ehls_ros.report import run_figures as drawn
 from ehls_ros.report import run_planes as planes
 from ehls_ros.report.decimation import BUCKETS
-from ehls_ros.report.page import MISSING_NUMBER, limit_text, number
+from ehls_ros.report.page import limit_text, number, with_unit
 from ehls_ros.report.run_signals import error_of, known
 from ehls_ros.report.run_statistics import sampling_sentence, statistics
 from ehls_ros.trajectory import Trajectory, steady_error
 
-MOST_EVENTS = 200
+MAX_EVENTS = 200
 """Maximum number of events listed."""
 
 
@@ -69,25 +69,25 @@ def write_experiment_report(
             page.verdict(sentence, good=good),
             *(page.paragraph(f"Warning: {warning}.") for warning in (() if metrics is None else metrics.warnings)),
             _pace(metrics),
-            page.facts(facts) if (facts := _facts(trajectory, metrics)) else "",
+            page.facts(_facts(trajectory, metrics)),
             page.table(*statistics(trajectory)) if metrics is None else "",
             _resolution(trajectory),
             page.figures(over_time),
             page.figures(beside, columns=2),
             page.left_out([*over_time, *beside]),
-            *_done_to(events),
+            *_event_table(events),
             page.collapsed("Configuration", page.as_yaml(configuration)) if configuration else "",
         ],
     )
 
 
-def _done_to(events: Sequence[Event]) -> list[str]:
+def _event_table(events: Sequence[Event]) -> list[str]:
     """Return the table of the run's events."""
     if not events:
         return []
     rows = [("before" if event.time_s is None else f"{event.time_s:.3f}", event.node, event.what) for event in events]
-    more = page.paragraph(f"{len(rows) - MOST_EVENTS} more are in the bag.") if len(rows) > MOST_EVENTS else ""
-    return [page.heading("What was done"), page.table(("Time / s", "Node", "Event"), rows[:MOST_EVENTS]), more]
+    more = page.paragraph(f"{len(rows) - MAX_EVENTS} more are in the bag.") if len(rows) > MAX_EVENTS else ""
+    return [page.heading("Events"), page.table(("Time / s", "Node", "Event"), rows[:MAX_EVENTS]), more]
 
 
 COUNTED = {
@@ -129,7 +129,7 @@ def summary(trajectory: Trajectory, metrics: Metrics | None) -> tuple[str, bool 
 
 
 def _convergence(metrics: Metrics) -> str:
-    band, oscillation = _with_unit(metrics.convergence_band_n, "N"), _with_unit(metrics.oscillation_n, "N")
+    band, oscillation = with_unit(metrics.convergence_band_n, "N", ""), with_unit(metrics.oscillation_n, "N", "")
     if metrics.convergence_s is None:
         swings = f": it oscillates by ±{oscillation} in the last half, with a band of ±{band}" if band and oscillation else ""
         return f"the error did not converge{swings}"
@@ -148,13 +148,13 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
         ]
     outside = _cycles_outside_bound(trajectory)
     if metrics is not None:
-        band, followed = _with_unit(metrics.convergence_band_n, "N"), math.isfinite(metrics.max_error_n)
+        band, followed = with_unit(metrics.convergence_band_n, "N", ""), math.isfinite(metrics.max_error_n)
         items += [
-            ("Largest error, last half", _with_unit(metrics.max_error_n, "N")),
+            ("Largest error, last half", with_unit(metrics.max_error_n, "N", "")),
             ("Causal limit of it", "" if math.isnan(metrics.causal_limit_n) else limit_text(metrics.causal_limit_n)),
-            ("RMS error, last half", _with_unit(metrics.rms_error_n, "N")),
+            ("RMS error, last half", with_unit(metrics.rms_error_n, "N", "")),
             ("Outside bound (44), last half", "" if outside is None else f"{number(outside)} cycles"),
-            ("Convergence", _with_unit(metrics.convergence_s, "s") or ("not converged" if followed else "")),
+            ("Convergence", with_unit(metrics.convergence_s, "s", "") or ("not converged" if followed else "")),
             ("Convergence band", f"±{band}" if band else ""),
             ("Cycles", number(metrics.cycles)),
             ("Missed cycles", number(metrics.missed_cycles)),
@@ -169,14 +169,12 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
         items.append(("Response median, 99 %, max", f"{median} / {late} / {largest} µs"))
     if metrics is not None:
         items += [
-            ("Duration", _with_unit(metrics.duration_s, "s")),
+            ("Duration", with_unit(metrics.duration_s, "s", "")),
             ("In real time", {None: "", True: "yes", False: "no"}[metrics.in_real_time]),
         ]
     wall = trajectory.metadata.get("wall_s", None if metrics is None else metrics.wall_s)
     recording = (metrics.bag if metrics is not None else None) or ""
-    return [
-        (label, value) for label, value in (*items, ("Wall time", _with_unit(wall, "s")), ("Recording", recording)) if value
-    ]
+    return [*items, ("Wall time", with_unit(wall, "s", "")), ("Recording", recording)]
 
 
 def _pace(metrics: Metrics | None) -> str:
@@ -225,8 +223,3 @@ def _cycles_outside_bound(trajectory: Trajectory) -> int | None:
         return None
     half = len(trajectory) // 2
     return int(np.sum(np.abs(error[half:]) > trajectory["force_bound_n"][half:]))
-
-
-def _with_unit(value: object, unit: str) -> str:
-    text = number(value)
-    return "" if text == MISSING_NUMBER else f"{text} {unit}"

@@ -1,7 +1,7 @@
 """Report of an identification: the coefficients, their uncertainty, and the data beside the fit."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,24 +11,9 @@ from ehls_ros.identification.result import Identification
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report import identification_figures as drawn
 from ehls_ros.report import identification_findings as findings
-from ehls_ros.report.page import (
-    MISSING_NUMBER,
-    Entry,
-    LeftOut,
-    Panel,
-    contents,
-    facts,
-    figures,
-    heading,
-    left_out,
-    listed,
-    number,
-    paragraph,
-    signed,
-    table,
-    verdict,
-    write_page,
-)
+from ehls_ros.report import page
+from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, listed, number, paragraph, signed, table_of
+from ehls_ros.report.quantities import as_shown, unit_text, written
 
 RECORDINGS = 6
 """Maximum number of recordings for which the joint fit is drawn."""
@@ -48,80 +33,62 @@ def write_identification_report(found: Identification, path: Path, *, before: Ri
         path: file to write; its folder must exist.
         before: the rig before the identification, shown beside the new values; None: not shown.
     """
-    parts: list[tuple[str, Callable[[], list[str]]]] = [
-        ("Coefficients", lambda: _coefficients(found, before)),
-        ("Static friction", lambda: _static(found)),
-        ("Presliding", lambda: _presliding(found)),
-        ("Joint fit", lambda: _joint(found)),
-        ("Correlations", lambda: _correlations(found)),
-        ("Search", lambda: _search(found)),
-        ("How it was made", lambda: _making(found)),
+    parts = [
+        ("Coefficients", _coefficients(found, before)),
+        ("Static friction", _static(found)),
+        ("Presliding", _presliding(found)),
+        ("Joint fit", _joint(found)),
+        ("Correlations", _correlations(found)),
+        ("Search", _drawn([drawn.convergence(found)])),
+        ("How it was made", _making(found)),
     ]
-    made = [(title, blocks) for title, make in parts if (blocks := [block for block in make() if block])]
-    sentence, good = findings.verdict_sentence(found)
-    write_page(
-        path,
-        title="Friction identified",
-        subtitle=_subtitle(found),
-        blocks=[
-            verdict(sentence, good=good),
-            contents(title for title, _ in made),
-            *(block for title, blocks in made for block in (heading(title), *blocks)),
-        ],
-    )
-
-
-def _subtitle(found: Identification) -> str:
     names = [motion.name for motion in found.motions]
     more = [f"{len(names) - NAMED} more"] if len(names) > NAMED else []
-    return f"from {listed([*names[:NAMED], *more])}" if names else ""
+    subtitle = f"from {listed([*names[:NAMED], *more])}" if names else ""
+    sentence, good = findings.verdict_sentence(found)
+    blocks = [page.verdict(sentence, good=good), *page.sections(parts)]
+    page.write_page(path, title="Friction identified", subtitle=subtitle, blocks=blocks)
+
+
+def _drawn(panels: Sequence[Panel | LeftOut], columns: int = 1) -> list[str]:
+    """Return figures, and the list of those that could not be drawn."""
+    return [page.figures(panels, columns=columns), page.left_out(panels)]
 
 
 def _coefficients(found: Identification, before: Rig | None) -> list[str]:
-    header = ["coefficient", "", "value", "standard error", "in % of the value", "95 % interval", "unit"]
-    rows = [
-        [*_estimate_row(found, name, estimate), *([] if before is None else [_before(name, estimate, found, before)])]
-        for name, estimate in found.estimates.items()
-    ]
-    blocks = [table([*header, *([] if before is None else ["rig file before"])], rows)] if rows else []
-    missing = findings.not_told(found)
-    if missing:
-        blocks += [
-            paragraph("Not identifiable from these data:"),
-            table(
-                ["coefficient", "", "in the new rig file", "why it is not identifiable"],
-                [
-                    [
-                        _named(found, entry.name),
-                        findings.symbol(entry.name),
-                        Entry(entry.value, heat=0.4),
-                        entry.reason,
-                    ]
-                    for entry in missing
-                ],
-            ),
-        ]
-    return [*blocks, *map(paragraph, findings.other_remarks(found))]
+    rounded = {name: written(e.value, e.std) for name, e in found.estimates.items()}
+    columns: dict[str, Callable[[tuple[str, Estimate]], str | Entry]] = {
+        "coefficient": lambda item: _named(found, item[0]),
+        "": lambda item: findings.symbol(item[0]),
+        "value": lambda item: Entry(rounded[item[0]].value, _in_other_unit(item[1])),
+        "standard error": lambda item: rounded[item[0]].error,
+        "in % of the value": lambda item: findings.relative_error(item[1]),
+        "95 % interval": lambda item: rounded[item[0]].interval,
+        "unit": lambda item: unit_text(item[1].unit),
+    }
+    if before is not None:
+        columns["rig file before"] = lambda item: _before(*item, found, before)
+    missing = table_of(
+        findings.not_identified(found),
+        {
+            "coefficient": lambda entry: _named(found, entry.name),
+            "": lambda entry: findings.symbol(entry.name),
+            "in the new rig file": lambda entry: Entry(entry.value, heat=0.4),
+            "why it is not identifiable": lambda entry: entry.reason,
+        },
+    )
+    remarks = map(paragraph, findings.other_remarks(found))
+    heading = paragraph("Not identifiable from these data:") if missing else ""
+    return [table_of(found.estimates.items(), columns), heading, missing, *remarks]
 
 
 def _named(found: Identification, name: str) -> Entry:
     return Entry(name, findings.meaning(found.rig, name))
 
 
-def _estimate_row(found: Identification, name: str, estimate: Estimate) -> list[str | Entry]:
-    text = findings.written(estimate.value, estimate.std)
-    share = estimate.std / abs(estimate.value) if estimate.value else math.nan
-    interval = MISSING_NUMBER if text.low == MISSING_NUMBER else f"{text.low} to {text.high}"
-    beside = findings.readable(estimate, digits=2).split(" ±")[0] if estimate.unit in findings.READABLE else ""
-    return [
-        _named(found, name),
-        findings.symbol(name),
-        Entry(text.value, beside),
-        text.error,
-        findings.percent(share),
-        interval,
-        findings.unit_text(estimate.unit),
-    ]
+def _in_other_unit(estimate: Estimate) -> str:
+    """Write the value in the unit of the figures, if that is another one."""
+    return findings.readable(estimate, digits=2).split(" ±")[0] if estimate.unit in findings.READABLE else ""
 
 
 def _before(name: str, estimate: Estimate, found: Identification, before: Rig) -> Entry:
@@ -135,57 +102,49 @@ def _before(name: str, estimate: Estimate, found: Identification, before: Rig) -
         return Entry(MISSING_NUMBER)
     change = estimate.value / old - 1 if old else math.nan
     if not math.isfinite(change):
-        return Entry(findings.as_shown(old))
-    return Entry(findings.as_shown(old), f"{signed(100 * change, 2)} %" if abs(change) >= 1e-5 else "unchanged")
+        return Entry(as_shown(old))
+    return Entry(as_shown(old), f"{signed(100 * change, 2)} %" if abs(change) >= 1e-5 else "unchanged")
 
 
 def _static(found: Identification) -> list[str]:
     curves = [drawn.stribeck(found), drawn.stribeck_slow(found)]
     residuals = [drawn.static_residuals(found)]
-    return [figures(curves, columns=2), figures(residuals), left_out([*curves, *residuals])]
+    return [page.figures(curves, columns=2), page.figures(residuals), page.left_out([*curves, *residuals])]
 
 
 def _presliding(found: Identification) -> list[str]:
     panels = [drawn.hysteresis(found), *([drawn.branch(found)] if found.elements else [])]
     if found.branch is None or not found.nodes:
-        return [figures(panels, columns=len(panels)), left_out(panels)]
+        return _drawn(panels, columns=len(panels))
     static_force = found.fit.friction.static_force
-    rows: list[list[str | Entry]] = [
-        [
-            f"N{i}",
-            f"{number(1e3 * node.way, 4)} mm",
-            f"{number(node.force, 4)} N",
-            f"{number(1e-3 * node.slope, 4)} N/mm",
-            f"{number(1e-3 * stiffness, 4)} N/mm",
-            number(0.5 * stiffness * node.way / static_force, 3),
-        ]
-        for i, (node, stiffness) in enumerate(zip(found.nodes, drawn.element_stiffness(found), strict=True), start=1)
-    ]
-    header = ["node", "travel", "force gained", "slope before it, Ki", "element stiffness, ki", "element weight, αi"]
-    return [
-        paragraph(findings.criteria_remark(found)),
-        figures(panels, columns=2),
-        left_out(panels),
-        table(header, rows),
-        paragraph(
-            "The ramps end at 2 αi Fs, as at standstill. In motion friction is lower, and the branch bends a little earlier."
-        ),
-    ]
+    nodes = table_of(
+        enumerate(zip(found.nodes, drawn.element_stiffness(found), strict=True), start=1),
+        {
+            "node": lambda item: f"N{item[0]}",
+            "travel": lambda item: f"{number(1e3 * item[1][0].way, 4)} mm",
+            "force gained": lambda item: f"{number(item[1][0].force, 4)} N",
+            "slope before it, Ki": lambda item: f"{number(1e-3 * item[1][0].slope, 4)} N/mm",
+            "element stiffness, ki": lambda item: f"{number(1e-3 * item[1][1], 4)} N/mm",
+            "element weight, αi": lambda item: number(0.5 * item[1][1] * item[1][0].way / static_force, 3),
+        },
+    )
+    text = "The ramps end at 2 αi Fs, as at standstill. In motion friction is lower, and the branch bends a little earlier."
+    return [paragraph(findings.criteria_remark(found)), *_drawn(panels, columns=2), nodes, paragraph(text)]
 
 
 def _joint(found: Identification) -> list[str]:
-    blocks = [paragraph(findings.noise_remark(found))] if findings.noise_remark(found) else []
+    remark = findings.noise_remark(found)
+    blocks = [paragraph(remark)] if remark else []
     all_of_them = list(zip(found.motions, found.fit.residuals, found.fit.noise, strict=True))
     missing: list[Panel | LeftOut] = []
     for motion, residual, noise in all_of_them[:RECORDINGS]:
         excerpt = drawn.excerpt(motion, residual, noise)
-        whole = [drawn.residual_over_time(motion, residual), drawn.residual_over_velocity(motion, residual)]
-        blocks += [figures([excerpt]), figures(whole, columns=2)]
+        blocks += [page.figures([excerpt]), page.figures(drawn.residuals(motion, residual), columns=2)]
         missing.append(excerpt)
     missing += [
         LeftOut(f"Joint fit: {m.name}", f"only {RECORDINGS} recordings are drawn") for m, *_ in all_of_them[RECORDINGS:]
     ]
-    return [*blocks, left_out(missing)]
+    return [*blocks, page.left_out(missing)]
 
 
 def _correlations(found: Identification) -> list[str]:
@@ -198,7 +157,7 @@ def _correlations(found: Identification) -> list[str]:
         for i in range(len(names))
     ]
     remark = findings.correlation_remark(found)
-    return [*([paragraph(remark)] if remark else []), table(["", *symbols], rows)]
+    return [*([paragraph(remark)] if remark else []), page.table(["", *symbols], rows)]
 
 
 def _correlation(value: float, *, same: bool) -> Entry:
@@ -207,11 +166,6 @@ def _correlation(value: float, *, same: bool) -> Entry:
     if abs(value) < NO_CORRELATION:
         return Entry("0")
     return Entry(f"{value:+.{2 if abs(value) < ALMOST_ONE else 4}f}".replace("-", "−"), heat=value)
-
-
-def _search(found: Identification) -> list[str]:
-    panels = [drawn.convergence(found)]
-    return [figures(panels), left_out(panels)]
 
 
 def _making(found: Identification) -> list[str]:
@@ -227,38 +181,23 @@ def _making(found: Identification) -> list[str]:
         ("Independent blocks", number(round(fit.blocks)) if math.isfinite(fit.blocks) else ""),
         ("Wall time", f"{number(found.wall_s)} s"),
     ]
-    header = [
-        "recording",
-        "length",
-        "block",
-        "blocks",
-        "counted",
-        "outliers or missing",
-        "noise of a block's force",
-        "residual",
-    ]
-    rows = []
-    for motion, residual, noise in zip(found.motions, fit.residuals, fit.noise, strict=True):
-        counted = float(np.mean(np.isfinite(residual))) if len(residual) else 0.0
-        rows.append(
-            [
-                motion.name,
-                f"{number(len(motion.time) * motion.period, 4)} s",
-                f"{findings.as_shown(1e3 * motion.period)} ms",
-                number(len(motion.time)),
-                f"{number(100 * counted, 2)} %",
-                f"{number(100 * motion.outliers, 2)} %",
-                f"{number(motion.force_noise)} N",
-                f"{number(noise)} N",
-            ]
-        )
-    return [
-        paragraph(
-            "Position and force are averaged over blocks; velocity and acceleration are derivatives of a local cubic. The joint"
-            f" fit searched for {listed(list(fit.free)) if fit.free else 'nothing'} and solved for"
-            f" {listed(list(fit.linear_names))}. Blocks with residuals that are too large are left out; correlated blocks count"
-            " once."
-        ),
-        facts([(label, value) for label, value in items if value]),
-        table(header, rows),
-    ]
+    recordings = table_of(
+        zip(found.motions, fit.residuals, fit.noise, strict=True),
+        {
+            "recording": lambda item: item[0].name,
+            "length": lambda item: f"{number(len(item[0].time) * item[0].period, 4)} s",
+            "block": lambda item: f"{as_shown(1e3 * item[0].period)} ms",
+            "blocks": lambda item: number(len(item[0].time)),
+            "counted": lambda item: f"{number(100 * float(np.mean(np.isfinite(item[1]))) if len(item[1]) else 0.0, 2)} %",
+            "outliers or missing": lambda item: f"{number(100 * item[0].outliers, 2)} %",
+            "noise of a block's force": lambda item: f"{number(item[0].force_noise)} N",
+            "residual": lambda item: f"{number(item[2])} N",
+        },
+    )
+    text = (
+        "Position and force are averaged over blocks; velocity and acceleration are derivatives of a local cubic. The joint"
+        f" fit searched for {listed(list(fit.free)) if fit.free else 'nothing'} and solved for"
+        f" {listed(list(fit.linear_names))}. Blocks with residuals that are too large are left out; correlated blocks count"
+        " once."
+    )
+    return [paragraph(text), page.facts(items), recordings]

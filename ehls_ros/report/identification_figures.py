@@ -1,45 +1,33 @@
 """Figures of the identification report: each function returns a panel, or the reason for its omission."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, in_python
 from ehls_ros.identification.balance import linear_columns
-from ehls_ros.identification.joint import JointFit
 from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.static import StaticFit
 from ehls_ros.identification.stribeck import StaticFriction, steady_force
-from ehls_ros.report.identification_findings import as_shown, elements_remark
-from ehls_ros.report.page import LeftOut, Panel, number
+from ehls_ros.report import plot
+from ehls_ros.report.identification_findings import elements_remark
+from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
 from ehls_ros.report.plot import (
     BLACK,
     BLUE,
-    ELEMENT_LINES,
     GREEN,
-    GREY,
     MILLIMETRE,
-    MILLIMETRE_PER_SECOND,
     NEWTON,
-    ORANGE,
-    PURPLE,
-    SECOND,
-    SKY,
+    PURE_NUMBER,
+    VELOCITY,
     VERMILION,
     Axis,
     Trace,
-    Unit,
-    decades,
     dots,
     line,
-    packed,
-    plane_layout,
-    time_layout,
-    time_line,
 )
+from ehls_ros.report.quantities import as_shown
 from ehls_ros.samples import Mask
 
 CURVE_POINTS = 400
@@ -57,14 +45,14 @@ EXCERPT = 1500
 POINTS = 3000
 """Maximum number of residuals of a recording drawn as a scatter plot."""
 
-COST, ITERATION = Unit("–"), Unit("–")
-WAYS = ((1.0, "forwards", BLUE, "circle"), (-1.0, "backwards", PURPLE, "diamond-open"))
-RECORDING_COLORS = (SKY, ORANGE, GREEN, PURPLE, VERMILION)
+WAYS = ((1.0, "forwards", BLUE, "circle"), (-1.0, "backwards", plot.PURPLE, "diamond-open"))
+RECORDING_COLORS = (plot.SKY, plot.ORANGE, GREEN, plot.PURPLE, VERMILION)
+SPEED = Axis("speed", VELOCITY.unit)
 
 
 def _curves(found: Identification, static: StaticFit, velocity: Array) -> list[Trace]:
     """Draw the fitted curves of steady sliding at velocities other than zero [m/s]."""
-    at = velocity * MILLIMETRE_PER_SECOND.factor
+    at = velocity * VELOCITY.unit.factor
     known, friction = found.rig.plant.viscous_damping, found.rig.friction
     level = in_python(found.rig.friction_law.level)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -79,72 +67,66 @@ def _curves(found: Identification, static: StaticFit, velocity: Array) -> list[T
     ]
 
 
+def _by_way(static: StaticFit, force: Array, chosen: Mask) -> list[tuple[Mask, Trace]]:
+    """Draw some classes of the data over speed, each direction with the rows that it shows."""
+    traces: list[tuple[Mask, Trace]] = []
+    for way, name, color, symbol in WAYS:
+        shown = (way * static.velocity > 0.0) & chosen
+        if shown.any():
+            speed = np.abs(static.velocity[shown]) * SPEED.unit.factor
+            traces.append((shown, dots(speed, force[shown], name, NEWTON, color, symbol=symbol, size=6)))
+    return traces
+
+
 def stribeck(found: Identification) -> Panel | LeftOut:
     """Draw steady friction against velocity: the classes of the data and the fitted curves."""
-    title = "Stribeck curve"
     static = found.static
     if static is None:
-        return LeftOut(title, _NO_STATIC)
+        return LeftOut("Stribeck curve", _NO_STATIC)
     fastest = float(np.max(np.abs(static.velocity)))
     side = np.geomspace(1e-4 * fastest, fastest, CURVE_POINTS)
     velocity = np.concatenate([-side[::-1], [np.nan], side])
-    classes = _classes(static.velocity, static.force, "data, classes of velocity", BLUE)
-    traces = [classes, *_curves(found, static, velocity)]
-    layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("friction", NEWTON))
+    at = static.velocity * VELOCITY.unit.factor
+    classes = dots(at, static.force, "data, classes of velocity", NEWTON, BLUE, size=6)
     note = f"{number(len(static.velocity))} classes; spring and constant force are subtracted."
-    return Panel(title, traces, layout, note, height=400, over_time=False)
+    return plane("Stribeck curve", [classes, *_curves(found, static, velocity)], VELOCITY, plot.FRICTION, note, 400)
 
 
 def stribeck_slow(found: Identification) -> Panel | LeftOut:
     """Draw the Stribeck curve at low speed, both directions on top of each other."""
-    title = "Stribeck curve at low speed"
-    static = found.static
+    title, static = "Stribeck curve at low speed", found.static
     if static is None:
         return LeftOut(title, _NO_STATIC)
     speed = np.abs(static.velocity)
     end = _low_end(static.friction, speed)
-    traces: list[Trace] = []
-    for way, name, color, symbol in WAYS:
-        shown = (way * static.velocity > 0.0) & (speed <= end)
-        if shown.any():
-            traces.append(_classes(speed[shown], way * static.force[shown], name, color, symbol))
+    classes = [trace for _, trace in _by_way(static, np.sign(static.velocity) * static.force, speed <= end)]
     velocity = np.linspace(0.0, end, CURVE_POINTS + 1)[1:]
-    traces += _curves(found, static, velocity)
-    span = (0.0, 1.02 * end * MILLIMETRE_PER_SECOND.factor)
-    layout = plane_layout(Axis("speed", MILLIMETRE_PER_SECOND, span), Axis("friction along the motion", NEWTON))
-    return Panel(title, traces, layout, "Both directions on top of each other.", height=400, over_time=False)
+    x = SPEED._replace(span=(0.0, 1.02 * end * SPEED.unit.factor))
+    y = Axis("friction along the motion", NEWTON)
+    return plane(title, [*classes, *_curves(found, static, velocity)], x, y, "Both directions on top of each other.", 400)
 
 
 def static_residuals(found: Identification) -> Panel | LeftOut:
     """Draw the residual of the static fit against speed."""
-    title = "Residual of the static fit"
-    static = found.static
+    title, static = "Residual of the static fit", found.static
     if static is None:
         return LeftOut(title, _NO_STATIC)
     known = found.rig.plant.viscous_damping
     left = static.force - known * static.velocity - steady_force(static.velocity, static.friction)
-    speed = np.abs(static.velocity) * MILLIMETRE_PER_SECOND.factor
     traces: list[Trace] = []
-    for way, name, color, symbol in WAYS:
-        shown = way * static.velocity > 0.0
-        if shown.any():
-            bars = {"type": "data", "array": packed(static.deviation[shown]), "thickness": 0.8, "width": 0, "color": color}
-            mark = dots(speed[shown], left[shown], name, NEWTON, color, symbol=symbol, size=6)
-            traces.append(mark | {"error_y": bars})
-    span = decades(speed)
-    layout = plane_layout(Axis("speed", MILLIMETRE_PER_SECOND, span, logarithmic=True), Axis("data less static fit", NEWTON))
+    for shown, mark in _by_way(static, left, np.ones(len(left), dtype=bool)):
+        bars = {"type": "data", "array": plot.packed(static.deviation[shown]), "thickness": 0.8, "width": 0}
+        traces.append(mark | {"error_y": bars | {"color": mark["marker"]["color"]}})
+    span = plot.decades(np.abs(static.velocity) * SPEED.unit.factor)
     usual, ratio = _root_mean_square(left), _root_mean_square(left / static.deviation)
     note = f"Root mean square {number(usual)} N, {number(ratio, 2)} times the noise. Bars: one standard deviation of the noise."
-    return Panel(title, traces, layout, note, height=320, over_time=False)
+    x = SPEED._replace(span=span, logarithmic=True)
+    return plane(title, traces, x, Axis("data less static fit", NEWTON), note, 320)
 
 
 def _root_mean_square(values: Array) -> float:
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
-
-
-def _classes(velocity: Array, force: Array, name: str, color: str, symbol: str = "circle") -> Trace:
-    return dots(velocity * MILLIMETRE_PER_SECOND.factor, force, name, NEWTON, color, symbol=symbol, size=6)
 
 
 def _low_end(friction: StaticFriction, speed: Array) -> float:
@@ -168,16 +150,17 @@ def hysteresis(found: Identification) -> Panel | LeftOut:
     for order, i in enumerate(small):
         motion, left = found.motions[i], found.fit.residuals[i]
         last = slice(max(0, len(motion.time) - LOOP_BLOCKS), None)
-        force = np.where(motion.resolved, friction_part(motion, found.fit), np.nan)
-        at = (motion.position - _middle(motion)) * MILLIMETRE.factor
+        friction = motion.force - linear_columns(motion, found.fit.linear_names) @ found.fit.linear
+        force = np.where(motion.resolved, friction, np.nan)
+        there = motion.position[motion.resolved]
+        at = (motion.position - 0.5 * float(there.min() + there.max())) * MILLIMETRE.factor
         color = RECORDING_COLORS[order % len(RECORDING_COLORS)]
         recorded = line(at[last], force[last], f"recorded, {motion.name}", NEWTON, color, width=4.0)
         fitted = line(at[last], (force - left)[last], "fitted", NEWTON, BLACK, width=1.2)
         traces.append(recorded | {"mode": "lines"})
         modelled.append(fitted | {"mode": "lines", "showlegend": order == 0, "legendgroup": "fitted"})
-    layout = plane_layout(Axis("displacement from the middle", MILLIMETRE), Axis("friction", NEWTON))
-    note = "Without viscous friction."
-    return Panel(title, [*traces, *modelled], layout, note, height=420, over_time=False)
+    x = Axis("displacement from the middle", MILLIMETRE)
+    return plane(title, [*traces, *modelled], x, plot.FRICTION, "Without viscous friction.", 420)
 
 
 def branch(found: Identification) -> Panel | LeftOut:
@@ -190,22 +173,21 @@ def branch(found: Identification) -> Panel | LeftOut:
     force = np.array([node.force for node in nodes])
     stiffness = element_stiffness(found)
     at = np.unique(np.concatenate([[0.0], mean.way, way[np.isfinite(way)]]))
-    traces = [line(mean.way * MILLIMETRE.factor, mean.force, f"mean of {mean.branches} branches", NEWTON, GREY, width=4.0)]
+    traces = [line(mean.way * MILLIMETRE.factor, mean.force, f"mean of {mean.branches} branches", NEWTON, plot.GREY, width=4.0)]
     parts = stiffness[:, np.newaxis] * np.minimum(at, way[:, np.newaxis])
     shown = at * MILLIMETRE.factor
     if len(nodes) > 1:
         traces.append(line(shown, parts.sum(axis=0), "all elements", NEWTON, VERMILION, width=1.6, dash="dash"))
     for index, part in enumerate(parts):
-        color, dash = ELEMENT_LINES[index % len(ELEMENT_LINES)]
+        color, dash = plot.ELEMENT_LINES[index % len(plot.ELEMENT_LINES)]
         name = f"element {index + 1}, k = {number(1e-3 * stiffness[index], 4)} N/mm"
         traces.append(line(shown, part, name, NEWTON, color, width=1.4, dash=dash))
     names = [f"N{i}" for i in range(1, len(nodes) + 1)]
     mark = dots(way * MILLIMETRE.factor, force, "nodes", NEWTON, BLACK, size=9, remarks=names)
     traces.append(mark | {"mode": "markers+text", "textposition": "top left"})
-    layout = plane_layout(Axis("travel since the reversal", MILLIMETRE), Axis("force gained", NEWTON))
     remark = elements_remark(found)
     note = f"{remark[0].upper()}{remark[1:]}."
-    return Panel(title, traces, layout, note, height=420, over_time=False)
+    return plane(title, traces, Axis("travel since the reversal", MILLIMETRE), Axis("force gained", NEWTON), note, 420)
 
 
 def element_stiffness(found: Identification) -> Array:
@@ -215,18 +197,8 @@ def element_stiffness(found: Identification) -> Array:
     return stiffness
 
 
-def _middle(motion: Motion) -> float:
-    there = motion.position[motion.resolved]
-    return 0.5 * float(there.min() + there.max())
-
-
 def _no_branch(found: Identification) -> str:
     return "it has too few reversals" if any(motion.small for motion in found.motions) else "no presliding is recorded"
-
-
-def friction_part(motion: Motion, fit: JointFit) -> Array:
-    """Return the recorded force less the linear part of the balance, shape (n,) [N]."""
-    return motion.force - linear_columns(motion, fit.linear_names) @ fit.linear
 
 
 def excerpt(motion: Motion, residual: Array, noise: float) -> Panel | LeftOut:
@@ -243,21 +215,20 @@ def excerpt(motion: Motion, residual: Array, noise: float) -> Panel | LeftOut:
         return LeftOut(title, "none of its blocks counted")
     part = _excerpt(counted)
     time, force, left = motion.time[part] - motion.time[part][0], motion.force[part], residual[part]
-    span = float(time[-1]) or motion.period
-    traces = [
-        time_line(time, force, "measured", NEWTON, SKY, width=4.0),
-        _small_dots(time_line(time, force - left, "fitted, where it counts", NEWTON, BLACK, width=1.2)),
-        _small_dots(time_line(time, left, "measured less fitted", NEWTON, BLUE, row=2, width=1.0)),
-        *_noise_band(span, noise),
-    ]
-    layout = time_layout(span, [Axis("force", NEWTON, share=1.5), Axis("residual", NEWTON)])
-    layout["xaxis"]["title"]["text"] = f"time since {number(float(motion.time[part][0]), 4)} s [{SECOND.symbol}]"
-    return Panel(title, traces, layout, _counted_note(counted, motion, noise), height=380, over_time=False)
-
-
-def _small_dots(trace: Trace) -> Trace:
-    """Return a trace with small dots, so that isolated samples do not hide the lines below."""
-    return trace | {"marker": trace["marker"] | {"size": 2}}
+    figure = Rows(title, time, Axis("force", NEWTON, share=1.5))
+    # Small dots, so that isolated samples do not hide the lines below.
+    figure.line(force, "measured", plot.SKY, width=4.0)
+    figure.line(force - left, "fitted, where it counts", BLACK, width=1.2, marker={"color": BLACK, "size": 2})
+    figure.row(Axis("residual", NEWTON))
+    figure.line(left, "measured less fitted", BLUE, width=1.0, marker={"color": BLUE, "size": 2})
+    figure.traces += _noise_band(float(time[-1]) or motion.period, noise)
+    note = (
+        f"Blocks of {as_shown(1e3 * motion.period)} ms; {number(100 * float(np.mean(counted)), 2)} % of them count."
+        f" Standard deviation of the residual: {number(noise)} N, of the sensor's noise: {number(motion.force_noise)} N."
+    )
+    panel = figure.panel(note, 380, over_time=False)
+    panel.layout["xaxis"]["title"]["text"] = f"time since {number(float(motion.time[part][0]), 4)} s [{plot.SECOND.symbol}]"
+    return panel
 
 
 def _excerpt(counted: Mask) -> slice:
@@ -268,13 +239,6 @@ def _excerpt(counted: Mask) -> slice:
     enough = np.flatnonzero(inside >= min(0.9 * length * float(np.mean(counted)), float(inside.max())))
     start = int(enough[np.argmin(np.abs(enough - 0.5 * (len(counted) - length)))])
     return slice(start, start + length)
-
-
-def _counted_note(counted: Mask, motion: Motion, noise: float) -> str:
-    return (
-        f"Blocks of {as_shown(1e3 * motion.period)} ms; {number(100 * float(np.mean(counted)), 2)} % of them count."
-        f" Standard deviation of the residual: {number(noise)} N, of the sensor's noise: {number(motion.force_noise)} N."
-    )
 
 
 def _noise_band(end: float, noise: float) -> list[Trace]:
@@ -288,38 +252,21 @@ def _noise_band(end: float, noise: float) -> list[Trace]:
     return [traces[0] | {"legendgroup": name}, traces[1] | {"legendgroup": name, "showlegend": False}]
 
 
-def residual_over_time(motion: Motion, residual: Array) -> Panel | LeftOut:
-    """Draw the residual of the joint fit over a recording."""
-    title = f"Residual over time: {motion.name}"
-    if not np.isfinite(residual).any():
-        return LeftOut(title, "none of its blocks counted")
-    kept, note = _thinned(residual)
-    layout = time_layout(float(motion.time[-1]), [Axis("residual", NEWTON)]) | {"showlegend": False, "hovermode": "closest"}
-    return Panel(title, [_cloud(motion.time[kept], residual[kept])], layout, note, height=260, over_time=False)
-
-
-def residual_over_velocity(motion: Motion, residual: Array) -> Panel | LeftOut:
-    """Draw the residual of the joint fit against velocity."""
-    title = f"Residual against velocity: {motion.name}"
-    if not np.isfinite(residual).any():
-        return LeftOut(title, "none of its blocks counted")
-    kept, note = _thinned(residual)
-    velocity = motion.velocity[kept] * MILLIMETRE_PER_SECOND.factor
-    layout = plane_layout(Axis("velocity", MILLIMETRE_PER_SECOND), Axis("residual", NEWTON)) | {"showlegend": False}
-    return Panel(title, [_cloud(velocity, residual[kept])], layout, note, height=260, over_time=False)
-
-
-def _thinned(residual: Array) -> tuple[NDArray[np.intp], str]:
-    """Return the indices of the drawn residuals, and a note if some are omitted."""
+def residuals(motion: Motion, residual: Array) -> list[Panel | LeftOut]:
+    """Draw the residual of the joint fit over the time of a recording, and against velocity."""
+    titles = [f"Residual over time: {motion.name}", f"Residual against velocity: {motion.name}"]
     counted = np.flatnonzero(np.isfinite(residual))
+    if not counted.size:
+        return [LeftOut(title, "none of its blocks counted") for title in titles]
     stride = -(-counted.size // POINTS)
-    return counted[::stride], "" if stride == 1 else f"One block in {stride}."
-
-
-def _cloud(x: Array, residual: Array) -> Trace:
-    mark = dots(x, residual, "measured less fitted", NEWTON, BLUE, size=3)
-    mark["marker"] |= {"opacity": 0.5, "line": {"width": 0}}
-    return mark
+    kept, note = counted[::stride], "" if stride == 1 else f"One block in {stride}."
+    time = Axis("time since start", plot.SECOND, (0.0, float(motion.time[-1]) or 1.0))
+    panels: list[Panel | LeftOut] = []
+    for title, x, values in zip(titles, (time, VELOCITY), (motion.time, motion.velocity), strict=True):
+        mark = dots(values[kept] * x.unit.factor, residual[kept], "measured less fitted", NEWTON, BLUE, size=3)
+        mark["marker"] |= {"opacity": 0.5, "line": {"width": 0}}
+        panels.append(plane(title, [mark], x, Axis("residual", NEWTON), note, 260, showlegend=False))
+    return panels
 
 
 def convergence(found: Identification) -> Panel | LeftOut:
@@ -328,22 +275,23 @@ def convergence(found: Identification) -> Panel | LeftOut:
     if found.static is None:
         return LeftOut(title, _NO_STATIC)
     search = found.static.search
-    cost = _positive(search.history)
+    history = np.asarray(search.history, dtype=float)
+    cost = np.where(np.isfinite(history) & (history > 0.0), history, np.nan)
     if not np.isfinite(cost).any():
         return LeftOut(title, "it has no finite cost")
     iteration = np.arange(1.0, len(cost) + 1.0)
-    traces = [line(iteration, cost, "lowest cost so far", COST, BLUE, width=2.0)]
-    axes = Axis("iteration", ITERATION), Axis("cost", COST, decades(cost), logarithmic=True)
-    layout = plane_layout(*axes) | {"showlegend": False}
-    layout["yaxis"]["automargin"] = True
     how = "converged" if search.converged else f"not converged: {search.advice}"
-    note = f"Half the sum of squares, in standard deviations; {found.method}, {number(search.evaluations)} evaluations, {how}."
-    return Panel(title, traces, layout, note, height=300, over_time=False)
-
-
-def _positive(values: Sequence[float] | NDArray[np.float64]) -> Array:
-    known = np.asarray(values, dtype=float)
-    return np.where(np.isfinite(known) & (known > 0.0), known, np.nan)
+    panel = plane(
+        title,
+        [line(iteration, cost, "lowest cost so far", PURE_NUMBER, BLUE, width=2.0)],
+        Axis("iteration", PURE_NUMBER),
+        Axis("cost", PURE_NUMBER, plot.decades(cost), logarithmic=True),
+        f"Half the sum of squares, in standard deviations; {found.method}, {number(search.evaluations)} evaluations, {how}.",
+        300,
+        showlegend=False,
+    )
+    panel.layout["yaxis"]["automargin"] = True
+    return panel
 
 
 _NO_STATIC = "nothing slides steadily, so there is no static fit"

@@ -2,27 +2,22 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.elements import EVIDENCE
 from ehls_ros.identification.result import Identification
 from ehls_ros.identification.stribeck import StaticFriction
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
-from ehls_ros.report.page import (
-    MISSING_NUMBER,
-    listed,
-    number,
-)
+from ehls_ros.report.page import MISSING_NUMBER, listed, number
 from ehls_ros.report.plot import Unit
+from ehls_ros.report.quantities import as_shown, fixed_point, unit_text, written
 from ehls_ros.schema import declarations
-
-NORMAL_95 = 1.96
-"""Half of the 95 % interval of a normal distribution, in standard errors."""
 
 TOGETHER = 1.2
 """Ratio of the travels at which elements start to slip, below which they act as one."""
@@ -32,9 +27,6 @@ STRONG = 0.9
 
 NOISY = 3.0
 """Ratio of residuals to the sensor's noise above which noise does not explain them."""
-
-EXACT = 1e-12
-"""Standard error, as a fraction of the value, below which it counts as zero."""
 
 SYMBOLS = {
     "coulomb_force": "Fc",
@@ -56,23 +48,7 @@ READABLE = {"m/s": Unit("mm/s", 1e3), "N s/m": Unit("N s/mm", 1e-3), "N/m": Unit
 """Units of the paper and the figures, by the SI units of the rig file."""
 
 
-class Written(NamedTuple):
-    """An estimate as text.
-
-    Attributes:
-        value: rounded to the last significant digit of the standard error.
-        error: the standard error, with as many decimals.
-        low: lower end of the 95 % interval.
-        high: upper end.
-    """
-
-    value: str
-    error: str
-    low: str
-    high: str
-
-
-class NotTold(NamedTuple):
+class NotIdentified(NamedTuple):
     """A coefficient that the data do not identify.
 
     Attributes:
@@ -86,39 +62,12 @@ class NotTold(NamedTuple):
     reason: str
 
 
-def written(value: float, std: float, digits: int = 2) -> Written:
-    """Write a value and its standard error with the same number of decimals.
+class Pair(NamedTuple):
+    """A pair of coefficients with the correlation of their estimates."""
 
-    Args:
-        value: the value.
-        std: its standard error; numbers that are not finite are written as a dash.
-        digits: significant digits of the standard error.
-    """
-    if not math.isfinite(value):
-        return Written(*[MISSING_NUMBER] * 4)
-    if not math.isfinite(std):
-        return Written(as_given(value), *[MISSING_NUMBER] * 3)
-    if std <= EXACT * abs(value):
-        text = as_given(value)
-        return Written(text, number(std, digits), text, text)
-    exponent = int(f"{std:.{digits - 1}e}".split("e")[1])
-    decimals = max(0, digits - 1 - exponent)
-    low, high = value - NORMAL_95 * std, value + NORMAL_95 * std
-    return Written(*(_fixed(x, decimals) for x in (value, std, low, high)))
-
-
-def _fixed(value: float, decimals: int) -> str:
-    return f"{value:,.{decimals}f}".replace(",", "\u202f").replace("-", "−")
-
-
-def as_given(value: float) -> str:
-    """Write a given, not measured, number with exactly its digits."""
-    if not math.isfinite(value):
-        return MISSING_NUMBER
-    text = f"{value:,.10g}" if value == 0 or 1e-6 <= abs(value) < 1e10 else f"{value:.6g}"
-    if "e-" in text and abs(value) >= 1e-6:
-        text = f"{value:.12f}".rstrip("0")
-    return text.replace(",", "\u202f").replace("-", "−")
+    correlation: float
+    first: str
+    second: str
 
 
 def percent(part: float) -> str:
@@ -126,6 +75,23 @@ def percent(part: float) -> str:
     if not math.isfinite(part):
         return MISSING_NUMBER
     return f"{number(100 * part, 2)} %" if abs(part) >= 1e-5 or part == 0 else "< 0.001 %"
+
+
+def relative_error(estimate: Estimate) -> str:
+    """Write the standard error of an estimate in per cent of its value."""
+    return percent(estimate.std / abs(estimate.value) if estimate.value else math.nan)
+
+
+def strong_pairs(names: Sequence[str], correlations: Array) -> tuple[list[Pair], Pair | None]:
+    """Return the strongly correlated pairs, the strongest first, and the strongest pair of all; None if there is none."""
+    pairs = [
+        Pair(float(correlations[i, j]), names[j], names[i])
+        for i in range(len(names))
+        for j in range(i)
+        if np.isfinite(correlations[i, j])
+    ]
+    pairs.sort(key=lambda pair: (abs(pair.correlation), pair.first, pair.second), reverse=True)
+    return [pair for pair in pairs if abs(pair.correlation) >= STRONG], pairs[0] if pairs else None
 
 
 def split(name: str) -> tuple[str, str]:
@@ -149,11 +115,6 @@ def meaning(rig: Rig, name: str) -> str:
     return re.sub(r" \w+_i\b", "", text).replace("each element", f"element {index}") if index else text
 
 
-def unit_text(unit: str) -> str:
-    """Write a unit with raised powers."""
-    return unit.replace("^2", "²").replace("^3", "³").replace("^5", "⁵")
-
-
 def readable(estimate: Estimate, digits: int = 1) -> str:
     """Write an estimate with its standard error in the unit of the figures."""
     unit = READABLE.get(estimate.unit, Unit(unit_text(estimate.unit)))
@@ -174,9 +135,9 @@ def value_in(rig: Rig, name: str) -> float | tuple[float, ...] | None:
     return None
 
 
-def not_told(found: Identification) -> list[NotTold]:
+def not_identified(found: Identification) -> list[NotIdentified]:
     """List the coefficients that are not identifiable, with the reason for each."""
-    return [NotTold(name, _kept(found, name), _reason(found, name)) for name in found.not_identifiable]
+    return [NotIdentified(name, _kept(found, name), _reason(found, name)) for name in found.not_identifiable]
 
 
 def _kept(found: Identification, name: str) -> str:
@@ -188,15 +149,10 @@ def _kept(found: Identification, name: str) -> str:
     return ", ".join(map(as_shown, value)) if isinstance(value, tuple) else as_shown(value)
 
 
-def as_shown(value: float) -> str:
-    """Write a number of a rig file, fitted or given, with six digits at most."""
-    return as_given(float(f"{value:.6g}"))
-
-
 def _reason(found: Identification, name: str) -> str:
-    said = [remark.rstrip(".") for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
-    if said:
-        return "; ".join(said)
+    reasons = [remark.rstrip(".") for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
+    if reasons:
+        return "; ".join(reasons)
     if found.static is None and name in StaticFriction._fields:
         return "nothing slides steadily"
     if not any(motion.small for motion in found.motions) or (found.elements and found.branch is None):
@@ -222,14 +178,14 @@ def verdict_sentence(found: Identification) -> tuple[str, bool | None]:
         too uncertain or a search has not converged.
     """
     scalars = [name for name in found.rig.friction._fields if name in found.estimates]
-    told = [f"{symbol(name)} {readable(found.estimates[name])}" for name in scalars]
-    parts = [f"{listed(told)} (± one standard error)" if told else "The data tell no coefficient of friction"]
+    named = [f"{symbol(name)} {readable(found.estimates[name])}" for name in scalars]
+    parts = [f"{listed(named)} (± one standard error)" if named else "The data identify no coefficient of friction"]
     if found.elements:
         parts.append(elements_remark(found))
-    missing = [name for name in found.not_identifiable if not _acts_alike(found, name)]
+    missing = [name for name in found.not_identifiable if not _inseparable(found, name)]
     if missing:
         parts.append(f"not identifiable: {listed(missing)}")
-    if any(_acts_alike(found, name) for name in found.not_identifiable):
+    if any(_inseparable(found, name) for name in found.not_identifiable):
         parts.append("viscous_damping cannot be separated from viscous_coefficient")
     good: bool | None = True
     if found.static is None or (found.branch is None if found.elements else bool(missing)):
@@ -243,14 +199,14 @@ def verdict_sentence(found: Identification) -> tuple[str, bool | None]:
     return "; ".join(parts) + ".", good
 
 
-def _acts_alike(found: Identification, name: str) -> bool:
+def _inseparable(found: Identification, name: str) -> bool:
     return name == "viscous_damping" and "viscous_coefficient" in found.estimates
 
 
 def _is_vague(found: Identification, name: str) -> bool:
     """Return whether a coefficient was fitted without success, not left out for lack of a recording."""
-    said = [remark for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
-    return any("standard error" in remark or "told apart" in remark or "limit" in remark for remark in said)
+    remarks = [remark for remark in found.remarks if re.search(rf"\b{re.escape(name)}\b", remark)]
+    return any("standard error" in remark or "told apart" in remark or "limit" in remark for remark in remarks)
 
 
 def elements_remark(found: Identification) -> str:
@@ -275,9 +231,9 @@ def criteria_remark(found: Identification) -> str:
     text = f"{elements_remark(found)}."
     text = text[0].upper() + text[1:]
     if others:
-        told = [f"{_change(change)} with {count}" for count, change in others]
+        changes = [f"{_change(change)} with {count}" for count, change in others]
         text += (
-            f" The Bayesian information criterion (BIC) changes by {listed(told)}; one more element has to lower it by"
+            f" The Bayesian information criterion (BIC) changes by {listed(changes)}; one more element has to lower it by"
             f" {EVIDENCE:g}."
         )
     ways = [node.way for node in found.nodes]
@@ -294,21 +250,14 @@ def _change(value: float) -> str:
 
 def correlation_remark(found: Identification) -> str:
     """Return a remark on the most strongly correlated pairs."""
-    names = list(found.estimates)
-    pairs = [
-        (abs(float(found.correlations[i, j])), names[j], names[i], float(found.correlations[i, j]))
-        for i in range(len(names))
-        for j in range(i)
-        if np.isfinite(found.correlations[i, j])
-    ]
-    strong = sorted((pair for pair in pairs if pair[0] >= STRONG), reverse=True)[:5]
+    strong, largest = strong_pairs(list(found.estimates), found.correlations)
     if strong:
-        told = [f"{symbol(first)} and {symbol(second)} {_fixed(value, 3)}" for _, first, second, value in strong]
-        return f"Strongest: {listed(told)}."
-    if not pairs:
+        named = [f"{symbol(pair.first)} and {symbol(pair.second)} {fixed_point(pair.correlation, 3)}" for pair in strong[:5]]
+        return f"Strongest: {listed(named)}."
+    if largest is None:
         return ""
-    _, first, second, value = max(pairs)
-    return f"None reaches {STRONG:g} in size; the largest is {_fixed(value, 2)}, {symbol(first)} and {symbol(second)}."
+    value, first, second = largest
+    return f"None reaches {STRONG:g} in size; the largest is {fixed_point(value, 2)}, {symbol(first)} and {symbol(second)}."
 
 
 def noise_remark(found: Identification) -> str:

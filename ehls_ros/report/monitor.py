@@ -13,7 +13,6 @@ from ehls_ros.experiments.monitoring.replay import MonitoringResult
 from ehls_ros.experiments.monitoring.trends import NORMAL_95
 from ehls_ros.report import page
 from ehls_ros.report.diagnosis_findings import capital
-from ehls_ros.report.diagnosis_units import percent, unit_for
 from ehls_ros.report.monitor_findings import (
     FROM_ZERO,
     HEADER,
@@ -50,6 +49,7 @@ from ehls_ros.report.plot import (
     time_layout,
     time_mark,
 )
+from ehls_ros.report.quantities import percent, unit_for
 
 DAY_SECONDS = 86400.0
 

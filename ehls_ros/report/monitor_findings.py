@@ -14,9 +14,8 @@ from ehls_ros.experiments.monitoring.trends import NORMAL_95, LimitPrediction
 from ehls_ros.physics.rig import Rig
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, capital, words
 from ehls_ros.report.diagnosis_findings import fitted as fitted_parameter
-from ehls_ros.report.diagnosis_units import after, likely, percent, quantity, unit_for, value
-from ehls_ros.report.identification_findings import written
 from ehls_ros.report.page import MISSING_NUMBER, listed, number, signed
+from ehls_ros.report.quantities import after, likely, percent, quantity, unit_for, value, written
 
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 8766.0 * 3600.0
 

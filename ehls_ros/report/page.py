@@ -7,20 +7,23 @@ import json
 import logging
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import import_module
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from ehls_ros.report.plot import FONT, Layout, Trace
+from ehls_ros.report.decimation import BUCKETS
+from ehls_ros.report.plot import FONT, Axis, Layout, Trace, stacked_layout, time_layout, time_line
 
 MISSING_NUMBER = "–"
 
-PLOTLY = "pip install plotly (Ubuntu's python3-plotly comes without what draws)"
+PLOTLY = "pip install plotly (Ubuntu's python3-plotly lacks plotly.js)"
 """How to install the library that draws the figures."""
 
 Configuration = Mapping[str, object]
@@ -48,6 +51,84 @@ class Panel:
     height: int = 260
     over_time: bool = True
     least_width: int = 0
+
+
+def plane(title: str, traces: Sequence[Trace], x: Axis, y: Axis, note: str = "", height: int = 340, **layout: object) -> Panel:
+    """Return a figure of one quantity against another.
+
+    Args:
+        title: heading.
+        traces: plotly traces.
+        x: horizontal axis.
+        y: vertical axis.
+        note: explanation of the figure.
+        height: height in pixels.
+        layout: further keys of plotly's layout.
+    """
+    return Panel(title, traces, stacked_layout(x, [y]) | layout, note, height, over_time=False)
+
+
+class Rows:
+    """A figure of rows over one time axis, built from top to bottom.
+
+    Attributes:
+        title: heading.
+        time: time of the samples since the start, shape (n,) [s].
+        traces: the plotly traces so far.
+    """
+
+    def __init__(self, title: str, time: NDArray[np.float64], *rows: Axis, buckets: int = BUCKETS) -> None:
+        """Begin a figure.
+
+        Args:
+            title: heading.
+            time: time of the samples since the start, shape (n,) [s].
+            rows: axes of the first rows; lines go to the last one.
+            buckets: number of intervals to which a long line is reduced.
+        """
+        self.title, self.time, self.traces = title, time, list[Trace]()
+        self._rows, self._buckets = list(rows), buckets
+
+    def row(self, axis: Axis) -> int:
+        """Add a row to which the next lines go, and return its number."""
+        self._rows.append(axis)
+        return len(self._rows)
+
+    def line(
+        self,
+        values: NDArray[np.float64],
+        name: str,
+        color: str,
+        *,
+        width: float = 1.5,
+        dash: str = "solid",
+        time: NDArray[np.float64] | None = None,
+        **style: object,
+    ) -> None:
+        """Draw a signal in the last row.
+
+        Args:
+            values: in the trajectory's unit, shape (n,), NaN in gaps.
+            name: entry in the legend.
+            color: colour of the line.
+            width: line width in pixels.
+            dash: plotly's name of the pattern.
+            time: times of the samples [s]; by default those of the figure.
+            style: further keys of plotly's trace.
+        """
+        unit, row, time = self._rows[-1].unit, len(self._rows), self.time if time is None else time
+        trace = time_line(time, values, name, unit, color, row=row, width=width, dash=dash, buckets=self._buckets)
+        self.traces.append(trace | style)
+
+    def panel(self, note: str = "", height: int = 260, *, over_time: bool = True) -> Panel:
+        """Return the figure.
+
+        Args:
+            note: explanation of the figure.
+            height: height in pixels.
+            over_time: whether the horizontal axis is the time of the run.
+        """
+        return Panel(self.title, self.traces, time_layout(float(self.time[-1]), self._rows), note, height, over_time)
 
 
 @dataclass(frozen=True)
@@ -99,7 +180,13 @@ def limit_text(limit: float) -> str:
     """Return a causal limit [N] for a table, to 0.1 N, the resolution of force sensors; "unknown" if NaN."""
     if math.isnan(limit):
         return "unknown"
-    return f"{limit:.1f} N" if limit >= LEAST_LIMIT else f"<{LEAST_LIMIT:g} N"
+    return f"{limit:.1f} N" if limit >= MIN_LIMIT else f"<{MIN_LIMIT:g} N"
+
+
+def with_unit(value: object, unit: str, missing: str = MISSING_NUMBER) -> str:
+    """Write a number with its unit; if it is not a finite number, the text for a missing one."""
+    text = number(value)
+    return missing if text == MISSING_NUMBER else f"{text} {unit}"
 
 
 def signed(value: float, digits: int = 3) -> str:
@@ -128,12 +215,6 @@ def heading(text: str) -> str:
     return f'<h2 class="part" id="{_anchor(text)}">{escape(text)}</h2>'
 
 
-def contents(headings: Iterable[str]) -> str:
-    """Return a line of links to the headings."""
-    links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
-    return f'<nav class="contents">{links}</nav>'
-
-
 def _anchor(text: str) -> str:
     return re.sub(r"\W+", "-", text.lower()).strip("-")
 
@@ -148,30 +229,32 @@ def sections(parts: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
         The blocks of the page.
     """
     made = [(title, kept) for title, blocks in parts if (kept := [block for block in blocks if block])]
-    return [contents(title for title, _ in made), *(block for title, blocks in made for block in (heading(title), *blocks))]
+    links = "".join(f'<a href="#{_anchor(title)}">{escape(title)}</a>' for title, _ in made)
+    contents = f'<nav class="contents">{links}</nav>'
+    return [contents, *(block for title, blocks in made for block in (heading(title), *blocks))]
 
 
 def paragraph(text: str) -> str:
     """Return a paragraph."""
-    return f"<p>{_said(text)}</p>"
+    return f"<p>{_html(text)}</p>"
 
 
 def bullets(texts: Iterable[str]) -> str:
     """Return a bulleted list of short texts."""
-    return f"<ul>{''.join(f'<li>{_said(text)}</li>' for text in texts)}</ul>"
+    return f"<ul>{''.join(f'<li>{_html(text)}</li>' for text in texts)}</ul>"
 
 
 def facts(items: Iterable[tuple[str, str]]) -> str:
     """Return a compact grid of key figures.
 
     Args:
-        items: label and value of each.
+        items: label and value of each; one with an empty value is left out.
     """
-    cells = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in items)
-    return f'<dl class="facts">{cells}</dl>'
+    cells = "".join(f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in items if value)
+    return f'<dl class="facts">{cells}</dl>' if cells else ""
 
 
-LEAST_LIMIT = 0.1
+MIN_LIMIT = 0.1
 """Smallest causal limit shown as a number [N]."""
 
 Row = Sequence[str | Entry]
@@ -206,6 +289,20 @@ def table(header: Sequence[str], rows: Sequence[Row]) -> str:
     )
 
 
+Item = TypeVar("Item")
+
+
+def table_of(items: Iterable[Item], columns: Mapping[str, Callable[[Item], str | Entry]]) -> str:
+    """Return a table with a row for each item; empty without items.
+
+    Args:
+        items: the items, in order.
+        columns: title of each column, and the function that returns an item's cell in it.
+    """
+    rows = [[cell(item) for cell in columns.values()] for item in items]
+    return table(tuple(columns), rows) if rows else ""
+
+
 NARROW, CHARACTER, PADDING = 340, 7.5, 17
 """Width of a table on a narrow screen, of a character in it, and of the padding of a cell, in pixels."""
 
@@ -237,11 +334,11 @@ def _shade(cell: str | Entry) -> str:
 
 
 def _inner(cell: str | Entry) -> str:
-    beside = f"<small>{_said(cell.beside)}</small>" if isinstance(cell, Entry) and cell.beside else ""
-    return _said(_text(cell)) + beside
+    beside = f"<small>{_html(cell.beside)}</small>" if isinstance(cell, Entry) and cell.beside else ""
+    return _html(_text(cell)) + beside
 
 
-def _said(text: str) -> str:
+def _html(text: str) -> str:
     """Return a text as HTML; text between backticks is marked as code."""
     return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
@@ -269,7 +366,7 @@ def left_out(panels: Iterable[Panel | LeftOut]) -> str:
     )
     if len(missing) <= A_FEW:
         return lines
-    return f"<details><summary>{len(missing)} figures are left out for want of signals</summary>{lines}</details>"
+    return f"<details><summary>{len(missing)} figures are left out, as signals are missing</summary>{lines}</details>"
 
 
 A_FEW = 3

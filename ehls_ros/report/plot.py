@@ -26,7 +26,8 @@ FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', 'DejaVu Sans', 
 BACKDROP = "y9"
 """Axis from 0 to 1 behind the first row, for marks of a time instead of a value."""
 
-_SILENT = {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}
+SILENT = {"showlegend": False, "hoverinfo": "skip", "hovertemplate": None}
+"""Keys of a trace without an entry in the legend and without a value under the cursor."""
 
 
 class Unit(NamedTuple):
@@ -69,6 +70,15 @@ class Axis(NamedTuple):
     names: tuple[str, ...] = ()
 
 
+VELOCITY, FRICTION = Axis("velocity", MILLIMETRE_PER_SECOND), Axis("friction", NEWTON)
+
+
+def shade(color: str, opacity: float) -> str:
+    """Return a colour such as "#0072B2" with an opacity, for areas."""
+    red, green, blue = bytes.fromhex(color[1:])
+    return f"rgba({red}, {green}, {blue}, {opacity:g})"
+
+
 def packed(values: NDArray[Any]) -> dict[str, str]:
     """Encode numbers in the fastest format for plotly.js: base64 of single precision, NaN for a gap.
 
@@ -83,6 +93,21 @@ def packed(values: NDArray[Any]) -> dict[str, str]:
     single[~np.isfinite(single)] = np.nan
     shape = {"shape": ", ".join(map(str, single.shape))} if single.ndim > 1 else {}
     return {"dtype": "f4", "bdata": base64.b64encode(single.tobytes()).decode("ascii"), **shape}
+
+
+def scatter(mode: str, x: object, y: object, name: str, *, row: int = 1, **style: object) -> Trace:
+    """Return a trace of points, lines or both.
+
+    Args:
+        mode: plotly's "lines", "markers" or both.
+        x: abscissa as shown.
+        y: ordinate as shown.
+        name: entry in the legend.
+        row: row of the figure, 1 on top.
+        style: further keys of plotly's trace.
+    """
+    axis = "y" if row == 1 else f"y{row}"
+    return {"type": "scatter", "mode": mode, "x": x, "y": y, "yaxis": axis, "name": name} | style
 
 
 def line(
@@ -113,17 +138,10 @@ def line(
     """
     known = np.concatenate([[False], np.isfinite(y), [False]])
     alone = bool(np.any(known[1:-1] & ~known[:-2] & ~known[2:]))
-    return {
-        "type": "scatter",
-        "mode": "lines+markers" if alone else "lines",
-        "x": packed(x),
-        "y": packed(y * unit.factor),
-        "yaxis": "y" if row == 1 else f"y{row}",
-        "name": name,
-        "line": {"color": color, "width": width, "dash": dash},
-        "marker": {"color": color, "size": 4},
-        "hovertemplate": f"%{{y:,.5~g}} {unit.symbol}",
-    }
+    style = {"line": {"color": color, "width": width, "dash": dash}, "marker": {"color": color, "size": 4}}
+    hover = f"%{{y:,.5~g}} {unit.symbol}"
+    mode = "lines+markers" if alone else "lines"
+    return scatter(mode, packed(x), packed(y * unit.factor), name, row=row, **style, hovertemplate=hover)
 
 
 def time_line(
@@ -174,8 +192,47 @@ def band(time: NDArray[np.float64], half_width: NDArray[np.float64], name: str, 
     known = np.isfinite(half_width)
     lower = time_line(time[known], -half_width[known], name, unit, GREY, row=row, width=0.8)
     upper = time_line(time[known], half_width[known], name, unit, GREY, row=row, width=0.8)
-    fill = {"fill": "tonexty", "fillcolor": "rgba(0, 158, 115, 0.16)"}
-    return [lower | _SILENT, upper | fill]
+    fill = {"fill": "tonexty", "fillcolor": shade(GREEN, 0.16)}
+    return [lower | SILENT, upper | fill]
+
+
+def region(
+    x: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    name: str,
+    unit: Unit,
+    color: str,
+    opacity: float,
+) -> Trace:
+    """Shade the region between two curves, without an outline.
+
+    Args:
+        x: abscissa as shown, shape (n,).
+        low: lower curve before conversion, shape (n,).
+        high: upper curve before conversion, shape (n,).
+        name: entry in the legend.
+        unit: unit to show y in.
+        color: colour of the area.
+        opacity: opacity of the area.
+    """
+    outline = packed(np.concatenate([x, x[::-1]])), packed(np.concatenate([low, high[::-1]]) * unit.factor)
+    fill = shade(color, opacity)
+    return scatter("lines", *outline, name, fill="toself", fillcolor=fill, line={"width": 0}, hoverinfo="skip")
+
+
+def bars(x: object, y: object, name: str, color: str, hover: str, **style: object) -> Trace:
+    """Draw bars.
+
+    Args:
+        x: abscissa as shown, or the lengths of horizontal bars.
+        y: lengths as shown, or the ordinate of horizontal bars.
+        name: entry in the legend.
+        color: colour of the bars.
+        hover: plotly's template of the value under the cursor.
+        style: further keys of plotly's trace.
+    """
+    return {"type": "bar", "x": x, "y": y, "name": name, "marker": {"color": color}, "hovertemplate": hover, **style}
 
 
 def limits(time: NDArray[np.float64], value: NDArray[np.float64], name: str, unit: Unit) -> list[Trace]:
@@ -192,7 +249,7 @@ def limits(time: NDArray[np.float64], value: NDArray[np.float64], name: str, uni
     """
     upper = time_line(time, value, name, unit, GREY, width=1.2, dash="dash") | {"legendgroup": name}
     lower = time_line(time, -value, name, unit, GREY, width=1.2, dash="dash") | {"legendgroup": name}
-    return [upper, lower | _SILENT]
+    return [upper, lower | SILENT]
 
 
 def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: str, color: str) -> list[Trace]:
@@ -211,18 +268,10 @@ def event_marks(time: NDArray[np.float64], happened: NDArray[np.bool_], name: st
     if not at.size:
         return []
     distinct = np.unique((at / max(time[-1], 1e-9) * BUCKETS).astype(np.int64), return_index=True)[1]
-    return [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "x": packed(at[distinct]),
-            "y": packed(np.full(distinct.size, 0.965)),
-            "yaxis": BACKDROP,
-            "name": f"{name} ({at.size:,})".replace(",", "\u202f"),
-            "marker": {"symbol": "line-ns-open", "size": 9, "color": color, "line": {"width": 1.6, "color": color}},
-            "hoverinfo": "skip",
-        }
-    ]
+    marker = {"symbol": "line-ns-open", "size": 9, "color": color, "line": {"width": 1.6, "color": color}}
+    label = f"{name} ({at.size:,})".replace(",", "\u202f")
+    marks = scatter("markers", packed(at[distinct]), packed(np.full(distinct.size, 0.965)), label, marker=marker)
+    return [marks | {"yaxis": BACKDROP, "hoverinfo": "skip"}]
 
 
 def time_mark(at: float, name: str, color: str = BLACK, dash: str = "dot") -> Trace:
@@ -250,15 +299,8 @@ def upright(
         width: line width in pixels.
         dash: plotly's name of the pattern.
     """
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": [at, at],
-        "y": list(span),
-        "name": name,
-        "line": {"color": color, "width": width, "dash": dash},
-        "hoverinfo": "skip",
-    }
+    style = {"color": color, "width": width, "dash": dash}
+    return scatter("lines", [at, at], list(span), name, line=style, hoverinfo="skip")
 
 
 def dots(
@@ -286,17 +328,10 @@ def dots(
         size: size in pixels.
         remarks: text beside the value under the cursor, one per sample.
     """
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": packed(x),
-        "y": packed(y * unit.factor),
-        "yaxis": "y" if row == 1 else f"y{row}",
-        "name": name,
-        "marker": {"color": color, "size": size, "symbol": symbol, "line": {"width": 1.6, "color": color}},
-        "text": list(remarks),
-        "hovertemplate": f"%{{y:,.4~g}} {unit.symbol}{' · %{text}' if len(remarks) else ''}",
-    }
+    marker = {"color": color, "size": size, "symbol": symbol, "line": {"width": 1.6, "color": color}}
+    hover = f"%{{y:,.4~g}} {unit.symbol}{' · %{text}' if len(remarks) else ''}"
+    style = {"marker": marker, "text": list(remarks), "hovertemplate": hover}
+    return scatter("markers", packed(x), packed(y * unit.factor), name, row=row, **style)
 
 
 def time_layout(duration: float, rows: Sequence[Axis]) -> Layout:
@@ -339,19 +374,6 @@ def stacked_layout(x: Axis, rows: Sequence[Axis]) -> Layout:
         layout["yaxis" if number == 1 else f"yaxis{number}"] = _axis(row) | {"domain": [bottom, top], "anchor": "x"}
         top = bottom - space
     return layout
-
-
-def plane_layout(x: Axis, y: Axis) -> Layout:
-    """Return the layout of one signal against another.
-
-    Args:
-        x: horizontal axis.
-        y: vertical axis.
-
-    Returns:
-        A plotly layout.
-    """
-    return _layout() | {"hovermode": "closest", "xaxis": _axis(x), "yaxis": _axis(y)}
 
 
 def decades(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:

@@ -40,13 +40,24 @@ def write_reproduction_report(results: Results, runs: Runs, path: Path) -> None:
         path: file to write; its folder must exist.
     """
     beyond = results.beyond
+    studies = (
+        ()
+        if beyond is None
+        else (
+            ("Sampling", _sampling(results, beyond, runs)),
+            ("Competitors at their best", _competitors(results, beyond, runs)),
+            ("Adaptation", _adaptation(beyond.drift)),
+            ("Open choices", _choices(results.cells, beyond.choices)),
+            ("Robustness", _robustness(results, beyond)),
+        )
+    )
     parts = [
         ("Table 3", _table3(results.cells)),
         ("GMS against Stribeck", [] if beyond is None else _reductions(results, beyond, runs)),
         ("Table 3 as a figure", [page.figures([drawn.table_dots(results.cells)])]),
         ("The paper's figures", _paper_figures(results, runs)),
         ("Theory", _theory(results)),
-        *(() if beyond is None else _studies(results, beyond, runs)),
+        *studies,
         ("How it was made", _making(results, runs)),
     ]
     sentence, good = findings.verdict_sentence(results)
@@ -59,22 +70,12 @@ def write_reproduction_report(results: Results, runs: Runs, path: Path) -> None:
     )
 
 
-def _studies(results: Results, beyond: Beyond, runs: Runs) -> list[tuple[str, list[str]]]:
-    return [
-        ("Sampling", _sampling(results, beyond, runs)),
-        ("Competitors at their best", _competitors(results, beyond, runs)),
-        ("Adaptation", _adaptation(beyond.drift)),
-        ("Open choices", _choices(results.cells, beyond.choices)),
-        ("Robustness", _robustness(results, beyond)),
-    ]
-
-
 def _table3(cells: Sequence[CellResult]) -> list[str]:
     return [
         page.paragraph(
             "Largest error in the steady half of each run, in N and in % of 10 kN, with the paper's below it."
             f" {WORSE}marks errors larger than the paper's; – where the paper has no number."
-            " The causal limit is what no controller without foresight can be expected to stay below."
+            " No controller without foresight can be expected to stay below the causal limit."
         ),
         _by_cell(cells, _error_entry, ["causal limit", *findings.causal_limits(cells)]),
         page.paragraph(f"Convergence time. {findings.convergence_remark(cells)}"),
@@ -113,20 +114,17 @@ def _convergence_entry(cell: CellResult) -> Entry:
 
 def _reductions(results: Results, beyond: Beyond, runs: Runs) -> list[str]:
     best, natural = (findings.width_text(tried) for tried in (beyond.searches.stribeck_best, beyond.searches.stribeck_natural))
-    rows: list[Row] = [
-        [
-            row.reference,
-            _reduction_entry(row.best_width_percent, row),
-            _reduction_entry(row.natural_width_percent, row),
-            f"{findings.as_set(row.paper_percent)} %",
-        ]
-        for row in beyond.reductions
-    ]
-    return [
-        page.paragraph("Reduction of the largest error by GMS against Stribeck compensation, mean of fd1 and fd2."),
-        page.table(["reference", f"ours, best width ({best})", f"ours, natural width ({natural})", "the paper's"], rows),
-        *map(page.paragraph, findings.cause_remarks(results, runs)),
-    ]
+    table = page.table_of(
+        beyond.reductions,
+        {
+            "reference": lambda row: row.reference,
+            f"ours, best width ({best})": lambda row: _reduction_entry(row.best_width_percent, row),
+            f"ours, natural width ({natural})": lambda row: _reduction_entry(row.natural_width_percent, row),
+            "the paper's": lambda row: f"{findings.as_set(row.paper_percent)} %",
+        },
+    )
+    text = "Reduction of the largest error by GMS against Stribeck compensation, mean of fd1 and fd2."
+    return [page.paragraph(text), table, *map(page.paragraph, findings.cause_remarks(results, runs))]
 
 
 def _reduction_entry(percent: float, row: Reduction) -> Entry:
@@ -159,48 +157,31 @@ def _theory(results: Results) -> list[str]:
     if results.beyond is None:
         return [page.facts(numbers)]
     rows = results.beyond.continuous
-    header = [
-        "FASMC II",
-        "|s| at the start",
-        "|s| ≤ b/h reached",
-        "largest |s| after",
-        "steady |s|",
-        "error at the start",
-        "(45), s = 0",
-        "(45), largest s",
-        "converged to (44)",
-        "largest error after",
-        "steady error",
-        "in time",
-    ]
-    return [
-        *map(page.paragraph, remarks.bounds_remarks(rows)),
-        page.facts(numbers),
-        page.table(header, [_bounds_row(row) for row in rows]),
-        page.figures(drawn.typical_bounds(rows)),
-    ]
+    table = page.table_of(
+        rows,
+        {
+            "FASMC II": lambda row: place_name(row.reference, row.disturbance),
+            "|s| at the start": lambda row: f"{number(row.start_s)} MPa/s",
+            "|s| ≤ b/h reached": lambda row: Entry(_seconds(row.reached_s), f"(46) {_seconds(row.reaching_bound_s)}"),
+            "largest |s| after": lambda row: Entry(f"{number(row.largest_s)} MPa/s", f"b/h {number(row.s_bound)} MPa/s"),
+            "steady |s|": lambda row: f"{number(_steady(row.s_line))} MPa/s",
+            "error at the start": lambda row: f"{number(row.start_error_n)} N",
+            "(45), s = 0": lambda row: _seconds(row.sliding_s),
+            "(45), largest s": lambda row: _seconds(row.sliding_bound_s),
+            "converged to (44)": _converged,
+            "largest error after": lambda row: Entry(f"{number(row.largest_error_n)} N", f"(44) {number(row.error_bound_n)} N"),
+            "steady error": lambda row: f"{number(_steady(row.error_line_n))} N",
+            "in time": lambda row: Entry("yes") if row.holds else Entry(f"{WORSE}no", heat=1.0),
+        },
+    )
+    texts = map(page.paragraph, remarks.bounds_remarks(rows))
+    return [*texts, page.facts(numbers), table, page.figures(drawn.typical_bounds(rows))]
 
 
-def _bounds_row(row: ContinuousRun) -> Row:
+def _converged(row: ContinuousRun) -> Entry:
     late = remarks.is_late(row)
-    return [
-        place_name(row.reference, row.disturbance),
-        f"{number(row.start_s)} MPa/s",
-        Entry(_seconds(row.reached_s), f"(46) {_seconds(row.reaching_bound_s)}"),
-        Entry(f"{number(row.largest_s)} MPa/s", f"b/h {number(row.s_bound)} MPa/s"),
-        f"{number(_steady(row.s_line))} MPa/s",
-        f"{number(row.start_error_n)} N",
-        _seconds(row.sliding_s),
-        _seconds(row.sliding_bound_s),
-        Entry(
-            f"{WORSE if late else ''}{_seconds(row.converged_s)}",
-            f"paper {_seconds(row.paper_bound_s)}, kept {_seconds(row.convergence_bound_s)}",
-            0.5 if late else 0.0,
-        ),
-        Entry(f"{number(row.largest_error_n)} N", f"(44) {number(row.error_bound_n)} N"),
-        f"{number(_steady(row.error_line_n))} N",
-        Entry("yes") if row.holds else Entry(f"{WORSE}no", heat=1.0),
-    ]
+    beside = f"paper {_seconds(row.paper_bound_s)}, kept {_seconds(row.convergence_bound_s)}"
+    return Entry(f"{WORSE if late else ''}{_seconds(row.converged_s)}", beside, 0.5 if late else 0.0)
 
 
 def _steady(values: Sequence[float]) -> float:
@@ -236,10 +217,7 @@ def _adaptation(drift: Sequence[DriftRun]) -> list[str]:
     places = list(dict.fromkeys(Place(row.reference, row.disturbance) for row in drift))
     errors = {(row.adaptation, Place(row.reference, row.disturbance), row.drifts): row.max_error_n for row in drift}
     rows: list[Row] = [
-        [
-            adaptation,
-            *(_drift_entry(errors[adaptation, place, True], errors[adaptation, place, False]) for place in places),
-        ]
+        [adaptation, *(_drift_entry(errors[adaptation, place, True], errors[adaptation, place, False]) for place in places)]
         for adaptation in dict.fromkeys(row.adaptation for row in drift)
     ]
     return [
@@ -327,22 +305,22 @@ def _making(results: Results, runs: Runs) -> list[str]:
             " Sensors are perfect and the controller knows the rig, except in the study of robustness."
             f" 'Lost' marks a run that diverged, with an error of {number(results.diverged_above_n)} N or more."
         ),
-        page.facts([(label, value) for label, value in items if value]),
+        page.facts(items),
         page.collapsed("Tuning", page.as_yaml(tuning)) if any(tuning.values()) else "",
     ]
 
 
 def _disturbances(runs: Runs) -> str:
     """Return a sentence on fd1 and fd2 if they are known from the runs."""
-    told = {}
+    found = {}
     for cell, run in runs.items():
         amplitude, frequency = (
             setting(run.metadata, "spec", "disturbance", "signal", name) for name in ("amplitude", "frequency")
         )
         if amplitude is not None and frequency is not None:
             force, rate = findings.as_set(1e-3 * amplitude), findings.as_set(frequency)
-            told[cell.disturbance] = f"{cell.disturbance} is {force} kN at {rate} Hz"
-    return f" {listed(list(told.values()))}." if told else ""
+            found[cell.disturbance] = f"{cell.disturbance} is {force} kN at {rate} Hz"
+    return f" {listed(list(found.values()))}." if found else ""
 
 
 def _tuning(run: Trajectory) -> dict[str, object]:

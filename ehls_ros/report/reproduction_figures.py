@@ -17,8 +17,8 @@ from ehls_ros.experiments.reproduction.results import (
     Searches,
 )
 from ehls_ros.report import plot
-from ehls_ros.report.page import LeftOut, Panel, number
-from ehls_ros.report.plot import Axis, Trace, Unit
+from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
+from ehls_ros.report.plot import KILONEWTON, MICROSECOND, NEWTON, PURE_NUMBER, Axis, Trace, Unit, dots, line, upright
 from ehls_ros.report.reproduction_findings import (
     DISTURBANCES,
     Runs,
@@ -39,8 +39,21 @@ BUCKETS = 1000
 COLORS = {"SIC": plot.GREEN, FASMC_1: plot.VERMILION, FASMC_2: plot.BLUE}
 REFERENCE_COLORS = (plot.SKY, plot.ORANGE, plot.GREEN, plot.PURPLE)
 PER_SECOND, DEGREE = Unit("1/s"), Unit("°")
+RATE = plot.PAPER_PRESSURE_RATE
 SHOWN = ("constant", "sine")
 """References of the cells shown in the figures of the bounds."""
+
+
+def _color(controller: str) -> str:
+    return COLORS.get(controller, plot.GREY)
+
+
+def _lost(
+    x: NDArray[np.float64], y: float | NDArray[np.float64], name: str, color: str, where: str, symbol: str = "triangle-up"
+) -> Trace:
+    """Mark the places at which the force is lost; ``where`` is the text before it under the cursor."""
+    mark = dots(x, np.broadcast_to(y, x.shape), name, PURE_NUMBER, color, symbol=symbol)
+    return mark | {"hovertemplate": f"{where}force lost<extra></extra>"}
 
 
 def table_dots(cells: Sequence[CellResult]) -> Panel:
@@ -57,45 +70,36 @@ def table_dots(cells: Sequence[CellResult]) -> Panel:
         ours = np.asarray([row.max_error_n for row in rows])
         theirs = np.array([paper_newton(row) for row in rows])
         everything += [*ours, *theirs]
-        color = COLORS.get(controller, plot.GREY)
+        color = _color(controller)
         ends = np.stack([ours, theirs, np.full(len(rows), np.nan)], axis=1).ravel()
-        joined = plot.line(np.repeat(at, 3), np.where(np.isfinite(ends), ends, np.nan), "", plot.NEWTON, color, width=1.0)
-        pairs.append(joined | {"mode": "lines", "showlegend": False, "hoverinfo": "skip", "hovertemplate": None})
-        traces.append(plot.dots(at, ours, f"{controller}, ours", plot.NEWTON, color, size=9))
-        traces.append(plot.dots(at, theirs, f"{controller}, the paper's", plot.NEWTON, color, size=9, symbol="diamond-open"))
-    layout = plot.plane_layout(
-        Axis(
-            "reference and disturbance",
-            plot.PURE_NUMBER,
-            (0.5, len(places) + 0.5),
-            names=tuple(place_name(*place) for place in places),
-        ),
-        Axis("largest error", plot.NEWTON, plot.decades(everything), logarithmic=True),
-    )
-    return Panel("Largest errors, ours and the paper's", [*pairs, *traces], layout, height=380, over_time=False)
+        joined = line(np.repeat(at, 3), ends, "", NEWTON, color, width=1.0)
+        pairs.append(joined | {"mode": "lines"} | plot.SILENT)
+        traces.append(dots(at, ours, f"{controller}, ours", NEWTON, color, size=9))
+        traces.append(dots(at, theirs, f"{controller}, the paper's", NEWTON, color, size=9, symbol="diamond-open"))
+    names = tuple(place_name(*place) for place in places)
+    x = Axis("reference and disturbance", PURE_NUMBER, (0.5, len(places) + 0.5), names=names)
+    y = Axis("largest error", NEWTON, plot.decades(everything), logarithmic=True)
+    return plane("Largest errors, ours and the paper's", [*pairs, *traces], x, y, height=380)
 
 
 def stribeck_curve(friction: FrictionCurves) -> Panel:
     """Draw the steady friction against velocity."""
-    velocity = np.asarray(friction.velocity_m_s) * plot.MILLIMETRE_PER_SECOND.factor
-    trace = plot.line(velocity, np.asarray(friction.steady_force_n), "steady friction", plot.NEWTON, plot.BLUE, width=2.0)
-    layout = plot.plane_layout(Axis("velocity", plot.MILLIMETRE_PER_SECOND), Axis("friction", plot.NEWTON)) | {
-        "showlegend": False
-    }
-    title = "Figure 4 of the paper: Stribeck curve"
-    return Panel(title, [trace], layout, "Identified, with its viscous part.", height=340, over_time=False)
+    velocity = np.asarray(friction.velocity_m_s) * plot.VELOCITY.unit.factor
+    trace = line(velocity, np.asarray(friction.steady_force_n), "steady friction", NEWTON, plot.BLUE, width=2.0)
+    title, note = "Figure 4 of the paper: Stribeck curve", "Identified, with its viscous part."
+    return plane(title, [trace], plot.VELOCITY, plot.FRICTION, note, showlegend=False)
 
 
 def hysteresis_loop(friction: FrictionCurves) -> Panel:
     """Draw the friction of a small motion from rest, with the force of each element."""
-    at = np.asarray(friction.displacement_m) * plot.MILLIMETRE.factor
-    traces = [plot.line(at, np.asarray(friction.hysteresis_n), "all elements", plot.NEWTON, plot.BLACK, width=2.0)]
+    x = Axis("displacement", plot.MILLIMETRE)
+    at = np.asarray(friction.displacement_m) * x.unit.factor
+    traces = [line(at, np.asarray(friction.hysteresis_n), "all elements", NEWTON, plot.BLACK, width=2.0)]
     for index, force in enumerate(friction.elements_n):
         color, dash = plot.ELEMENT_LINES[index % len(plot.ELEMENT_LINES)]
-        traces.append(plot.line(at, np.asarray(force), f"element {index + 1}", plot.NEWTON, color, dash=dash))
-    layout = plot.plane_layout(Axis("displacement", plot.MILLIMETRE), Axis("friction", plot.NEWTON))
-    title = "Figure 5 of the paper: hysteresis loop"
-    return Panel(title, traces, layout, "From rest, without the viscous part.", height=340, over_time=False)
+        traces.append(line(at, np.asarray(force), f"element {index + 1}", NEWTON, color, dash=dash))
+    title, note = "Figure 5 of the paper: hysteresis loop", "From rest, without the viscous part."
+    return plane(title, traces, x, plot.FRICTION, note)
 
 
 def paper_figure(figure: str, cells: Sequence[Cell], runs: Runs) -> Panel | LeftOut:
@@ -109,24 +113,20 @@ def paper_figure(figure: str, cells: Sequence[Cell], runs: Runs) -> Panel | Left
     title = f"Figure {figure} of the paper: {_caption(cells)}"
     if missing := [" ".join(cell) for cell in cells if cell not in runs]:
         return LeftOut(title, f"no run of {', '.join(missing)}")
-    time = since_start(runs[cells[0]])
-    traces: list[Trace] = []
-    errors: list[NDArray[np.float64]] = []
+    first = runs[cells[0]]
+    errors = {cell: runs[cell]["force_n"] - runs[cell]["force_reference_n"] for cell in cells}
+    largest = np.fmax.reduce([np.abs(error) for error in errors.values() if len(error) == len(first)])
+    span, note = steady_span(largest, 0.0, NEWTON.symbol)
+    drawn = Rows(title, since_start(first), Axis("force", KILONEWTON), buckets=BUCKETS)
     for cell in cells:
-        run, color = runs[cell], COLORS.get(cell.controller, plot.GREY)
-        at, error = since_start(run), run["force_n"] - run["force_reference_n"]
-        errors.append(np.abs(error))
-        traces.append(plot.time_line(at, run["force_n"], cell.controller, plot.KILONEWTON, color, width=2.0, buckets=BUCKETS))
-        below = plot.time_line(at, error, f"{cell.controller}, error", plot.NEWTON, color, row=2, width=1.2, buckets=BUCKETS)
-        traces.append(below | {"showlegend": False})
-    reference = runs[cells[0]]["force_reference_n"]
-    traces.append(
-        plot.time_line(time, reference, "reference", plot.KILONEWTON, plot.BLACK, width=1.1, dash="dash", buckets=BUCKETS)
-    )
-    largest = np.fmax.reduce(errors) if len({len(error) for error in errors}) == 1 else errors[0]
-    span, note = steady_span(largest, 0.0, plot.NEWTON.symbol)
-    layout = plot.time_layout(time[-1], [Axis("force", plot.KILONEWTON), Axis("error", plot.NEWTON, span)])
-    return Panel(title, traces, layout, note and f"Error: {note[0].lower()}{note[1:]}", height=360)
+        color, time = _color(cell.controller), since_start(runs[cell])
+        drawn.line(runs[cell]["force_n"], cell.controller, color, width=2.0, time=time)
+    drawn.line(first["force_reference_n"], "reference", plot.BLACK, width=1.1, dash="dash")
+    drawn.row(Axis("error", NEWTON, span))
+    for cell, error in errors.items():
+        color, time = _color(cell.controller), since_start(runs[cell])
+        drawn.line(error, f"{cell.controller}, error", color, width=1.2, time=time, showlegend=False)
+    return drawn.panel(note and f"Error: {note[0].lower()}{note[1:]}", 360)
 
 
 def paper_adaptation(figure: str, cell: Cell, runs: Runs) -> Panel | LeftOut:
@@ -157,29 +157,21 @@ def bounds(row: ContinuousRun) -> Panel:
         row: one cell of the study in continuous time.
     """
     time = np.asarray(row.time_s)
-    end = np.array([0.0, time[-1]])
-    error, s = np.asarray(row.error_line_n), np.asarray(row.s_line)
-    error_bound, s_bound = row.error_bound_n, row.s_bound
-    error_label = f"bound (44), {number(error_bound)} {plot.NEWTON.symbol}"
-    s_label = f"b/h, {number(s_bound)} {plot.PAPER_PRESSURE_RATE.symbol}"
-    traces = [
-        plot.line(time, error, "|error|", plot.NEWTON, plot.BLUE),
-        plot.line(end, np.full(2, error_bound), error_label, plot.NEWTON, plot.VERMILION, dash="dash"),
-        plot.line(time, s, "|s|", plot.PAPER_PRESSURE_RATE, plot.GREEN, row=2),
-        plot.line(end, np.full(2, s_bound), s_label, plot.PAPER_PRESSURE_RATE, plot.ORANGE, row=2, dash="dash"),
-    ]
+    figure = Rows(f"The law in continuous time: {row.reference}, {row.disturbance}", time, buckets=len(time))
+    for name, values, bound, label, unit, colors in (
+        ("|error|", row.error_line_n, row.error_bound_n, "bound (44),", NEWTON, (plot.BLUE, plot.VERMILION)),
+        ("|s|", row.s_line, row.s_bound, "b/h,", RATE, (plot.GREEN, plot.ORANGE)),
+    ):
+        figure.row(Axis(name, unit, plot.decades([*values, bound]), logarithmic=True))
+        figure.line(np.asarray(values), name, colors[0])
+        figure.line(np.full(time.shape, bound), f"{label} {number(bound)} {unit.symbol}", colors[1], dash="dash")
     for bound, name, dash in (
         (row.paper_bound_s, "(46) + (45) with s = 0", "dot"),
         (row.convergence_bound_s, "for any disturbance", "dashdot"),
     ):
         if 1e-3 * time[-1] < bound < time[-1]:
-            traces.append(plot.time_mark(bound, f"{name}: {number(bound)} {plot.SECOND.symbol}", dash=dash))
-    rows = [
-        Axis("|error|", plot.NEWTON, plot.decades([*error, error_bound]), logarithmic=True),
-        Axis("|s|", plot.PAPER_PRESSURE_RATE, plot.decades([*s, s_bound]), logarithmic=True),
-    ]
-    title = f"The law in continuous time: {row.reference}, {row.disturbance}"
-    return Panel(title, traces, plot.time_layout(time[-1], rows), height=340, over_time=False)
+            figure.traces.append(plot.time_mark(bound, f"{name}: {number(bound)} {plot.SECOND.symbol}", dash=dash))
+    return figure.panel(height=340, over_time=False)
 
 
 def typical_bounds(rows: Sequence[ContinuousRun]) -> list[Panel]:
@@ -196,7 +188,7 @@ def sampling(results: Sampling, bound_n: float, period_s: float | None) -> Panel
         bound_n: the bound (44) [N].
         period_s: period of Table 3 [s].
     """
-    period = np.asarray(results.periods_s) * plot.MICROSECOND.factor
+    period = np.asarray(results.periods_s) * MICROSECOND.factor
     colors = {"explicit": plot.VERMILION, "implicit": plot.BLUE}
     dashes: dict[str, str] = {}
     lines = [(entry, np.asarray(entry.errors_n)) for entry in results.lines]
@@ -206,29 +198,23 @@ def sampling(results: Sampling, bound_n: float, period_s: float | None) -> Panel
     for entry, errors in lines:
         dash = dashes.setdefault(entry.reference, ("solid", "dash", "dot")[len(dashes) % 3])
         color = colors.get(entry.discretisation, plot.GREY)
-        name = f"{entry.discretisation}, {entry.reference}"
-        drawn = plot.line(period, np.where(np.isfinite(errors), errors, np.nan), name, plot.NEWTON, color, width=1.8, dash=dash)
+        drawn = line(period, errors, f"{entry.discretisation}, {entry.reference}", NEWTON, color, width=1.8, dash=dash)
         traces.append(drawn | {"mode": "lines+markers", "marker": {"color": color, "size": 5}})
     for order, kind in enumerate(dict.fromkeys(entry.discretisation for entry, _ in lines)):
         lost = np.any([~np.isfinite(errors) for entry, errors in lines if entry.discretisation == kind], axis=0)
         if lost.any():
-            height = np.full(int(lost.sum()), high / (1.3 * 1.7**order))
-            mark = plot.dots(
-                period[lost], height, f"{kind}: force lost", plot.NEWTON, colors.get(kind, plot.GREY), symbol="triangle-up"
-            )
-            traces.append(mark | {"hovertemplate": "%{x:,.4~g} µs: force lost<extra></extra>"})
-    limit = results.explicit_limit_s * plot.MICROSECOND.factor
+            height, color = high / (1.3 * 1.7**order), colors.get(kind, plot.GREY)
+            traces.append(_lost(period[lost], height, f"{kind}: force lost", color, "%{x:,.4~g} µs: "))
+    limit = results.explicit_limit_s * MICROSECOND.factor
     ends = np.array([0.7 * period[0], 1.4 * period[-1]])
-    traces.append(plot.upright(limit, (low, high), f"2/K = {number(limit)} {plot.MICROSECOND.symbol}", dash="dash"))
+    traces.append(upright(limit, (low, high), f"2/K = {number(limit)} {MICROSECOND.symbol}", dash="dash"))
     if period_s is not None:
-        at = period_s * plot.MICROSECOND.factor
-        traces.append(plot.upright(at, (low, high), f"Table 3: {as_set(at)} {plot.MICROSECOND.symbol}", plot.GREY))
-    traces.append(plot.line(ends, np.full(2, bound_n), "bound (44)", plot.NEWTON, plot.ORANGE, dash="dashdot"))
-    layout = plot.plane_layout(
-        Axis("sampling period", plot.MICROSECOND, (float(ends[0]), float(ends[1])), logarithmic=True),
-        Axis("largest error", plot.NEWTON, (low, high), logarithmic=True),
-    )
-    return Panel("Largest error against sampling period", traces, layout, height=400, over_time=False)
+        at = period_s * MICROSECOND.factor
+        traces.append(upright(at, (low, high), f"Table 3: {as_set(at)} {MICROSECOND.symbol}", plot.GREY))
+    traces.append(line(ends, np.full(2, bound_n), "bound (44)", NEWTON, plot.ORANGE, dash="dashdot"))
+    x = Axis("sampling period", MICROSECOND, (float(ends[0]), float(ends[1])), logarithmic=True)
+    y = Axis("largest error", NEWTON, (low, high), logarithmic=True)
+    return plane("Largest error against sampling period", traces, x, y, height=400)
 
 
 def gains(found: Searches, used: float | None) -> Panel:
@@ -244,39 +230,32 @@ def gains(found: Searches, used: float | None) -> Panel:
     margin = np.array([gain.phase_margin_deg for gain in tried])
     allowed = np.array([gain.admissible for gain in tried])
     low, high = plot.decades(worst)
-    remarks = [f"{as_set(g.proportional)} 1/s and {as_set(g.integral)} 1/s²" for g in tried]
+    remarks = np.array([f"{as_set(g.proportional)} 1/s and {as_set(g.integral)} 1/s²" for g in tried])
     traces: list[Trace] = []
     for which, name, color in ((allowed, "keeps its margins", plot.BLUE), (~allowed, "beyond its margins", plot.VERMILION)):
-        texts = [text for text, wanted in zip(remarks, which, strict=True) if wanted]
-        if not texts:
-            continue
-        known = which & np.isfinite(worst)
-        known_texts = [text for text, wanted in zip(remarks, known, strict=True) if wanted]
-        traces.append(plot.dots(proportional[known], worst[known], name, plot.NEWTON, color, remarks=known_texts))
-        below = plot.dots(proportional[which], margin[which], name, DEGREE, color, row=2, remarks=texts)
-        traces.append(below | {"showlegend": False})
-    lost = ~np.isfinite(worst)
-    if lost.any():
-        height = np.full(int(lost.sum()), high / 1.15)
-        mark = plot.dots(proportional[lost], height, "a cell is lost", plot.NEWTON, plot.BLACK, symbol="triangle-up")
-        traces.append(mark | {"hovertemplate": "%{x:,.4~g} 1/s: force lost<extra></extra>"})
+        if which.any():
+            texts = remarks[which].tolist()
+            traces.append(dots(proportional[which], worst[which], name, NEWTON, color, remarks=texts))
+            below = dots(proportional[which], margin[which], name, DEGREE, color, row=2, remarks=texts)
+            traces.append(below | {"showlegend": False})
+    if (lost := ~np.isfinite(worst)).any():
+        traces.append(_lost(proportional[lost], high / 1.15, "a cell is lost", plot.BLACK, "%{x:,.4~g} 1/s: "))
     for chosen, name, symbol in (
         (found.sic_best, "best with margins", "diamond-open"),
         (found.sic_best_without_margins, "best without", "square-open"),
     ):
         at, error = np.array([chosen.proportional]), np.array([chosen.worst_n])
-        label = f"{name}, {error_text(chosen.worst_n)}"
-        ring = plot.dots(at, error, label, plot.NEWTON, plot.BLACK, symbol=symbol, size=14)
+        ring = dots(at, error, f"{name}, {error_text(chosen.worst_n)}", NEWTON, plot.BLACK, symbol=symbol, size=14)
         traces.append(ring | {"hoverinfo": "skip", "hovertemplate": None})
     if allowed.any():
         last = float(proportional[allowed].max())
         label = f"margins end, {as_set(last)} {PER_SECOND.symbol}"
-        traces.append(plot.upright(last, (low, high), label, plot.GREY, dash="dash"))
+        traces.append(upright(last, (low, high), label, plot.GREY, dash="dash"))
     if used is not None and used != found.sic_best.proportional:
-        traces.append(plot.upright(used, (low, high), "Table 3", plot.GREY))
+        traces.append(upright(used, (low, high), "Table 3", plot.GREY))
     layout = plot.stacked_layout(
         Axis("proportional gain", PER_SECOND, (0.8 * proportional.min(), 1.25 * proportional.max()), logarithmic=True),
-        [Axis("worst error", plot.NEWTON, (low, high), share=2.0, logarithmic=True), Axis("phase margin", DEGREE)],
+        [Axis("worst error", NEWTON, (low, high), share=2.0, logarithmic=True), Axis("phase margin", DEGREE)],
     )
     note = "Largest error over all cells; one dot per integral gain tried."
     return Panel("SIC against its gains", traces, layout, note, height=460, over_time=False)
@@ -290,7 +269,8 @@ def widths(found: Searches, gms_worst_n: float | None) -> Panel:
         gms_worst_n: worst error of FASMC II [N].
     """
     tried = found.stribeck
-    width = np.array([entry.smoothing_m_s for entry in tried]) * plot.MILLIMETRE_PER_SECOND.factor
+    unit = plot.MILLIMETRE_PER_SECOND
+    width = np.array([entry.smoothing_m_s for entry in tried]) * unit.factor
     errors = np.array([np.asarray(entry.errors_n) for entry in tried])
     worst = np.asarray([entry.worst_n for entry in tried])
     low, high = plot.decades([*errors.ravel(), *worst])
@@ -300,25 +280,16 @@ def widths(found: Searches, gms_worst_n: float | None) -> Panel:
     for (reference, disturbance), values in zip(found.cells, errors.T, strict=True):
         color = REFERENCE_COLORS[references.index(reference) % len(REFERENCE_COLORS)]
         dash = "solid" if disturbance == "fd1" else "dash"
-        shown = np.where(np.isfinite(values), values, np.nan)
-        traces.append(plot.line(width, shown, place_name(reference, disturbance), plot.NEWTON, color, width=1.3, dash=dash))
-    drawn = plot.line(width, np.where(np.isfinite(worst), worst, np.nan), "worst", plot.NEWTON, plot.BLACK, width=2.6)
-    traces.append(drawn | {"mode": "lines+markers"})
+        traces.append(line(width, values, place_name(reference, disturbance), NEWTON, color, width=1.3, dash=dash))
+    traces.append(line(width, worst, "worst", NEWTON, plot.BLACK, width=2.6) | {"mode": "lines+markers"})
     if gms_worst_n is not None:
-        traces.append(
-            plot.line(ends, np.full(2, gms_worst_n), "FASMC II, worst", plot.NEWTON, plot.BLUE, width=2.0, dash="dashdot")
-        )
+        traces.append(line(ends, np.full(2, gms_worst_n), "FASMC II, worst", NEWTON, plot.BLUE, width=2.0, dash="dashdot"))
     for chosen, name, dash in ((found.stribeck_best, "best width", "dash"), (found.stribeck_natural, "natural width", "dot")):
-        at = chosen.smoothing_m_s * plot.MILLIMETRE_PER_SECOND.factor
-        traces.append(
-            plot.upright(at, (low, high), f"{name}, {as_set(at)} {plot.MILLIMETRE_PER_SECOND.symbol}", plot.GREY, dash=dash)
-        )
-    layout = plot.plane_layout(
-        Axis("smoothing width", plot.MILLIMETRE_PER_SECOND, (float(ends[0]), float(ends[1])), logarithmic=True),
-        Axis("largest error", plot.NEWTON, (low, high), logarithmic=True),
-    )
-    title = "FASMC I against the width of its Stribeck curve"
-    return Panel(title, traces, layout, height=440, over_time=False)
+        at = chosen.smoothing_m_s * unit.factor
+        traces.append(upright(at, (low, high), f"{name}, {as_set(at)} {unit.symbol}", plot.GREY, dash=dash))
+    x = Axis("smoothing width", unit, (float(ends[0]), float(ends[1])), logarithmic=True)
+    y = Axis("largest error", NEWTON, (low, high), logarithmic=True)
+    return plane("FASMC I against the width of its Stribeck curve", traces, x, y, height=440)
 
 
 def off_by(robustness: Robustness, nominal_n: float | None) -> Panel:
@@ -337,8 +308,8 @@ def off_by(robustness: Robustness, nominal_n: float | None) -> Panel:
     edge = 1.12 * max([*finite, *nominal], default=1.0)
     traces: list[Trace] = []
     for error in nominal:
-        label = f"{NOTHING_OFF}, {number(error)} {plot.NEWTON.symbol}"
-        traces.append(plot.upright(error, (0.0, len(names) + 1.0), label, plot.GREY, dash="dash"))
+        label = f"{NOTHING_OFF}, {number(error)} {NEWTON.symbol}"
+        traces.append(upright(error, (0.0, len(names) + 1.0), label, plot.GREY, dash="dash"))
     for order, factor in enumerate(factors):
         values = np.array([worst.get((name, factor), np.nan) for name in names])
         color = (plot.SKY, plot.VERMILION, plot.PURPLE, plot.GREEN)[order % 4]
@@ -346,18 +317,12 @@ def off_by(robustness: Robustness, nominal_n: float | None) -> Panel:
         label = f"{as_set(100 * factor)} % of the controller's value"
         known = np.isfinite(values)
         texts = [name for name, shown in zip(names, known, strict=True) if shown]
-        mark = plot.dots(values[known], rows[known], label, plot.PURE_NUMBER, color, size=9, remarks=texts)
-        traces.append(mark | {"hovertemplate": f"%{{text}}: %{{x:,.4~g}} {plot.NEWTON.symbol}<extra></extra>"})
+        mark = dots(values[known], rows[known], label, PURE_NUMBER, color, size=9, remarks=texts)
+        traces.append(mark | {"hovertemplate": f"%{{text}}: %{{x:,.4~g}} {NEWTON.symbol}<extra></extra>"})
         if (lost := np.isinf(values)).any():
-            at = np.full(int(lost.sum()), 0.98 * edge)
-            mark = plot.dots(
-                at, rows[lost], f"{as_set(100 * factor)} %: force lost", plot.PURE_NUMBER, color, symbol="triangle-right"
-            )
-            traces.append(mark | {"hovertemplate": "force lost<extra></extra>"})
-    layout = plot.plane_layout(
-        Axis("worst error of FASMC II", plot.NEWTON, (0.0, edge)),
-        Axis("coefficient", plot.PURE_NUMBER, (0.4, len(names) + 0.6), names=tuple(name.replace("_", " ") for name in names)),
-    )
-    title = "One coefficient of the rig off"
-    height = 160 + 21 * len(names)
-    return Panel(title, traces, layout, "Largest error over all cells.", height=height, over_time=False)
+            at, label = np.full(int(lost.sum()), 0.98 * edge), f"{as_set(100 * factor)} %: force lost"
+            traces.append(_lost(at, rows[lost], label, color, "", "triangle-right"))
+    x = Axis("worst error of FASMC II", NEWTON, (0.0, edge))
+    labels = tuple(name.replace("_", " ") for name in names)
+    y = Axis("coefficient", PURE_NUMBER, (0.4, len(names) + 0.6), names=labels)
+    return plane("One coefficient of the rig off", traces, x, y, "Largest error over all cells.", 160 + 21 * len(names))

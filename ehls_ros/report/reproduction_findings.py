@@ -157,12 +157,12 @@ def convergence_remark(cells: Sequence[CellResult]) -> str:
     if wider := [cell for cell in timed if cell not in both]:
         text += (
             f" Not comparable: {_cells_listed(wider)}, where the paper's error leaves the band used here as well;"
-            " its times there refer to a steady oscillation of its own size."
+            " its times there refer to a steady oscillation of that size."
         )
     text += (
         " Converged means that the error stays within 1 % of the largest reference, by the middle of the run at the latest; an"
-        " error that keeps oscillating beyond this band never converges. A reference that starts at the rig's own force can be"
-        " met from the start, 0 s; the paper has 1.8 s and more."
+        " error that keeps oscillating beyond this band never converges. A reference that starts at the rig's initial force can"
+        " be met from the start, 0 s; the paper has 1.8 s and more."
     )
     if any(cell.cell == Cell(SIC, "sine", "fd2") for cell in timed):
         text += " For SIC, sine, fd2 the paper states more than 6 s."

@@ -65,11 +65,11 @@ def bounds_remarks(rows: Sequence[ContinuousRun]) -> list[str]:
         late = [number(1e3 * (row.converged_s - row.paper_bound_s)) for row in over]
         named = [f"{place_name(row.reference, row.disturbance)} by {by} ms" for row, by in zip(over, late, strict=True)]
         text += (
-            f" It exceeds the paper's own time, (46) and (45) with s = 0, in {len(over)}: {listed(named)}. That time assumes"
+            f" It exceeds the paper's time, (46) and (45) with s = 0, in {len(over)}: {listed(named)}. That time assumes"
             " s = 0, although only |s| ≤ b/h is reached; the last time bound allows for the remaining s."
         )
     else:
-        text += " The paper's own time, (46) and (45) with s = 0, is kept as well."
+        text += " The paper's time, (46) and (45) with s = 0, is kept as well."
     second = (
         "'Reached' and 'converged' are the last moments outside, so the largest values after them lie inside by definition;"
         " the test is on the times. Steady values are those of the last half."

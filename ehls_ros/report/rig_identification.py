@@ -1,32 +1,18 @@
 """Report of a whole rig's identification: coefficients, those not identifiable, and the reduction of the residuals."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
 
 from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.physics.rig import Rig
-from ehls_ros.report.identification_findings import as_shown, percent, unit_text, written
-from ehls_ros.report.page import (
-    MISSING_NUMBER,
-    Entry,
-    facts,
-    listed,
-    number,
-    paragraph,
-    sections,
-    signed,
-    table,
-    verdict,
-    write_page,
-)
-
-STRONG = 0.9
-"""Correlation above which a pair is named."""
+from ehls_ros.report import page
+from ehls_ros.report.identification_findings import STRONG, Pair, percent, relative_error, strong_pairs
+from ehls_ros.report.page import MISSING_NUMBER, Entry, listed, number, paragraph, signed, table_of
+from ehls_ros.report.quantities import as_shown, unit_text, written
 
 UNEXPLAINED = 3.0
 """Ratio of a residual to its noise above which the fitted model does not explain it."""
@@ -53,106 +39,98 @@ def write_rig_report(found: RigIdentification, path: Path, *, before: Rig) -> No
     sentence, good = _sentence(found)
     parts = [
         ("Coefficients", _coefficients(found, before)),
-        ("Not identifiable", _not_told(found, before)),
+        ("Not identifiable", _not_identified(found, before)),
         ("Residuals", _residuals(found)),
         ("Correlations", _correlations(found)),
         ("How it was made", _making(found)),
     ]
-    write_page(
-        path,
-        title="Rig identified",
-        subtitle=f"from {listed(found.recordings)}",
-        blocks=[verdict(sentence, good=good), *sections(parts)],
-    )
+    blocks = [page.verdict(sentence, good=good), *page.sections(parts)]
+    page.write_page(path, title="Rig identified", subtitle=f"from {listed(found.recordings)}", blocks=blocks)
 
 
 def _sentence(found: RigIdentification) -> tuple[str, bool | None]:
     if not found.estimates:
-        return "The recordings tell no coefficient of the rig.", None
+        return "The recordings identify no coefficient of the rig.", None
     left = [
         RESIDUALS[name] for name, channel in found.channels.items() if channel.after > UNEXPLAINED * max(channel.noise, 1e-300)
     ]
     count = len(found.estimates)
-    text = f"The recordings tell {count} coefficient{'s' if count > 1 else ''} of the rig"
+    text = f"The recordings identify {count} coefficient{'s' if count > 1 else ''} of the rig"
     if left:
         return f"{text}; more than noise is left in {listed(left)}.", False
     return f"{text}, and little more than noise is left.", True
 
 
 def _coefficients(found: RigIdentification, before: Rig) -> list[str]:
-    header = ["coefficient", "value", "standard error", "in % of the value", "95 % interval", "unit", "rig file before"]
-    rows = [_row(path, estimate, before) for path, estimate in found.estimates.items()]
-    blocks = [table(header, rows)] if rows else []
+    rounded = {path: written(e.value, e.std) for path, e in (*found.estimates.items(), *found.absent.items())}
+    short: dict[str, Callable[[tuple[str, Estimate]], str | Entry]] = {
+        "coefficient": lambda item: item[0],
+        "value": lambda item: rounded[item[0]].value,
+        "standard error": lambda item: rounded[item[0]].error,
+        "unit": lambda item: unit_text(item[1].unit),
+    }
+    columns = {
+        **{title: short[title] for title in ("coefficient", "value", "standard error")},
+        "in % of the value": lambda item: relative_error(item[1]),
+        "95 % interval": lambda item: rounded[item[0]].interval,
+        "unit": short["unit"],
+        "rig file before": lambda item: _before(item[1].value, read(before, item[0])),
+    }
+    blocks = [table_of(found.estimates.items(), columns)]
     if found.absent:
-        blocks += [
-            paragraph("Looked for, and not told from none; the new rig file has none of it:"),
-            table(["coefficient", "value", "standard error", "unit"], [_short(p, e) for p, e in found.absent.items()]),
-        ]
+        text = "Looked for, and not distinguishable from zero; the new rig file has none of it:"
+        blocks += [paragraph(text), table_of(found.absent.items(), short)]
     return [*blocks, *map(paragraph, found.remarks)]
 
 
-def _row(path: str, estimate: Estimate, before: Rig) -> list[str | Entry]:
-    text = written(estimate.value, estimate.std)
-    old = read(before, path)
-    change = estimate.value / old - 1.0 if old else math.nan
-    beside = f"{signed(100.0 * change, 2)} %" if math.isfinite(change) else ""
-    share = estimate.std / abs(estimate.value) if estimate.value else math.nan
-    interval = MISSING_NUMBER if text.low == MISSING_NUMBER else f"{text.low} to {text.high}"
-    return [path, text.value, text.error, percent(share), interval, unit_text(estimate.unit), Entry(as_shown(old), beside)]
+def _before(value: float, old: float) -> Entry:
+    change = value / old - 1.0 if old else math.nan
+    return Entry(as_shown(old), f"{signed(100.0 * change, 2)} %" if math.isfinite(change) else "")
 
 
-def _short(path: str, estimate: Estimate) -> list[str | Entry]:
-    text = written(estimate.value, estimate.std)
-    return [path, text.value, text.error, unit_text(estimate.unit)]
-
-
-def _not_told(found: RigIdentification, before: Rig) -> list[str]:
-    rows: list[list[str | Entry]] = [
-        [path, Entry(as_shown(read(before, path))), reason] for path, reason in found.not_identifiable.items()
-    ]
-    return [table(["coefficient", "in the rig file", "why"], rows)] if rows else []
+def _not_identified(found: RigIdentification, before: Rig) -> list[str]:
+    columns: dict[str, Callable[[tuple[str, str]], str | Entry]] = {
+        "coefficient": lambda item: item[0],
+        "in the rig file": lambda item: as_shown(read(before, item[0])),
+        "why": lambda item: item[1],
+    }
+    return [table_of(found.not_identifiable.items(), columns)]
 
 
 def _residuals(found: RigIdentification) -> list[str]:
-    rows = [
-        [
-            RESIDUALS[name],
-            CHANNELS[name].replace("_", " "),
-            percent(channel.before),
-            percent(channel.after),
-            percent(channel.noise),
-        ]
-        for name, channel in found.channels.items()
-    ]
-    header = ["residual", "stage", "rig file before", "fitted", "noise alone"]
+    rows = table_of(
+        found.channels.items(),
+        {
+            "residual": lambda item: RESIDUALS[item[0]],
+            "stage": lambda item: CHANNELS[item[0]].replace("_", " "),
+            "rig file before": lambda item: percent(item[1].before),
+            "fitted": lambda item: percent(item[1].after),
+            "noise alone": lambda item: percent(item[1].noise),
+        },
+    )
     about = "Root mean square of measured minus modelled, as a fraction of the largest term of its balance."
-    return [paragraph(about), table(header, rows)] if rows else []
+    return [paragraph(about), rows] if rows else []
 
 
 def _correlations(found: RigIdentification) -> list[str]:
-    names = list(found.estimates)
-    pairs = [(float(found.correlations[i, j]), names[j], names[i]) for i in range(len(names)) for j in range(i)]
-    strong = sorted((pair for pair in pairs if abs(pair[0]) >= STRONG), key=lambda pair: -abs(pair[0]))
+    strong, largest = strong_pairs(list(found.estimates), found.correlations)
     if not strong:
-        return [paragraph(f"None reaches {STRONG:g} in size.")] if pairs else []
-    rows: list[list[str | Entry]] = [
-        [first, second, Entry(f"{value:+.3f}".replace("-", "−"), heat=value)] for value, first, second in strong
-    ]
-    return [table(["coefficient", "with", "correlation"], rows)]
+        return [paragraph(f"None reaches {STRONG:g} in size.")] if largest else []
+    columns: dict[str, Callable[[Pair], str | Entry]] = {
+        "coefficient": lambda pair: pair.first,
+        "with": lambda pair: pair.second,
+        "correlation": lambda pair: Entry(f"{pair.correlation:+.3f}".replace("-", "−"), heat=pair.correlation),
+    }
+    return [table_of(strong, columns)]
 
 
 def _making(found: RigIdentification) -> list[str]:
+    _, largest = strong_pairs(list(found.estimates), found.correlations)
     items = [
         ("Recordings", number(len(found.recordings))),
         ("Coefficients fitted", number(len(found.estimates))),
         ("Friction model", found.rig.friction_model),
-        ("Largest correlation", _largest(found)),
+        ("Largest correlation", number(abs(largest.correlation), 2) if largest else MISSING_NUMBER),
         ("Wall time", f"{number(found.wall_s)} s"),
     ]
-    return [facts(items)]
-
-
-def _largest(found: RigIdentification) -> str:
-    if len(found.estimates) < 2:
-        return MISSING_NUMBER
-    return number(float(np.max(np.abs(found.correlations - np.eye(len(found.correlations))))), 2)
+    return [page.facts(items)]

@@ -79,6 +79,11 @@ def missing_reason(run: Trajectory, *names: str) -> str:
     )
 
 
+def none_known(run: Trajectory, *names: str) -> str:
+    """Return the reason why none of some signals can be shown; empty if one can."""
+    return "" if any(known(run, name) for name in names) else missing_reason(run, *names)
+
+
 def missing_together(run: Trajectory, samples: slice, *names: str) -> str:
     """Return the reason why signals cannot be shown together in some samples; empty if they can."""
     if missing := missing_reason(run, *names):
@@ -108,9 +113,9 @@ def largest_of(values: NDArray[np.float64]) -> float:
     return float(known.max()) if known.size else 0.0
 
 
-def force_unit(run: Trajectory) -> Unit:
-    """Return the unit in which the force is shown."""
-    return KILONEWTON if largest_of(run["force_n"]) >= 1.0 / KILONEWTON.factor else NEWTON
+def force_unit(*forces: NDArray[np.float64]) -> Unit:
+    """Return the unit in which forces [N] are shown together."""
+    return KILONEWTON if max(map(largest_of, forces)) >= 1.0 / KILONEWTON.factor else NEWTON
 
 
 def last_samples(run: Trajectory) -> slice:

@@ -1,7 +1,7 @@
 """Report of a dynamic force verification: a section for each block, with its table and figures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +18,16 @@ from ehls_ros.experiments.verification.results import (
 )
 from ehls_ros.report import page
 from ehls_ros.report import verification_figures as drawn
-from ehls_ros.report.page import MISSING_NUMBER, Row, number, signed
+from ehls_ros.report.page import MISSING_NUMBER, Row, number, signed, with_unit
 
 SYMBOLS = {"n": "N", "deg": "°"}
 """Displayed units of quantities."""
 
-MOST_DRAWN = 12
+MAX_DRAWN = 12
 """Maximum number of blocks with figures; the tables have all of them."""
 
 NOTES = (
-    "Peak, valley and range are those of the reference, delayed and scaled, plus the harmonics fitted to what remains.",
+    "Peak, valley and range are those of the reference, delayed and scaled, plus the harmonics fitted to the rest.",
     "Mean, amplitude and phase are those of the fitted sine. Each is the mean over the cycles that were judged.",
     "Errors are measured less reference; a negative phase is a lag.",
     "Percentages are of the reference's range, and those of the amplitude of its amplitude.",
@@ -49,12 +49,12 @@ def answer(found: Verification) -> tuple[str, bool | None]:
     ranged = _largest(cyclic, "range")
     single = len(cyclic) == 1
     judged = "The block was judged by its" if single else f"{len(cyclic)} blocks were judged by their"
-    said = (
+    text = (
         f"{judged} cycles: range off by {'' if single else 'at most '}{_percent(ranged)}, amplitude by {_percent(amplitude)}, "
         f"phase by {signed(lag.error)}° ± {number(lag.uncertainty.expanded, 2)}°"
     )
     rest = f"; {others} {'is' if others == 1 else 'are'} not cyclic" if others else ""
-    return f"{said}{rest}. This certifies nothing.", None
+    return f"{text}{rest}. This certifies nothing.", None
 
 
 def _largest(blocks: list[JudgedBlock], name: str) -> Quantity:
@@ -76,18 +76,13 @@ def write_verification_report(found: Verification, path: Path, source: str = "")
     """
     sentence, good = answer(found)
     cyclic = [block for block in found.blocks if isinstance(block.found, Cyclic)]
-    pictured = {id(block) for block in cyclic[:MOST_DRAWN]}
+    pictured = {id(block) for block in cyclic[:MAX_DRAWN]}
     left = len(cyclic) - len(pictured)
+    more = page.paragraph(f"Figures of {left} more blocks are left out.") if left else ""
     parts = [
         ("Blocks", [_overview(found)] if len(found.blocks) > 1 else []),
         *((block.name.capitalize(), list(_block(block, figures=id(block) in pictured))) for block in found.blocks),
-        (
-            "How it was made",
-            [
-                page.bullets((*NOTES, *found.remarks)),
-                page.paragraph(f"Figures of {left} more blocks are left out.") if left else "",
-            ],
-        ),
+        ("How it was made", [page.bullets((*NOTES, *found.remarks)), more]),
     ]
     page.write_page(
         path,
@@ -98,34 +93,21 @@ def write_verification_report(found: Verification, path: Path, source: str = "")
 
 
 def _overview(found: Verification) -> str:
-    header = [
-        "",
-        "frequency [Hz]",
-        "cycles",
-        "peak [%]",
-        "valley [%]",
-        "mean [%]",
-        "amplitude [%]",
-        "phase [°]",
-        "distortion [%]",
-    ]
-    rows: list[Row] = []
-    for block in found.blocks:
-        one = block.found
-        if isinstance(one, Cyclic):
-            errors = [_error(q) for q in (one.peak, one.valley, one.mean, one.amplitude, one.phase)]
-            rows.append(
-                [
-                    block.name,
-                    number(one.frequency_hz, 4),
-                    number(one.cycles_judged),
-                    *errors,
-                    number(one.distortion.measured_percent),
-                ]
-            )
-        else:
-            rows.append([block.name, MISSING_NUMBER, "0", *[MISSING_NUMBER] * 6])
-    return page.table(header, rows)
+    def cell(read: Callable[[Cyclic], str], missing: str = MISSING_NUMBER) -> Callable[[JudgedBlock], str]:
+        return lambda block: read(block.found) if isinstance(block.found, Cyclic) else missing
+
+    columns = {
+        "": lambda block: block.name,
+        "frequency [Hz]": cell(lambda one: number(one.frequency_hz, 4)),
+        "cycles": cell(lambda one: number(one.cycles_judged), "0"),
+        "peak [%]": cell(lambda one: _error(one.peak)),
+        "valley [%]": cell(lambda one: _error(one.valley)),
+        "mean [%]": cell(lambda one: _error(one.mean)),
+        "amplitude [%]": cell(lambda one: _error(one.amplitude)),
+        "phase [°]": cell(lambda one: _error(one.phase)),
+        "distortion [%]": cell(lambda one: number(one.distortion.measured_percent)),
+    }
+    return page.table_of(found.blocks, columns)
 
 
 def _error(quantity: Quantity) -> str:
@@ -157,7 +139,7 @@ def _block(block: JudgedBlock, *, figures: bool) -> Iterator[str]:
         yield page.paragraph(f"{missing}.") if missing else ""
         return
     yield page.facts(_facts(block, one))
-    yield page.bullets(_said(one, missing))
+    yield page.bullets(_remarks(one, missing))
     yield _quantities(one)
     yield _cells(one)
     if isinstance(one.inertia, Inertia):
@@ -174,66 +156,68 @@ def _facts(block: JudgedBlock, one: Cyclic) -> list[tuple[str, str]]:
         ("Frequency", f"{number(one.frequency_hz, 4)} Hz"),
         ("Cycles judged", number(one.cycles_judged)),
         ("Passes", number(one.passes)),
-        ("Scatter of peaks", _in(repeated.peak_std_n, "N")),
-        ("Scatter of valleys", _in(repeated.valley_std_n, "N")),
-        ("Scatter of the range", _in(repeated.range_std_n, "N")),
+        ("Scatter of peaks", with_unit(repeated.peak_std_n, "N")),
+        ("Scatter of valleys", with_unit(repeated.valley_std_n, "N")),
+        ("Scatter of the range", with_unit(repeated.range_std_n, "N")),
         ("Drift of peaks", _drift(repeated.peak_drift_n_per_cycle, repeated.peak_drift_expanded_n_per_cycle)),
         ("Drift of valleys", _drift(repeated.valley_drift_n_per_cycle, repeated.valley_drift_expanded_n_per_cycle)),
         ("Harmonic distortion", f"{number(thd.measured_percent)} ± {number(thd.expanded_percent, 2)} %"),
         ("Distortion of the reference", f"{number(thd.reference_percent if thd.reference_percent > 1e-6 else 0.0)} %"),
-        ("Delay", _in(1e3 * one.delay_s, "ms")),
+        ("Delay", with_unit(1e3 * one.delay_s, "ms")),
     ]
-
-
-def _in(value: float, unit: str) -> str:
-    return f"{number(value)} {unit}" if math.isfinite(value) else MISSING_NUMBER
 
 
 def _drift(value: float, expanded: float) -> str:
     return f"{signed(value)} ± {number(expanded, 2)} N/cycle" if math.isfinite(value) else MISSING_NUMBER
 
 
-def _said(one: Cyclic, missing: str) -> Iterator[str]:
+def _remarks(one: Cyclic, missing: str) -> Iterator[str]:
     """Yield remarks on omitted cycles and on the limits of the result."""
-    for count, why in (
+    for count, reason in (
         (one.cycles_settling, "at the start of their stretch, before the force has settled"),
         (one.cycles_incomplete, "for missing samples, a hold, or another length"),
         (one.cycles_unlike, "for another reference than the others'"),
     ):
         if count:
-            yield f"{number(count)} {'cycle is' if count == 1 else 'cycles are'} left out {why}."
+            yield f"{number(count)} {'cycle is' if count == 1 else 'cycles are'} left out {reason}."
     if not one.settled:
         yield "The force has not settled: the cycles that are judged still change."
     if one.cycles_judged == 1:
-        yield "One cycle tells nothing of repeatability: the uncertainty is that of the fit."
+        yield "One cycle gives no repeatability: the uncertainty is that of the fit."
     if missing:
         yield f"{missing}."
     if math.isfinite(one.sensor_phase_deg) and one.sensor_phase_deg:
-        yield f"Of the phase, {signed(one.sensor_phase_deg)}° are the force sensor's own, by the rig file; it is not corrected."
+        yield f"Of the phase, {signed(one.sensor_phase_deg)}° are the force sensor's, by the rig file; they are not corrected."
     if isinstance(one.inertia, Refused):
         yield f"The load cell's inertia is not corrected: {one.inertia.reason}."
 
 
 def _quantities(one: Cyclic) -> str:
-    header = ["", "reference", "measured", "error", "error [%]"]
-    rows: list[Row] = []
-    for q in one.quantities:
-        unit = SYMBOLS[q.unit]
-        share = MISSING_NUMBER if q.relative_to is None else _error(q)
-        error = f"{signed(q.error)} ± {number(q.uncertainty.expanded, 2)} {unit}"
-        rounded = 0.0 if abs(q.reference) < 1e-3 * q.uncertainty.expanded else q.reference
-        rows.append([q.name, f"{number(rounded, 5)} {unit}", f"{number(q.measured, 5)} {unit}", error, share])
-    return page.table(header, rows)
+    return page.table_of(
+        one.quantities,
+        {
+            "": lambda q: q.name,
+            "reference": lambda q: f"{number(_reference(q), 5)} {SYMBOLS[q.unit]}",
+            "measured": lambda q: f"{number(q.measured, 5)} {SYMBOLS[q.unit]}",
+            "error": lambda q: f"{signed(q.error)} ± {number(q.uncertainty.expanded, 2)} {SYMBOLS[q.unit]}",
+            "error [%]": lambda q: MISSING_NUMBER if q.relative_to is None else _error(q),
+        },
+    )
+
+
+def _reference(quantity: Quantity) -> float:
+    """Return the reference, as zero where it is insignificant."""
+    return 0.0 if abs(quantity.reference) < 1e-3 * quantity.uncertainty.expanded else quantity.reference
 
 
 def _cells(one: Cyclic) -> str:
     """Return the uncertainty budget: standard uncertainties by origin."""
     header = ["standard uncertainty of", "scatter (A)", "fit (A)", "noise (B)", "resolution (B)", "cell (B)", "waveform (B)",
               "combined"]  # fmt: skip
-    rows: list[Row] = []
-    for q in one.quantities:
-        unit = SYMBOLS[q.unit]
-        rows.append([q.name, *(_in(part, unit) for part in (*q.uncertainty, q.uncertainty.standard))])
+    rows: list[Row] = [
+        [q.name, *(with_unit(part, SYMBOLS[q.unit]) for part in (*q.uncertainty, q.uncertainty.standard))]
+        for q in one.quantities
+    ]
     return page.table(header, rows)
 
 

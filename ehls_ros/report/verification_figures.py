@@ -2,21 +2,15 @@
 
 import numpy as np
 
-from ehls_ros.arrays import Array
 from ehls_ros.experiments.verification.results import Cyclic
 from ehls_ros.report import plot
-from ehls_ros.report.page import Panel
-from ehls_ros.report.plot import Axis, Trace, Unit
+from ehls_ros.report.page import Panel, plane
+from ehls_ros.report.plot import Axis, Trace, Unit, bars
+from ehls_ros.report.run_signals import force_unit
 
 PERCENT = Unit("%")
-MOST_MARKS = 2000
+MAX_MARKS = 2000
 """Maximum number of cycles in a trend; longer ones are decimated."""
-
-
-def force_unit(*values: Array) -> Unit:
-    """Return the unit in which forces are shown."""
-    largest = max((float(np.nanmax(np.abs(v))) for v in values if np.isfinite(v).any()), default=0.0)
-    return plot.KILONEWTON if largest >= 1.0 / plot.KILONEWTON.factor else plot.NEWTON
 
 
 def one_cycle(found: Cyclic) -> Panel:
@@ -39,7 +33,7 @@ def one_cycle(found: Cyclic) -> Panel:
 def trend(found: Cyclic) -> Panel:
     """Draw the deviations of every cycle's peak and valley from the reference's."""
     trend = found.trend
-    stride = -(-len(trend.cycle) // MOST_MARKS)
+    stride = -(-len(trend.cycle) // MAX_MARKS)
     peak, valley = trend.peak_n - trend.reference_peak_n, trend.valley_n - trend.reference_valley_n
     unit = force_unit(peak, valley)
     traces: list[Trace] = []
@@ -47,15 +41,13 @@ def trend(found: Cyclic) -> Panel:
         ("peak", peak, plot.VERMILION, "triangle-up"),
         ("valley", valley, plot.BLUE, "triangle-down"),
     ):
-        for kept, what, mark in ((trend.judged, name, symbol), (~trend.judged, f"{name}, left out", f"{symbol}-open")):
+        for kept, label, mark in ((trend.judged, name, symbol), (~trend.judged, f"{name}, left out", f"{symbol}-open")):
             rows = np.flatnonzero(kept)[::stride]
             if rows.size:
-                traces.append(plot.dots(trend.cycle[rows], values[rows], what, unit, color, symbol=mark, size=6))
-    layout = plot.plane_layout(Axis("cycle", Unit("number")), Axis("measured less reference", unit))
+                traces.append(plot.dots(trend.cycle[rows], values[rows], label, unit, color, symbol=mark, size=6))
     shown = "" if stride == 1 else f" One of {stride} cycles is shown."
-    return Panel(
-        "Peaks and valleys", traces, layout, f"Of the fitted waveform of each complete cycle.{shown}", 320, over_time=False
-    )
+    x, y = Axis("cycle", Unit("number")), Axis("measured less reference", unit)
+    return plane("Peaks and valleys", traces, x, y, f"Of the fitted waveform of each complete cycle.{shown}", 320)
 
 
 def harmonics(found: Cyclic) -> Panel:
@@ -65,19 +57,13 @@ def harmonics(found: Cyclic) -> Panel:
     order = np.array([float(row.order) for row in rows])
     measured, asked = np.array([row.percent for row in rows]), np.array([row.reference_percent for row in rows])
     spread = np.array([100.0 * row.expanded_n / first for row in rows])
-    bars: list[Trace] = [
-        {
-            "type": "bar",
-            "x": plot.packed(order),
-            "y": plot.packed(values),
-            "name": name,
-            "marker": {"color": color},
-            "hovertemplate": "%{y:.3~g} %",
-        }
-        for name, values, color in (("measured", measured, plot.BLUE), ("reference", asked, plot.LIGHT_GREY))
+    whiskers = {"type": "data", "array": plot.packed(spread), "color": plot.BLACK, "thickness": 1.2, "width": 3}
+    hover = "%{y:.3~g} %"
+    traces = [
+        bars(plot.packed(order), plot.packed(measured), "measured", plot.BLUE, hover, error_y=whiskers),
+        bars(plot.packed(order), plot.packed(asked), "reference", plot.LIGHT_GREY, hover),
     ]
-    bars[0]["error_y"] = {"type": "data", "array": plot.packed(spread), "color": plot.BLACK, "thickness": 1.2, "width": 3}
-    layout = plot.plane_layout(Axis("harmonic", Unit("order")), Axis("amplitude", PERCENT)) | {"barmode": "group"}
-    layout["xaxis"] |= {"dtick": 1}
     note = "In percent of the fundamental; whiskers: expanded uncertainty, k = 2."
-    return Panel("Harmonics", bars, layout, note, 320, over_time=False)
+    panel = plane("Harmonics", traces, Axis("harmonic", Unit("order")), Axis("amplitude", PERCENT), note, 320, barmode="group")
+    panel.layout["xaxis"] |= {"dtick": 1}
+    return panel

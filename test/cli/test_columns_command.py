@@ -21,7 +21,7 @@ def test_the_output_is_a_map_and_the_table_stands_beside_it(tmp_path: Path, caps
         "position_m": Column("Weg_mm", 1e-3),
     }
     assert "# load_pressure_pa: " in shown.out
-    for cell in ("100 Hz", "3 rows", "p [bar]", "certain", "wants a look", "3.5"):
+    for cell in ("100 Hz", "3 rows", "p [bar]", "certain", "to be checked", "3.5"):
         assert cell in shown.err
 
 
@@ -38,7 +38,7 @@ def test_the_map_is_written_with_the_valves_data_and_what_is_missing_is_said(
     for said in (
         "decimal comma, names in line 1, units in line 2",
         "times that do not increase: 1, the first in line 4",
-        "columns that are certain: 3; that want a look: 1",
+        "columns that are certain: 3; to be checked: 1",
         "a diagnosis can judge: nothing yet",
         "not force_balance: it needs position_m",
     ):
@@ -50,7 +50,7 @@ def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path: Path, capsys:
     data.write_text("t [s];x [mm];F [N];state\n0,0;1,0;1.005,0;on\n0,1;2,0;1.006,0;on\n0,2;-;1.007,0;on\n0,3;3,0;1.008,0;on\n")
     assert main(["columns", str(data), "--out", str(out)]) == 0
     shown = capsys.readouterr().err
-    for place in ("line 4 is '-'", "line 2 is '1.005,0'", "columns that are certain: 1; that want a look: 2"):
+    for place in ("line 4 is '-'", "line 2 is '1.005,0'", "columns that are certain: 1; to be checked: 2"):
         assert place in shown
     assert "# \"x [mm]\" is not a column of numbers: line 4 is '-'" in out.read_text()
 

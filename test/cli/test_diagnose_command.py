@@ -18,8 +18,8 @@ from ehls_ros.experiments import diagnosing
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.load import load
-from ehls_ros.report.diagnosis_units import percent
 from ehls_ros.report.page import number
+from ehls_ros.report.quantities import percent
 
 ROOT = Path(__file__).parents[2]
 RIG = ROOT / "config" / "rig_paper_measured.yaml"

@@ -110,7 +110,7 @@ def test_it_stands_in_the_report(tmp_path: Path):
     bag = record(tmp_path / "bag", a_tuned_run)
     assert main(["report", str(bag), "--out", str(tmp_path / "report.html")]) == 0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    for words in ("What was done", "k: 12.0 → 15.0", "0.003", LAW):
+    for words in ("Events", "k: 12.0 → 15.0", "0.003", LAW):
         assert words in page
 
 

@@ -6,7 +6,7 @@ from report_pages import check, numbers, panels, parts, row, rows
 
 from ehls_ros.experiments.campaign.plan import Column
 from ehls_ros.experiments.campaign.results import quantile, results_of
-from ehls_ros.report.campaign import MOST_GROUPS, MOST_ROWS, write_campaign_report
+from ehls_ros.report.campaign import MAX_GROUPS, MAX_ROWS, write_campaign_report
 from ehls_ros.report.campaign_findings import rank_correlation, verdict_sentence
 
 K, MASS, WORD = "controller.k", "rig.plant.moving_mass", "reference"
@@ -95,7 +95,7 @@ def test_the_worst_and_the_failed_are_listed_with_their_reasons(tmp_path):
         results["error"][run], results["max_error_n"][run] = lost, None
     results["convergence_s"][29] = None
     text = page(tmp_path, results, varied(K, "MPa/s"))
-    assert [cells[0] for cells in rows(text, "Largest errors")[1:]] == [str(run) for run in range(29, 29 - MOST_ROWS, -1)]
+    assert [cells[0] for cells in rows(text, "Largest errors")[1:]] == [str(run) for run in range(29, 29 - MAX_ROWS, -1)]
     assert row(text, "Largest errors", "29")[1:] == ["39.0 N", "never", "30.00"]
     assert row(text, "Failed runs", "3")[1:3] == [lost, "4.000"]
     assert "2 failed; 1 never converged" in html.unescape(text)
@@ -111,11 +111,11 @@ def test_no_run_with_a_force_error_leaves_no_empty_figure(tmp_path):
 
 
 def test_many_groups_are_all_in_the_table_and_the_rest_is_told(tmp_path):
-    count = MOST_GROUPS + 3
+    count = MAX_GROUPS + 3
     results = table(2 * count, **{WORD: [f"r{run // 2}" for run in range(2 * count)], K: [1.0, 2.0] * count})
     text = page(tmp_path, results, varied(WORD, "", numeric=False), varied(K, "MPa/s"))
     assert len(rows(text, "Groups")) == count + 1
-    assert len({trace["name"] for trace in panels(text)[K][0]}) == MOST_GROUPS
+    assert len({trace["name"] for trace in panels(text)[K][0]}) == MAX_GROUPS
     assert "the table has 3 more" in text
 
 

@@ -24,18 +24,17 @@ from ehls_ros.physics.friction.gms import Parameters as Gms
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.report import diagnosis_figures as drawn
-from ehls_ros.report import diagnosis_units as units
+from ehls_ros.report import quantities as units
 from ehls_ros.report.diagnosis import write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import (
-    CHANNEL_SHORT,
-    MEASURED,
+    CHANNEL_WORDS,
     caveats,
     fitted,
     left_over,
     verdict_sentence,
     where_to_look,
 )
-from ehls_ros.report.diagnosis_views import view_of_cause
+from ehls_ros.report.diagnosis_residuals import view_of_cause
 
 RIG = load_rig(Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml")
 DEAD_ZONE = {"positive": Estimate(91.2e-6, 0.4e-6, "m"), "negative": Estimate(80.1e-6, 0.5e-6, "m")}
@@ -321,7 +320,7 @@ MADE = {
         make_found,
         [
             "Measured and simulated",
-            "What to do next",
+            "Next steps",
             "Shares and sizes",
             "Runner-up and caveats",
             "The cause",
@@ -351,7 +350,7 @@ MADE = {
         unknown,
         [
             "Measured and simulated",
-            "What to do next",
+            "Next steps",
             "Unexplained",
             "Caveats",
             "Stage by stage",
@@ -361,7 +360,7 @@ MADE = {
             "Method",
         ],
     ),
-    "insufficient": (insufficient, ["What to do next", "Caveats", "Method"]),
+    "insufficient": (insufficient, ["Next steps", "Caveats", "Method"]),
 }
 
 
@@ -394,7 +393,7 @@ def test_the_first_picture_shows_measured_and_simulated_above_the_residual(repor
     found = make()
     trace = found.traces[channel]
     title, (traces, layout) = next(iter(panels(report(found)).items()))
-    assert title == f"{CHANNEL_SHORT[channel].capitalize()}, measured and simulated"
+    assert title == f"{CHANNEL_WORDS[channel].short.capitalize()}, measured and simulated"
     above = {line["name"].split(",")[0]: numbers(line["y"]) for line in traces if line["yaxis"] == "y"}
     below = {line["name"].split(",")[0]: numbers(line["y"]) for line in traces if line["yaxis"] == "y2"}
     # The force balance's residual is the force the model requires less the one measured.
@@ -404,7 +403,8 @@ def test_the_first_picture_shows_measured_and_simulated_above_the_residual(repor
         assert above[name] == pytest.approx(above["measured"] + sign * below[name], abs=1e-3 * float(np.ptp(above["measured"])))
     drawn = np.max(np.abs(below["given model"])) / np.max(np.abs(above["measured"]))
     assert drawn == pytest.approx(np.max(np.abs(trace.before)) / np.max(np.abs(trace.measured)), rel=1e-3)
-    assert [layout[axis]["title"]["text"].split(" [")[0] for axis in ("yaxis", "yaxis2")] == [MEASURED[channel], "residual"]
+    titles = [layout[axis]["title"]["text"].split(" [")[0] for axis in ("yaxis", "yaxis2")]
+    assert titles == [CHANNEL_WORDS[channel].measured, "residual"]
 
 
 def test_the_shares_are_bars_of_the_removable_error(report):
@@ -425,12 +425,12 @@ def test_the_shares_are_bars_of_the_removable_error(report):
 def test_a_partial_answer_shows_what_remains_over_each_signal_it_depends_on(report):
     found = make_found(verdict="partial", unknown_stage="flow", depends_on=("spool_m", "load_pressure_pa"))
     text = report(found)
-    assert parts(text)[2:6] == ["Shares and sizes", "Runner-up and caveats", "What remains", "The cause"]
+    assert parts(text)[2:6] == ["Shares and sizes", "Runner-up and caveats", "Remainder", "The cause"]
     assert [title for title in panels(text) if title.endswith("measured and simulated")] == [
         "Flow balance, measured and simulated"
     ]
-    assert row(text, "What to do next", "valve_dead_zone")[1:] == [re.sub("`", "", said) for said in ADVICE]
-    assert row(text, "What to do next", "spool")[1] == "the valve's flow curve: lands, notches, flow forces"
+    assert row(text, "Next steps", "valve_dead_zone")[1:] == [re.sub("`", "", said) for said in ADVICE]
+    assert row(text, "Next steps", "spool")[1] == "the valve's flow curve: lands, notches, flow forces"
     titles = [title for title in panels(text) if title.startswith("Unexplained")]
     assert [title.split(":")[0] for title in titles] == ["Unexplained, over the spool", "Unexplained, over the load pressure"]
 
@@ -526,7 +526,7 @@ def test_an_unknown_cause_says_where_to_look(report):
 
 def test_too_little_says_what_to_record(report):
     text = report(insufficient(), NOTHING)
-    needed = row(text, "What to do next", "flow balance")
+    needed = row(text, "Next steps", "flow balance")
     assert "spool_m" in needed[1]
     assert "oil has to flow" in needed[2]
 

@@ -28,15 +28,8 @@ from report_pages import check, effort, numbers, panels, parts, row, rows
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.presliding import nodes
 from ehls_ros.report.identification import write_identification_report
-from ehls_ros.report.identification_findings import (
-    as_given,
-    correlation_remark,
-    criteria_remark,
-    noise_remark,
-    percent,
-    verdict_sentence,
-    written,
-)
+from ehls_ros.report.identification_findings import correlation_remark, criteria_remark, noise_remark, percent, verdict_sentence
+from ehls_ros.report.quantities import as_given, written
 
 PARTS = ("Coefficients", "Static friction", "Presliding", "Joint fit", "Correlations", "Search", "How it was made")
 TITLES = [
@@ -495,7 +488,7 @@ def test_numbers_that_are_none_do_not_spoil_the_page(report):
 
 def test_nothing_found_at_all(report):
     text = report(without_sliding()._replace(estimates={}, correlations=np.zeros((0, 0))))
-    assert "The data tell no coefficient of friction" in text
+    assert "The data identify no coefficient of friction" in text
     assert "Correlations" not in parts(text)
     check(text)
 

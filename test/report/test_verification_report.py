@@ -7,7 +7,7 @@ import pytest
 from report_pages import check, numbers, panels, parts, row, rows
 
 from ehls_ros.experiments.verification.verify import Given, verify_recording
-from ehls_ros.report.verification import MOST_DRAWN, write_verification_report
+from ehls_ros.report.verification import MAX_DRAWN, write_verification_report
 from ehls_ros.trajectory import Trajectory
 
 TIME = np.arange(0.0, 12.0, 2e-3)
@@ -60,9 +60,9 @@ def test_a_block_without_cycles_says_why(written, without_plotly):
 
 def test_many_blocks_have_a_table_and_the_first_have_figures(distorted, written, without_plotly):
     [block] = distorted.blocks
-    many = tuple(block._replace(name=f"block {number}", number=number) for number in range(MOST_DRAWN + 2))
+    many = tuple(block._replace(name=f"block {number}", number=number) for number in range(MAX_DRAWN + 2))
     found = dataclasses.replace(distorted, blocks=many)
     text = written(lambda path: write_verification_report(found, path))
     assert len(rows(text, "Blocks")) == len(many) + 1
-    assert text.count('type="application/json"') == 3 * MOST_DRAWN
+    assert text.count('type="application/json"') == 3 * MAX_DRAWN
     assert "Figures of 2 more blocks are left out" in text

@@ -6,8 +6,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from ehls_ros.cli.configured import Configured
-from ehls_ros.errors import BadInput
+from ehls_ros.cli.arguments import add_configured, add_json, check_range
 from ehls_ros.experiments.campaign.backends import dask, local
 from ehls_ros.experiments.campaign.conduct import Outcome, conduct
 from ehls_ros.experiments.campaign.plan import Plan, load_plan
@@ -20,26 +19,23 @@ from ehls_ros.progress import progress_bar
 from ehls_ros.report.campaign import write_campaign_report
 from ehls_ros.report.campaign_findings import verdict_sentence
 
-HELP = "Run a sweep or a Monte Carlo study of experiments: one table of metrics and a report. Started again, it continues."
+HELP = "Run a sweep or a Monte Carlo study of experiments: one table of metrics and a report. A second start continues."
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "campaign", type=Path, action=Configured, folder="campaigns", help="campaign file (YAML), or a name such as k_and_h"
-    )
+    add_configured(parser, "campaign", "campaigns", "campaign file (YAML), or a name such as k_and_h")
     parser.add_argument("--out", type=Path, help="folder of the results (default: runs/<campaign>)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", type=int, help="number of processes (default: one per processor)")
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://192.168.0.7:8786")
     parser.add_argument("--spec", type=int, metavar="RUN", help="print the spec of one run of the table, and stop")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: the summary")
+    add_json(parser, "the summary")
 
 
 def run(options: Namespace) -> int:
     """Run it."""
-    if options.jobs is not None and options.jobs < 1:
-        raise BadInput(f"--jobs is {options.jobs}", "command line", "1 or more")
+    check_range(options, "jobs", 1)
     plan = load_plan(options.campaign)
     if options.spec is not None:
         print(spec_text(json.loads(plan.run(options.spec).spec)), end="")
@@ -53,18 +49,16 @@ def run(options: Namespace) -> int:
             print(f"finished runs are kept in {folder.parts}; start again to continue", file=sys.stderr)
             raise
         results = results_of(plan.columns, read_results(folder.results))
-        making = [*_summary_facts(outcome), ("Seed", str(plan.settings.seed)), ("ehls_ros", code_version())]
+        making = [
+            ("Runs", str(outcome.runs)),
+            ("Made by the last call", str(outcome.made)),
+            ("Wall time of the last call", f"{outcome.wall_s:.1f} s"),
+            ("Seed", str(plan.settings.seed)),
+            ("ehls_ros", code_version()),
+        ]
         write_campaign_report(results, plan.file, making, folder.report)
     _print(plan, folder, outcome, results, machine=options.json)
     return 0
-
-
-def _summary_facts(outcome: Outcome) -> list[tuple[str, str]]:
-    return [
-        ("Runs", str(outcome.runs)),
-        ("Made by the last call", str(outcome.made)),
-        ("Wall time of the last call", f"{outcome.wall_s:.1f} s"),
-    ]
 
 
 def _print(plan: Plan, folder: Folder, outcome: Outcome, results: CampaignResults, *, machine: bool) -> None:

@@ -18,10 +18,10 @@ from ehls_ros.recording.load import READERS
 from ehls_ros.recording.proposal import Proposal, Table, look, proposed_map, valve_data, with_valve
 from ehls_ros.recording.reason import reason
 
-SAID = {"contract": "certain: by its name", "stated": "certain", "unsure": "wants a look", "unknown": "not known"}
+CERTAINTY = {"contract": "certain: by its name", "stated": "certain", "unsure": "to be checked", "unknown": "unknown"}
 """Wording of the certainty of a column."""
 
-HELP = "Propose a map of columns from a table's headers or a bag's topics: the map as output, what was understood beside it."
+HELP = "Propose a map of columns from a table's headers or a bag's topics: the map on the output, the interpretation beside it."
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -65,7 +65,7 @@ def run(options: Namespace) -> int:
 def _summary(proposal: Proposal) -> Iterator[str]:
     """Summarise the certain columns, those to be checked, and the missing inputs of a diagnosis."""
     looks = "; complete or delete their lines, which begin with #" if proposal.unsure else ""
-    yield f"columns that are certain: {proposal.certain}; that want a look: {proposal.unsure}{looks}"
+    yield f"columns that are certain: {proposal.certain}; to be checked: {proposal.unsure}{looks}"
     if TIME not in proposal.signals:
         yield f"{TIME} is missing: complete the line of its column, or write {TIME}: {{rate: 1000}} for a row every 1/1000 s"
     unjudged = proposal.unjudged()
@@ -79,14 +79,14 @@ def _print(table: Table, console: Console) -> None:
     rate = "rate unknown: no column of time is sure" if math.isnan(table.rate) else f"{table.rate:.4g} Hz"
     uneven = f", time steps differ by up to {100 * table.unevenness:.2g} %" if table.unevenness > 0.01 else ""
     printed = Printed(title=f"{table.name}: {table.rows} rows, {rate}{uneven}")
-    for heading in ("column", "least", "greatest", "unit", "signal", "how sure", "what is open"):
-        printed.add_column(heading, justify="right" if heading in ("least", "greatest") else "left")
+    for heading in ("column", "smallest", "largest", "unit", "signal", "certainty", "open question"):
+        printed.add_column(heading, justify="right" if heading in ("smallest", "largest") else "left")
     for column in table.columns:
         header = column.header
         span = (f"{column.smallest:.5g}", f"{column.largest:.5g}") if column.numeric else ("–", "–")
         gaps = [f"{100 * column.missing:.2g} % missing"] if column.numeric and column.missing > 0.0 else []
         unit = header.unit or ("SI" if header.sureness == "contract" else "?")
-        sure = SAID[header.sureness] if column.numeric else "not of numbers"
+        sure = CERTAINTY[header.sureness] if column.numeric else "not of numbers"
         left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else column.wrong
         printed.add_row(escape(header.column), *span, unit, header.signal or "?", sure, escape(left_open))
     console.print(printed)

@@ -3,10 +3,8 @@
 import os
 import threading
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
-from ehls_ros.cli.configured import Configured
-from ehls_ros.errors import BadInput
+from ehls_ros.cli.arguments import add_configured, needs_ros
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.extras import missing
 
@@ -15,13 +13,8 @@ HELP = "Show a running graph live in the browser: signals, parameters, start and
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "--spec",
-        type=Path,
-        action=Configured,
-        folder="experiments",
-        help="experiment file to start, in a domain of its own unless ROS_DOMAIN_ID is set (default: join a running graph)",
-    )
+    about = "experiment file to start, in a separate domain unless ROS_DOMAIN_ID is set (default: join a running graph)"
+    add_configured(parser, "--spec", "experiments", about)
     parser.add_argument(
         "--timing",
         choices=("lockstep", "fastest", "realtime"),
@@ -44,11 +37,9 @@ def run(options: Namespace) -> int:
         from ehls_ros.dashboard.server import listening, serve
     except ImportError as error:
         raise missing(f"the page's libraries are missing ({error})", "dashboard", "this Python") from None
-    try:
+    with needs_ros():
         from ehls_ros.nodes.dashboard_graph import DashboardGraph
         from ehls_ros.nodes.graph import graph_environment
-    except ImportError as error:
-        raise BadInput(f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced, or `make setup`") from None
     timing = Timing[options.timing.upper()]
     with listening(options.host, options.port) as opened:
         if spec is not None:
@@ -58,24 +49,17 @@ def run(options: Namespace) -> int:
 
         def start() -> None:
             if spec is not None:
-                _tell(graph.start(spec, options.spec.stem, timing).message)
+                print(graph.start(spec, options.spec.stem, timing).message, flush=True)
+
+        def announce(address: str) -> None:
+            print(f"{address}\n{graph.where}; Ctrl-C stops the dashboard and everything it started", flush=True)
 
         starting = threading.Thread(target=start)
         starting.start()
         try:
-            serve(
-                graph, opened, options.spec and options.spec.resolve(), timing, lambda address: _say_where(address, graph.where)
-            )
+            serve(graph, opened, options.spec and options.spec.resolve(), timing, announce)
         finally:
             graph.abort()
             starting.join()
             graph.close()
     return 0
-
-
-def _say_where(address: str, where: str) -> None:
-    _tell(f"{address}\n{where}; Ctrl-C stops the dashboard and everything it started")
-
-
-def _tell(text: str) -> None:
-    print(text, flush=True)

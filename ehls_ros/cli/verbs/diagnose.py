@@ -2,19 +2,13 @@
 
 import json
 import os
-import shutil
-import sys
-import tempfile
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from ehls_ros.cli.configured import Configured
-from ehls_ros.cli.folder import writable
+from ehls_ros.cli.arguments import add_columns, add_results, add_rig, check_range, columns_of
+from ehls_ros.cli.results import all_or_nothing, print_files, print_table, writable, write_json
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
@@ -27,14 +21,14 @@ from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.yaml_files import rig_text, spec_text
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.progress import progress_bar
-from ehls_ros.recording.columns import ColumnMap, read_columns
+from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps, words
-from ehls_ros.report.diagnosis_units import likely, percent
+from ehls_ros.report.quantities import likely, percent
 from ehls_ros.trajectory import Trajectory
 
-HELP = "Find what is wrong in the simulation of a rig, from a recording: diagnosis.json, a report, an extended rig file."
+HELP = "Find the errors of the simulation of a rig, from a recording: diagnosis.json, a report, an extended rig file."
 
 RESULT, REPORT, RIG, NEXT = "diagnosis.json", "report.html", "rig_extended.yaml", "next_experiment.yaml"
 """Files in the folder of the results; the last only where an experiment is proposed."""
@@ -49,30 +43,21 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="DATA",
         help="one recording: a bag, a run folder, a table (text, Excel, MAT, TDMS, Parquet), or the tables of the map",
     )
-    parser.add_argument("--rig", type=Path, action=Configured, required=True, help="rig file that the simulation runs with")
-    parser.add_argument(
-        "--baseline",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="OLD",
-        help="recordings from when the rig was well: find what has changed since, whatever the rig file has wrong",
-    )
-    parser.add_argument("--columns", type=Path, help="YAML that maps the file's own column names and units")
-    parser.add_argument("--out", type=Path, default=Path("runs/diagnose"), help="folder of the results (%(default)s)")
+    add_rig(parser, "rig file of the simulation")
+    about = "recordings of the healthy rig: find the changes since then, whatever errors the rig file has"
+    parser.add_argument("--baseline", type=Path, nargs="+", default=[], metavar="OLD", help=about)
+    add_columns(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of noise and resampling (%(default)s)")
     parser.add_argument("--threads", type=int, help="hypotheses fitted in parallel (default: one per processor)")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: diagnosis.json")
+    add_results(parser, "runs/diagnose", RESULT)
 
 
 def run(options: Namespace) -> int:
     """Run it."""
-    if options.threads is not None and options.threads < 1:
-        raise BadInput(f"--threads is {options.threads}", "command line", "1 or more")
-    if options.seed < 0:
-        raise BadInput(f"--seed is {options.seed}", "command line", "0 or more")
+    check_range(options, "threads", 1)
+    check_range(options, "seed", 0)
     began = time.perf_counter()
-    columns = read_columns(options.columns) if options.columns else None
+    columns = columns_of(options)
     given = recordings(options.data, columns)
     if len(given) > 1:
         names = ", ".join(str(path) for path in given)
@@ -112,24 +97,18 @@ def _source(data: Path, options: Namespace, trajectory: Trajectory) -> str:
 
 
 def _write(folder: Path, found: Diagnosis, follows: Consequences, document: object, rig: Path, source: str) -> None:
-    """Write all results into a scratch folder, then move them into place, so that an interruption leaves no partial results."""
+    """Write all results."""
     experiment = follows.next_experiment
-    scratch = Path(tempfile.mkdtemp(prefix=".diagnose-", dir=folder))
-    try:
-        (scratch / RESULT).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    with all_or_nothing(folder) as scratch:
+        write_json(scratch / RESULT, document)
         (scratch / RIG).write_text(_rig_file(found, rig, source), encoding="utf-8")
         write_diagnosis_report(found, scratch / REPORT, follows, source)
         if experiment is not None:
             spec = {**experiment.spec, "rig": RIG, "controller_rig": os.path.relpath(rig, folder)}
-            (scratch / NEXT).write_text(_next_heading(experiment.purpose) + spec_text(spec), encoding="utf-8")
+            heading = f"# Proposed by `ehls diagnose` to separate the causes it left open: {experiment.purpose}.\n"
+            (scratch / NEXT).write_text(heading + spec_text(spec), encoding="utf-8")
         else:
             (folder / NEXT).unlink(missing_ok=True)
-        for file in sorted(scratch.iterdir()):
-            file.replace(folder / file.name)
-    except OSError as error:
-        raise BadInput(f"the results cannot be written ({error.strerror})", str(folder), "a writable folder") from None
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _rig_file(found: Diagnosis, rig: Path, source: str) -> str:
@@ -148,18 +127,13 @@ def _rig_file(found: Diagnosis, rig: Path, source: str) -> str:
     return f"{heading}{learnt}{end}{rig_text(rig_to_mapping(found.extended))}"
 
 
-def _next_heading(purpose: str) -> str:
-    return f"# Proposed by `ehls diagnose` to separate the causes it left open: {purpose}.\n"
-
-
 # --- terminal ----------------------------------------------------------------------------------
 
 
 def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -> None:
     print(answer(found)[0])
-    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140)
     if found.causes:
-        console.print(_causes_table(found.causes))
+        _print_causes(found.causes)
     for cause in found.causes:
         print(f"  to confirm {cause.name}: {words(cause.name).measure}")
     for step in next_steps(found):
@@ -174,27 +148,18 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
     for remark in (*found.remarks, *follows.all_remarks):
         print(f"  {remark}")
     print(f"wall time {wall:.1f} s, diagnosis {found.wall_s:.1f} s of it")
-    print(f"  result  {folder / RESULT}")
-    print(f"  report  {folder / REPORT}")
-    print(f"  rig     {folder / RIG}")
-    if proposed is not None:
-        print(f"  next    {folder / NEXT}")
+    files = {"result": RESULT, "report": REPORT, "rig": RIG, **({} if proposed is None else {"next": NEXT})}
+    print_files((name, folder / file) for name, file in files.items())
 
 
-def _causes_table(causes: Sequence[Cause]) -> Table:
-    table = Table(title="Causes")
-    table.add_column("cause", no_wrap=True)
-    table.add_column("probability", justify="right")
-    table.add_column("share", justify="right")
-    table.add_column("parameter")
-    table.add_column("value ± error", justify="right", no_wrap=True)
-    equivalents = any(cause.equivalent_to for cause in causes)
-    if equivalents:
-        table.add_column("or")
+def _print_causes(causes: Sequence[Cause]) -> None:
+    header = ["cause", "probability", "share", "parameter", "value ± error"]
+    header += ["or"] if any(cause.equivalent_to for cause in causes) else []
+    rows: list[list[str]] = []
     for cause in causes:
-        said = [cause.name, likely(cause.probability), percent(cause.share)]
-        others = [", ".join(cause.equivalent_to)] if equivalents else []
+        first, others = [cause.name, likely(cause.probability), percent(cause.share)], ", ".join(cause.equivalent_to)
         for name, e in cause.parameters.items():
-            table.add_row(*said, name, fitted(cause.name, name, e), *others)
-            said, others = [""] * len(said), [""] * len(others)
-    return table
+            rows.append([*first, name, fitted(cause.name, name, e), others][: len(header)])
+            first, others = [""] * len(first), ""
+    right, unbroken = ("probability", "share", "value ± error"), ("cause", "value ± error")
+    print_table("Causes", header, rows, right=right, unbroken=unbroken)

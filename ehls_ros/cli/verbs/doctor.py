@@ -6,10 +6,11 @@ from argparse import ArgumentParser, Namespace
 from rich.console import Console
 from rich.table import Table
 
+from ehls_ros.cli.arguments import add_json
 from ehls_ros.cli.checks import CHECKS, Finding
 from ehls_ros.nodes.shared_memory import leftovers
 
-HELP = "Check Python, ROS, DDS, shared memory, processors, clock, permissions and files, and say what to do."
+HELP = "Check Python, ROS, DDS, shared memory, processors, clock, permissions and files, with advice."
 
 COLOURS = {"ok": "green", "note": "yellow", "problem": "red"}
 
@@ -17,7 +18,7 @@ COLOURS = {"ok": "green", "note": "yellow", "problem": "red"}
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--clean", action="store_true", help="first remove shared memory left by killed processes")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: every finding")
+    add_json(parser, "every finding")
 
 
 def run(options: Namespace) -> int:
@@ -37,7 +38,7 @@ def run(options: Namespace) -> int:
 
 
 def _table(findings: list[Finding]) -> Table:
-    table = Table("", "check", "found", "what to do", box=None, pad_edge=False)
+    table = Table("", "check", "found", "advice", box=None, pad_edge=False)
     for finding in findings:
         colour = COLOURS[finding.level]
         table.add_row(f"[{colour}]{finding.level}[/{colour}]", finding.check, finding.found, finding.advice)

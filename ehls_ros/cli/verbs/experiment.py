@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.cli.configured import Configured
+from ehls_ros.cli.arguments import add_configured, add_json, check_duration, needs_ros
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
@@ -35,22 +35,20 @@ HELP = "Run an experiment over DDS, record a bag, print metrics and write a repo
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "spec", type=Path, action=Configured, folder="experiments", help="experiment file (YAML), or a name such as sine_fd2"
-    )
+    add_configured(parser, "spec", "experiments", "experiment file (YAML), or a name such as sine_fd2")
     parser.add_argument("--out", type=Path, help="run folder (default: runs/<spec>-<time>)")
     parser.add_argument("--overwrite", action="store_true", help="replace a run that --out already holds")
-    parser.add_argument("--in-process", action="store_true", help="without ROS: the same loop in one process")
+    parser.add_argument("--in-process", action="store_true", help="run the same loop in one process, without ROS")
     parser.add_argument(
         "--timing",
         choices=("lockstep", "realtime"),
         default="lockstep",
-        help="lockstep: deterministic, as fast as the machine goes; realtime: wall clock, last command held",
+        help="lockstep: deterministic, as fast as possible; realtime: wall clock, last command held",
     )
     parser.add_argument(
         "--compose",
         action="store_true",
-        help="the nodes of a control cycle are one process, in which a cycle is one call; by default each is a process",
+        help="run the nodes of a control cycle in one process, where a cycle is one call; by default each is a process",
     )
     parser.add_argument(
         "--plant",
@@ -61,7 +59,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--bridge", type=Path, help="bridge file: DAQ backend, channels, calibration (with --plant bridge)")
     parser.add_argument("--duration", type=float, help="plant time in s, in place of the spec's")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="format of the bag")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: the metrics")
+    add_json(parser, "the metrics")
 
 
 def run(options: Namespace) -> int:
@@ -72,9 +70,10 @@ def run(options: Namespace) -> int:
         raise BadInput("--compose was given", "command line", "no --in-process with it, which starts no nodes")
     if options.bridge is not None and options.plant == "sim":
         raise BadInput("--bridge was given", "command line", "--plant bridge with it")
+    check_duration(options)
     spec = load_spec(options.spec)
     if options.duration is not None:
-        spec = _with_duration(spec, options.duration)
+        spec = spec._replace(settings=spec.settings._replace(duration=options.duration))
     # Reject an unusable companion file before anything is written or started.
     learnt_files.recall(company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), str(options.spec)), spec)
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
@@ -90,8 +89,8 @@ def run(options: Namespace) -> int:
         metrics = metrics._replace(warnings=(*metrics.warnings, *untold(spec), *limited))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
-        told = () if found is None else _write_adapted(found, folder)
-    _print(spec, metrics, done.trajectory, told, machine=options.json)
+        lines = () if found is None else _write_adapted(found, folder)
+    _print(spec, metrics, done.trajectory, lines, machine=options.json)
     if done.failure is not None:
         raise done.failure
     return 0
@@ -118,12 +117,6 @@ class _Done(NamedTuple):
     failure: RunFailed | None = None
 
 
-def _with_duration(spec: Spec, duration: float) -> Spec:
-    if not 0.0 < duration < 1e6:
-        raise BadInput(f"--duration is {duration:g}", "command line", "seconds above 0 and below 1e6")
-    return spec._replace(settings=spec.settings._replace(duration=duration))
-
-
 def _in_process(spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]) -> _Done:
     start = time.perf_counter()
     trajectory, failure = run_as_far_as_it_goes(spec, progress)
@@ -133,12 +126,8 @@ def _in_process(spec: Spec, folder: RunFolder, options: Namespace, progress: Cal
 
 
 def _over_dds(spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]) -> _Done:
-    try:
+    with needs_ros("; or --in-process"):
         from ehls_ros.nodes.graph import Plant, run_graph
-    except ImportError as error:
-        raise BadInput(
-            f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced or `make setup`; or --in-process"
-        ) from None
     plant = Plant(options.plant, options.bridge)
     failure = None
     try:
@@ -147,7 +136,7 @@ def _over_dds(spec: Spec, folder: RunFolder, options: Namespace, progress: Calla
         wall, failure = error.wall_s, error
     except KeyboardInterrupt:
         if folder.bag.exists():
-            print(f"what was recorded is kept in {folder.bag}", file=sys.stderr)
+            print(f"the recording so far is kept in {folder.bag}", file=sys.stderr)
         raise
     return _Done(read_bag(folder.bag), wall, failure)
 

@@ -7,14 +7,13 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ehls_ros.cli.configured import Configured
+from ehls_ros.cli.arguments import add_columns, add_configured, check_range, columns_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import run_in_stretches
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.extras import missing
 from ehls_ros.process import Stopping
-from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.load import load
 from ehls_ros.recording.topics import NAMESPACE, Topic
 
@@ -32,15 +31,8 @@ LARGEST_RATE = 100.0
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("data", type=Path, nargs="?", help="bag folder, .mcap, .db3, .csv or the folder of a run; on /ehls/...")
-    parser.add_argument("--columns", type=Path, help="YAML file that maps the data's column names and units")
-    parser.add_argument(
-        "--simulate",
-        type=Path,
-        action=Configured,
-        folder="experiments",
-        metavar="SPEC",
-        help="experiment file to simulate as it plays; on /sim/...",
-    )
+    add_columns(parser)
+    add_configured(parser, "--simulate", "experiments", "experiment file to simulate as it plays; on /sim/...", metavar="SPEC")
     parser.add_argument("--rate", type=float, default=1.0, help="playback speed: seconds of data per second (default: 1)")
     parser.add_argument("--host", default="127.0.0.1", help="address to serve on (default: 127.0.0.1, this machine only)")
     parser.add_argument("--port", type=int, default=8765, help="port to serve on; 0: any free port (default: 8765)")
@@ -71,8 +63,7 @@ def _check(options: Namespace) -> None:
         raise BadInput("--columns was given", "command line", "data with it")
     if not 0.0 < options.rate <= LARGEST_RATE:
         raise BadInput(f"--rate is {options.rate:g}", "command line", f"a number above 0 up to {LARGEST_RATE:g}")
-    if not 0 <= options.port <= 65535:
-        raise BadInput(f"--port is {options.port}", "command line", "a port from 0 to 65535")
+    check_range(options, "port", 0, 65535, "a port from 0 to 65535")
     try:
         ip_address(options.host)
     except ValueError:
@@ -88,8 +79,7 @@ def _sources(options: Namespace) -> tuple[list["Source"], dict[str, list[Topic]]
     start_s = 0.0
     if options.data is not None:
         bag = RunFolder(options.data).bag
-        columns = read_columns(options.columns) if options.columns else None
-        recorded = load(bag if bag.is_dir() else options.data, columns)
+        recorded = load(bag if bag.is_dir() else options.data, columns_of(options))
         start_s = float(recorded.time_s[0])
         sources.append(Source(NAMESPACE, start_s, partial(in_stretches, recorded)))
         topics[NAMESPACE] = topics_of(recorded)

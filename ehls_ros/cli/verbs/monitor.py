@@ -14,8 +14,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from ehls_ros.cli.configured import Configured
-from ehls_ros.cli.folder import writable
+from ehls_ros.cli.arguments import Configured
+from ehls_ros.cli.results import writable
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.json_document import json_document

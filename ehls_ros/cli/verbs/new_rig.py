@@ -1,7 +1,6 @@
 """`ehls new-rig`: make a rig file from data sheet values, entered on the terminal or read from a file."""
 
 import json
-import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,8 +8,9 @@ from typing import Any, get_args
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
+from ehls_ros.cli.arguments import add_json
+from ehls_ros.cli.results import print_files, print_table
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.yaml_files import commented, rig_text
 from ehls_ros.physics.data_sheet import HINTS, DataSheet, Source, answer, rig_values, sheet_from_mapping
@@ -20,7 +20,7 @@ from ehls_ros.physics.rig import DEFAULT_FRICTION, rig_from_mapping
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import Misfit, Note, declarations, notes
 
-HELP = "Make a rig file from data sheets: asks for bore, stroke, rated flow and so on, or takes the answers from a file."
+HELP = "Make a rig file from data sheets: asks for bore, stroke, rated flow and others, or reads the answers from a file."
 
 DIGITS = 6
 """Digits of a computed value."""
@@ -34,7 +34,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--from", dest="answers", type=Path, metavar="ANSWERS", help="YAML file with the answers")
     parser.add_argument("--template", action="store_true", help="print a file of answers to fill in, and write nothing")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there already")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: each value and where it came from")
+    add_json(parser, "each value with its origin")
 
 
 def run(options: Namespace) -> int:
@@ -53,7 +53,8 @@ def run(options: Namespace) -> int:
     check_rig(rig, where)
     check_step(rig, SHORTEST_STEP, where)
     source = "answers on the terminal" if options.answers is None else options.answers.name
-    _write(options.out, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, _told(values))}")
+    origins = {section: {key: f"{s.origin}: {s.told}" for key, s in own.items()} for section, own in values.items()}
+    _write(options.out, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, origins)}")
     _print(values, options.out)
     if options.json:
         print(json.dumps({"rig": str(options.out), "values": _document(values, content)}))
@@ -67,15 +68,15 @@ def template() -> str:
     needed = [line for line, name in zip(lines, DataSheet._fields, strict=True) if name not in DataSheet._field_defaults]
     others = [f"# {line}" for line in lines if line not in needed]
     heading = "# Answers for `ehls new-rig --from`; a figure may have another unit, such as 3000 psi."
-    return "\n".join([heading, *needed, "# What follows may stay out: a usual value is assumed then.", *others]) + "\n"
+    return "\n".join([heading, *needed, "# The rest may be left out: a usual value is assumed then.", *others]) + "\n"
 
 
 def _questions() -> list[tuple[str, Note, tuple[str, ...], Any]]:
     """Return name, declaration, choices and default of each question."""
-    told = notes(DataSheet)
+    described = notes(DataSheet)
     kinds = {declared.name: declared.kind for declared in declarations(DataSheet)}
     choices = {name: tuple(c for c in get_args(kind) if isinstance(c, str)) for name, kind in kinds.items()}
-    return [(name, told[name], choices[name], DataSheet._field_defaults.get(name, ...)) for name in HINTS]
+    return [(name, described[name], choices[name], DataSheet._field_defaults.get(name, ...)) for name in HINTS]
 
 
 def _question(note: Note, choices: tuple[str, ...]) -> str:
@@ -86,9 +87,8 @@ def _question(note: Note, choices: tuple[str, ...]) -> str:
 
 def _asked(console: Console) -> dict[str, Any]:
     """Ask each question until its answer is valid."""
-    console.print(
-        "Figures of the data sheets; another unit may follow the number. Enter alone takes what is in brackets.", soft_wrap=True
-    )
+    text = "Figures of the data sheets; another unit may follow the number. Enter alone takes the value in brackets."
+    console.print(text, soft_wrap=True)
     given = dict[str, Any]()
     for name, note, choices, default in _questions():
         console.print(f"[bold]{name}[/bold]: {escape(_question(note, choices))}", highlight=False)
@@ -98,12 +98,12 @@ def _asked(console: Console) -> dict[str, Any]:
                 if written:
                     given[name] = answer(name, written)
                 elif default is ...:
-                    console.print("  a figure is needed", style="red")
+                    console.print("  a value is required", style="red")
                 else:
                     given[name] = default
             except Misfit as misfit:
                 console.print(
-                    f"  {escape(repr(misfit.value))} does not do: {escape(misfit.expected)}", style="red", highlight=False
+                    f"  {escape(repr(misfit.value))} is not valid: {escape(misfit.expected)}", style="red", highlight=False
                 )
     return given
 
@@ -134,10 +134,6 @@ def _content(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
     return {"plant": plain["plant"], "friction": friction, "effects": [], "sensors": {}, "limits": plain["limits"]}
 
 
-def _told(values: Mapping[str, Mapping[str, Source]]) -> dict[str, dict[str, str]]:
-    return {section: {key: f"{s.origin}: {s.told}" for key, s in own.items()} for section, own in values.items()}
-
-
 def _document(values: Mapping[str, Mapping[str, Source]], content: Mapping[str, Any]) -> dict[str, Any]:
     return {
         f"{section}.{key}": {"value": content[section][key], "origin": source.origin, "from": source.told}
@@ -160,13 +156,11 @@ def _write(path: Path, text: str) -> None:
 
 
 def _print(values: Mapping[str, Mapping[str, Source]], path: Path) -> None:
-    table = Table(title="Assumed, as no data sheet said it")
-    for heading in ("key", "value", "how it is assumed, and what replaces it"):
-        table.add_column(heading)
-    for section, own in values.items():
-        for key, source in own.items():
-            if source.origin == "assumed":
-                value = source.value[0] if isinstance(source.value, list) else source.value
-                table.add_row(f"{section}.{key}", f"{value:.4g}", escape(source.told))
-    Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140).print(table)
-    print(f"  rig     {path}")
+    rows = [
+        (f"{section}.{key}", f"{(s.value[0] if isinstance(s.value, list) else s.value):.4g}", escape(s.told))
+        for section, own in values.items()
+        for key, s in own.items()
+        if s.origin == "assumed"
+    ]
+    print_table("Assumed values, which no data sheet gives", ("key", "value", "how it is assumed, and what replaces it"), rows)
+    print_files([("rig", path)])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from ehls_ros.cli.arguments import needs_ros
 from ehls_ros.errors import BadInput
 
 if TYPE_CHECKING:
@@ -25,10 +26,10 @@ USES = {
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("action", choices=tuple(USES), help="what to do")
+    parser.add_argument("action", choices=tuple(USES), help="request")
     follows = "; ".join(f"{action} {use}" for action, (use, _, _) in USES.items())
     parser.add_argument(
-        "words", nargs="*", metavar="WORD", help=f"what follows: {follows}; a node by its full name or its last part"
+        "words", nargs="*", metavar="WORD", help=f"arguments: {follows}; a node by its full name or its last part"
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
@@ -39,10 +40,8 @@ def run(options: Namespace) -> int:
     words: list[str] = options.words
     if len(words) < least or (most is not None and len(words) > most):
         raise BadInput(f"{len(words)} words follow '{options.action}'", "command line", f"ehls param {options.action} {use}")
-    try:
+    with needs_ros():
         from ehls_ros.nodes.parameter_requests import requests
-    except ImportError as error:
-        raise BadInput(f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced, or `make setup`") from None
     with requests() as ask:
         content, text = _answer(ask, options.action, *words)
     print(json.dumps(content) if options.json else text)

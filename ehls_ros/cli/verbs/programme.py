@@ -4,8 +4,8 @@ import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from ehls_ros.cli.configured import Configured
-from ehls_ros.cli.folder import writable
+from ehls_ros.cli.arguments import add_configured, add_json
+from ehls_ros.cli.results import writable
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.programme_file import load_programme
@@ -21,19 +21,13 @@ HELP = "Check a test programme: its blocks, durations, load cycles, rates agains
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "programme",
-        type=Path,
-        action=Configured,
-        folder="programmes",
-        help="programme's file (YAML), or a name such as fatigue",
-    )
+    add_configured(parser, "programme", "programmes", "programme's file (YAML), or a name such as fatigue")
     parser.add_argument("--rig", default="rig_paper", help="rig whose limits it is compared with (default: rig_paper)")
     parser.add_argument(
         "--counted", type=Path, metavar="RUN", help="also count the recorded force of a run folder, bag or table"
     )
     parser.add_argument("--out", type=Path, help="HTML file with a picture of it")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON")
+    add_json(parser, "the summary")
 
 
 def run(options: Namespace) -> int:

@@ -4,6 +4,7 @@ import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from ehls_ros.cli.arguments import add_json
 from ehls_ros.errors import WorkFailed
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.ledger import Range
@@ -20,7 +21,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("bag", type=Path, help="folder of the bag, or its storage file under any name; it is not changed")
     parser.add_argument("--out", type=Path, help="folder of the new bag (default: <bag>_recovered)")
-    parser.add_argument("--json", action="store_true", help="end with a line of JSON")
+    add_json(parser, "recovered and lost messages")
 
 
 def run(options: Namespace) -> int:
@@ -33,13 +34,13 @@ def run(options: Namespace) -> int:
             recovery = recover(bag, out, bar)
     except OSError as error:
         raise WorkFailed(f"{out}: {reason(error)}") from None
-    print("\n".join(told(recovery, out)))
+    print("\n".join(listing(recovery, out)))
     if options.json:
         print(json.dumps({"bag": str(out), **recovery.as_json()}))
     return 0
 
 
-def told(recovery: Recovery, out: Path) -> list[str]:
+def listing(recovery: Recovery, out: Path) -> list[str]:
     """List the recovered and the lost messages, one line each.
 
     Args:

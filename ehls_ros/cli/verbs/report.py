@@ -4,12 +4,12 @@ from argparse import ArgumentParser, Namespace
 from datetime import date
 from pathlib import Path
 
+from ehls_ros.cli.arguments import add_columns, columns_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import evaluate_recording
 from ehls_ros.experiments.monitoring.daily import is_monitor_folder, results_of_day
 from ehls_ros.experiments.monitoring.health import today
 from ehls_ros.experiments.run_folder import recording_in
-from ehls_ros.recording.columns import read_columns
 from ehls_ros.recording.events import read_events
 from ehls_ros.recording.load import holds_tables, load
 from ehls_ros.report.experiment import write_experiment_report
@@ -24,7 +24,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "data", type=Path, help="a bag, a run folder, a recording in any format of `ehls diagnose`, or a monitor's folder"
     )
-    parser.add_argument("--columns", type=Path, help="YAML that maps the data's own column names and units")
+    add_columns(parser)
     parser.add_argument("--day", type=date.fromisoformat, help="day of a monitor's folder, as 2026-01-31 (default: today)")
     parser.add_argument("--out", type=Path, help="HTML file (default: report.html beside the data; of a day report-<day>.html)")
 
@@ -35,7 +35,7 @@ def run(options: Namespace) -> int:
     if is_monitor_folder(data):
         return _of_day(data, options.day or today(), options.out)
     recording = recording_in(data)
-    trajectory = load(recording, read_columns(options.columns) if options.columns else None)
+    trajectory = load(recording, columns_of(options))
     events = [] if options.columns or holds_tables(recording) else read_events(recording)
     out: Path = options.out or (data.parent if recording == data else data) / "report.html"
     try:

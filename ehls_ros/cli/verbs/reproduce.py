@@ -1,15 +1,11 @@
 """`ehls reproduce`: repeat the paper's simulation study, and compare the numbers."""
 
 import json
-import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from ehls_ros.cli.folder import writable
-from ehls_ros.errors import BadInput
+from ehls_ros.cli.arguments import add_results, check_range
+from ehls_ros.cli.results import print_files, print_table, writable, write_json
 from ehls_ros.experiments.reproduction import paper
 from ehls_ros.experiments.reproduction.results import (
     CellResult,
@@ -32,22 +28,20 @@ TABLE, EVERYTHING, REPORT = "table3.json", "reproduction.json", "report.html"
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--quick", action="store_true", help="Table 3 for the constant and the sine reference only")
-    parser.add_argument("--out", type=Path, default=Path("runs/reproduce"), help="folder of the results (%(default)s)")
     parser.add_argument("--workers", type=int, help="number of processes (default: one per processor)")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: table3.json")
+    add_results(parser, "runs/reproduce", TABLE)
 
 
 def run(options: Namespace) -> int:
     """Run it."""
-    if options.workers is not None and options.workers < 1:
-        raise BadInput(f"--workers is {options.workers}", "command line", "1 or more")
+    check_range(options, "workers", 1)
     folder = writable(options.out, TABLE)
     with progress_bar("compiling"):
         compile_s = compile_everything(options.workers)
     with progress_bar("the paper's cases") as progress:
         results, runs = reproduce(quick=options.quick, workers=options.workers, progress=progress, compile_s=compile_s)
     table = table3_document(results)
-    (folder / TABLE).write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / TABLE, table)
     (folder / EVERYTHING).write_text(json.dumps(reproduction_document(results)) + "\n", encoding="utf-8")
     write_reproduction_report(results, runs, folder / REPORT)
     _print(results, folder)
@@ -57,18 +51,13 @@ def run(options: Namespace) -> int:
 
 
 def _print(results: Results, folder: Path) -> None:
-    table = Table(title="Largest steady error [N], the paper's in brackets")
     places = [Place(r, d) for d in paper.DISTURBANCES for r in paper.REFERENCES if any(c.reference == r for c in results.cells)]
-    for heading in ("", *(" ".join(place) for place in places)):
-        table.add_column(heading, justify="right" if heading else "left")
-    for controller in paper.CONTROLLERS:
-        table.add_row(controller, *(_shown(cell) for cell in results.cells if cell.controller == controller))
-    table.add_row("causal limit", *causal_limits(results.cells))
-    Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140).print(table)
+    columns = [" ".join(place) for place in places]
+    rows = [[name, *(_shown(cell) for cell in results.cells if cell.controller == name)] for name in paper.CONTROLLERS]
+    rows.append(["causal limit", *causal_limits(results.cells)])
+    print_table("Largest steady error [N], the paper's in brackets", ["", *columns], rows, right=columns)
     print(f"wall time {results.wall_s:.1f} s, and {results.compile_s:.1f} s to compile or load the kernels")
-    print(f"  table   {folder / TABLE}")
-    print(f"  all     {folder / EVERYTHING}")
-    print(f"  report  {folder / REPORT}")
+    print_files([("table", folder / TABLE), ("all", folder / EVERYTHING), ("report", folder / REPORT)])
 
 
 def _shown(cell: CellResult) -> str:

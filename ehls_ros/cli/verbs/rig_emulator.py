@@ -10,8 +10,8 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.cli.configured import Configured
-from ehls_ros.cli.folder import writable
+from ehls_ros.cli.arguments import add_configured, add_json, add_rig, check_duration
+from ehls_ros.cli.results import writable
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
@@ -44,30 +44,22 @@ PRIORITY = 40
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "--rig", type=Path, action=Configured, help="rig file in place of the spec's (default: rig_paper_measured.yaml)"
-    )
-    parser.add_argument(
-        "--spec",
-        type=Path,
-        action=Configured,
-        folder="experiments",
-        help="experiment file: its rig, disturbance, period, initial position, oil, seed",
-    )
+    add_rig(parser, "rig file in place of the spec's (default: rig_paper_measured.yaml)", required=False)
+    about = "experiment file: its rig, disturbance, period, initial position, oil, seed"
+    add_configured(parser, "--spec", "experiments", about)
     parser.add_argument("--bridge", type=Path, help="bridge file with the udp backend (default: bridge_udp.yaml)")
     parser.add_argument("--port", type=int, help="UDP port to listen on in place of the bridge file's; 0: any free port")
     parser.add_argument("--duration", type=float, help="plant time to run in s (default: until stopped)")
     parser.add_argument("--seed", type=int, help="seed of sensor noise and network faults in place of the spec's")
     parser.add_argument("--log", type=Path, help="CSV file of the true states, cycle by cycle, written at the end")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: counts and timing")
+    add_json(parser, "counts and timing")
     parser.add_argument(
         "--disturb-at-once",
         action="store_true",
-        help="start the disturbance at once instead of some time after the first command that opens the valve",
+        help="start the disturbance at once, not after the first command that opens the valve",
     )
-    parser.add_argument(
-        "--disturb-after", type=float, default=1.0, help="that time in s, in which the gate blends in (default: 1)"
-    )
+    about = "time from that command to the disturbance in s, in which the gate blends in (default: 1)"
+    parser.add_argument("--disturb-after", type=float, default=1.0, help=about)
     timing = parser.add_argument_group("timing")
     timing.add_argument("--lockstep", action="store_true", help="in each cycle, wait for the command that answers it")
     timing.add_argument("--patience", type=float, default=30.0, help="longest wait in lockstep in s (default: 30)")
@@ -117,7 +109,10 @@ def run(options: Namespace) -> int:
         finally:
             cpu = time.process_time() - begin
             if log is not None:
-                _write(log, options.log)
+                try:
+                    log.write(options.log)
+                except OSError as error:
+                    raise WorkFailed(f"{options.log} cannot be written ({error.strerror})") from error
     figures = _figures(emulator, target, wire, delays, lockstep=options.lockstep)
     figures["cpu_s"] = round(cpu, 2)
     print(json.dumps(figures) if options.json else "\n".join(f"  {name:<24}{value:>12g}" for name, value in figures.items()))
@@ -132,7 +127,7 @@ def _run(options: Namespace, emulator: Emulator, target: Target, wire: Wire, del
     lines: deque[str] = deque()
     if options.faults_from_stdin:
         threading.Thread(target=lambda: lines.extend(map(str.strip, sys.stdin)), daemon=True).start()
-    run_of = Run(cycles, stop.is_set, lines, _tell)
+    run_of = Run(cycles, stop.is_set, lines, lambda line, now: print(f"fault: {now:.6f} {line}", flush=True))
     print(f"rig emulator: listening at {address[0]} port {address[1]}", flush=True)
     if options.lockstep:
         run_lockstep(emulator, target, wire, run_of, options.patience)
@@ -147,13 +142,12 @@ def _bridge(options: Namespace) -> Bridge:
     path = options.bridge or config_folder() / "bridge_udp.yaml"
     bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
     if bridge.backend != "udp":
-        raise BadInput(f"name is {bridge.backend!r}", f"{path}: backend", "udp, which is what the emulator speaks")
+        raise BadInput(f"name is {bridge.backend!r}", f"{path}: backend", "udp, the protocol of the emulator")
     return bridge
 
 
 def _spec(options: Namespace) -> Spec:
-    if options.duration is not None and not 0.0 < options.duration < 1e6:
-        raise BadInput(f"--duration is {options.duration:g}", "command line", "seconds above 0 and below 1e6")
+    check_duration(options)
     if not 0.0 <= options.disturb_after < 1e6:
         raise BadInput(f"--disturb-after is {options.disturb_after:g}", "command line", "seconds from 0 to below 1e6")
     rig = options.rig or config_folder() / "rig_paper_measured.yaml"
@@ -187,17 +181,6 @@ def _impairments(options: Namespace) -> Impairments:
     if options.lockstep and impairments != Impairments():
         raise BadInput("--lockstep with network faults", "command line", "--lockstep alone, or network faults in real time")
     return impairments
-
-
-def _tell(line: str, now: float) -> None:
-    print(f"fault: {now:.6f} {line}", flush=True)
-
-
-def _write(log: TruthLog, path: Path) -> None:
-    try:
-        log.write(path)
-    except OSError as error:
-        raise WorkFailed(f"{path} cannot be written ({error.strerror})") from error
 
 
 def _figures(emulator: Emulator, target: Target, wire: Wire, delays: Delays, *, lockstep: bool) -> dict[str, float]:

@@ -4,7 +4,7 @@ import sys
 from argparse import REMAINDER, ArgumentParser, Namespace
 from importlib import import_module
 
-from ehls_ros.errors import BadInput
+from ehls_ros.cli.arguments import needs_ros
 from ehls_ros.nodes import node_names
 from ehls_ros.nodes.together import PLUS, in_order
 
@@ -23,9 +23,9 @@ class _Joinable(tuple[str, ...]):
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    about = f"node to start, or several to be one process: plant_sim_node{PLUS}friction_estimator_node{PLUS}fasmc_node"
+    about = f"node to start, or several for one process: plant_sim_node{PLUS}friction_estimator_node{PLUS}fasmc_node"
     parser.add_argument("node", choices=_Joinable(node_names()), help=about)
-    parser.add_argument("ros_arguments", nargs=REMAINDER, help="handed to ROS, such as --ros-args -p k:=14.0")
+    parser.add_argument("ros_arguments", nargs=REMAINDER, help="arguments of ROS, such as --ros-args -p k:=14.0")
 
 
 def run(options: Namespace) -> int:
@@ -33,10 +33,8 @@ def run(options: Namespace) -> int:
     names = options.node.split(PLUS)
     together = len(names) > 1
     names = in_order(names) if together else names
-    try:
+    with needs_ros():
         node = import_module(f"ehls_ros.nodes.{'composed' if together else names[0]}")
-    except ImportError as error:
-        raise BadInput(f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced, or `make setup`") from None
     sys.argv = [*(["composed"] if together else []), *names, *options.ros_arguments]
     code: int = node.main()
     return code

@@ -3,7 +3,7 @@
 import json
 from argparse import ArgumentParser, Namespace
 
-from ehls_ros.errors import BadInput
+from ehls_ros.cli.arguments import needs_ros
 
 HELP = "Hand the valve to a controller node that stands by, without a bump."
 
@@ -16,10 +16,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Ask the plant node and print its answer."""
-    try:
+    with needs_ros():
         from ehls_ros.nodes.parameter_requests import requests
-    except ImportError as error:
-        raise BadInput(f"ROS 2 cannot be imported ({error})", "this Python", "ROS 2 Jazzy sourced, or `make setup`") from None
     with requests() as ask:
         node = ask.resolve(options.node)
         answer = ask.switch(node)

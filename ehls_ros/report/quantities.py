@@ -1,14 +1,16 @@
-"""Practical units, such as µm, bar or mm/s, chosen by the SI unit and the magnitude of the value."""
+"""Numbers and estimates as text, in practical units such as µm, bar or mm/s.
+
+The unit is chosen by the SI unit and the magnitude of the value; an estimate is rounded to its standard error.
+"""
 
 import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
-from ehls_ros.report.identification_findings import as_shown, written
 from ehls_ros.report.page import MISSING_NUMBER, number
 from ehls_ros.report.plot import Unit
 from ehls_ros.trajectory import READABLE
@@ -36,8 +38,81 @@ _UNITS: Mapping[str, tuple[tuple[float, Unit], ...]] = {
     "1/Pa": ((math.inf, Unit("1/bar", 1e5)),),
     "N/Pa": ((math.inf, Unit("N/bar", 1e5)),),
 }
+NORMAL_95 = 1.96
+"""Half of the 95 % interval of a normal distribution, in standard errors."""
+
+EXACT = 1e-12
+"""Standard error, as a fraction of the value, below which it counts as zero."""
+
 ALMOST = 0.9995
 """Probability above which rounding to one decimal gives 100 %."""
+
+
+class Written(NamedTuple):
+    """An estimate as text.
+
+    Attributes:
+        value: rounded to the last significant digit of the standard error.
+        error: the standard error, with as many decimals.
+        low: lower end of the 95 % interval.
+        high: upper end.
+    """
+
+    value: str
+    error: str
+    low: str
+    high: str
+
+    @property
+    def interval(self) -> str:
+        """The 95 % interval."""
+        return MISSING_NUMBER if self.low == MISSING_NUMBER else f"{self.low} to {self.high}"
+
+
+def written(value: float, std: float, digits: int = 2) -> Written:
+    """Write a value and its standard error with the same number of decimals.
+
+    Args:
+        value: the value.
+        std: its standard error; numbers that are not finite are written as a dash.
+        digits: significant digits of the standard error.
+    """
+    if not math.isfinite(value):
+        return Written(*[MISSING_NUMBER] * 4)
+    if not math.isfinite(std):
+        return Written(as_given(value), *[MISSING_NUMBER] * 3)
+    if std <= EXACT * abs(value):
+        text = as_given(value)
+        return Written(text, number(std, digits), text, text)
+    exponent = int(f"{std:.{digits - 1}e}".split("e")[1])
+    decimals = max(0, digits - 1 - exponent)
+    low, high = value - NORMAL_95 * std, value + NORMAL_95 * std
+    return Written(*(fixed_point(x, decimals) for x in (value, std, low, high)))
+
+
+def fixed_point(value: float, decimals: int) -> str:
+    """Write a number with a fixed number of decimals."""
+    return f"{value:,.{decimals}f}".replace(",", "\u202f").replace("-", "−")
+
+
+def as_given(value: float) -> str:
+    """Write a given, not measured, number with exactly its digits."""
+    if not math.isfinite(value):
+        return MISSING_NUMBER
+    text = f"{value:,.10g}" if value == 0 or 1e-6 <= abs(value) < 1e10 else f"{value:.6g}"
+    if "e-" in text and abs(value) >= 1e-6:
+        text = f"{value:.12f}".rstrip("0")
+    return text.replace(",", "\u202f").replace("-", "−")
+
+
+def as_shown(value: float) -> str:
+    """Write a number of a rig file, fitted or given, with six digits at most."""
+    return as_given(float(f"{value:.6g}"))
+
+
+def unit_text(unit: str) -> str:
+    """Write a unit with raised powers."""
+    return unit.replace("^2", "²").replace("^3", "³").replace("^5", "⁵")
 
 
 def unit_for(unit: str, size: float) -> Unit:
@@ -104,7 +179,7 @@ class Shown(NamedTuple):
 
     quantity: str
     unit: Unit
-    values: Array
+    values: NDArray[np.float64]
 
 
 _QUANTITIES: Mapping[str, tuple[str, str]] = {
@@ -129,7 +204,7 @@ def quantity(signal: str) -> str:
     return _QUANTITIES.get(signal, (signal.replace("_", " "), ""))[0]
 
 
-def shown_signal(signal: str, values: Array, largest: float | None = None) -> Shown:
+def shown_signal(signal: str, values: NDArray[np.float64], largest: float | None = None) -> Shown:
     """Return a signal in the practical unit of its axis.
 
     Args:
