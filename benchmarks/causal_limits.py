@@ -16,10 +16,10 @@ from ehls_ros.control.limits import CausalLimit
 from ehls_ros.experiments.causal_limit import limit_of_run
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import case
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.report.page import limit_text
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import case
 
 ROOT = Path(__file__).resolve().parent.parent
 MEASURED = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2", "measured_sine_fd2")

@@ -10,18 +10,18 @@ from rich.table import Table
 
 from ehls_ros.cli.folder import writable
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.results import (
+from ehls_ros.progress import progress_bar
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.report import write_reproduction_report
+from ehls_ros.reproduction.report_findings import causal_limits
+from ehls_ros.reproduction.results import (
     CellResult,
     Place,
     Results,
     reproduction_document,
     table3_document,
 )
-from ehls_ros.experiments.reproduction.study import compile_everything, reproduce
-from ehls_ros.progress import progress_bar
-from ehls_ros.report.reproduction import write_reproduction_report
-from ehls_ros.report.reproduction_findings import causal_limits
+from ehls_ros.reproduction.study import compile_everything, reproduce
 
 HELP = "Run the paper's simulation study again: table3.json, and a report with the paper's number beside ours."
 

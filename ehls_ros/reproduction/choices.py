@@ -5,11 +5,11 @@ from functools import partial
 from typing import NamedTuple
 
 from ehls_ros.control.controllers import fasmc
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, largest_error
-from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.results import TriedChoice
 from ehls_ros.parallel import Task
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import Change, largest_error
+from ehls_ros.reproduction.paper import Cell
+from ehls_ros.reproduction.results import TriedChoice
 
 PHI1_READINGS = 1000.0 / 103.0
 """The text's phi1 is 103 or, with a lost exponent, 10^3."""

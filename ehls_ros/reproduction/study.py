@@ -11,7 +11,8 @@ from ehls_ros import __version__
 from ehls_ros.control.bounds import force_error_bound
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.reproduction import (
+from ehls_ros.parallel import Progress, Task, run_tasks
+from ehls_ros.reproduction import (
     choices,
     continuous,
     drift,
@@ -21,9 +22,9 @@ from ehls_ros.experiments.reproduction import (
     sampling,
     searches,
 )
-from ehls_ros.experiments.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, largest_errors, paper_rig, run
-from ehls_ros.experiments.reproduction.paper import CELLS, Cell
-from ehls_ros.experiments.reproduction.results import (
+from ehls_ros.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, largest_errors, paper_rig, run
+from ehls_ros.reproduction.paper import CELLS, Cell
+from ehls_ros.reproduction.results import (
     Beyond,
     CellResult,
     Place,
@@ -33,7 +34,6 @@ from ehls_ros.experiments.reproduction.results import (
     Theory,
     TriedWidth,
 )
-from ehls_ros.parallel import Progress, Task, run_tasks
 from ehls_ros.trajectory import Trajectory
 
 QUICK = ("constant", "sine")

@@ -7,21 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.paper import FASMC_1, FASMC_2, SIC, Cell
-from ehls_ros.experiments.reproduction.results import (
-    CellResult,
-    ContinuousRun,
-    DriftRun,
-    Place,
-    Results,
-    Robustness,
-    Sampling,
-    Searches,
-    TriedChoice,
-)
 from ehls_ros.report.page import listed, number, signed
-from ehls_ros.report.reproduction_findings import (
+from ehls_ros.report.run_signals import setting
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.paper import FASMC_1, FASMC_2, SIC, Cell
+from ehls_ros.reproduction.report_findings import (
     Runs,
     as_set,
     error_text,
@@ -32,7 +22,17 @@ from ehls_ros.report.reproduction_findings import (
     worst_of,
     worst_of_controller,
 )
-from ehls_ros.report.run_signals import setting
+from ehls_ros.reproduction.results import (
+    CellResult,
+    ContinuousRun,
+    DriftRun,
+    Place,
+    Results,
+    Robustness,
+    Sampling,
+    Searches,
+    TriedChoice,
+)
 
 NOTHING_OFF = "nothing off"
 

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from ehls_ros.experiments.reproduction.paper import FASMC_1, FASMC_2, FULL_SCALE, SIC, Cell
-from ehls_ros.experiments.reproduction.results import CellResult, Place, Reduction, Results, Searches, TriedWidth
 from ehls_ros.report.page import limit_text, listed, number
+from ehls_ros.reproduction.paper import FASMC_1, FASMC_2, FULL_SCALE, SIC, Cell
+from ehls_ros.reproduction.results import CellResult, Place, Reduction, Results, Searches, TriedWidth
 from ehls_ros.trajectory import Trajectory
 
 Runs = Mapping[Cell, Trajectory]

@@ -13,12 +13,12 @@ from ehls_ros.arrays import in_python
 from ehls_ros.control.bounds import pressure_error_bound, reaching_rate, reaching_time_bound, remaining_s, sliding_time
 from ehls_ros.control.controllers import base, fasmc
 from ehls_ros.experiments.loop import ClosedLoop
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, case
-from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.results import ContinuousRun
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Task
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import Change, case
+from ehls_ros.reproduction.paper import Cell
+from ehls_ros.reproduction.results import ContinuousRun
 
 STEP = 4e-6
 """Period of control and integration [s]; the robust rate times it is 0.35."""

@@ -3,8 +3,8 @@
 import numpy as np
 
 from ehls_ros.control.friction_estimator import FrictionEstimator
-from ehls_ros.experiments.reproduction.cases import paper_rig
-from ehls_ros.experiments.reproduction.results import FrictionCurves
+from ehls_ros.reproduction.cases import paper_rig
+from ehls_ros.reproduction.results import FrictionCurves
 
 FASTEST = 0.15
 """Largest velocity of the paper's sweep [m/s]."""

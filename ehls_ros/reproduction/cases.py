@@ -10,13 +10,13 @@ from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import Metrics, evaluate, evaluate_errors
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.paper import Cell
 from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import Spec, load_rig, spec_from_mapping
 from ehls_ros.physics.friction import gms
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.paper import Cell
 from ehls_ros.trajectory import Trajectory
 
 PARTS: dict[str, dict[str, Any]] = {
