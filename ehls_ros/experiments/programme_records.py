@@ -18,7 +18,7 @@ from ehls_ros.control.programme.motion import Runner
 from ehls_ros.control.programme.motion_check import check_motions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.state_files import access, table
-from ehls_ros.experiments.state_files.folder_lock import FolderLock
+from ehls_ros.experiments.state_files.access import FolderLock
 from ehls_ros.experiments.state_files.kinds import PROGRAMME, ProgrammeState
 from ehls_ros.experiments.state_files.state_file import Origin, StateFile
 from ehls_ros.physics.parameters import Limits

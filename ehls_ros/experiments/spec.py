@@ -23,8 +23,7 @@ from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured
-from ehls_ros.experiments.points_file import read_points
-from ehls_ros.experiments.programme_file import programme_values
+from ehls_ros.experiments.reference_files import programme_values, read_points
 from ehls_ros.physics.integration_step import LONGEST_STEP, check_step, steps_per_period
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal
 from ehls_ros.physics.rig import (

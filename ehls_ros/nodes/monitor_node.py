@@ -43,8 +43,7 @@ from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.parameters import Parameters as Watching
 from ehls_ros.experiments.monitoring.rates import MOST_HISTORY
 from ehls_ros.experiments.monitoring.wording import HeldLevel, Word, group, sentence, today, word
-from ehls_ros.experiments.state_files.access import NotWritten
-from ehls_ros.experiments.state_files.folder_lock import FolderLock
+from ehls_ros.experiments.state_files.access import FolderLock, NotWritten
 from ehls_ros.experiments.state_files.kinds import LEARNS_ANEW
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text

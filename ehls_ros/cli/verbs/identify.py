@@ -14,7 +14,7 @@ from ehls_ros.cli.configured import Configured
 from ehls_ros.cli.folder import writable
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
-from ehls_ros.experiments.identifying import identify_whole_rig
+from ehls_ros.experiments.analysis import identify_whole_rig
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.stroke_experiments import stroke_experiments
 from ehls_ros.experiments.yaml_files import rig_text
