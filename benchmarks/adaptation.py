@@ -10,21 +10,19 @@ in the first second and in the last half.
 import argparse
 import math
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.common import MEASURED_EFFECTS, experiment, parser_of
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.loop import ClosedLoop
 from ehls_ros.experiments.run_failure import Implausible
-from ehls_ros.experiments.spec import Spec, spec_from_mapping
+from ehls_ros.experiments.spec import Spec
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.sensors import FORCE
-from ehls_ros.recording.yaml_text import read_yaml
 
-EXPERIMENTS = Path(__file__).parents[1] / "config" / "experiments"
 OFF, SPREAD = 0.2, 0.1
 LEVEL = ("coulomb_force", "static_force", "attraction_rate")
 COEFFICIENTS = (
@@ -36,7 +34,6 @@ COEFFICIENTS = (
     "viscous_coefficient",
     "command_delay",
 )
-KNOWN = ["command_delay", "coupling_stiffness"]
 
 
 class Errors(NamedTuple):
@@ -77,12 +74,9 @@ def errors_of(spec: Spec) -> tuple[Errors, dict[str, float | str]]:
 
 def spec_of(name: str, law: str, duration: float, *, adapting: bool, seed: int = 0) -> Spec:
     """Return one of the package's experiments under another law."""
-    path = EXPERIMENTS / f"{name}.yaml"
-    data = dict(read_yaml(path, "spec"))
-    data |= {"controller": {"name": law}, "duration": duration, "seed": seed}
-    data["companions"] = ["adaptation"] if adapting else []
-    data["known_effects"] = KNOWN if name.startswith("measured") else []
-    return spec_from_mapping(data, name, path.parent)
+    known = [*MEASURED_EFFECTS] if name.startswith("measured") else []
+    companions = ["adaptation"] if adapting else []
+    return experiment(name, controller=law, duration=duration, seed=seed, companions=companions, known_effects=known)
 
 
 def scaled(rig: Rig, factors: dict[str, float]) -> Rig:
@@ -165,7 +159,7 @@ def _line(name: str, wrong: str, off: Errors, on: Errors, nominal: Errors) -> st
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--experiments", nargs="+", default=["sine_fd2", "measured_sine_fd2"])
     parser.add_argument("--law", default="fasmc_predictive")
     parser.add_argument("--duration", type=float, default=20.0)

@@ -1,7 +1,7 @@
 """Thousands of attack sequences on running graphs, guided by their distance from violating a policy.
 
-    python benchmarks/attacks.py --sequences 2000
-    python benchmarks/attacks.py --sequences 200 --on bridge --seed 1 --blind
+    python -m benchmarks.attacks --sequences 2000
+    python -m benchmarks.attacks --sequences 200 --on bridge --seed 1 --blind
 
 Three quarters of the sequences attack a bridge with its emulated rig at 1 kHz in real time. The others attack whole graphs in
 lockstep, apart and composed, with programme, learning and second sources. After each batch its log is evaluated, sequences
@@ -9,7 +9,6 @@ that came closer are kept, and all processes are restarted. The table lists the 
 smallest robustness, and the sequence with it. A violation ends the run with code 1 and leaves the batch's folder.
 """
 
-import argparse
 import os
 import pickle
 import random
@@ -36,6 +35,7 @@ from node_server import NodeServer
 from policies.monitor import POLICIES, Verdict, judge
 from policies.trace import Trace
 
+from benchmarks.common import parser_of
 from ehls_ros.nodes.graph import free_domain
 from ehls_ros.nodes.shared_memory import leftovers
 
@@ -187,7 +187,7 @@ def table(campaigns: Sequence[Campaign]) -> str:
 
 def main() -> int:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--sequences", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(2**32))
     parser.add_argument("--batch", type=int, default=BATCH, help="sequences between two restarts: a generation of the search")

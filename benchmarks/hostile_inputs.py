@@ -1,6 +1,6 @@
 """Files designed to hang a reader or exhaust its memory: the answer to each, and the time and memory it takes.
 
-python benchmarks/hostile_inputs.py [--only Parquet]
+python -m benchmarks.hostile_inputs [--only Parquet]
 
 Each is read in a separate process. Time is processor time, of that process and its children; memory is the
 largest resident set of any of them. The first line is a process that only imports the readers.
@@ -29,6 +29,7 @@ import lz4.frame
 import numpy as np
 import yaml
 
+from benchmarks.common import parser_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import load_rig, load_spec
@@ -689,7 +690,7 @@ def row(name: str, answer: Answer) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--only", default="", metavar="TEXT", help="inputs with this in their names")
     parser.add_argument("--read", help=argparse.SUPPRESS)
     options = parser.parse_args()

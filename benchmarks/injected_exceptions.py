@@ -9,7 +9,6 @@ file. It also counts cases whose process ended with 1 (a refused request does no
 With a rig, the commands that its device received show whether the last one was null.
 """
 
-import argparse
 import os
 import signal
 import subprocess
@@ -33,6 +32,7 @@ from lifecycle_msgs.srv import ChangeState
 from node_server import COMMAND, NodeServer
 from std_srvs.srv import SetBool
 
+from benchmarks.common import parser_of
 from ehls_msgs.msg import LoaderState
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.nodes.graph import free_domain
@@ -245,7 +245,7 @@ def ways_of(node: str, wanted: Sequence[str]) -> list[str]:
 
 def main() -> int:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--nodes", nargs="+", default=list(CLASSES), choices=list(CLASSES))
     parser.add_argument("--ways", nargs="+", default=["apart", "composed"], choices=["apart", "composed"])
     parser.add_argument("--calls", nargs="+", type=int, default=list(CALLS))

@@ -11,19 +11,17 @@ means of three consecutive load cycles, starting with the one in the heading, th
 largest error of peak or valley. `--gain` is the valve gain of the rig over that of the controller's rig file.
 """
 
-import argparse
 import time
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.common import CONFIG, parser_of
 from benchmarks.true_error import true_cycles
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import spec_from_mapping
 
-CONFIG = Path(__file__).resolve().parent.parent / "config"
 SERVO = {"name": "position_servo", "signal": {"name": "sine", "amplitude": 0.05, "frequency": 0.5}}
 SIMULATION = {"rig": "rig_paper.yaml", "disturbance": SERVO}
 EMULATED = {
@@ -112,7 +110,7 @@ def by_load_cycle(case: dict[str, Any], seed: int, gain: float, method: str) -> 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--gain", type=float, default=1.0)
     parser.add_argument("--method", default="peak_valley")

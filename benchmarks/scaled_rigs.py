@@ -7,10 +7,10 @@ Besides the defaults for the rig, each law runs with the numbers of the paper's 
 two laws with a filter run on the rig with sensors, with a command delay of 1 ms, against the position servo.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
+from benchmarks.common import parser_of
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import run_in_process
@@ -89,7 +89,7 @@ def largest(spec: Spec) -> Metrics | None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--sizes", type=float, nargs="+", default=[0.1, 1.0, 10.0], help="of the rigs over the paper's")
     sizes = parser.parse_args().sizes
     print("| largest error, last half, N | " + " | ".join(f"{size:g} ×" for size in sizes) + " |")
