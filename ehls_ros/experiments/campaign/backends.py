@@ -19,7 +19,7 @@ from ehls_ros.recording.reason import reason
 CONNECTING_S, JOINING_S = 10.0, 60.0
 """Time limits for a scheduler to answer, and for its first worker to join [s]."""
 
-OLDEST_JOBLIB = (1, 4)
+MIN_JOBLIB = (1, 4)
 
 AHEAD = 2
 """Number of chunks handed out per slot."""
@@ -96,7 +96,7 @@ def _joblib() -> Any:
     except ImportError:
         found = "joblib is not installed"
     else:
-        if tuple(map(int, joblib.__version__.split(".")[:2])) >= OLDEST_JOBLIB:
+        if tuple(map(int, joblib.__version__.split(".")[:2])) >= MIN_JOBLIB:
             return joblib
         found = f"joblib is {joblib.__version__}, which returns nothing before all is done"
     raise missing(found, "campaign", "campaign")

@@ -16,16 +16,16 @@ from ehls_ros.recording.regular_file import KINDS, check_regular
 TRIAL = 1 << 16
 """Size of the test file in a folder [B]; writing it fails on a full disk."""
 
-LONGEST_NAME = 200
+MAX_NAME_LENGTH = 200
 """Maximum length of a file's name in the name of its unfinished successor [characters]."""
 
-MOST_UNFINISHED = 100
+MAX_UNFINISHED = 100
 """Maximum number of unfinished files of one name and process number, left by killed writers."""
 
 UNFINISHED = "part"
 """Suffix of an unfinished file."""
 
-MOST_ASIDE = 10_000
+MAX_ASIDE = 10_000
 """Bound on the numbers for putting aside one file."""
 
 
@@ -158,11 +158,11 @@ def unused_name(path: Path) -> Path:
     Raises:
         NotWritten: all names are taken.
     """
-    for number in range(1, MOST_ASIDE):
+    for number in range(1, MAX_ASIDE):
         other = path.with_name(f"{path.stem}.{number}{path.suffix}")
         if not os.path.lexists(other):
             return other
-    raise NotWritten(f"{path}: cannot be put aside ({MOST_ASIDE} names are taken)")
+    raise NotWritten(f"{path}: cannot be put aside ({MAX_ASIDE} names are taken)")
 
 
 def put_aside(path: Path) -> Path:
@@ -195,11 +195,11 @@ def _target(path: Path) -> Path:
 
 def _unfinished(target: Path) -> tuple[Path, int]:
     """Create an empty file beside another one, and return its path and descriptor."""
-    for number in range(MOST_UNFINISHED):
-        part = target.with_name(f".{target.name[:LONGEST_NAME]}.{os.getpid()}.{number}.{UNFINISHED}")
+    for number in range(MAX_UNFINISHED):
+        part = target.with_name(f".{target.name[:MAX_NAME_LENGTH]}.{os.getpid()}.{number}.{UNFINISHED}")
         with suppress(FileExistsError):
             return part, os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-    raise OSError(errno.EEXIST, f"{MOST_UNFINISHED} unfinished files lie beside it")
+    raise OSError(errno.EEXIST, f"{MAX_UNFINISHED} unfinished files lie beside it")
 
 
 def _sync_folder(folder: Path) -> None:
