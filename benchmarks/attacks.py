@@ -35,7 +35,7 @@ from node_server import NodeServer
 from policies.monitor import POLICIES, Verdict, judge
 from policies.trace import Trace
 
-from benchmarks.common import parser_of
+from benchmarks.common import parser_of, print_heading, print_row
 from ehls_ros.nodes.graph import free_domain
 from ehls_ros.nodes.shared_memory import leftovers
 
@@ -121,11 +121,7 @@ class Campaign:
         self.done += attacks.done
         self.batches += 1
         violated = [verdict for verdict in verdicts.values() if verdict.violations]
-        figures = late(trace), opened(trace), len(trace.calls)
-        print(
-            f"| {self.arena.name} | {self.sequences} | {figures[0]} | {figures[1]} | {figures[2]} | {len(violated)} |",
-            flush=True,
-        )
+        print_row(self.arena.name, self.sequences, late(trace), opened(trace), len(trace.calls), len(violated))
         if violated:
             with (folder / "trace.pickle").open("wb") as file:
                 pickle.dump((trace, planned, attacks.spans), file)
@@ -209,7 +205,7 @@ def main() -> int:
     campaigns = {name: Campaign(arenas[name], options.seed, blind=options.blind) for name in dict.fromkeys(chosen)}
     way = "blind" if options.blind else "guided"
     print(f"seed {options.seed}, {options.sequences} {way} sequences, batches of {options.batch}")
-    print("| on | sequences | rig late by | valve open | requests | violated |\n|---|---:|---|---:|---:|---:|")
+    print_heading("on", "sequences", "rig late by", "valve open", "requests", "violated")
     begun, server, wrong = time.monotonic(), NodeServer(), 0
     try:
         done = 0

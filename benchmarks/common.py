@@ -72,6 +72,17 @@ def quartiles(values: Sequence[float] | Array, form: str) -> str:
     return f"{middle:{form}} ({low:{form}}-{high:{form}})"
 
 
+def print_row(*cells: object) -> None:
+    """Print a row of a Markdown table."""
+    print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def print_heading(*names: object) -> None:
+    """Print the heading of a Markdown table."""
+    print_row(*names)
+    print(f"|{'---|' * len(names)}")
+
+
 def largest(values: Sequence[float] | Array, form: str = ".1f") -> str:
     """Return median and largest value as text, such as ``2.1 (3.4)``."""
     return f"{np.median(values):{form}} ({np.max(values):{form}})"

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.common import MEASURED_EFFECTS, experiment, largest, parser_of
+from benchmarks.common import MEASURED_EFFECTS, experiment, largest, parser_of, print_heading, print_row
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions.base import PLACE
 from ehls_ros.control.controller import Controller, Outlook
@@ -183,8 +183,8 @@ def alone(args: argparse.Namespace) -> list[dict[str, Any]]:
 def cells(args: argparse.Namespace) -> None:
     """Print the benefit of the repetitions."""
     print("largest true error, N: median (largest) of the seeds\n")
-    print(f"| | without | after 5 repetitions | after {args.repetitions} | noise's own share | ratio | loaded |")
-    print("|---|---|---|---|---|---|---|")
+    after = f"after {args.repetitions}"
+    print_heading("", "without", "after 5 repetitions", after, "noise's share", "ratio", "loaded")
     for name, period in PERIODS.items():
         columns: list[list[float]] = [[] for _ in range(6)]
         for seed in range(args.seeds):
@@ -215,15 +215,14 @@ def cells(args: argparse.Namespace) -> None:
             for column, value in zip(columns, found, strict=True):
                 column.append(value)
         texts = [*map(largest, columns[:4]), *(largest(column, ".2f") for column in columns[4:])]
-        print(f"| {name} | {' | '.join(texts)} |", flush=True)
+        print_row(name, *texts)
 
 
 def events(args: argparse.Namespace) -> None:
     """Print the cost of learning after an event."""
     period = PERIODS[EVENT_EXPERIMENT]
     print(f"\n{EVENT_EXPERIMENT}, after {LEARNT} load cycles: largest error from the event on, N\n")
-    print("| | without learning | with | ratio |")
-    print("|---|---|---|---|")
+    print_heading("", "without learning", "with", "ratio")
     for what, (part, happen) in EVENTS.items():
         found: list[list[float]] = [[], []]
         for seed in range(args.seeds):
@@ -247,8 +246,7 @@ def events(args: argparse.Namespace) -> None:
 
 
 def _print_event(what: str, found: list[list[float]]) -> None:
-    ratios = np.divide(found[1], found[0])
-    print(f"| {what} | {largest(found[0])} | {largest(found[1])} | {largest(ratios, '.2f')} |", flush=True)
+    print_row(what, *map(largest, found), largest(np.divide(found[1], found[0]), ".2f"))
 
 
 def main() -> None:

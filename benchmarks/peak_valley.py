@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.common import CONFIG, parser_of
+from benchmarks.common import CONFIG, parser_of, print_heading, print_row
 from benchmarks.true_error import true_cycles
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.loop import sampled
@@ -118,8 +118,7 @@ def main() -> None:
     args = parser.parse_args()
     began = time.monotonic()
     print("peak / valley / mean, N, and phase, degrees\n")
-    print(f"| | without, from 10 | {' | '.join(f'with, from {first}' for first in AFTER)} |")
-    print("|---|---|" + "---|" * len(AFTER))
+    print_heading("", "without, from 10", *(f"with, from {first}" for first in AFTER))
     for name, case in CASES.items():
         if args.only not in name:
             continue
@@ -129,7 +128,7 @@ def main() -> None:
             means = [run[which, first : first + 3].mean(axis=0) for run in runs]
             worst = max(means, key=lambda mean: float(np.max(np.abs(mean[:2]))))
             cells.append("{:.1f} / {:.1f} / {:.1f}, {:.2f}".format(*worst))
-        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+        print_row(name, *cells)
     print(f"\n{time.monotonic() - began:.0f} s")
 
 

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from benchmarks.common import parser_of
+from benchmarks.common import parser_of, print_heading, print_row
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import BagWriter, Storage
@@ -367,14 +367,13 @@ def main() -> None:
     parser.add_argument("--cycles", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    print("| storage | damage | " + " | ".join(COLUMNS) + " |")
-    print("|---" * (2 + len(COLUMNS)) + "|")
+    print_heading("storage", "damage", *COLUMNS)
     for storage in STORAGES:
         with tempfile.TemporaryDirectory(dir=FAST) as folder:
             left = left_behind(Path(folder) / "bag", storage, options.cycles, options.seed)
             for kind in TRIALS:
                 outcomes = tried(left, kind, getattr(options, kind), options.seed)
-                print("|", " | ".join([storage, kind, *(f"{figure:.4g}" for figure in row(outcomes))]), "|", flush=True)
+                print_row(storage, kind, *(f"{figure:.4g}" for figure in row(outcomes)))
     for storage in STORAGES:
         message, flush = writers_time(storage, options.cycles, options.seed)
         per_message, per_flush = f"{message * 1e6:.2f} µs per message with flushes", f"{flush * 1e3:.2f} ms per flush"

@@ -42,6 +42,15 @@ def run_all(one: Callable[[int], Row], numbers: Sequence[int], jobs: int) -> Ite
             pool.shutdown(cancel_futures=True)
 
 
+def appended(path: Path, rows: Iterator[Row]) -> Iterator[Row]:
+    """Append rows to a file as they come, and pass them on."""
+    with path.open("a", encoding="utf-8") as file:
+        for row in rows:
+            file.write(as_json(row) + "\n")
+            file.flush()
+            yield row
+
+
 def as_json(row: Row) -> str:
     """Return a row as JSON, numpy's numbers as Python's."""
     return json.dumps(row, default=lambda value: value.item() if hasattr(value, "item") else str(value))

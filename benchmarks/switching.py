@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.common import parser_of
+from benchmarks.common import parser_of, print_heading, print_row
 from ehls_ros.arrays import Array
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
@@ -125,7 +125,8 @@ def main() -> None:
         moments = [round((FIRST_SWITCH + TURN * i / options.moments) / period) for i in range(options.moments)]
         cycles = moments[-1] + after
         alone = {each: run(spec, each, each, cycles, cycles, COLD) for each in contestants}
-        print(f"\n{case}\n| from | to | jump [um] | alone [um] | error [N] | alone [N] |\n|---|---|---:|---:|---:|---:|")
+        print(f"\n{case}")
+        print_heading("from", "to", "jump [um]", "alone [um]", "error [N]", "alone [N]")
         for first, second in permutations(contestants, 2):
             jumps, errors, usual, usual_errors = [], [], [], []
             for switch in moments:
@@ -134,11 +135,8 @@ def main() -> None:
                 errors.append(np.max(np.abs(error[switch:])))
                 usual.append(max(changes(alone[each][0], switch) for each in (first, second)))
                 usual_errors.append(max(np.max(np.abs(alone[each][1][switch : switch + after])) for each in (first, second)))
-            print(
-                f"| {first} | {second} | {1e6 * max(jumps):.1f} | {1e6 * max(usual):.1f} |"
-                f" {max(errors):.1f} | {max(usual_errors):.1f} |",
-                flush=True,
-            )
+            figures = 1e6 * max(jumps), 1e6 * max(usual), max(errors), max(usual_errors)
+            print_row(first, second, *(f"{figure:.1f}" for figure in figures))
 
 
 if __name__ == "__main__":

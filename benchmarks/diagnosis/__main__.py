@@ -30,7 +30,7 @@ from benchmarks.common import ROOT, parser_of  # noqa: E402
 from benchmarks.diagnosis import cases, running, tables  # noqa: E402
 from benchmarks.diagnosis.exams import EXAMS, numbers  # noqa: E402
 from benchmarks.diagnosis.judge import judge  # noqa: E402
-from benchmarks.rows import Row, as_json, read_rows, run_all  # noqa: E402
+from benchmarks.rows import Row, appended, as_json, read_rows, run_all  # noqa: E402
 
 WIDTH = 220
 """Width of the tables if the output is not a terminal."""
@@ -106,12 +106,10 @@ def main() -> None:
     done = {r["number"] for r in rows}
     left = [number for number in wanted if number not in done]
     print(f"seed {seed}, {len(wanted)} cases of {duration:g} s, {len(left)} to do, into {out}", flush=True)
-    with out.open("a", encoding="utf-8") as file, bar(errors) as progress:
+    with bar(errors) as progress:
         task = progress.add_task("cases", total=len(wanted), completed=len(wanted) - len(left))
-        for row in run_all(one, left, options.jobs):
+        for row in appended(out, run_all(one, left, options.jobs)):
             rows.append(row)
-            file.write(as_json(row) + "\n")
-            file.flush()
             if errors.is_terminal:
                 right = sum(judge(r).right for r in rows)
                 progress.update(task, advance=1, description=f"{right} of {len(rows)} right")

@@ -30,7 +30,7 @@ from rich.console import Console  # noqa: E402
 from benchmarks.common import ROOT, parser_of  # noqa: E402
 from benchmarks.diagnosis.cases import sources  # noqa: E402
 from benchmarks.monitor import closed_loop, cost, healthy, hidden, peers, tables  # noqa: E402
-from benchmarks.rows import Row, as_json, read_rows, run_all  # noqa: E402
+from benchmarks.rows import Row, appended, read_rows, run_all  # noqa: E402
 
 WIDTH = 200
 """Width of the tables if the output is not a terminal."""
@@ -98,12 +98,9 @@ def main() -> None:
     done = {row["number"] for row in rows}
     left = [number for number in range(count) if number not in done]
     print(f"seed {options.seed}, {count} to run, {len(left)} to do, into {out}", flush=True)
-    with out.open("a", encoding="utf-8") as file:
-        for row in run_all(one, left, options.jobs):
-            rows.append(row)
-            file.write(as_json(row | {"sources": sources()}) + "\n")
-            file.flush()
-            print(tables.line_of(row), flush=True)
+    for row in appended(out, (row | {"sources": sources()} for row in run_all(one, left, options.jobs))):
+        rows.append(row)
+        print(tables.line_of(row), flush=True)
     show([row for row in rows if row["number"] < count], console)
 
 
