@@ -53,7 +53,7 @@ def diagnose_recording(
         BadInput: a recording does not match the rig, or contradicts the rig file.
     """
 
-    def told(doing: str, part: float) -> None:
+    def report(doing: str, part: float) -> None:
         progress(round(CORE * STEPS * part), STEPS, doing)
 
     for called, recording in ({name: trajectory} | dict(baselines)).items():
@@ -63,10 +63,10 @@ def diagnose_recording(
         if baselines:
             known = list(baselines.values())
             found = diagnose_against(
-                trajectory, known, rig, name, seed=seed, threads=threads, progress=told, names=list(baselines)
+                trajectory, known, rig, name, seed=seed, threads=threads, progress=report, names=list(baselines)
             )
         else:
-            found = diagnose(trajectory, rig, name, seed=seed, threads=threads, progress=told)
+            found = diagnose(trajectory, rig, name, seed=seed, threads=threads, progress=report)
         follows = consequences(
             found,
             trajectory,

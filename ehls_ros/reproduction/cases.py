@@ -72,8 +72,8 @@ def case(cell: Cell, change: Change = AS_PUBLISHED) -> Spec:
         **PARTS[cell.controller],
     }
     for key, value in change.sections.items():
-        own = sections.get(key)
-        sections[key] = {**own, **value} if isinstance(own, Mapping) and isinstance(value, Mapping) else value
+        usual = sections.get(key)
+        sections[key] = {**usual, **value} if isinstance(usual, Mapping) and isinstance(value, Mapping) else value
     spec = spec_from_mapping(sections, f"case {cell}", Path())
     believed = spec.controller_rig._replace(friction=_scaled(spec.controller_rig.friction, change.known_friction))
     plant, friction = spec.rig.plant, _scaled(_scaled(spec.rig.friction, change.known_friction), change.friction)
@@ -82,9 +82,9 @@ def case(cell: Cell, change: Change = AS_PUBLISHED) -> Spec:
 
 def _scaled(parameters: Coefficients, factors: Mapping[str, float]) -> Coefficients:
     """Return a parameter set with some coefficients scaled, those of several elements by the same factor."""
-    own = parameters._asdict()
+    values = parameters._asdict()
     scaled: dict[str, Any] = {
-        name: tuple(factor * value for value in own[name]) if isinstance(own[name], tuple) else factor * own[name]
+        name: tuple(factor * value for value in values[name]) if isinstance(values[name], tuple) else factor * values[name]
         for name, factor in factors.items()
     }
     return parameters._replace(**scaled)

@@ -61,7 +61,7 @@ def choices() -> list[Choice]:
         Choice("SIC's inner loop", "motion fed forward", "PI alone", Change({"controller": {"compensation": 0.0}}), sic),
         Choice(
             "φ1 printed as 103 or 10³",
-            "our own rate",
+            "our rate",
             "10³/103 = 9.7 times it",
             tuned(phi1=fasmc.Parameters().phi1 * PHI1_READINGS),
             every,

@@ -74,7 +74,7 @@ def _table3(cells: Sequence[CellResult]) -> list[str]:
         page.paragraph(
             "Largest error in the steady half of each run, in N and in % of 10 kN, with the paper's below it."
             f" {WORSE}marks errors larger than the paper's; – where the paper has no number."
-            " The causal limit is what no controller without foresight can be expected to stay below."
+            " No controller without foresight can be expected to stay below the causal limit."
         ),
         _by_cell(cells, _error_entry, ["causal limit", *findings.causal_limits(cells)]),
         page.paragraph(f"Convergence time. {findings.convergence_remark(cells)}"),
@@ -334,15 +334,15 @@ def _making(results: Results, runs: Runs) -> list[str]:
 
 def _disturbances(runs: Runs) -> str:
     """Return a sentence on fd1 and fd2 if they are known from the runs."""
-    told = {}
+    found = {}
     for cell, run in runs.items():
         amplitude, frequency = (
             setting(run.metadata, "spec", "disturbance", "signal", name) for name in ("amplitude", "frequency")
         )
         if amplitude is not None and frequency is not None:
             force, rate = findings.as_set(1e-3 * amplitude), findings.as_set(frequency)
-            told[cell.disturbance] = f"{cell.disturbance} is {force} kN at {rate} Hz"
-    return f" {listed(list(told.values()))}." if told else ""
+            found[cell.disturbance] = f"{cell.disturbance} is {force} kN at {rate} Hz"
+    return f" {listed(list(found.values()))}." if found else ""
 
 
 def _tuning(run: Trajectory) -> dict[str, object]:

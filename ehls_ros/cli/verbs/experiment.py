@@ -13,7 +13,7 @@ from ehls_ros.cli.configured import Configured
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
-from ehls_ros.experiments.adapting import Adapted, adapted
+from ehls_ros.experiments.adaptation_result import Adapted, adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes

@@ -84,7 +84,9 @@ def local(jobs: int) -> Iterator[Backend]:
     try:
         yield Backend(jobs, work, own_kernels=True)
     except loky.TerminatedWorkerError:
-        raise WorkFailed("a worker process was killed, perhaps for want of memory; start again to go on") from None
+        raise WorkFailed(
+            "a worker process was killed, perhaps for lack of memory; start the campaign again to continue"
+        ) from None
     finally:
         if jobs > 1:
             joblib.externals.loky.get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
@@ -135,7 +137,7 @@ def dask(address: str) -> Iterator[Backend]:
     except distributed.KilledWorker as error:
         raise WorkFailed(f"workers died one after another over the same runs ({reason(error)})") from None
     except CancelledError:
-        raise WorkFailed(f"the scheduler at {address} is lost; start again to go on") from None
+        raise WorkFailed(f"the scheduler at {address} is lost; start the campaign again to continue") from None
     except ModuleNotFoundError as error:
         raise WorkFailed(f"a worker lacks the module {error.name}; install ehls_ros on every worker") from None
     finally:
