@@ -511,6 +511,6 @@ def _why(entry: _Rated, left: Mapping[tuple[str, str], Difference], columns: Seq
     loads = entry.experiment.load[:, LOAD]
     load = f", loaded with {loads[first] / 1e3:.2g} kN" if abs(loads[first]) > 0.01 * np.max(np.abs(loads)) else ""
     return (
-        f"{model} fitted to what {true} would give is wrong most in the {label}, by {size:.3g} {unit} ({amount:.0f} sigma) "
+        f"{model} fitted to a record of {true} deviates most in the {label}, by {size:.3g} {unit} ({amount:.0f} sigma) "
         f"at {(first + length // 2) * period:.1f} s, where {moving} under a driving force of {force / 1e3:.3g} kN{load}"
     )

@@ -68,7 +68,7 @@ def choices() -> list[Choice]:
         ),
         Choice("keeping α̂, β̂", "forgetting 0.1 1/s and projection", "projection alone", tuned(forgetting=0.0), every),
         Choice("keeping α̂, β̂", "forgetting 0.1 1/s and projection", "forgetting 1 1/s", tuned(forgetting=1.0), every),
-        Choice("rate of pL", "model, corrected by what it missed", "model alone", tuned(rate_correction=0.0), every),
+        Choice("rate of pL", "model, corrected by its error", "model alone", tuned(rate_correction=0.0), every),
         Choice("unit of k_i in Table 1", "N/mm", "N/m", Change(known_friction={"element_stiffness": 1e-3}), every),
         Choice("sign of gravity in (3)", "as printed", "turned round", Change(plant={"gravity": -1.0}), every),
     ]

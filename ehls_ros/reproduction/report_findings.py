@@ -157,7 +157,7 @@ def convergence_remark(cells: Sequence[CellResult]) -> str:
     if wider := [cell for cell in timed if cell not in both]:
         text += (
             f" Not comparable: {_cells_listed(wider)}, where the paper's error leaves the band used here as well;"
-            " its times there refer to a steady oscillation of its own size."
+            " its times there refer to a steady oscillation of that size."
         )
     text += (
         " Converged means that the error stays within 1 % of the largest reference, by the middle of the run at the latest; an"

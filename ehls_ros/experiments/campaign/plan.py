@@ -315,7 +315,7 @@ def _check_draws(point: Point, drawn: Mapping[str, Distribution], where: str) ->
     mapping = json.loads(point.spec)
     for path, distribution in drawn.items():
         _set(mapping, path, distribution.middle, f"{where}: vary: {path}", relative=distribution.relative)
-    spec_from_mapping(mapping, f"{where}: the middle of what is drawn", Path())
+    spec_from_mapping(mapping, f"{where}: the medians of the drawn values", Path())
 
 
 def _set(mapping: dict[str, Any], path: str, value: Any, where: str, *, relative: bool) -> Any:

@@ -114,7 +114,7 @@ def _recorded_rig(metadata: Mapping[str, Any]) -> Rig | None:
 def _remarks(run: Trajectory, given: Given, rig: Rig | None) -> Iterator[str]:
     yield from run.preparation.remarks
     if BLOCK not in run:
-        yield "The recording has no programme: it is judged as one block, by its own reference."
+        yield "The recording has no programme: it is judged as one block with the cycle of its reference."
     if rig is None:
         yield "No rig file was given: resolution, noise and lag of the sensors are not in the uncertainty."
     elif "force" not in rig.sensors:
