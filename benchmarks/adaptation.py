@@ -10,21 +10,19 @@ in the first second and in the last half.
 import argparse
 import math
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.common import MEASURED_EFFECTS, experiment, parser_of, print_heading, print_row
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.loop import ClosedLoop
 from ehls_ros.experiments.run_failure import Implausible
-from ehls_ros.experiments.spec import Spec, spec_from_mapping
+from ehls_ros.experiments.spec import Spec
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.sensors import FORCE
-from ehls_ros.recording.yaml_text import read_yaml
 
-EXPERIMENTS = Path(__file__).parents[1] / "config" / "experiments"
 OFF, SPREAD = 0.2, 0.1
 LEVEL = ("coulomb_force", "static_force", "attraction_rate")
 COEFFICIENTS = (
@@ -36,7 +34,6 @@ COEFFICIENTS = (
     "viscous_coefficient",
     "command_delay",
 )
-KNOWN = ["command_delay", "coupling_stiffness"]
 
 
 class Errors(NamedTuple):
@@ -77,12 +74,9 @@ def errors_of(spec: Spec) -> tuple[Errors, dict[str, float | str]]:
 
 def spec_of(name: str, law: str, duration: float, *, adapting: bool, seed: int = 0) -> Spec:
     """Return one of the package's experiments under another law."""
-    path = EXPERIMENTS / f"{name}.yaml"
-    data = dict(read_yaml(path, "spec"))
-    data |= {"controller": {"name": law}, "duration": duration, "seed": seed}
-    data["companions"] = ["adaptation"] if adapting else []
-    data["known_effects"] = KNOWN if name.startswith("measured") else []
-    return spec_from_mapping(data, name, path.parent)
+    known = [*MEASURED_EFFECTS] if name.startswith("measured") else []
+    companions = ["adaptation"] if adapting else []
+    return experiment(name, controller=law, duration=duration, seed=seed, companions=companions, known_effects=known)
 
 
 def scaled(rig: Rig, factors: dict[str, float]) -> Rig:
@@ -106,13 +100,13 @@ def scaled(rig: Rig, factors: dict[str, float]) -> Rig:
 
 def one_wrong(options: argparse.Namespace) -> None:
     """Print the effect of one wrong coefficient, without and with adaptation."""
-    print("| experiment | wrong | off: first s, last half [N] | on: first s, last half [N] | last half over nominal |")
-    print("|---|---|---|---|---|")
+    errors = ("off: first s, last half [N]", "on: first s, last half [N]", "last half over nominal")
+    print_heading("experiment", "wrong", *errors)
     for name in options.experiments:
         make = _maker(name, options)
         nominal = errors_of(make(adapting=False))[0]
         right, _ = errors_of(make(adapting=True))
-        print(_line(name, "nothing", nominal, right, nominal), flush=True)
+        _print_errors(name, "nothing", nominal, right, nominal)
         for coefficient in COEFFICIENTS:
             if coefficient == "command_delay" and not name.startswith("measured"):
                 continue
@@ -120,21 +114,20 @@ def one_wrong(options: argparse.Namespace) -> None:
                 off, on = (
                     errors_of(_believing(make(adapting=adapting), {coefficient: factor}))[0] for adapting in (False, True)
                 )
-                print(_line(name, f"{coefficient} × {factor:g}", off, on, nominal), flush=True)
+                _print_errors(name, f"{coefficient} × {factor:g}", off, on, nominal)
 
 
 def many_wrong(options: argparse.Namespace) -> None:
     """Print the effect of small errors in all coefficients, over many rigs."""
     print(f"\n{options.rigs} rigs, every coefficient within {100 * SPREAD:g} % of the controller's rig file, last half [N]")
-    print("| experiment | nominal | median | largest | median over nominal | ended early |")
-    print("|---|---|---|---|---|---|")
+    print_heading("experiment", "nominal", "median", "largest", "median over nominal", "ended early")
     for name in options.experiments:
         make = _maker(name, options)
         nominal = errors_of(make(adapting=False))[0].last
         last = np.array([_drawn(make(adapting=True), np.random.default_rng([options.seed, i])) for i in range(options.rigs)])
         lost = int(np.sum(~np.isfinite(last)))
         median = float(np.median(last))
-        print(f"| {name} | {nominal:.1f} | {median:.1f} | {last.max():.1f} | {median / nominal:.2f} | {lost} |", flush=True)
+        print_row(name, f"{nominal:.1f}", f"{median:.1f}", f"{last.max():.1f}", f"{median / nominal:.2f}", lost)
 
 
 def _maker(name: str, options: argparse.Namespace) -> Callable[..., Spec]:
@@ -157,15 +150,14 @@ def _drawn(spec: Spec, rng: np.random.Generator) -> float:
     return errors_of(spec._replace(rig=scaled(spec.rig, factors)))[0].last
 
 
-def _line(name: str, wrong: str, off: Errors, on: Errors, nominal: Errors) -> str:
-    return (
-        f"| {name} | {wrong} | {off.first:.1f}, {off.last:.1f} | {on.first:.1f}, {on.last:.1f} | {on.last / nominal.last:.2f} |"
-    )
+def _print_errors(name: str, wrong: str, off: Errors, on: Errors, nominal: Errors) -> None:
+    errors = (f"{found.first:.1f}, {found.last:.1f}" for found in (off, on))
+    print_row(name, wrong, *errors, f"{on.last / nominal.last:.2f}")
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--experiments", nargs="+", default=["sine_fd2", "measured_sine_fd2"])
     parser.add_argument("--law", default="fasmc_predictive")
     parser.add_argument("--duration", type=float, default=20.0)

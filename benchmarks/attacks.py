@@ -1,7 +1,7 @@
 """Thousands of attack sequences on running graphs, guided by their distance from violating a policy.
 
-    python benchmarks/attacks.py --sequences 2000
-    python benchmarks/attacks.py --sequences 200 --on bridge --seed 1 --blind
+    python -m benchmarks.attacks --sequences 2000
+    python -m benchmarks.attacks --sequences 200 --on bridge --seed 1 --blind
 
 Three quarters of the sequences attack a bridge with its emulated rig at 1 kHz in real time. The others attack whole graphs in
 lockstep, apart and composed, with programme, learning and second sources. After each batch its log is evaluated, sequences
@@ -9,7 +9,6 @@ that came closer are kept, and all processes are restarted. The table lists the 
 smallest robustness, and the sequence with it. A violation ends the run with code 1 and leaves the batch's folder.
 """
 
-import argparse
 import os
 import pickle
 import random
@@ -36,6 +35,7 @@ from node_server import NodeServer
 from policies.monitor import POLICIES, Verdict, judge
 from policies.trace import Trace
 
+from benchmarks.common import parser_of, print_heading, print_row
 from ehls_ros.nodes.graph import free_domain
 from ehls_ros.nodes.shared_memory import leftovers
 
@@ -121,11 +121,7 @@ class Campaign:
         self.done += attacks.done
         self.batches += 1
         violated = [verdict for verdict in verdicts.values() if verdict.violations]
-        figures = late(trace), opened(trace), len(trace.calls)
-        print(
-            f"| {self.arena.name} | {self.sequences} | {figures[0]} | {figures[1]} | {figures[2]} | {len(violated)} |",
-            flush=True,
-        )
+        print_row(self.arena.name, self.sequences, late(trace), opened(trace), len(trace.calls), len(violated))
         if violated:
             with (folder / "trace.pickle").open("wb") as file:
                 pickle.dump((trace, planned, attacks.spans), file)
@@ -187,7 +183,7 @@ def table(campaigns: Sequence[Campaign]) -> str:
 
 def main() -> int:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--sequences", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(2**32))
     parser.add_argument("--batch", type=int, default=BATCH, help="sequences between two restarts: a generation of the search")
@@ -209,7 +205,7 @@ def main() -> int:
     campaigns = {name: Campaign(arenas[name], options.seed, blind=options.blind) for name in dict.fromkeys(chosen)}
     way = "blind" if options.blind else "guided"
     print(f"seed {options.seed}, {options.sequences} {way} sequences, batches of {options.batch}")
-    print("| on | sequences | rig late by | valve open | requests | violated |\n|---|---:|---|---:|---:|---:|")
+    print_heading("on", "sequences", "rig late by", "valve open", "requests", "violated")
     begun, server, wrong = time.monotonic(), NodeServer(), 0
     try:
         done = 0

@@ -16,7 +16,7 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +25,8 @@ import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.kernel_vs_c import HERE, PERIOD, RIG, CKernel, Motion, NumbaKernel, at_rest, motions
+from benchmarks.common import EXPERIMENTS, RIG, in_turns, parser_of, quartiles
+from benchmarks.kernel_vs_c import PERIOD, CKernel, Motion, NumbaKernel, at_rest, motions
 from ehls_ros.arrays import Array, lean
 from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.loop import run_in_process
@@ -249,33 +250,19 @@ class Diffrax:
         self._run(*self._rigs, motion.inputs).block_until_ready()
 
 
-def turns(contestants: Mapping[str, Callable[[], object]], runs: int, clock: Callable[[], float]) -> dict[str, Array]:
-    """Return the times of contestants that take turns, shape (runs,) [s]."""
-    times: dict[str, list[float]] = {name: [] for name in contestants}
-    for turn in range(runs + 1):
-        order = list(contestants.items())
-        for name, work in order[turn % len(order) :] + order[: turn % len(order)]:
-            before = clock()
-            work()
-            if turn > 0:
-                times[name].append(clock() - before)
-    return {name: np.array(values) for name, values in times.items()}
-
-
 def shown(times: dict[str, Array], unit: float, per: str, reference: str, counts: dict[str, int]) -> Iterator[str]:
     """Return the lines of a table: medians per unit of work, and how many times faster than a reference, with quartiles."""
-    yield f"{'':34}{per:>12}{f'x {reference}':>14}{'quartiles':>16}"
+    yield f"{'':34}{per:>12}{f'x {reference} (quartiles)':>30}"
     each = {name: values / counts[name] for name, values in times.items()}
     for name, values in each.items():
-        low, middle, high = np.percentile(each[reference] / values, [25, 50, 75])
-        yield f"{name:34}{np.median(values) * unit:12.4g}{middle:14.3f}{f'{low:.2f}-{high:.2f}':>16}"
+        yield f"{name:34}{np.median(values) * unit:12.4g}{quartiles(each[reference] / values, '.3f'):>30}"
 
 
 def plants(rig: Rig, options: argparse.Namespace, folder: Path) -> None:
     """Print the tables of the plant alone."""
     cycles = 200 if options.quick else 500
     large = motions(cycles * PERIOD)[0]
-    spec = load_spec(HERE.parent / "config" / "experiments" / "sine_fd2.yaml")
+    spec = load_spec(EXPERIMENTS / "sine_fd2.yaml")
     contestants = NumbaKernel(rig), CKernel(rig, NATIVE, folder)
     for motion, count in (
         (Motion("large sine", large.inputs, STEPS), 200 if options.quick else 1000),
@@ -309,7 +296,7 @@ def plant(motion: Motion, rigs: list[Rig], ours: NumbaKernel, twin: CKernel, opt
             diffrax = Diffrax(many)
             contestants["diffrax, vmap"] = lambda: diffrax.run(motion)
             counts["diffrax, vmap"] = len(many) * steps
-    times = turns(contestants, options.runs, time.process_time)
+    times = in_turns(contestants, options.runs, time.process_time)
     print(f"\n{motion.name}: {len(rigs)} rigs, {steps} steps each")
     print("\n".join(shown(times, 1e9, "ns/step", TWIN, counts)))
     print(f"greatest difference between lanes and one by one: {difference(lanes, ours, some, motion):g}")
@@ -320,9 +307,8 @@ def plant(motion: Motion, rigs: list[Rig], ours: NumbaKernel, twin: CKernel, opt
 def two_threads(work: Callable[[int], None], runs: int) -> None:
     """Print the gain from a second thread: in wall time, and in processor time, which is more meaningful on a busy machine."""
     for clock, what in ((time.perf_counter, "wall time"), (time.process_time, "processor time, of two threads together")):
-        times = turns({"one": lambda: work(1), "two": lambda: work(2)}, runs, clock)
-        low, middle, high = np.percentile(times["one"] / times["two"], [25, 50, 75])
-        print(f"one thread over two, {what}: {middle:.2f} ({low:.2f}-{high:.2f})")
+        times = in_turns({"one": lambda: work(1), "two": lambda: work(2)}, runs, clock)
+        print(f"one thread over two, {what}: {quartiles(times['one'] / times['two'], '.2f')}")
 
 
 def singles(kernel: NumbaKernel | CKernel, rigs: list[Rig], motion: Motion) -> None:
@@ -346,7 +332,7 @@ def difference(lanes: Lanes, kernel: NumbaKernel, rigs: list[Rig], motion: Motio
 
 def experiments(options: argparse.Namespace) -> None:
     """Print the table of whole experiments."""
-    base = load_spec(HERE.parent / "config" / "experiments" / "sine_fd2.yaml")
+    base = load_spec(EXPERIMENTS / "sine_fd2.yaml")
     base = base._replace(settings=base.settings._replace(duration=2.0 if options.quick else 10.0))
     specs = [
         base._replace(rig=rig, settings=base.settings._replace(seed=seed))
@@ -365,13 +351,13 @@ def experiments(options: argparse.Namespace) -> None:
     contestants = {"one by one": one_by_one, "batch": lambda: batch(1)}
     counts = {"one by one": 4, "batch": len(specs)}
     print(f"\nsine-fd2, FASMC II: whole experiments of {base.settings.duration:g} s, {len(specs)} rigs")
-    print("\n".join(shown(turns(contestants, options.runs, time.process_time), 1e3, "ms/run", "one by one", counts)))
+    print("\n".join(shown(in_turns(contestants, options.runs, time.process_time), 1e3, "ms/run", "one by one", counts)))
     two_threads(batch, options.runs)
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--runs", type=int, default=11, help="turns of each contestant (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="shorter motions")
     parser.add_argument("--own", action="store_true", help="without SciPy and diffrax")

@@ -33,6 +33,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
+from benchmarks.common import ROOT, parser_of
 from benchmarks.graph_timing import answer_echoes, percentiles
 from benchmarks.processes import APART, COMPOSED, PARTS, WAYS, Meter, Told, told_by_plant
 from ehls_ros.experiments.files import config_folder
@@ -44,7 +45,6 @@ from ehls_ros.nodes.graph import REALTIME_PRIORITY, Plant, graph_environment, no
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
 
-ROOT = Path(__file__).resolve().parents[1]
 ITSELF = (sys.executable, "-m", "benchmarks.bridge_timing")
 
 PERIOD = 1e-3
@@ -170,7 +170,7 @@ def _cost(process: int) -> Cost:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="length of each run of the graph")
     parser.add_argument("--rounds", type=int, default=1, help="rounds of echo, graph, echo")
     parser.add_argument("--controller", default="fasmc_output_feedback", help="control law")

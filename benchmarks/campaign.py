@@ -2,14 +2,13 @@
 
 Two bare loops side by side, each with half of the runs and no start-up, are the best the machine's two processors allow.
 
-    python benchmarks/campaign.py --repeats 3
+    python -m benchmarks.campaign --repeats 3
 
 The variants take turns, so that other work on the machine affects all alike; medians are printed. Processor time covers every
 process of the campaign, including the start of Python and its imports; kernels are compiled before.
 On a busy machine, judge by processor time: it is the time that two processes would take with a core each.
 """
 
-import argparse
 import json
 import multiprocessing
 import os
@@ -26,10 +25,11 @@ from typing import NamedTuple
 import psutil
 import yaml
 
+from benchmarks.common import CONFIG, parser_of
 from ehls_ros.experiments.campaign.plan import load_plan
 from ehls_ros.experiments.campaign.work import run_one
 
-CAMPAIGN = Path(__file__).parents[1] / "config" / "campaigns" / "rig_within_ten_percent.yaml"
+CAMPAIGN = CONFIG / "campaigns" / "rig_within_ten_percent.yaml"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 
@@ -112,7 +112,7 @@ def on_dask(file: Path, address: str, processes: list[psutil.Process]) -> Cost:
 
 def main() -> None:
     """Measure."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--draws", type=int, default=250, help="draws at each of the four points (%(default)s)")
     parser.add_argument("--repeats", type=int, default=3, help="turns of each variant (%(default)s)")
     options = parser.parse_args()

@@ -5,24 +5,19 @@ measured_*.yaml and output feedback. The error is that of the true force, the la
 over the seeds of the sensors' noise. `python -m benchmarks.causal_limits --seeds 8`
 """
 
-import argparse
 import sys
-from pathlib import Path
 
 import numpy as np
 
+from benchmarks.common import MEASURED, experiment, parser_of
 from benchmarks.true_error import true_cycles
 from ehls_ros.control.limits import CausalLimit
 from ehls_ros.experiments.causal_limit import limit_of_run
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import case
-from ehls_ros.experiments.spec import load_spec
 from ehls_ros.report.page import limit_text
-
-ROOT = Path(__file__).resolve().parent.parent
-MEASURED = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2", "measured_sine_fd2")
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import case
 
 
 def line(name: str, errors: list[float], limit: CausalLimit) -> str:
@@ -35,7 +30,7 @@ def line(name: str, errors: list[float], limit: CausalLimit) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=8, help="runs of each cell of the rig")
     options = parser.parse_args()
     print(f"{'cell':24}{'median/N':>10}{'largest/N':>10}{'limit':>12}{'noise':>12}{'unforeseen':>12}{'ratio':>8}")
@@ -46,7 +41,7 @@ def main() -> None:
             sys.exit(found.reason)
         print(line(f"{cell.reference} {cell.disturbance}", [evaluate(run).max_error_n], found.limit), flush=True)
     for name in MEASURED:
-        spec = load_spec(ROOT / "config" / "experiments" / f"{name}.yaml")
+        spec = experiment(name)
         found = limit_of_run(run_in_process(spec))
         if found.limit is None:
             sys.exit(found.reason)

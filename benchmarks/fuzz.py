@@ -1,6 +1,6 @@
 """Random and damaged inputs for the readers of foreign data: none may crash, hang, or leak memory.
 
-python benchmarks/fuzz.py --target csv --inputs 1000000 --keep failed
+python -m benchmarks.fuzz --target csv --inputs 1000000 --keep failed
 
 Every input is either accepted or refused in one line (``BadInput``). A worker process with limited memory reads them, so that a
 crash within a C library is detected too; the files of an input that fails are copied to ``--keep``.
@@ -32,6 +32,7 @@ import numpy as np
 import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from benchmarks.common import parser_of
 from ehls_ros.errors import LONGEST as PART
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
@@ -684,7 +685,7 @@ def work(options: argparse.Namespace, folder: Path, progress: "Synchronized[int]
 
 def main() -> None:
     """Run a worker and supervise it."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--target", choices=("packet", *TARGETS), default="packet")
     parser.add_argument("--inputs", type=int, default=1_000_000)
     parser.add_argument("--seconds", type=float, default=math.inf, help="time after which no further input is made")

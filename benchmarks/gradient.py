@@ -11,16 +11,15 @@ signal. The best of six difference steps counts, where they change the signal by
 a step, and no closer. Too long a step moves a bend that is no event, as of an end stop's force, to another integration step.
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
+from benchmarks.common import RIG, parser_of
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics import simulator
 from ehls_ros.physics.composition import compiled
@@ -29,7 +28,6 @@ from ehls_ros.physics.rig import SENSED, Rig, rig_from_mapping
 from ehls_ros.physics.sensitivity import Inputs, prepared, sensitivities
 from ehls_ros.physics.simulator import Constants, State, at_rest, parts_of
 
-RIG = Path(__file__).resolve().parents[1] / "config" / "rig_paper.yaml"
 PERIOD, FINE = 1e-3, 1e-5
 CHANGES, LONGEST, TOLD = (1e-4, 1e-5, 3e-6, 1e-6, 4e-7, 2e-7), 3e-3, 1e-7
 """Signal changes that the differences aim at, the longest step, and the smallest change that can be resolved."""
@@ -142,7 +140,7 @@ def largest_error(rig: Rig, paths: tuple[str, ...], inputs: Inputs) -> float:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--cycles", type=int, default=1000, help="of each run (%(default)s)")
     parser.add_argument("--repeats", type=int, default=60, help="of each measurement (%(default)s)")
     parser.add_argument("--counts", type=int, nargs="+", default=[5, 10, 18], help="of coefficients (%(default)s)")

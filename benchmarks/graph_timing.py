@@ -30,7 +30,8 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from benchmarks.processes import APART, COMPOSED, PARTS, WAYS, Meter, Told, processor_time, spread, told_by_plant
+from benchmarks.common import ROOT, parser_of, quartiles
+from benchmarks.processes import APART, COMPOSED, PARTS, WAYS, Meter, Told, processor_time, told_by_plant
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
@@ -41,7 +42,6 @@ from ehls_ros.nodes.graph import graph_environment, run_graph
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
 
-ROOT = Path(__file__).resolve().parents[1]
 ITSELF = (sys.executable, "-m", "benchmarks.graph_timing")
 
 ECHOES = 5000
@@ -180,27 +180,26 @@ def compare(lockstep: Spec, realtime: Spec, rounds: int, ways: Sequence[str] = W
     print(f"{rounds} rounds: median (quartiles); load {os.getloadavg()[0]:.1f}")
     for name, done in runs.items():
         told = [one.told for one in done]
-        print(f"{name:20s} x real time {spread([one.rate * period for one in done], '.2f')}")
-        print(f"{'':20s} processor, us a cycle {spread([1e6 * one.cost for one in done], '.0f')}")
+        print(f"{name:20s} x real time {quartiles([one.rate * period for one in done], '.2f')}")
+        print(f"{'':20s} processor, us a cycle {quartiles([1e6 * one.cost for one in done], '.0f')}")
         for part in PARTS:
-            print(f"{'':20s} response {part:6s} us {spread([1e6 * one.response[part] for one in told], '.0f')}")
+            print(f"{'':20s} response {part:6s} us {quartiles([1e6 * one.response[part] for one in told], '.0f')}")
         cycles = (lockstep if name.startswith(LOCKSTEP) else realtime).cycles
         print(f"{'':20s} of {cycles} cycles missed {[one.missed for one in told]}, late {[one.late for one in told]},", end=" ")
-        print(f"not in the bag {[one.lost for one in done]}; slipped {spread([one.slipped for one in told], '.3f')} s")
+        print(f"not in the bag {[one.lost for one in done]}; slipped {quartiles([one.slipped for one in told], '.3f')} s")
     for part, quantile in zip(PARTS, (50, 99, 99.9, 100), strict=True):
-        print(
-            f"{'empty echo':20s} round trip {part:6s} us {spread([1e6 * np.percentile(t, quantile) for t, _ in echoes], '.0f')}"
-        )
-    print(f"{'':20s} processor, us a round trip {spread([1e6 * cost for _, cost in echoes], '.0f')}")
+        trips = [1e6 * np.percentile(t, quantile) for t, _ in echoes]
+        print(f"{'empty echo':20s} round trip {part:6s} us {quartiles(trips, '.0f')}")
+    print(f"{'':20s} processor, us a round trip {quartiles([1e6 * cost for _, cost in echoes], '.0f')}")
     for timing in TIMINGS if set(WAYS) == set(ways) else ():
         pairs = list(zip(runs[f"{timing}, {COMPOSED}"], runs[f"{timing}, {APART}"], strict=True))
-        print(f"{timing}: composed / apart: rate {spread([one.rate / two.rate for one, two in pairs], '.2f')},", end=" ")
-        print(f"processor {spread([one.cost / two.cost for one, two in pairs], '.2f')}")
+        print(f"{timing}: composed / apart: rate {quartiles([one.rate / two.rate for one, two in pairs], '.2f')},", end=" ")
+        print(f"processor {quartiles([one.cost / two.cost for one, two in pairs], '.2f')}")
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--lockstep-seconds", type=float, default=10.0, help="plant time of each lockstep run")
     parser.add_argument("--realtime-seconds", type=float, default=30.0, help="plant time of the realtime run")
     parser.add_argument("--rounds", type=int, default=5, help="lockstep runs")

@@ -1,6 +1,6 @@
 """Files designed to hang a reader or exhaust its memory: the answer to each, and the time and memory it takes.
 
-python benchmarks/hostile_inputs.py [--only Parquet]
+python -m benchmarks.hostile_inputs [--only Parquet]
 
 Each is read in a separate process. Time is processor time, of that process and its children; memory is the
 largest resident set of any of them. The first line is a process that only imports the readers.
@@ -19,8 +19,8 @@ import tempfile
 import time
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +29,7 @@ import lz4.frame
 import numpy as np
 import yaml
 
+from benchmarks.common import ROOT, parser_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import load_rig, load_spec
@@ -80,10 +81,10 @@ def read(path: Path) -> None:
 
 def ask(path: Path | None) -> Answer:
     """Read a file in a separate process; None only starts the process."""
-    command = [sys.executable, str(Path(__file__).resolve()), "--read", str(path or "")]
+    command = [sys.executable, "-m", "benchmarks.hostile_inputs", "--read", str(path or "")]
     start = time.perf_counter()
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE, check=False)
         words = json.loads(done.stdout) if done.returncode == 0 else None
     except subprocess.TimeoutExpired:
         done, words = None, None
@@ -113,39 +114,27 @@ def read_and_tell(path: str) -> None:
 # CSV
 
 
-def one_line(folder: Path) -> Path:
-    """A CSV file of 100 MB without a line break."""
-    file = folder / "one_line.csv"
-    file.write_text("time_s,force_n," + "1," * (50 * MB))
-    return file
+def text(name: str, content: Callable[[], str]) -> Callable[[Path], Path]:
+    """A text file."""
+
+    def make(folder: Path) -> Path:
+        file = folder / name
+        file.write_text(content())
+        return file
+
+    return make
 
 
-def one_line_of_data(folder: Path) -> Path:
-    """A CSV file with a header and 100 MB without a line break."""
-    file = folder / "one_row.csv"
-    file.write_text("time_s,force_n\n" + "1," * (50 * MB))
-    return file
+def sparse(name: str, size: int) -> Callable[[Path], Path]:
+    """A sparse file of null bytes."""
 
+    def make(folder: Path) -> Path:
+        file = folder / name
+        with file.open("wb") as stream:
+            stream.truncate(size)
+        return file
 
-def one_cell(folder: Path) -> Path:
-    """A CSV file with 100 MB of lines within quotes."""
-    file = folder / "one_cell.csv"
-    file.write_text('time_s,force_n\n0,"' + "1\n" * (50 * MB))
-    return file
-
-
-def one_number(folder: Path) -> Path:
-    """A CSV file with numbers of 250 000 digits."""
-    file = folder / "digits.csv"
-    file.write_text("time_s,force_n\n" + "".join(f"{k},{'9' * 262_000}\n" for k in range(100)))
-    return file
-
-
-def empty_lines(folder: Path) -> Path:
-    """A CSV file with 100 MB of empty lines."""
-    file = folder / "empty_lines.csv"
-    file.write_text("time_s,force_n\n" + "\n" * (100 * MB))
-    return file
+    return make
 
 
 def many_columns(folder: Path) -> Path:
@@ -153,29 +142,6 @@ def many_columns(folder: Path) -> Path:
     file = folder / "columns.csv"
     names = ["time_s", *(f"friction_elements_n_{k}" for k in range(1, 9001))]
     file.write_text("\n".join([",".join(names), *(",".join([str(k)] + ["1"] * 9000) for k in range(20)), "end"]))
-    return file
-
-
-def infinite(folder: Path) -> Path:
-    """A CSV file with an infinite force."""
-    file = folder / "inf.csv"
-    file.write_text("time_s,force_n\n0,1\n0.1,inf\n")
-    return file
-
-
-def sparse(folder: Path) -> Path:
-    """A sparse CSV file of 20 GB."""
-    file = folder / "sparse.csv"
-    with file.open("wb") as stream:
-        stream.truncate(20 * 10**9)
-    return file
-
-
-def nulls(folder: Path) -> Path:
-    """A sparse CSV file of 1 GB of null bytes."""
-    file = folder / "nulls.csv"
-    with file.open("wb") as stream:
-        stream.truncate(10**9)
     return file
 
 
@@ -251,20 +217,6 @@ def aliases(folder: Path) -> Path:
     return file
 
 
-def deep(folder: Path) -> Path:
-    """A rig file of two million brackets."""
-    file = folder / "deep.yaml"
-    file.write_text("[" * (2 * MB))
-    return file
-
-
-def long_text(folder: Path) -> Path:
-    """A rig file of 300 MB."""
-    file = folder / "long.yaml"
-    file.write_text("a: " + "x" * (300 * MB))
-    return file
-
-
 def yes_for_a_number(folder: Path) -> Path:
     """A rig file whose moving mass is yes."""
     rig = yaml.safe_load((config_folder() / "rig_paper.yaml").read_text())
@@ -300,59 +252,28 @@ def bag_of(folder: Path, messages: int, storage: Any, frame: Callable[[int], str
     return folder / "bag"
 
 
-@contextmanager
-def database_of(folder: Path) -> Iterator[tuple[Path, sqlite3.Connection]]:
-    """Yield a small SQLite bag and its database to add to."""
-    [file] = bag_of(folder, 3, "sqlite3").glob("*.db3")
-    with closing(sqlite3.connect(file)) as database, database:
-        yield file, database
+def changed_database(statement: str, values: Iterable[tuple[int, ...]] = ((),)) -> Callable[[Path], Path]:
+    """A small SQLite bag after a statement, executed for each of some values."""
+
+    def make(folder: Path) -> Path:
+        [file] = bag_of(folder, 3, "sqlite3").glob("*.db3")
+        with closing(sqlite3.connect(file)) as database, database:
+            database.executemany(statement, values)
+        return file
+
+    return make
 
 
-def blobs(folder: Path) -> Path:
-    """A SQLite bag with 600 messages of 1 MB."""
-    with database_of(folder) as (file, database):
-        insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, zeroblob(1000000))"
-        database.executemany(insert, [(k,) for k in range(10, 610)])
-    return file
+INSERT = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, zeroblob({}))"
+MANY_TOPICS = (
+    "WITH RECURSIVE n(i) AS (SELECT 2 UNION ALL SELECT i + 1 FROM n WHERE i < 1000000) "
+    "INSERT INTO topics SELECT i, '/t' || i, 'std_msgs/msg/Bool', 'cdr', '', '' FROM n"
+)
 
 
-def one_blob(folder: Path) -> Path:
-    """A SQLite bag with one message of 600 MB."""
-    with database_of(folder) as (file, database):
-        database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 10, zeroblob(600000000))")
-    return file
-
-
-def small_blobs(folder: Path) -> Path:
-    """A SQLite bag of 600 MB in messages of 60 kB."""
-    with database_of(folder) as (file, database):
-        insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, zeroblob(60000))"
-        database.executemany(insert, [(k,) for k in range(10, 10_010)])
-    return file
-
-
-def large_definition(folder: Path) -> Path:
-    """A SQLite bag with a message definition of 600 MB."""
-    with database_of(folder) as (file, database):
-        database.execute("UPDATE message_definitions SET encoded_message_definition = CAST(zeroblob(600000000) AS TEXT)")
-    return file
-
-
-def large_metadata(folder: Path) -> Path:
-    """A SQLite bag with metadata of 600 MB."""
-    with database_of(folder) as (file, database):
-        database.execute("UPDATE metadata SET metadata = CAST(zeroblob(600000000) AS TEXT)")
-    return file
-
-
-def many_topics(folder: Path) -> Path:
-    """A SQLite bag of a million topics."""
-    with database_of(folder) as (file, database):
-        database.execute(
-            "WITH RECURSIVE n(i) AS (SELECT 2 UNION ALL SELECT i + 1 FROM n WHERE i < 1000000) "
-            "INSERT INTO topics SELECT i, '/t' || i, 'std_msgs/msg/Bool', 'cdr', '', '' FROM n"
-        )
-    return file
+def stamps(count: int) -> list[tuple[int]]:
+    """Return the stamps of messages to insert."""
+    return [(k,) for k in range(10, 10 + count)]
 
 
 def many_lengths(storage: str) -> Callable[[Path], Path]:
@@ -517,15 +438,17 @@ def nested_lists(folder: Path) -> Path:
 
 
 TABLES: Mapping[str, Callable[[Path], Path]] = {
-    "CSV, 100 MB in one line": one_line,
-    "CSV, 100 MB in the second line": one_line_of_data,
-    "CSV, 100 MB of lines in quotes": one_cell,
-    "CSV, numbers of 262000 digits": one_number,
-    "CSV, 100 MB of empty lines": empty_lines,
+    "CSV, 100 MB in one line": text("one_line.csv", lambda: "time_s,force_n," + "1," * (50 * MB)),
+    "CSV, 100 MB in the second line": text("one_row.csv", lambda: "time_s,force_n\n" + "1," * (50 * MB)),
+    "CSV, 100 MB of lines in quotes": text("one_cell.csv", lambda: 'time_s,force_n\n0,"' + "1\n" * (50 * MB)),
+    "CSV, numbers of 262000 digits": text(
+        "digits.csv", lambda: "time_s,force_n\n" + "".join(f"{k},{'9' * 262_000}\n" for k in range(100))
+    ),
+    "CSV, 100 MB of empty lines": text("empty_lines.csv", lambda: "time_s,force_n\n" + "\n" * (100 * MB)),
     "CSV, 9000 columns": many_columns,
-    "CSV, an infinite force": infinite,
-    "CSV, 20 GB": sparse,
-    "CSV, 1 GB of nulls": nulls,
+    "CSV, an infinite force": text("inf.csv", lambda: "time_s,force_n\n0,1\n0.1,inf\n"),
+    "CSV, 20 GB": sparse("sparse.csv", 20 * 10**9),
+    "CSV, 1 GB of nulls": sparse("nulls.csv", 10**9),
 }
 NO_FILES: Mapping[str, Callable[[Path], Path]] = {
     **{f"pipe{suffix}": pipe(suffix) for suffix in (".csv", ".yaml", ".mat", ".parquet", ".mcap", ".db3", "")},
@@ -537,18 +460,20 @@ NO_FILES: Mapping[str, Callable[[Path], Path]] = {
 }
 TEXTS: Mapping[str, Callable[[Path], Path]] = {
     "YAML, aliases of 10^9 texts": aliases,
-    "YAML, 2 million brackets": deep,
-    "YAML, 300 MB": long_text,
+    "YAML, 2 million brackets": text("deep.yaml", lambda: "[" * (2 * MB)),
+    "YAML, 300 MB": text("long.yaml", lambda: "a: " + "x" * (300 * MB)),
     "YAML, moving_mass: yes": yes_for_a_number,
     "reference file, 300 MB": long_reference,
 }
 BAGS: Mapping[str, Callable[[Path], Path]] = {
-    "SQLite, 600 messages of 1 MB": blobs,
-    "SQLite, a message of 600 MB": one_blob,
-    "SQLite, 10000 messages of 60 kB": small_blobs,
-    "SQLite, definition of 600 MB": large_definition,
-    "SQLite, metadata of 600 MB": large_metadata,
-    "SQLite, a million topics": many_topics,
+    "SQLite, 600 messages of 1 MB": changed_database(INSERT.format(MB), stamps(600)),
+    "SQLite, a message of 600 MB": changed_database(INSERT.format(600 * MB), stamps(1)),
+    "SQLite, 10000 messages of 60 kB": changed_database(INSERT.format(60_000), stamps(10_000)),
+    "SQLite, definition of 600 MB": changed_database(
+        "UPDATE message_definitions SET encoded_message_definition = CAST(zeroblob(600000000) AS TEXT)"
+    ),
+    "SQLite, metadata of 600 MB": changed_database("UPDATE metadata SET metadata = CAST(zeroblob(600000000) AS TEXT)"),
+    "SQLite, a million topics": changed_database(MANY_TOPICS),
     "SQLite, messages of 5000 lengths": many_lengths("sqlite3"),
     "mcap, messages of 5000 lengths": many_lengths("mcap"),
     "mcap, 600 MB of overlapping chunks": overlapping_chunks,
@@ -689,7 +614,7 @@ def row(name: str, answer: Answer) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--only", default="", metavar="TEXT", help="inputs with this in their names")
     parser.add_argument("--read", help=argparse.SUPPRESS)
     options = parser.parse_args()

@@ -1,23 +1,22 @@
 """Identification on simulated recordings with known friction: errors, their bound, and coverage of the intervals.
 
-    python benchmarks/identification.py --seeds 50
-    python benchmarks/identification.py --truth separate --repeats 1 --seeds 200
+    python -m benchmarks.identification --seeds 50
+    python -m benchmarks.identification --truth separate --repeats 1 --seeds 200
 
 Each seed is a closed-loop sweep and a small sine with the sensors of config/rig_paper_measured.yaml, identified from a rig
 file whose friction is a rough guess. The Cramér-Rao bound is that of the force sensor's white noise, at the truth; z is the
 error in standard errors, whose root mean square should be 1.
 """
 
-import argparse
 import time
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.common import CONFIG, parser_of
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.loop import run_in_process, sampled
 from ehls_ros.experiments.spec import load_rig, load_spec
@@ -28,7 +27,6 @@ from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
-CONFIG = Path(__file__).parents[1] / "config"
 TRUTHS = {
     "paper": {},
     "separate": {"element_stiffness": (3e6, 1e6, 3e5), "element_weight": (0.35, 0.35, 0.3)},
@@ -137,7 +135,7 @@ def one(kind: str, repeats: int, motion: str, seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=50, help="how many (%(default)s)")
     parser.add_argument("--repeats", type=int, choices=(1, 6), default=6, help="repeats of the sweep (%(default)s)")
     parser.add_argument("--truth", choices=tuple(TRUTHS), default="paper", help="friction of the simulated rig (%(default)s)")

@@ -9,7 +9,6 @@ file. It also counts cases whose process ended with 1 (a refused request does no
 With a rig, the commands that its device received show whether the last one was null.
 """
 
-import argparse
 import os
 import signal
 import subprocess
@@ -33,6 +32,7 @@ from lifecycle_msgs.srv import ChangeState
 from node_server import COMMAND, NodeServer
 from std_srvs.srv import SetBool
 
+from benchmarks.common import parser_of, print_heading, print_row
 from ehls_msgs.msg import LoaderState
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.nodes.graph import free_domain
@@ -243,9 +243,21 @@ def ways_of(node: str, wanted: Sequence[str]) -> list[str]:
     return [way for way in wanted if way == "apart" or may_be_together(node)]
 
 
+COUNTS = {
+    "cases": "cases",
+    "reached": "reached",
+    "reported": "reported",
+    "ended": "ended with 1",
+    "refused": "refused",
+    "silent": "silent",
+    "open": "not at null",
+}
+"""Counted outcomes and the headings of their columns."""
+
+
 def main() -> int:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--nodes", nargs="+", default=list(CLASSES), choices=list(CLASSES))
     parser.add_argument("--ways", nargs="+", default=["apart", "composed"], choices=["apart", "composed"])
     parser.add_argument("--calls", nargs="+", type=int, default=list(CALLS))
@@ -254,8 +266,7 @@ def main() -> int:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     server = NodeServer()
     total: Counter[str] = Counter()
-    print("| node | way | methods | cases | reached | reported | ended with 1 | refused | silent | not at null | s |")
-    print("|" + "---|" * 11)
+    print_heading("node", "way", "methods", *COUNTS.values(), "s")
     for node in options.nodes:
         methods = options.methods or sorted(methods_of(node))
         for way in ways_of(node, options.ways):
@@ -272,8 +283,8 @@ def main() -> int:
                         # A later call will not occur either.
                         break
             total += counts
-            print(_row(node, way, len(methods), counts, time.monotonic() - begun), flush=True)
-    print(_row("all", "", 0, total, 0.0))
+            print_row(node, way, len(methods), *(counts[key] for key in COUNTS), f"{time.monotonic() - begun:.0f}")
+    print_row("all", "", 0, *(total[key] for key in COUNTS), 0)
     server.close()
     for file in leftovers():
         file.unlink(missing_ok=True)
@@ -290,11 +301,6 @@ def _counted(outcome: Outcome) -> Mapping[str, int]:
         "silent": outcome.silent,
         "open": outcome.null is False,
     }
-
-
-def _row(node: str, way: str, methods: int, counts: Mapping[str, int], seconds: float) -> str:
-    cells = (counts[key] for key in ("cases", "reached", "reported", "ended", "refused", "silent", "open"))
-    return f"| {node} | {way} | {methods} | {' | '.join(map(str, cells))} | {seconds:.0f} |"
 
 
 if __name__ == "__main__":

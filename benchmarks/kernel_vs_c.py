@@ -5,13 +5,12 @@ slipping with some reversals. In a single call, they also run a motion under a c
 that other work on the machine affects all alike.
 """
 
-import argparse
 import ctypes
 import platform
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ import numba
 import numpy as np
 import yaml
 
+from benchmarks.common import RIG, ROOT, in_turns, parser_of, quartiles
 from ehls_ros.arrays import Array
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.integration_step import LONGEST_STEP
@@ -26,8 +26,6 @@ from ehls_ros.physics.plant import FD, FD_RATE, START, U
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.physics.simulator import Constants, Simulator, State, build, parts_of
 
-HERE = Path(__file__).resolve().parent
-RIG = HERE.parent / "config" / "rig_paper.yaml"
 PERIOD = 1e-3
 COMPILERS = {
     "cc -O3": ("cc", "-O3"),
@@ -96,7 +94,7 @@ class CKernel:
     def __init__(self, rig: Rig, command: tuple[str, ...], folder: Path) -> None:
         """Compile with a command and load."""
         library = folder / f"{'_'.join(command)}.so"
-        subprocess.run([*command, "-shared", "-fPIC", "-o", library, HERE / "kernel_twin.c", "-lm"], check=True)
+        subprocess.run([*command, "-shared", "-fPIC", "-o", library, ROOT / "benchmarks" / "kernel_twin.c", "-lm"], check=True)
         self._function = ctypes.CDLL(str(library)).run_cycles
         self.y, self.mode, self.inputs = np.zeros(7), np.zeros(4), np.zeros(7)
         self.become(rig)
@@ -135,16 +133,15 @@ def deviation(kernel: Any, other: Any, motion: Motion) -> float:
     return float(np.max(np.abs(tracks[0] - tracks[1]).max(axis=0) / np.abs(tracks[1]).max(axis=0)))
 
 
-def timed(work: Callable[[Motion], int], motion: Motion) -> float:
-    """Return the duration of a run [s]."""
-    before = time.perf_counter()
-    work(motion)
-    return time.perf_counter() - before
+def from_rest(kernel: Any, motion: Motion) -> None:
+    """Run a motion from rest."""
+    at_rest(kernel)
+    kernel.run(motion)
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--runs", type=int, default=101, help="interleaved runs of each")
     parser.add_argument("--duration", type=float, default=0.5, help="plant time of a run [s]")
     options = parser.parse_args()
@@ -158,23 +155,14 @@ def main() -> None:
         for motion in motions(options.duration):
             steps = len(motion.inputs) * motion.steps
             print(f"\n{motion.name} ({steps} steps)")
-            print(f"{'':30}{'ns/step':>9}{'numba/C':>9}{'quartiles':>16}{'deviation':>12}")
-            times: dict[str, list[float]] = {name: [] for name in contestants}
-            for run in range(options.runs + 2):
-                order = list(contestants.items())
-                for name, kernel in order[run % len(order) :] + order[: run % len(order)]:
-                    at_rest(kernel)
-                    taken = timed(kernel.run, motion)
-                    if run >= 2:
-                        times[name].append(taken / steps * 1e9)
-            print(f"{'numba':30}{np.median(times['numba']):9.1f}")
+            print(f"{'':30}{'ns/step':>9}{'numba/C (quartiles)':>25}{'deviation':>12}")
+            works = {name: partial(from_rest, kernel, motion) for name, kernel in contestants.items()}
+            times = in_turns(works, options.runs, time.perf_counter, warm_up=2)
+            each = {name: float(np.median(taken)) / steps * 1e9 for name, taken in times.items()}
+            print(f"{'numba':30}{each['numba']:9.1f}")
             for name, twin in twins.items():
-                ratios = np.array(times["numba"]) / np.array(times[name])
-                low, middle, high = np.percentile(ratios, [25, 50, 75])
-                print(
-                    f"{name:30}{np.median(times[name]):9.1f}{middle:9.3f}{f'{low:.3f}-{high:.3f}':>16}"
-                    f"{deviation(ours, twin, motion):12.1e}"
-                )
+                ratio = quartiles(times["numba"] / times[name], ".3f")
+                print(f"{name:30}{each[name]:9.1f}{ratio:>25}{deviation(ours, twin, motion):12.1e}")
         print(f"\ntarget: {MARK} x")
 
 

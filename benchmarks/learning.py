@@ -1,6 +1,6 @@
 """Benefit of the companion `learning` on the emulated rig, and its cost after disturbing events.
 
-usage: learning.py [--seeds 8] [--repetitions 20] [--law fasmc_predictive] [--method waveform] [--preview]
+usage: python -m benchmarks.learning [--seeds 8] [--repetitions 20] [--law fasmc_predictive] [--method waveform] [--preview]
                    [--events-only | --cells-only]
 
 The paper's four experiments with a rig's sensors, config/experiments/measured_*.yaml. Errors are those of the piston's true
@@ -17,12 +17,11 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
+from benchmarks.common import MEASURED_EFFECTS, experiment, largest, parser_of, print_heading, print_row
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions.base import PLACE
 from ehls_ros.control.controller import Controller, Outlook
@@ -30,12 +29,11 @@ from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.loop import sampled
-from ehls_ros.experiments.spec import Spec, company_of, spec_from_mapping
+from ehls_ros.experiments.spec import Spec, company_of
 from ehls_ros.physics import sensors
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.simulator import Simulator
 
-EXPERIMENTS = Path(__file__).resolve().parent.parent / "config" / "experiments"
 PERIODS = {"constant_fd1": 4.0, "sine_fd1": 4.0, "constant_fd2": 1.0, "sine_fd2": 2.0}
 """Time after which reference and disturbance both repeat [s]."""
 
@@ -75,15 +73,10 @@ class Case(NamedTuple):
 
     def spec(self) -> Spec:
         """Return the experiment."""
-        data = yaml.safe_load((EXPERIMENTS / f"measured_{self.experiment}.yaml").read_text(encoding="utf-8"))
-        data |= {
-            "known_effects": ["command_delay", "coupling_stiffness"],
-            "controller": {"name": self.law},
-            "companions": list(self.companions),
-        }
-        if self.reference is not None:
-            data["reference"] = self.reference
-        return spec_from_mapping(data, self.experiment, EXPERIMENTS)
+        changed = {} if self.reference is None else {"reference": self.reference}
+        known, companions = [*MEASURED_EFFECTS], [*self.companions]
+        name = f"measured_{self.experiment}"
+        return experiment(name, known_effects=known, controller=self.law, companions=companions, **changed)
 
 
 class Run:
@@ -187,16 +180,11 @@ def alone(args: argparse.Namespace) -> list[dict[str, Any]]:
     return [{"name": "disturbance_preview"}] if args.preview else []
 
 
-def spread(values: Sequence[float]) -> str:
-    """Return median and largest."""
-    return f"{np.median(values):.1f} ({np.max(values):.1f})"
-
-
 def cells(args: argparse.Namespace) -> None:
     """Print the benefit of the repetitions."""
     print("largest true error, N: median (largest) of the seeds\n")
-    print(f"| | without | after 5 repetitions | after {args.repetitions} | noise's own share | ratio | loaded |")
-    print("|---|---|---|---|---|---|---|")
+    after = f"after {args.repetitions}"
+    print_heading("", "without", "after 5 repetitions", after, "noise's share", "ratio", "loaded")
     for name, period in PERIODS.items():
         columns: list[list[float]] = [[] for _ in range(6)]
         for seed in range(args.seeds):
@@ -215,27 +203,26 @@ def cells(args: argparse.Namespace) -> None:
                     again, begin = loaded.seconds(period), 0
             late = errors[-5:]
             share = float(np.max(np.abs(late - late.mean(axis=0)))) * math.sqrt(len(late) / (len(late) - 1))
-            largest = np.max(np.abs(errors), axis=1)
+            peaks = np.max(np.abs(errors), axis=1)
             found = (
                 float(np.max(np.abs(bare.seconds(3.0 * period)))),
-                float(largest[5]),
-                float(largest[-1]),
+                float(peaks[5]),
+                float(peaks[-1]),
                 share,
-                float(largest[-5:].max()) / share,
+                float(peaks[-5:].max()) / share,
                 float(np.max(np.abs(again[begin:])) / np.median(np.max(np.abs(late[:, begin:]), axis=1))),
             )
             for column, value in zip(columns, found, strict=True):
                 column.append(value)
-        texts = [*map(spread, columns[:4]), *(f"{np.median(column):.2f} ({np.max(column):.2f})" for column in columns[4:])]
-        print(f"| {name} | {' | '.join(texts)} |", flush=True)
+        texts = [*map(largest, columns[:4]), *(largest(column, ".2f") for column in columns[4:])]
+        print_row(name, *texts)
 
 
 def events(args: argparse.Namespace) -> None:
     """Print the cost of learning after an event."""
     period = PERIODS[EVENT_EXPERIMENT]
     print(f"\n{EVENT_EXPERIMENT}, after {LEARNT} load cycles: largest error from the event on, N\n")
-    print("| | without learning | with | ratio |")
-    print("|---|---|---|---|")
+    print_heading("", "without learning", "with", "ratio")
     for what, (part, happen) in EVENTS.items():
         found: list[list[float]] = [[], []]
         for seed in range(args.seeds):
@@ -259,13 +246,12 @@ def events(args: argparse.Namespace) -> None:
 
 
 def _print_event(what: str, found: list[list[float]]) -> None:
-    ratios = np.divide(found[1], found[0])
-    print(f"| {what} | {spread(found[0])} | {spread(found[1])} | {np.median(ratios):.2f} ({ratios.max():.2f}) |", flush=True)
+    print_row(what, *map(largest, found), largest(np.divide(found[1], found[0]), ".2f"))
 
 
 def main() -> None:
     """Run all requested parts."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--repetitions", type=int, default=20)
     parser.add_argument("--law", default="fasmc_predictive")

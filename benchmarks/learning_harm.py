@@ -1,6 +1,7 @@
 """Search for cases in which the companion `learning` increases the force error.
 
-usage: learning_harm.py [--cases 200] [--seed 1] [--noises 3] [--kinds ...] [--laws ...] [--methods ...] [--jobs 1]
+usage: python -m benchmarks.learning_harm [--cases 200] [--seed 1] [--noises 3] [--jobs 1]
+                                          [--kinds ...] [--laws ...] [--methods ...]
 
 Each case is a random disturbance under one law and one method. It runs without and with learning, on the same noise, for some
 seeds of that noise. Errors are those of the piston's true force, from the third load cycle on. Three ratios are formed, with
@@ -11,17 +12,16 @@ over without; the largest over the load cycles counts:
 * rms: rms error of one load cycle, of all seeds.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from benchmarks.common import CONFIG, parser_of
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
@@ -32,7 +32,6 @@ from ehls_ros.physics.effects.coupling_stiffness import Parameters as Coupling
 from ehls_ros.physics.rig import SENSED, EffectUse, Rig, rig_to_mapping
 from ehls_ros.physics.sensors import FORCE
 
-CONFIG = Path(__file__).resolve().parent.parent / "config"
 CONTROL_PERIOD = 1e-3
 
 FIRST = 2
@@ -496,7 +495,7 @@ def _judged(args: tuple[int, int, Sequence[str], Sequence[str], Sequence[str], S
 
 def main() -> None:
     """Run the requested cases, and print the ratios."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--noises", type=int, default=3)

@@ -7,16 +7,15 @@ our swarm also with the usual constants and without crossover and mutation. `mak
 libraries that do not come with ehls_ros.
 """
 
-import argparse
 import platform
 import time
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
+from benchmarks.common import RIG, parser_of, quartiles
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import stribeck
@@ -24,7 +23,6 @@ from ehls_ros.identification.optimisers import OPTIMISERS
 from ehls_ros.identification.optimisers.base import Problem, Result
 from ehls_ros.physics.rig import rig_from_mapping
 
-RIG = Path(__file__).resolve().parent.parent / "config" / "rig_paper.yaml"
 SPEEDS_MM_S = (2, 3, 4, 6, 8, 10, 12, 14, 16, 20, 25, 30, 45, 60, 75, 90, 105, 120, 135, 150)
 REPEATS = 6
 NOISE, RESOLUTION = 2.0, 4.0  # N
@@ -99,12 +97,6 @@ def lowest_cost(problem: Problem) -> float:
     return min(optimiser.minimise(problem, parameters, seed).cost for seed in range(5))
 
 
-def quartiles(values: Array, digits: int) -> str:
-    """Return median and quartiles as text."""
-    low, middle, high = np.percentile(values, [25, 50, 75])
-    return f"{middle:.{digits}f} [{low:.{digits}f}-{high:.{digits}f}]"
-
-
 def race(problem: Problem, field: list[Contestant], seeds: int, target: float) -> dict[str, tuple[Array, Array, Array]]:
     """Run all for each seed, in rotating order.
 
@@ -122,7 +114,7 @@ def race(problem: Problem, field: list[Contestant], seeds: int, target: float) -
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=50, help="runs of each optimiser")
     parser.add_argument("--evaluations", type=int, default=20_000, help="evaluations after which a run has failed")
     parser.add_argument("--data-seed", type=int, default=1, help="seed of the measurements' noise")
@@ -152,7 +144,7 @@ def main() -> None:
             continue
         expected = taken.sum() / won.sum()
         print(
-            f"{label:{width}}  {share:>7}  {quartiles(taken[won] * 1e3, 2):>22}  {quartiles(evaluations[won], 0):>22}"
+            f"{label:{width}}  {share:>7}  {quartiles(taken[won] * 1e3, '.2f'):>22}  {quartiles(evaluations[won], '.0f'):>22}"
             f"  {np.median(taken[won]) / ours:7.1f}  {expected * 1e3:10.2f}  {expected / all_ours:7.1f}"
         )
 
@@ -163,7 +155,9 @@ def main() -> None:
         done = [contestant.run(problem, seed, -np.inf) for seed in range(options.seeds)]
         times, counts = np.array([taken for _, taken in done]), np.array([result.evaluations for result, _ in done])
         excess = max(result.cost / lowest - 1.0 for result, _ in done)
-        print(f"{contestant.label:{width}}  {quartiles(times * 1e3, 2):>22}  {quartiles(counts, 0):>22}  {excess:22.1e}")
+        print(
+            f"{contestant.label:{width}}  {quartiles(times * 1e3, '.2f'):>22}  {quartiles(counts, '.0f'):>22}  {excess:22.1e}"
+        )
     fastest = min(sure, key=lambda contestant: float(np.median(runs[contestant.label][1])))
     fewest = min(sure, key=lambda contestant: float(np.median(runs[contestant.label][2])))
     print(f"\nof these the fastest to 1 %: {fastest.label}; with the fewest evaluations: {fewest.label}")

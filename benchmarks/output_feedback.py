@@ -5,23 +5,18 @@ half, in N. With several seeds of the sensors' noise, their median and largest, 
 `python -m benchmarks.output_feedback --seeds 8`
 """
 
-import argparse
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from benchmarks.common import MEASURED, experiment, largest, parser_of
 from benchmarks.true_error import Cycles, true_cycles
 from ehls_ros.experiments.loop import simulator_of
-from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.experiments.spec import Spec
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig, effects_from_list
 from ehls_ros.physics.simulator import Simulator
 
-EXPERIMENTS = Path(__file__).resolve().parent.parent / "config" / "experiments"
-CELLS = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2", "measured_sine_fd2")
 OFF = (0.9, 1.1)
 SLIPPERY = {
     "coulomb_force": 1e-3,
@@ -167,29 +162,23 @@ def variants() -> Mapping[str, tuple[Variant, ...]]:
     return rows
 
 
-def specs() -> Iterator[Spec]:
-    """Yield the four experiments."""
-    for name in CELLS:
-        yield load_spec(EXPERIMENTS / f"{name}.yaml")
-
-
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=8, help="runs of the row with several seeds")
     parser.add_argument("--only", default="", help="part of a row's name")
     options = parser.parse_args()
-    print(f"{'':42}" + "".join(f"{name.removeprefix('measured_'):>18}" for name in CELLS))
+    print(f"{'':42}" + "".join(f"{name.removeprefix('measured_'):>18}" for name in MEASURED))
     if not options.only:
         text = f"{f'{options.seeds} seeds: seed 0, median (largest)':42}"
-        for spec in specs():
+        for spec in map(experiment, MEASURED):
             runs = (spec._replace(settings=spec.settings._replace(seed=seed)) for seed in range(options.seeds))
             errors = [true_cycles(one).largest() for one in runs]
-            text += f"{f'{errors[0]:.1f} {np.median(errors):.1f} ({max(errors):.1f})':>18}"
+            text += f"{f'{errors[0]:.1f} {largest(errors)}':>18}"
         print(text, flush=True)
     for name, runs_of in variants().items():
         if options.only in name:
-            found = (max(run(spec).largest() for run in runs_of) for spec in specs())
+            found = (max(run(spec).largest() for run in runs_of) for spec in map(experiment, MEASURED))
             print(f"{name:42}" + "".join(f"{error:18.1f}" for error in found), flush=True)
 
 

@@ -11,19 +11,17 @@ means of three consecutive load cycles, starting with the one in the heading, th
 largest error of peak or valley. `--gain` is the valve gain of the rig over that of the controller's rig file.
 """
 
-import argparse
 import time
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.common import CONFIG, parser_of, print_heading, print_row
 from benchmarks.true_error import true_cycles
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import spec_from_mapping
 
-CONFIG = Path(__file__).resolve().parent.parent / "config"
 SERVO = {"name": "position_servo", "signal": {"name": "sine", "amplitude": 0.05, "frequency": 0.5}}
 SIMULATION = {"rig": "rig_paper.yaml", "disturbance": SERVO}
 EMULATED = {
@@ -112,7 +110,7 @@ def by_load_cycle(case: dict[str, Any], seed: int, gain: float, method: str) -> 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--gain", type=float, default=1.0)
     parser.add_argument("--method", default="peak_valley")
@@ -120,8 +118,7 @@ def main() -> None:
     args = parser.parse_args()
     began = time.monotonic()
     print("peak / valley / mean, N, and phase, degrees\n")
-    print(f"| | without, from 10 | {' | '.join(f'with, from {first}' for first in AFTER)} |")
-    print("|---|---|" + "---|" * len(AFTER))
+    print_heading("", "without, from 10", *(f"with, from {first}" for first in AFTER))
     for name, case in CASES.items():
         if args.only not in name:
             continue
@@ -131,7 +128,7 @@ def main() -> None:
             means = [run[which, first : first + 3].mean(axis=0) for run in runs]
             worst = max(means, key=lambda mean: float(np.max(np.abs(mean[:2]))))
             cells.append("{:.1f} / {:.1f} / {:.1f}, {:.2f}".format(*worst))
-        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+        print_row(name, *cells)
     print(f"\n{time.monotonic() - began:.0f} s")
 
 

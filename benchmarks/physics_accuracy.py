@@ -4,28 +4,26 @@ The reference, test/physics/reference_solver.py, shares no code with the package
 1e-12, restarted at every change of mode. The rows DOP853 show its accuracy and speed at looser tolerances.
 """
 
-import argparse
 import platform
 import sys
 import time
-from pathlib import Path
 
 import numba
 import numpy as np
 import scipy
 import yaml
 
+from benchmarks.common import ROOT, parser_of
 from ehls_ros.arrays import Array
 from ehls_ros.control.disturbances import position_servo
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.physics.simulator import Simulator, build, parts_of
 
-ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "test" / "physics"))
 
-from reference_servo import both_turning, solve_pair  # noqa: E402
-from reference_solver import Case, Constants, cases, solve  # noqa: E402
+from reference_servo import both_turning, solve_pair
+from reference_solver import Case, Constants, cases, solve
 
 PERIOD = 1e-3
 STEPS = (1e-3, 5e-4, 1e-3 / 3, 2.5e-4, 2e-4, 1e-4, 5e-5)
@@ -104,7 +102,7 @@ def print_servo(duration: float) -> None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--duration", type=float, default=2.0, help="plant time of a case [s], at most 2")
     parser.add_argument("--runs", type=int, default=31, help="timings per median")
     options = parser.parse_args()

@@ -8,13 +8,12 @@
 4. Stability: the largest step at which LuGre, whose bristle relaxes at sigma0 |v|/s(v), stays bounded at the velocity limit.
 """
 
-import argparse
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import yaml
 
+from benchmarks.common import ROOT, parser_of
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
@@ -23,7 +22,6 @@ from ehls_ros.physics.integration_step import LONGEST_STEP
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 
-ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 1e-3
 STEPS = tuple(PERIOD / n for n in (1, 2, 3, 4, 5, 8, 10, 20, 40))
 FINEST = PERIOD / 320
@@ -173,7 +171,7 @@ def print_stability() -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--duration", type=float, default=1.0, help="plant time of the open-loop motions [s]")
     options = parser.parse_args()
     spec = load_spec(ROOT / "config" / "experiments" / "sine_fd2.yaml")

@@ -5,17 +5,17 @@ plant's input, u, over d is the sensitivity S = 1/(1 + L), and L = 1/S - 1. Runs
 contributions of friction and reference at the excited frequencies. `python -m benchmarks.predictive_margins`
 """
 
-import argparse
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.preview import CELLS, EXPERIMENTS, with_preview
+from benchmarks.common import MEASURED, experiment, parser_of
+from benchmarks.preview import with_preview
 from benchmarks.true_error import true_cycles
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers.fasmc_predictive import Parameters
 from ehls_ros.control.margins import loop_margins
-from ehls_ros.experiments.spec import Spec, Use, load_spec
+from ehls_ros.experiments.spec import Spec, Use
 
 DURATION, WINDOW = 6.0, 4.0
 """Duration of a run, and time at its end over which the response is taken [s]."""
@@ -66,12 +66,12 @@ def measured(spec: Spec, runs: int) -> Loop:
 
 def main() -> None:
     """Print the margins."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--runs", type=int, default=4, help="multi-sines of each loop")
     runs = parser.parse_args().runs
-    simulated = load_spec(EXPERIMENTS / "sine_fd2.yaml")._replace(controller=Use("fasmc_predictive", Parameters()))
+    simulated = experiment("sine_fd2")._replace(controller=Use("fasmc_predictive", Parameters()))
     specs = {"simulation, sine fd2": simulated}
-    specs |= {f"rig, {name.removeprefix('measured_')}": with_preview(name, []) for name in CELLS}
+    specs |= {f"rig, {name.removeprefix('measured_')}": with_preview(name, []) for name in MEASURED}
     print(f"{'loop':24}{'gain/dB':>10}{'fall/dB':>10}{'phase/deg':>12}{'delay/ms':>10}{'largest S':>12}{'deviation':>12}")
     for name, spec in specs.items():
         loop = measured(spec, runs)

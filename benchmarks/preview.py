@@ -5,20 +5,16 @@ servo's position gain or all of its numbers 20 % off. The error is that of the t
 median and largest over the seeds of the sensors' noise. `python -m benchmarks.preview --seeds 8`
 """
 
-import argparse
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.common import MEASURED, MEASURED_EFFECTS, experiment, parser_of
 from benchmarks.true_error import true_cycles
 from ehls_ros.control.companions.disturbance_preview import Parameters
-from ehls_ros.experiments.spec import Spec, spec_from_mapping
-from ehls_ros.recording.yaml_text import read_yaml
+from ehls_ros.experiments.spec import Spec
 
-EXPERIMENTS = Path(__file__).resolve().parent.parent / "config" / "experiments"
-CELLS = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2", "measured_sine_fd2")
 OFF = (0.8, 1.2)
 
 
@@ -34,22 +30,19 @@ def previews() -> Mapping[str, list[dict[str, Any]]]:
 
 def with_preview(name: str, companions: list[dict[str, Any]], seed: int = 0) -> Spec:
     """Return one of the experiments under the predictive law, with these companions."""
-    path = EXPERIMENTS / f"{name}.yaml"
-    content: Mapping[str, Any] = read_yaml(path, "spec")
-    known = ["command_delay", "coupling_stiffness"]
-    changes = {"controller": "fasmc_predictive", "known_effects": known, "companions": companions, "seed": seed}
-    return spec_from_mapping({**content, **changes}, str(path), path.parent)
+    known = [*MEASURED_EFFECTS]
+    return experiment(name, controller="fasmc_predictive", known_effects=known, companions=companions, seed=seed)
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=8, help="runs of each cell")
     seeds = range(parser.parse_args().seeds)
-    print(f"{'preview':24}" + "".join(f"{name.removeprefix('measured_'):>20}" for name in CELLS))
+    print(f"{'preview':24}" + "".join(f"{name.removeprefix('measured_'):>20}" for name in MEASURED))
     for column, companions in previews().items():
         text = f"{column:24}"
-        for name in CELLS:
+        for name in MEASURED:
             errors = [true_cycles(with_preview(name, companions, seed)).largest() for seed in seeds]
             text += f"{np.median(errors):12.1f}{max(errors):8.1f}"
         print(text, flush=True)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from rosbags.rosbag2 import Reader
 
 from ehls_ros.recording.typestore import typestore
@@ -89,9 +88,3 @@ def told_by_plant(bag: Path) -> Told:
                     values = {pair.key: pair.value for pair in status.values}
     response = {part: 1e-6 * float(values.get(f"response_{part}_us", "nan")) for part in PARTS}
     return Told(response, int(values.get("missed", 0)), int(values.get("late", 0)), float(values.get("slipped_s", 0.0)))
-
-
-def spread(values: list[float], form: str) -> str:
-    """Return the median and the quartiles."""
-    low, middle, high = np.percentile(values, [25, 50, 75])
-    return f"{middle:{form}} ({low:{form}}-{high:{form}})"

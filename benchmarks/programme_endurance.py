@@ -1,12 +1,11 @@
 """Load cycles of a programme over DDS in lockstep, with a stop, a resume and a killed programme node: is each counted once?
 
-usage: programme_endurance.py [--cycles 20000]
+usage: python -m benchmarks.programme_endurance [--cycles 20000]
 
 Each load cycle has ten control cycles of 1 ms. At 10 % of the load cycles the programme is stopped and resumed. At 40 % its
 node is killed with SIGKILL and restarted, at 50 % it is killed while it is stopped, and resumed. The log is judged.
 """
 
-import argparse
 import csv
 import itertools
 import os
@@ -25,6 +24,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
+from benchmarks.common import parser_of
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.programme_records import LOG
 from ehls_ros.nodes.control import NAMESPACE
@@ -277,7 +277,7 @@ class _Asker:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--cycles", type=int, default=20_000, help="load cycles, a multiple of 100")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -1,6 +1,6 @@
 """Damaged bags: result of `ehls recover`, compared with the recorded messages.
 
-usage: recovery.py [--truncations 200] [--flips 200] [--notes 30] [--cycles 400] [--seed 1]
+usage: python -m benchmarks.recovery [--truncations 200] [--flips 200] [--notes 30] [--cycles 400] [--seed 1]
 
 A recorder is killed; then its file is truncated, a bit of it flipped, or the note edited. The truth is the list of the messages
 written and their places in the intact file, independent of the recovery. Two columns count intact messages that were lost:
@@ -8,7 +8,6 @@ outside the damaged message, and outside the damaged mcap chunk or SQLite page. 
 written; `wrong losses` are bags with a wrong report of losses.
 """
 
-import argparse
 import json
 import multiprocessing
 import os
@@ -29,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.rosbag2 import Reader
 
+from benchmarks.common import parser_of, print_heading, print_row
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import BagWriter, Storage
@@ -361,20 +361,19 @@ def row(outcomes: Sequence[Outcome]) -> list[float]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     for kind, trials in (("truncations", 200), ("flips", 200), ("notes", 30)):
         parser.add_argument(f"--{kind}", type=int, default=trials)
     parser.add_argument("--cycles", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    print("| storage | damage | " + " | ".join(COLUMNS) + " |")
-    print("|---" * (2 + len(COLUMNS)) + "|")
+    print_heading("storage", "damage", *COLUMNS)
     for storage in STORAGES:
         with tempfile.TemporaryDirectory(dir=FAST) as folder:
             left = left_behind(Path(folder) / "bag", storage, options.cycles, options.seed)
             for kind in TRIALS:
                 outcomes = tried(left, kind, getattr(options, kind), options.seed)
-                print("|", " | ".join([storage, kind, *(f"{figure:.4g}" for figure in row(outcomes))]), "|", flush=True)
+                print_row(storage, kind, *(f"{figure:.4g}" for figure in row(outcomes)))
     for storage in STORAGES:
         message, flush = writers_time(storage, options.cycles, options.seed)
         per_message, per_flush = f"{message * 1e6:.2f} µs per message with flushes", f"{flush * 1e3:.2f} ms per flush"

@@ -7,26 +7,24 @@ nothing hidden, and identifies it. The first guess has every coefficient that ca
 declared coefficients (piston area, density, volume, ...) are correct.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from benchmarks.common import MEASURED_RIG, parser_of
 from ehls_ros.identification.rig_coefficients import KEPT, read
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
 
-RIG_FILE = Path(__file__).parents[1] / "config" / "rig_paper_measured.yaml"
 SPREAD = 0.3
 OFF = 2.0
 NORMAL_95 = 1.96
@@ -36,7 +34,7 @@ TOGETHER = {"static_force": "coulomb_force"}
 
 def hidden_rig(rng: np.random.Generator) -> dict[str, Any]:
     """Draw a rig file within 30 % of the project's."""
-    rig: dict[str, Any] = yaml.safe_load(RIG_FILE.read_text(encoding="utf-8"))
+    rig: dict[str, Any] = yaml.safe_load(MEASURED_RIG.read_text(encoding="utf-8"))
     fixed = {name.removeprefix("plant.") for name in KEPT} - {"viscous_damping"}
     return _scaled(rig, fixed, lambda: rng.uniform(1.0 - SPREAD, 1.0 + SPREAD))
 
@@ -79,7 +77,7 @@ def case(experiments: tuple[str, ...], duration: float, seed: int) -> dict[str, 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--cases", type=int, default=20, help="how many rigs (%(default)s)")
     parser.add_argument("--first", type=int, default=0, help="seed of the first (%(default)s)")
     parser.add_argument("--duration", type=float, default=60.0, help="of a recording [s] (%(default)s)")

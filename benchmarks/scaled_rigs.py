@@ -7,10 +7,10 @@ Besides the defaults for the rig, each law runs with the numbers of the paper's 
 two laws with a filter run on the rig with sensors, with a command delay of 1 ms, against the position servo.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
+from benchmarks.common import parser_of, print_heading, print_row
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import run_in_process
@@ -89,16 +89,15 @@ def largest(spec: Spec) -> Metrics | None:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--sizes", type=float, nargs="+", default=[0.1, 1.0, 10.0], help="of the rigs over the paper's")
     sizes = parser.parse_args().sizes
-    print("| largest error, last half, N | " + " | ".join(f"{size:g} ×" for size in sizes) + " |")
-    print("|---|" + "---|" * len(sizes))
+    print_heading("largest error, last half, N", *(f"{size:g} ×" for size in sizes))
     for law in ("fasmc", "fasmc_output_feedback", "fasmc_predictive"):
         typed = CONTROLLERS.load(law).Parameters()._asdict()
         for words, tuning in (("defaults for the rig", {}), ("the paper's rig's numbers", typed)):
             found = [largest(case(law, size, **tuning)) for size in sizes]
-            print(f"| {law}, {words} | " + " | ".join("lost" if m is None else f"{m.max_error_n:.4g}" for m in found) + " |")
+            print_row(f"{law}, {words}", *("lost" if m is None else f"{m.max_error_n:.4g}" for m in found))
             for size, metrics in zip(sizes, found, strict=True):
                 for warning in () if metrics is None else metrics.warnings:
                     print(f"    {size:g}: {warning}")

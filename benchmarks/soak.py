@@ -1,12 +1,11 @@
 """An hour at 1 kHz: does the memory of any node grow, does the loop drift?
 
-usage: soak.py [--hours 1] [--plant sim|bridge] [--timing lockstep|realtime]
+usage: python -m benchmarks.soak [--hours 1] [--plant sim|bridge] [--timing lockstep|realtime]
 
 Runs the graph and the recorder with the 10 kN sine, by default through the bridge on an emulated rig, and samples the memory of
 every process every ten seconds. The bag is removed at the end.
 """
 
-import argparse
 import os
 import signal
 import subprocess
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.common import parser_of
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
@@ -71,7 +71,7 @@ class Watch(threading.Thread):
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--hours", type=float, default=1.0, help="plant time")
     parser.add_argument("--plant", choices=("sim", "bridge"), default="bridge", help="simulated rig or bridge")
     parser.add_argument("--timing", choices=("lockstep", "realtime"), default="lockstep", help="timing mode")

@@ -9,7 +9,6 @@ in which the end could not be written. Failures are tracebacks, foreign files ch
 :data:`MEMORY`. A case depends on its number and the seed alone.
 """
 
-import argparse
 import hashlib
 import io
 import itertools
@@ -39,6 +38,7 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.common import parser_of
 from benchmarks.fuzz import Hang, spoilt
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
 from ehls_ros.control.company import Company
@@ -911,7 +911,7 @@ HEADER = """| memory | files | taken | refused | put aside | not written | trace
 
 def main() -> None:
     """Run all kinds, or the requested ones, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--files", type=int, default=300, help="files of each kind")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kinds", default="", help="first words of the kinds to run, separated by commas; all by default")

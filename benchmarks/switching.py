@@ -1,6 +1,6 @@
 """Cost of a switch from one running force controller to another: jump of the command, and force error.
 
-usage: switching.py [--moments 8] [--handover follow|unaware|cold]
+usage: python -m benchmarks.switching [--moments 8] [--handover follow|unaware|cold]
 
 The second controller stands by: it follows every cycle that the first one answers. Then it takes over, at several moments of
 the load cycle. `jump` is the largest change of the command from one cycle to the next in the first cycles after the switch;
@@ -9,14 +9,13 @@ controllers driving alone over the same cycles. With `unaware` the second law is
 it ignores the command that the valve received; with `cold` it starts at the switch.
 """
 
-import argparse
 import platform
 from itertools import permutations
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.common import parser_of, print_heading, print_row
 from ehls_ros.arrays import Array
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
@@ -29,8 +28,6 @@ from ehls_ros.experiments.spec import Spec, chosen_spec
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import parse
-
-CONFIG = Path(__file__).resolve().parent.parent / "config" / "experiments"
 
 FIRST = 5
 """Cycles after the switch in which the command's changes are evaluated."""
@@ -116,19 +113,20 @@ def changes(commands: Array, switch: int) -> float:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--moments", type=int, default=8, help="switches per pair, spread over a load cycle")
     parser.add_argument("--handover", choices=HANDOVERS, default=FOLLOW, help="how the second controller starts")
     options = parser.parse_args()
     print(f"{platform.processor() or platform.machine()}, Python {platform.python_version()}; handover: {options.handover}")
     for case, contestants in CASES.items():
-        spec = chosen_spec(str(CONFIG / f"{case}.yaml"), "")
+        spec = chosen_spec(case, "")
         period = spec.settings.control_period
         after = round(AFTER / period)
         moments = [round((FIRST_SWITCH + TURN * i / options.moments) / period) for i in range(options.moments)]
         cycles = moments[-1] + after
         alone = {each: run(spec, each, each, cycles, cycles, COLD) for each in contestants}
-        print(f"\n{case}\n| from | to | jump [um] | alone [um] | error [N] | alone [N] |\n|---|---|---:|---:|---:|---:|")
+        print(f"\n{case}")
+        print_heading("from", "to", "jump [um]", "alone [um]", "error [N]", "alone [N]")
         for first, second in permutations(contestants, 2):
             jumps, errors, usual, usual_errors = [], [], [], []
             for switch in moments:
@@ -137,11 +135,8 @@ def main() -> None:
                 errors.append(np.max(np.abs(error[switch:])))
                 usual.append(max(changes(alone[each][0], switch) for each in (first, second)))
                 usual_errors.append(max(np.max(np.abs(alone[each][1][switch : switch + after])) for each in (first, second)))
-            print(
-                f"| {first} | {second} | {1e6 * max(jumps):.1f} | {1e6 * max(usual):.1f} |"
-                f" {max(errors):.1f} | {max(usual_errors):.1f} |",
-                flush=True,
-            )
+            figures = 1e6 * max(jumps), 1e6 * max(usual), max(errors), max(usual_errors)
+            print_row(first, second, *(f"{figure:.1f}" for figure in figures))
 
 
 if __name__ == "__main__":

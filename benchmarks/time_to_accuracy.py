@@ -6,7 +6,6 @@ mode. Diffrax has the equations of benchmarks/batch.py, whose modes follow from 
 motion; only the generalised Maxwell slip cases are written for it.
 """
 
-import argparse
 import importlib
 import importlib.util
 import os
@@ -22,8 +21,9 @@ import numpy as np
 import scipy
 from scipy.integrate import solve_ivp
 
-from benchmarks.batch import equations, rig_constants, turns
-from benchmarks.physics_accuracy import ROOT, errors, rig_of
+from benchmarks.batch import equations, rig_constants
+from benchmarks.common import ROOT, in_turns, parser_of
+from benchmarks.physics_accuracy import errors, rig_of
 from ehls_ros.arrays import Array, in_python, lean
 from ehls_ros.physics import simulator
 from ehls_ros.physics.composition import compiled
@@ -213,7 +213,7 @@ def table(case: Case, runs: int) -> Iterator[str]:
     reference = solve(case.constants, case.law, case.inputs, case.period).y
     found = dict(contestants(case, reference))
     within = {name: one for name, one in found.items() if one is not None}
-    timed = turns({name: partial(one.solve, one.setting) for name, one in within.items()}, runs, time.process_time)
+    timed = in_turns({name: partial(one.solve, one.setting) for name, one in within.items()}, runs, time.process_time)
     best = min((name for name in within if name != "ehls_ros"), key=lambda name: float(np.median(timed[name])))
     yield f"{'':20}{'setting':>12}{'error':>10}{'time, ms':>12}{'x real time':>13}{'ehls_ros is x':>15}{'quartiles':>16}"
     for name, one in found.items():
@@ -229,7 +229,7 @@ def table(case: Case, runs: int) -> Iterator[str]:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--duration", type=float, default=0.5, help="plant time of a case [s], at most 2")
     parser.add_argument("--runs", type=int, default=5, help="interleaved runs")
     options = parser.parse_args()

@@ -35,7 +35,7 @@ GRACE_S = 60.0
 REALTIME, UNDER_WAY = (Path(tempfile.gettempdir(), f"ehls_ros_test_{what}_{os.getuid()}.lock") for what in ("realtime", "run"))
 
 # Folders, including this one, with tests that take seconds each; the scope of all whose graphs run in real time.
-LONG = ("nodes", "dashboard", "diagnosis", "cli", "experiments", "report", "test")
+LONG = ("nodes", "dashboard", "diagnosis", "cli", "experiments", "reproduction", "report", "test")
 IN_REALTIME = "graphs in real time"
 
 # The tests start some hundred processes. Where the environment forbids keeping bytecode, each would compile its libraries anew,

@@ -22,7 +22,7 @@ from ehls_ros.cli.main import main
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS
 from ehls_ros.experiments.campaign.plan import plan_from_mapping
 from ehls_ros.experiments.monitoring.trends import check_limits
-from ehls_ros.experiments.programme_file import load_programme
+from ehls_ros.experiments.reference_files import load_programme
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.families import Family
 from ehls_ros.hardware.bridge_file import bridge_from_mapping

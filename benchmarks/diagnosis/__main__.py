@@ -18,21 +18,19 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
     os.environ[variable] = "1"
 
 import argparse  # noqa: E402
-import json  # noqa: E402
 import secrets  # noqa: E402
 import sys  # noqa: E402
-from collections.abc import Iterator  # noqa: E402
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed  # noqa: E402
-from multiprocessing import get_context  # noqa: E402
+from functools import partial  # noqa: E402
 from pathlib import Path  # noqa: E402
-from typing import Any  # noqa: E402
 
 from rich.console import Console  # noqa: E402
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: E402
 
+from benchmarks.common import ROOT, parser_of  # noqa: E402
 from benchmarks.diagnosis import cases, running, tables  # noqa: E402
 from benchmarks.diagnosis.exams import EXAMS, numbers  # noqa: E402
 from benchmarks.diagnosis.judge import judge  # noqa: E402
+from benchmarks.rows import Row, appended, as_json, read_rows, run_all  # noqa: E402
 
 WIDTH = 220
 """Width of the tables if the output is not a terminal."""
@@ -42,8 +40,8 @@ QUICK_CASES, QUICK_DURATION = 40, 20.0
 
 def arguments() -> argparse.Namespace:
     """Return the command line."""
-    layout = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.diagnosis", description=__doc__, formatter_class=layout)
+    parser = parser_of(__doc__)
+    parser.prog = "python -m benchmarks.diagnosis"
     parser.add_argument("--exam", choices=EXAMS, default="clean", help="what the rig and its recordings are like (%(default)s)")
     parser.add_argument("--cases", type=int, default=None, help="number of cases (400)")
     parser.add_argument("--seed", type=int, default=None, help="seed of the cases; a fresh one by default")
@@ -59,43 +57,13 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def read(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file of results, without incomplete lines."""
-    rows = []
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            print(f"{path}: an incomplete line is left out", file=sys.stderr)
-    return rows
-
-
-def run_all(exam: str, seed: int, chosen: list[int], duration: float, jobs: int, with_peers: bool) -> Iterator[dict[str, Any]]:
-    """Yield the cases as they are done."""
-    if jobs == 1:
-        yield from (running.run(exam, seed, number, duration, with_peers) for number in chosen)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting: list[Future[dict[str, Any]]] = [pool.submit(running.run, exam, seed, n, duration, with_peers) for n in chosen]
-        try:
-            for done in as_completed(waiting):
-                yield done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def plain(value: Any) -> Any:
-    """Return a numpy value as a JSON-compatible one."""
-    return value.item() if hasattr(value, "item") else str(value)
-
-
 def bar(console: Console) -> Progress:
     """Return the progress bar."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
-def line_of(row: dict[str, Any]) -> str:
+def line_of(row: Row) -> str:
     """Return a case in one line, for output that is not a terminal."""
     j = judge(row)
     took = f"{row['ours']['wall_s']:5.1f} s" if "ours" in row else "      –"
@@ -109,7 +77,7 @@ def main() -> None:
     console = Console() if sys.stdout.isatty() else Console(width=WIDTH)
     errors = Console(stderr=True)
     if options.summary:
-        tables.show([row for path in options.summary for row in read(path)], console)
+        tables.show(read_rows(options.summary), console)
         return
     if options.tune:
         from benchmarks.diagnosis.tune import tune  # noqa: PLC0415
@@ -119,30 +87,29 @@ def main() -> None:
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     duration = options.duration or (QUICK_DURATION if options.quick else 60.0)
     with_peers = options.exam == "clean" and not options.no_peers  # the peers assume that the rig is the model
+    one = partial(running.run, options.exam, seed, duration=duration, with_peers=with_peers)
     if options.case:
-        for row in run_all(options.exam, seed, options.case, duration, 1, with_peers):
-            console.print_json(json.dumps(row, default=plain))
+        for row in run_all(one, options.case, 1):
+            console.print_json(as_json(row))
             console.print(tables.failures([(row, judge(row))]))
         return
     if options.only not in (None, *EXAMS[options.exam].kinds):
         sys.exit(f"--only {options.only}: the exam '{options.exam}' has {', '.join(EXAMS[options.exam].kinds)}")
     wanted = numbers(options.exam, options.cases or (QUICK_CASES if options.quick else 400), options.only)
     exam = "" if options.exam == "clean" else f"-{options.exam}"
-    out = options.out or cases.ROOT / "runs" / f"diagnosis{exam}-{seed}.jsonl"
+    out = options.out or ROOT / "runs" / f"diagnosis{exam}-{seed}.jsonl"
     out.parent.mkdir(parents=True, exist_ok=True)
-    rows = read(out)
+    rows = read_rows([out])
     this = (options.exam, seed, duration)
     if other := {(r.get("exam", "clean"), r["seed"], r.get("duration", duration)) for r in rows} - {this}:
         sys.exit(f"{out} holds other cases (exam, seed, duration: {sorted(other)}); name another file with --out")
     done = {r["number"] for r in rows}
     left = [number for number in wanted if number not in done]
     print(f"seed {seed}, {len(wanted)} cases of {duration:g} s, {len(left)} to do, into {out}", flush=True)
-    with out.open("a", encoding="utf-8") as file, bar(errors) as progress:
+    with bar(errors) as progress:
         task = progress.add_task("cases", total=len(wanted), completed=len(wanted) - len(left))
-        for row in run_all(options.exam, seed, left, duration, options.jobs, with_peers):
+        for row in appended(out, run_all(one, left, options.jobs)):
             rows.append(row)
-            file.write(json.dumps(row, default=plain) + "\n")
-            file.flush()
             if errors.is_terminal:
                 right = sum(judge(r).right for r in rows)
                 progress.update(task, advance=1, description=f"{right} of {len(rows)} right")

@@ -8,19 +8,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
 from functools import cache, partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
+from benchmarks.common import MEASURED_RIG, ROOT
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import FINE, LISTED, OUTSIDE, Day, FormErrors, Measurement, Recording, draw_effect, measured, record
 from truth_generator.visibility import against, background
 
-ROOT = Path(__file__).resolve().parents[2]
-RIG = ROOT / "config" / "rig_paper_measured.yaml"
 KINDS = ("singles", "pairs", "nothing", "outside")
 ORDER = "sopsnsosnspsosnspsop"
 """Kinds of twenty consecutive cases by their first letters: 45 % singles, 20 % pairs, 15 % nothing, 20 % outside the list."""
@@ -99,14 +97,14 @@ def _plain(value: Any) -> Any:
 @cache
 def rig_file() -> dict[str, Any]:
     """Return the content of the rig file."""
-    content: dict[str, Any] = yaml.safe_load(RIG.read_text(encoding="utf-8"))
+    content: dict[str, Any] = yaml.safe_load(MEASURED_RIG.read_text(encoding="utf-8"))
     return content
 
 
 @cache
 def rig() -> Rig:
     """Return the rig that the diagnosis is given."""
-    return rig_from_mapping(rig_file(), str(RIG))
+    return rig_from_mapping(rig_file(), str(MEASURED_RIG))
 
 
 @cache

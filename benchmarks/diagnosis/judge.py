@@ -6,12 +6,12 @@ the effect shows. A true cause named together with an absent one counts as wrong
 """
 
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from benchmarks.diagnosis.cases import SHOWS
 from benchmarks.diagnosis.comparable import Quantity, quantities
+from benchmarks.rows import Row
 
-Row = dict[str, Any]
 CONFIDENT = 0.9
 """Probability above which a wrong name counts as confident."""
 

@@ -11,7 +11,8 @@ from rich.table import Table
 
 from benchmarks.diagnosis.cases import EXPERIMENTS, KINDS
 from benchmarks.diagnosis.exams import EXAMS
-from benchmarks.diagnosis.judge import Judgement, Row, closed_off, judge, peer_right, strength
+from benchmarks.diagnosis.judge import Judgement, closed_off, judge, peer_right, strength
+from benchmarks.rows import Row
 
 BINS = (0.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0, np.inf)
 """Bin edges of the visibility."""

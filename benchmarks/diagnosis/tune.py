@@ -8,8 +8,9 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.diagnosis import cases, exams
-from benchmarks.diagnosis.judge import Row, peer_right
+from benchmarks.diagnosis.judge import peer_right
 from benchmarks.diagnosis.peers import WITH_PYSINDY, Path, Problem, bic, paths, problem_of, stlsq
+from benchmarks.rows import Row
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.trajectory import Trajectory
 

@@ -20,32 +20,28 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
     os.environ[variable] = "1"
 
 import argparse  # noqa: E402
-import json  # noqa: E402
 import sys  # noqa: E402
-from collections.abc import Callable, Iterator, Sequence  # noqa: E402
-from concurrent.futures import ProcessPoolExecutor, as_completed  # noqa: E402
+from collections.abc import Callable  # noqa: E402
 from functools import partial  # noqa: E402
-from multiprocessing import get_context  # noqa: E402
 from pathlib import Path  # noqa: E402
-from typing import Any  # noqa: E402
 
 from rich.console import Console  # noqa: E402
 
-from benchmarks.diagnosis.cases import ROOT, sources  # noqa: E402
+from benchmarks.common import ROOT, parser_of  # noqa: E402
+from benchmarks.diagnosis.cases import sources  # noqa: E402
 from benchmarks.monitor import closed_loop, cost, healthy, hidden, peers, tables  # noqa: E402
-from benchmarks.monitor.streams import plain  # noqa: E402
+from benchmarks.rows import Row, appended, read_rows, run_all  # noqa: E402
 
 WIDTH = 200
 """Width of the tables if the output is not a terminal."""
 
-Row = dict[str, Any]
 PARTS = ("healthy", "hidden", "peers", "cost")
 
 
 def arguments() -> argparse.Namespace:
     """Return the command line."""
-    layout = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.monitor", description=__doc__, formatter_class=layout)
+    parser = parser_of(__doc__)
+    parser.prog = "python -m benchmarks.monitor"
     parser.add_argument("part", choices=PARTS, help="what is measured")
     parser.add_argument("--seed", type=int, default=1, help="seed of the streams (%(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (%(default)s)")
@@ -61,31 +57,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, help="file of results (runs/monitor-PART-SEED.jsonl)")
     parser.add_argument("--summary", type=Path, nargs="+", help="print the tables of such files without running anything")
     return parser.parse_args()
-
-
-def read(paths: Sequence[Path]) -> list[Row]:
-    """Return the rows of files of results, without incomplete lines."""
-    rows = list[Row]()
-    for path in paths:
-        for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-            try:
-                rows.append(json.loads(line))
-            except json.JSONDecodeError:
-                print(f"{path}: an incomplete line is left out", file=sys.stderr)
-    return rows
-
-
-def run_all(one: Callable[[int], Row], numbers: Sequence[int], jobs: int) -> Iterator[Row]:
-    """Yield the results of numbers as they are done."""
-    if jobs == 1:
-        yield from map(one, numbers)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        try:
-            for done in as_completed([pool.submit(one, number) for number in numbers]):
-                yield done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
 def work(options: argparse.Namespace) -> tuple[str, Callable[[int], Row], int]:
@@ -112,27 +83,24 @@ def main() -> None:
     if options.part == "peers":
         if not options.healthy or not options.hidden:
             sys.exit("peers: name results of `healthy` and of `hidden` with --healthy and --hidden")
-        peers.show(read(options.healthy), read(options.hidden), console)
+        peers.show(read_rows(options.healthy), read_rows(options.hidden), console)
         return
     show = tables.show_healthy if options.part == "healthy" else tables.show_hidden
     if options.summary:
-        show(read(options.summary), console)
+        show(read_rows(options.summary), console)
         return
     name, one, count = work(options)
     out = options.out or ROOT / "runs" / f"monitor-{name}-{options.seed}.jsonl"
     out.parent.mkdir(parents=True, exist_ok=True)
-    rows = read([out])
+    rows = read_rows([out])
     if any(row["seed"] != options.seed or row.get("forms") != options.forms for row in rows):
         sys.exit(f"{out} holds another run; name another file with --out")
     done = {row["number"] for row in rows}
     left = [number for number in range(count) if number not in done]
     print(f"seed {options.seed}, {count} to run, {len(left)} to do, into {out}", flush=True)
-    with out.open("a", encoding="utf-8") as file:
-        for row in run_all(one, left, options.jobs):
-            rows.append(row)
-            file.write(json.dumps(row | {"sources": sources()}, default=plain) + "\n")
-            file.flush()
-            print(tables.line_of(row), flush=True)
+    for row in appended(out, (row | {"sources": sources()} for row in run_all(one, left, options.jobs))):
+        rows.append(row)
+        print(tables.line_of(row), flush=True)
     show([row for row in rows if row["number"] < count], console)
 
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.diagnosis.cases import RIG, ROOT, rig
+from benchmarks.common import EXPERIMENTS, MEASURED_RIG
+from benchmarks.diagnosis.cases import rig
 from benchmarks.monitor.hidden import AFTER, OFFLINE, ONSET, offline, shortest, watch
 from benchmarks.monitor.streams import Rng, part
 from benchmarks.monitor.watching import Timed, powers
@@ -22,7 +23,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.trajectory import Trajectory
 
-EXPERIMENT = ROOT / "config" / "experiments" / "irregular_fd2.yaml"
+EXPERIMENT = EXPERIMENTS / "irregular_fd2.yaml"
 SEEN = ("valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa", "position_m", "velocity_m_s", "force_n",
         "disturbance_force_n", "oil_temperature_k")  # fmt: skip
 """Signals given to the monitor, as in truth_generator's recordings."""
@@ -71,7 +72,7 @@ def spec_of(rng: Rng, seed: int, of: Rig, duration: float) -> Spec:
         of: the rig in the loop; the controller has the one of the rig file.
         duration: its duration [s].
     """
-    spec = load_spec(EXPERIMENT, RIG)
+    spec = load_spec(EXPERIMENT, MEASURED_RIG)
     reference = spec.reference.parameters._replace(amplitude=rng.uniform(3e3, 6e3), seed=int(rng.integers(2**31)))
     signal = spec.disturbance.signal
     moved = signal.parameters._replace(amplitude=rng.uniform(0.5e3, 2e3), frequency=rng.uniform(0.3, 1.2))

@@ -2,16 +2,14 @@
 
 import time
 import traceback
-from typing import Any
 
 from benchmarks.monitor.streams import episode, stretches_of
 from benchmarks.monitor.watching import Timed, bounds, feed, powers, test_of, told
+from benchmarks.rows import Row
 from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 
 SETTINGS = (100.0, 1000.0)
 """Mean times between false alarms [h]; monitors run at the first, and the largest sums show what others would have noticed."""
-
-Row = dict[str, Any]
 
 
 def run(seed: int, number: int, duration: float, form: float | None, with_powers: bool) -> Row:

@@ -12,6 +12,7 @@ from benchmarks.diagnosis.cases import ONE_BODY, Hidden, rig, rig_file, shown
 from benchmarks.diagnosis.exams import effect_of
 from benchmarks.monitor.streams import Onset, in_chunks, part, recording_of
 from benchmarks.monitor.watching import Timed, powers
+from benchmarks.rows import Row
 from ehls_ros.experiments.monitoring.examination import Finding, Task, examine
 from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 from ehls_ros.trajectory import Trajectory
@@ -29,8 +30,6 @@ LENGTHS = (2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)
 
 GROWING, PIECES = 600.0, 60
 """Time over which an effect grows [s], shortened from an hour, and number of steps."""
-
-Row = dict[str, Any]
 
 
 def draw(seed: int, number: int, pool: Mapping[str, Any] | None = None) -> tuple[str, str, int, Hidden]:

@@ -3,9 +3,9 @@
 An effect counts if a diagnosis of a minute with it finds it first: the monitor's test and delay are judged, not the diagnosis.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-Row = dict[str, Any]
+from benchmarks.rows import Row
 
 
 class Judged(NamedTuple):

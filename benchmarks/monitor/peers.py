@@ -14,6 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.monitor.judge import judge
+from benchmarks.monitor.tables import quartiles
+from benchmarks.rows import Row
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.stages import CHANNELS
 from truth_generator.effects import EFFECTS
@@ -33,8 +35,6 @@ REFERENCE, SMOOTHING = 0.5, 0.2
 """Reference value of the CUSUM, in standard deviations, and weight of the newest block in the EWMA."""
 
 MISSING = "river is not there: its detectors are left out (pip install river, into an environment of your own)"
-
-Row = dict[str, Any]
 
 
 class Detector(Protocol):
@@ -184,7 +184,7 @@ def show(healthy: Sequence[Row], hidden: Sequence[Row], console: Console) -> Non
     false = sum(event["kind"] == "noticed" for row in healthy for event in row.get("events", ()))
     noticed = [j.noticed for j in judged if j.noticed is not None]
     right = sum(j.right for j in judged)
-    table.add_row("the monitor", "", str(false), f"{len(noticed)}", "–", f"{right}", _quartiles(noticed))
+    table.add_row("the monitor", "", str(false), f"{len(noticed)}", "–", f"{right}", quartiles(noticed))
     for name, peer in peers().items():
         setting, count = tuned(peer, streams)
         delays, stages = list[float](), 0
@@ -193,7 +193,7 @@ def show(healthy: Sequence[Row], hidden: Sequence[Row], console: Console) -> Non
             if found is not None:
                 delays.append(found[0])
                 stages += list(CHANNELS.values())[found[1]] == EFFECTS[row["effect"]].stage
-        table.add_row(name, f"{setting:.3g}", str(count), f"{len(delays)}", f"{stages}", "–", _quartiles(delays))
+        table.add_row(name, f"{setting:.3g}", str(count), f"{len(delays)}", f"{stages}", "–", quartiles(delays))
     console.print(table)
 
 
@@ -204,10 +204,3 @@ def _first(row: Row, peer: Peer, setting: float) -> tuple[float, int] | None:
         if end > row["onset"]:
             return end - row["onset"], channel
     return None
-
-
-def _quartiles(values: Sequence[float]) -> str:
-    if not values:
-        return "–"
-    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
-    return f"{middle:.1f} s [{low:.1f}, {high:.1f}]"

@@ -4,7 +4,7 @@ The streams come from truth_generator, which shares no code with ehls_ros. They 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -168,8 +168,3 @@ def in_chunks(of: Trajectory, seconds: float = 0.5) -> Iterator[tuple[Array, dic
     for first, last in zip(edges, [*edges[1:], len(of.time_s)], strict=True):
         if last > first:
             yield of.time_s[first:last], {name: values[first:last] for name, values in of.signals.items()}
-
-
-def plain(value: Any) -> Any:
-    """Return a numpy value as a JSON-compatible one."""
-    return value.item() if hasattr(value, "item") else str(value)

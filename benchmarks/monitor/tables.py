@@ -2,7 +2,6 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import scipy.stats
@@ -11,9 +10,9 @@ from rich.table import Table
 
 from benchmarks.monitor.healthy import SETTINGS
 from benchmarks.monitor.judge import Judged, judge
+from benchmarks.rows import Row
 from ehls_ros.diagnosis.monitoring.change_test import lengths
 
-Row = dict[str, Any]
 TAIL = (4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0)
 """Sums, in standard deviations, whose frequency is compared with theory."""
 
@@ -115,14 +114,14 @@ def show_hidden(rows: Sequence[Row], console: Console) -> None:
     table.add_row("wrong name first", _share([j.named is not None and not j.right for _, j in counted]))
     table.add_row("alarm before the onset", str(sum(j.early for _, j in judged)))
     right = [j for _, j in counted if j.right]
-    table.add_row("onset to noticed", _quartiles([j.noticed for j in right]))
-    table.add_row("onset to name", _quartiles([j.named for j in right]))
-    table.add_row("shortest stretch that an offline diagnosis names", _quartiles([j.bound for j in right]))
-    table.add_row("delay beyond it (mark: median ≤ 10 s)", _quartiles([j.beyond for j in right]))
-    table.add_row("  with the time the diagnoses took", _quartiles([j.beyond_with_wall for j in right]))
+    table.add_row("onset to noticed", quartiles([j.noticed for j in right]))
+    table.add_row("onset to name", quartiles([j.named for j in right]))
+    table.add_row("shortest stretch that an offline diagnosis names", quartiles([j.bound for j in right]))
+    table.add_row("delay beyond it (mark: median ≤ 10 s)", quartiles([j.beyond for j in right]))
+    table.add_row("  with the time the diagnoses took", quartiles([j.beyond_with_wall for j in right]))
     shares = [row["share"] for row, j in counted if j.right and "share" in row]
     if shares:
-        table.add_row("part of its final size when named", _quartiles(shares, ""))
+        table.add_row("part of its final size when named", quartiles(shares, ""))
     console.print(table)
     _show_effects(counted, console)
     for row in rows:
@@ -151,7 +150,8 @@ def _share(values: Sequence[bool]) -> str:
     return f"{100 * np.mean(values):.0f} % ({sum(values)} of {len(values)}) [{100 * low:.0f}, {100 * high:.0f}]"
 
 
-def _quartiles(values: Sequence[float | None], unit: str = " s") -> str:
+def quartiles(values: Sequence[float | None], unit: str = " s") -> str:
+    """Return median, quartiles and number of the known values as text."""
     there = [value for value in values if value is not None]
     if not there:
         return "–"

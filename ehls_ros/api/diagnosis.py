@@ -12,8 +12,8 @@ from ehls_ros.api.simulation import RigSource
 from ehls_ros.api.simulation import rig as rig_of
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.experiments.analysis import diagnose_recording
 from ehls_ros.experiments.consequences import Consequences
-from ehls_ros.experiments.diagnosing import diagnose_recording
 from ehls_ros.progress import progress_bar
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
 from ehls_ros.report.diagnosis_figures import stage_bars

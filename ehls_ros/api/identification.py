@@ -11,7 +11,7 @@ from ehls_ros.api.simulation import RigSource
 from ehls_ros.api.simulation import rig as rig_of
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
-from ehls_ros.experiments.identifying import identify_whole_rig
+from ehls_ros.experiments.analysis import identify_whole_rig
 from ehls_ros.identification import identify as friction
 from ehls_ros.identification.identify import DEFAULT_OPTIMISER
 from ehls_ros.identification.result import Identification

@@ -15,7 +15,7 @@ from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import Metrics, evaluate
 from ehls_ros.experiments.run_failure import with_failure
-from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping, spec_to_mapping, untold
+from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping, spec_to_mapping, undeclared_effects
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.physics.rig import EffectUse, Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.progress import progress_bar
@@ -120,7 +120,7 @@ def simulate(
     with progress_bar(made.settings.title, shown=progress) as bar:
         trajectory, failure = run_as_far_as_it_goes(made, bar)
     metrics = with_failure(with_causal_limit(evaluate(trajectory), trajectory), failure)
-    metrics = metrics._replace(warnings=(*metrics.warnings, *untold(made)))
+    metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(made)))
     return with_methods(Simulation, trajectory, made.settings.title, metrics=metrics, spec=made)
 
 

@@ -64,7 +64,7 @@ def diagnose_against(
     """
     began = time.perf_counter()
     if not baselines:
-        raise BadInput("no baseline is given", name, "at least one recording of the rig from when it was well")
+        raise BadInput("no baseline is given", name, "at least one recording of the healthy rig")
     called = tuple(names or (f"baseline {i}" for i in range(1, len(baselines) + 1)))
     progress("learning the baselines", 0.0)
     first = [_evidence(recording, rig, what, seed) for recording, what in zip(baselines, called, strict=True)]
@@ -100,8 +100,8 @@ def diagnose_against(
         old=_traces(healthy[0].evidence, variation.expected(healthy[0]), variation),
         new={} if evidence is None else _traces(evidence, expected, variation),
     )
-    said = (*found.remarks, *remarks(coverage))
-    return replace(found, baseline=summary, remarks=said, wall_s=time.perf_counter() - began)
+    all_remarks = (*found.remarks, *remarks(coverage))
+    return replace(found, baseline=summary, remarks=all_remarks, wall_s=time.perf_counter() - began)
 
 
 def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence:
@@ -123,13 +123,14 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
     missing = without_signals(records, stack, known)
     wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
-    told = [c for c in wanted if c.path not in missing]
-    plain = [c for c in told if not c.path.startswith("friction.") or c.path in (COULOMB, VISCOUS)]
-    few = fit(stack, rig, plain, stack.channels, rules.BASELINE_STEPS, freedoms=rules.BASELINE_FREEDOMS)
-    many = fit(stack, few.rig, told, stack.channels, rules.BASELINE_STEPS, freedoms=rules.BASELINE_FREEDOMS)
-    gained = few.loss - float(np.sum(loss(many.e * many.scales / few.scales)))
+    determined = [c for c in wanted if c.path not in missing]
+    basic = [c for c in determined if not c.path.startswith("friction.") or c.path in (COULOMB, VISCOUS)]
+    steps, freedoms = rules.BASELINE_STEPS, rules.BASELINE_FREEDOMS
+    few = fit(stack, rig, basic, stack.channels, steps, freedoms=freedoms)
+    every = fit(stack, few.rig, determined, stack.channels, steps, freedoms=freedoms)
+    gained = few.loss - float(np.sum(loss(every.e * every.scales / few.scales)))
     # A nat for each coefficient (Akaike, 1974).
-    better = many if gained > len(told) - len(plain) else few
+    better = every if gained > len(determined) - len(basic) else few
     return better.rig._replace(effects=rig.effects)
 
 
@@ -138,10 +139,10 @@ def _coefficients(given: Rig, fitted: Rig, variation: HealthyVariation) -> dict[
     precision, spread = dict[str, float](), dict[str, float]()
     for own in variation.channels.values():
         learnt = own.learnt
-        for name, told, deviation, varies in zip(
+        for name, determined, deviation, varies in zip(
             own.terms.spreads, learnt.told, learnt.deviations, learnt.spread, strict=False
         ):
-            if told:
+            if determined:
                 precision[name] = precision.get(name, 0.0) + 1.0 / max(float(deviation), 1e-12) ** 2
                 spread[name] = max(spread.get(name, 0.0), float(varies))
     out = {}

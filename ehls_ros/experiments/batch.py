@@ -56,7 +56,7 @@ from ehls_ros.trajectory import Trajectory
 Result = Trajectory | Exception
 """A run or its error; :class:`~ehls_ros.experiments.run_failure.Implausible` holds the run up to the failure."""
 
-FEWEST = 5
+MIN_TOGETHER = 5
 """Minimum number of runs that are faster side by side than one after another."""
 
 STRETCH = 400
@@ -117,8 +117,8 @@ def run_batch(
     waiting: dict[Hashable, list[_Lane]] = {}
     count = threads or len(os.sched_getaffinity(0))
     ahead = count if count > 1 else 0
-    with ThreadPoolExecutor(count) if count > 1 else _Here() as pool:
-        under_way = deque[Future[list[tuple[int, Result]]]]()
+    with ThreadPoolExecutor(count) if count > 1 else _Immediate() as pool:
+        running = deque[Future[list[tuple[int, Result]]]]()
         for index, spec in enumerate(specs):
             try:
                 lane = _lane(index, spec, check)
@@ -126,25 +126,25 @@ def run_batch(
                 yield index, error
                 continue
             if lane is None:
-                yield index, _alone(spec)
+                yield index, _run_separately(spec)
                 continue
-            alike = waiting.setdefault(lane.structure, [])
-            alike.append(lane)
-            if len(alike) == LANES:
-                under_way.append(pool.submit(_run_block, loop_kernel(lane.structure), waiting.pop(lane.structure), brief))
-                while len(under_way) > ahead:
-                    yield from under_way.popleft().result()
-        for alike in waiting.values():
-            if len(alike) >= FEWEST:
-                under_way.append(pool.submit(_run_block, loop_kernel(alike[0].structure), alike, brief))
-        for alike in waiting.values():
-            if len(alike) < FEWEST:
-                yield from ((lane.place, _alone(lane.spec)) for lane in alike)
-        while under_way:
-            yield from under_way.popleft().result()
+            group = waiting.setdefault(lane.structure, [])
+            group.append(lane)
+            if len(group) == LANES:
+                running.append(pool.submit(_run_block, loop_kernel(lane.structure), waiting.pop(lane.structure), brief))
+                while len(running) > ahead:
+                    yield from running.popleft().result()
+        for group in waiting.values():
+            if len(group) >= MIN_TOGETHER:
+                running.append(pool.submit(_run_block, loop_kernel(group[0].structure), group, brief))
+        for group in waiting.values():
+            if len(group) < MIN_TOGETHER:
+                yield from ((lane.place, _run_separately(lane.spec)) for lane in group)
+        while running:
+            yield from running.popleft().result()
 
 
-class _Here(Executor):
+class _Immediate(Executor):
     """Executor that does the work immediately."""
 
     def submit(self, work: Callable[..., Any], /, *arguments: Any, **keywords: Any) -> Future[Any]:
@@ -154,7 +154,7 @@ class _Here(Executor):
         return done
 
 
-def _alone(spec: Spec) -> Result:
+def _run_separately(spec: Spec) -> Result:
     try:
         return run_in_process(spec, check=False)
     except Exception as error:  # noqa: BLE001 - as above
@@ -219,7 +219,7 @@ class _Sampled(SampledReference):
         return self.all[first : first + cycles].copy() if first + cycles <= len(self.all) else super().rows(first, cycles)
 
 
-class _Coming:
+class _Inputs:
     """External inputs of the runs of a block.
 
     Attributes:
@@ -282,7 +282,7 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
         # Spare places repeat the first run.
         _fill(block[:, place], rows, lanes[place] if place < len(lanes) else lanes[0])
     memory = block.reshape(-1)
-    coming = _Coming(lanes, cycles)
+    inputs = _Inputs(lanes, cycles)
     record = np.empty((LANES, min(cycles, STRETCH), columns.status.stop))
     kept = np.empty((len(lanes), cycles, len(BRIEF) if brief else columns.status.stop))
     work, forces_work = np.empty((WORK_ROWS, rows.plant.rate - rows.plant.y)), np.empty((WORK_ROWS, sizes.forces))
@@ -292,7 +292,7 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
     source = [place if place < len(lanes) else 0 for place in range(LANES)]
     for first in range(0, cycles, STRETCH):
         now = slice(first, min(first + STRETCH, cycles))
-        run(first, timing, memory, lanes[0].known, coming.given(now, source), record, work, forces_work)
+        run(first, timing, memory, lanes[0].known, inputs.given(now, source), record, work, forces_work)
         latest = record[:, : now.stop - first]
         kept[:, now] = latest[: len(lanes), :, BRIEF] if brief else latest[: len(lanes)]
         # As in a separate run, the true states are checked at intervals.
@@ -315,7 +315,7 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
         kept[:, :, columns.status.start + FORCE_ERROR] += 0.0
     results: list[tuple[int, Result]] = []
     for place, (lane, end) in enumerate(zip(lanes, ends, strict=True)):
-        numbers = kept[place, :end], coming.wanted[place][:end], coming.disturbance[place][:end]
+        numbers = kept[place, :end], inputs.wanted[place][:end], inputs.disturbance[place][:end]
         made = _brief_of(lane.spec, *numbers) if brief else trajectory_of(lane.spec, columns, *numbers)
         if place in lost:
             lost[place].trajectory = made

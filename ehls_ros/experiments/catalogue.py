@@ -18,7 +18,7 @@ from ehls_ros.physics.rig import EffectiveRig, Rig
 SLOW = 1e-3
 """Velocity taken as slow if friction does not depend on it, as a fraction of the rig's limit."""
 
-LEAST_YIELDING = 1e-5
+MIN_YIELDING = 1e-5
 """Presliding travel assumed for stiffer contacts [m]: the resolution of sensors."""
 
 
@@ -82,7 +82,7 @@ def reach(rig: EffectiveRig) -> Reach:
         load=0.8 * usable,
         weight=weight,
         slow=getattr(friction, "stribeck_velocity", SLOW * limits.velocity),
-        yielding=max(rig.friction_level(0.0) / rig.friction_law.stiffness(friction), LEAST_YIELDING),
+        yielding=max(rig.friction_level(0.0) / rig.friction_law.stiffness(friction), MIN_YIELDING),
     )
 
 

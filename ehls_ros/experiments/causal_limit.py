@@ -9,16 +9,15 @@ import numpy as np
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.limits import CausalLimit, causal_limit, flow_pressure
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import Metrics, evaluate_controlled
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.recording.topics import DISTURBANCE
 from ehls_ros.trajectory import Trajectory
 
-MOST_MISSING = 0.05
+MAX_MISSING = 0.05
 """Fraction of missing samples up to which the disturbance is interpolated linearly."""
 
-LEAST_CYCLES = 100
+MIN_CYCLES = 100
 """Minimum number of cycles for a limit."""
 
 
@@ -34,12 +33,6 @@ class LimitOfRun(NamedTuple):
     reason: str = ""
 
 
-def limit_of_spec(spec: Spec) -> LimitOfRun:
-    """Return the causal limit of an experiment; runs it in this process to obtain its disturbance."""
-    reason = _nothing_to_say(spec)
-    return LimitOfRun(None, reason) if reason else _limit(spec, run_in_process(spec))
-
-
 def limit_of_run(run: Trajectory) -> LimitOfRun:
     """Return the causal limit of a run.
 
@@ -51,12 +44,12 @@ def limit_of_run(run: Trajectory) -> LimitOfRun:
     """
     given, rig = run.metadata.get("spec"), run.metadata.get("rig")
     if not isinstance(given, dict) or not isinstance(rig, dict):
-        return LimitOfRun(None, "the recording does not tell rig and experiment")
+        return LimitOfRun(None, "the recording has no rig and experiment in its metadata")
     try:
         spec = spec_from_mapping({**given, "rig": rig}, "the recording", Path())
     except BadInput as error:
         return LimitOfRun(None, f"the recording's experiment cannot be read: {error}")
-    reason = _nothing_to_say(spec)
+    reason = _inapplicable(spec)
     return LimitOfRun(None, reason) if reason else _limit(spec, run)
 
 
@@ -72,7 +65,7 @@ def evaluate_recording(run: Trajectory) -> Metrics | None:
     return None if metrics is None else with_causal_limit(metrics, run)
 
 
-def _nothing_to_say(spec: Spec) -> str:
+def _inapplicable(spec: Spec) -> str:
     """Return the reason why an experiment has no causal limit; empty if it has one."""
     if CONTROLLERS.load(spec.controller.name).FOLLOWS != "force":
         return "the reference is a position, not a force"
@@ -85,13 +78,13 @@ def _nothing_to_say(spec: Spec) -> str:
 def _limit(spec: Spec, run: Trajectory) -> LimitOfRun:
     disturbing = tuple(DISTURBANCE.signals.values())
     if not all(signal in run for signal in disturbing):
-        return LimitOfRun(None, "what disturbed the rig was not recorded")
-    if len(run) < LEAST_CYCLES:
+        return LimitOfRun(None, "the disturbance was not recorded")
+    if len(run) < MIN_CYCLES:
         return LimitOfRun(None, f"{len(run)} cycles are too few")
     rows = np.stack([run[signal] for signal in disturbing], axis=1)
     known = np.all(np.isfinite(rows), axis=1)
-    if np.mean(~known) > MOST_MISSING:
-        return LimitOfRun(None, "what disturbed the rig is missing in too many cycles")
+    if np.mean(~known) > MAX_MISSING:
+        return LimitOfRun(None, "the disturbance is missing in too many cycles")
     if not np.all(known):
         cycles = np.arange(len(rows))
         rows = np.stack([np.interp(cycles, cycles[known], column[known]) for column in rows.T], axis=1)

@@ -26,10 +26,10 @@ EXCLUSIVE_PROBABILITY = 0.9
 CLOSE = 10.0
 """Deficit below which a rival remains open, for a cause less probable than :data:`EXCLUSIVE_PROBABILITY` [nats]."""
 
-MOST_RIVALS = 2
+MAX_RIVALS = 2
 """Largest number of rivals that the next experiment has to separate from a cause."""
 
-LEAST_STD, MOST_STD = 0.01, 0.3
+MIN_STD, MAX_STD = 0.01, 0.3
 """Limits on the assumed uncertainty of the candidates' parameters, as a fraction of their values."""
 
 Progress = Callable[[str, float], None]
@@ -145,7 +145,7 @@ def open_rivals(cause: Cause) -> tuple[Rival, ...]:
     """Return the rivals of a cause that the data do not rule out, closest first."""
     close = CLOSE if cause.probability < EXCLUSIVE_PROBABILITY else 0.0
     rivals = [rival for rival in cause.rivals if rival.name in cause.equivalent_to or rival.behind < close]
-    return tuple(rivals[:MOST_RIVALS])
+    return tuple(rivals[:MAX_RIVALS])
 
 
 def open_candidates(diagnosis: Diagnosis) -> dict[str, Rig]:
@@ -173,5 +173,5 @@ def _use(rival: Rival, rig: Rig) -> EffectUse:
 def parameter_std(diagnosis: Diagnosis) -> float:
     """Return the largest relative standard error among the parameters of the named causes."""
     errors = [e.std / abs(e.value) for cause in diagnosis.causes for e in cause.parameters.values() if e.value != 0.0]
-    worst = max(filter(math.isfinite, errors), default=MOST_STD)
-    return min(max(worst, LEAST_STD), MOST_STD)
+    worst = max(filter(math.isfinite, errors), default=MAX_STD)
+    return min(max(worst, MIN_STD), MAX_STD)

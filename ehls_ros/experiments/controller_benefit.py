@@ -41,7 +41,7 @@ STROKE_PART = 1.15
 SLACK = 0.05
 """Fraction by which a run may exceed a limit of the rig."""
 
-LOST = 0.5
+MIN_LOST_ERROR = 0.5
 """Steady error above which the force counts as not followed, as a fraction of the reference."""
 
 
@@ -242,7 +242,7 @@ def _around(limit: float) -> tuple[float, float]:
 def _lost(run: Trajectory, force: float) -> str:
     """Return a message that the force was not followed, with advice; empty if it was."""
     largest = evaluate(run).max_error_n
-    if largest <= LOST * force:
+    if largest <= MIN_LOST_ERROR * force:
         return ""
     saturated = 100.0 * float(np.mean(run["saturated"]))
     return (

@@ -65,7 +65,7 @@ def keep(company: Company, spec: Spec) -> None:
         except NotWritten as error:
             failures.append(str(error))
     if failures:
-        raise NotWritten(f"what was learnt is lost: {'; '.join(failures)}")
+        raise NotWritten(f"learnt arrays are lost: {'; '.join(failures)}")
 
 
 def _files(company: Company, spec: Spec) -> Iterator[tuple[str, Companion, StateFile]]:

@@ -19,10 +19,10 @@ from ehls_ros.trajectory import Trajectory, steady_error
 CONVERGENCE_BAND = 0.01
 """Band of a converged error, as a fraction of the largest reference."""
 
-LOST = 0.2
+MIN_LOST_ERROR = 0.2
 """Error above which the reference counts as not followed, as a fraction of the largest reference."""
 
-MOSTLY = 0.5
+MIN_SATURATED = 0.5
 """Fraction of the last half above which saturation of the command is a warning."""
 
 IN_REAL_TIME = 0.99
@@ -137,12 +137,12 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
     for quantity, signal, reference, unit in followed:
         error = steady_error(run, signal, reference)
         largest = float(np.nanmax(np.abs(run[reference]))) if error.size else 0.0
-        if error.size and error.max() > LOST * largest > 0.0:
+        if error.size and error.max() > MIN_LOST_ERROR * largest > 0.0:
             yield (
                 f"the {quantity} does not follow its reference: the error of the last half reaches {error.max():.3g} {unit}, "
                 f"the reference {largest:.3g} {unit}"
             )
-    if "saturated" in run and (share := float(np.mean(run["saturated"][late] > 0.5))) >= MOSTLY:
+    if "saturated" in run and (share := float(np.mean(run["saturated"][late] > 0.5))) >= MIN_SATURATED:
         yield f"the valve command is at its limit for {100.0 * share:.0f} % of the last half: the rig can give no more"
     for bound in bounds_in(run.metadata):
         # An estimate has the same index in the status as its signal in the topic.

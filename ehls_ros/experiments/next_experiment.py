@@ -63,7 +63,7 @@ from ehls_ros.physics.rig import SENSED, Rig, rig_to_mapping
 from ehls_ros.physics.sensors import FORCE, LOAD_PRESSURE, POSITION, SPOOL, VELOCITY
 from ehls_ros.physics.simulator import Constants, Simulated, State, plant_kernel
 
-LEAST_SIGMA = 5.0
+MIN_SIGMA = 5.0
 """Separation below which an experiment is not proposed."""
 
 RECORDED = ("position", "load_pressure", "spool_position", "force")
@@ -234,10 +234,10 @@ def _bench(plant: Simulated, believed: str) -> Callable[..., int]:
     return bench
 
 
-MOST_SATURATED = 0.05
+MAX_SATURATED = 0.05
 """Largest fraction of the time at the valve's limit in a proposed experiment."""
 
-LOOSEST = 0.3
+MAX_TRACKING_ERROR = 0.3
 """Largest rms error of a proposed experiment's loop, as a fraction of the reference's magnitude."""
 
 
@@ -257,14 +257,14 @@ def _unfit(run: _Run, experiment: _Experiment, rig: Rig) -> str:
         largest = float(np.max(np.abs(record[:, column])))
         if largest > limit:
             return f"its {SENSED[column]} reaches {largest:.3g} {unit}, beyond the limit of {limit:.3g} {unit}"
-    if run.saturated > MOST_SATURATED:
+    if run.saturated > MAX_SATURATED:
         return f"its valve is at the limit {100.0 * run.saturated:.0f} % of the time"
     followed = record[:, _LAWS[experiment.spec.controller.name][1]]
     wanted = experiment.reference[:, 0]
     settled = np.arange(len(record)) * experiment.period >= SETTLING
     size = max(float(np.std(wanted)), 0.02 * float(np.max(np.abs(followed - np.mean(followed)))), 1e-6)
     error = float(np.std((followed - wanted)[settled]))
-    if np.ptp(wanted) > 0.0 and error > LOOSEST * size:
+    if np.ptp(wanted) > 0.0 and error > MAX_TRACKING_ERROR * size:
         return f"its loop does not follow the reference (rms {error:.3g} of {size:.3g})"
     return ""
 
@@ -410,7 +410,7 @@ def next_experiment(
         reason = f"no experiment of the catalogue can be done on this rig: of {first.name}, {first.note}"
         return Proposal(None, reason, tuple(considered))
     entry, left = best
-    if most < LEAST_SIGMA:
+    if most < MIN_SIGMA:
         reason = f"the best experiment, {entry.name}, separates the candidates by {most:.1f} sigma only"
         return Proposal(None, reason, tuple(considered))
     proposed = NextExperiment(
@@ -511,6 +511,6 @@ def _why(entry: _Rated, left: Mapping[tuple[str, str], Difference], columns: Seq
     loads = entry.experiment.load[:, LOAD]
     load = f", loaded with {loads[first] / 1e3:.2g} kN" if abs(loads[first]) > 0.01 * np.max(np.abs(loads)) else ""
     return (
-        f"{model} fitted to what {true} would give is wrong most in the {label}, by {size:.3g} {unit} ({amount:.0f} sigma) "
+        f"{model} fitted to a record of {true} deviates most in the {label}, by {size:.3g} {unit} ({amount:.0f} sigma) "
         f"at {(first + length // 2) * period:.1f} s, where {moving} under a driving force of {force / 1e3:.3g} kN{load}"
     )

@@ -18,7 +18,7 @@ from ehls_ros.control.programme.motion import Runner
 from ehls_ros.control.programme.motion_check import check_motions
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.state_files import access, table
-from ehls_ros.experiments.state_files.folder_lock import FolderLock
+from ehls_ros.experiments.state_files.access import FolderLock
 from ehls_ros.experiments.state_files.kinds import PROGRAMME, ProgrammeState
 from ehls_ros.experiments.state_files.state_file import Origin, StateFile
 from ehls_ros.physics.parameters import Limits
@@ -40,10 +40,10 @@ REMEDY = "the log as it was, another folder, or anew:=true to begin the programm
 
 FOREIGN = "a log of load cycles, or another folder"
 
-MOST_HOLDS = 100
+MAX_HOLDS = 100
 """Maximum number of hold values in a state; they accumulate when the programme's file is changed between starts."""
 
-LARGEST_HOLD = 1e6
+MAX_HOLD = 1e6
 """Range of a programme's values if the rig file has no limits [N or m]."""
 
 SETTINGS = ("hold", "stop_time", "hold_time")
@@ -137,7 +137,8 @@ def open_records(folder: Path, programme: Programme, origin: Origin, follows: st
         state = None if anew else read_state(folder, origin)
         check = LineCheck(len(programme.leaves), programme.load_cycles)
         # The lines of a log that is put aside are not checked, but it must be a log.
-        judged = table.judge(path, heading(follows), check if state else _anything, REMEDY if state else FOREIGN, "the log")
+        line_check = check if state else lambda _: None
+        judged = table.judge(path, heading(follows), line_check, REMEDY if state else FOREIGN, "the log")
         counted, remarks = 0, [lock.remark] if lock.remark else []
         if state is not None:
             try:
@@ -181,10 +182,6 @@ def _counted(programme: Programme, state: ProgrammeState, period: float, logged:
     return max(logged, state.counted)
 
 
-def _anything(_: list[str]) -> None:
-    """Accept any line."""
-
-
 def _changes(state: ProgrammeState, programme: Programme) -> list[str]:
     """Return a sentence for each setting that has changed since the last start."""
     out = []
@@ -192,12 +189,9 @@ def _changes(state: ProgrammeState, programme: Programme) -> list[str]:
         was, becomes = getattr(state, name), getattr(programme.parameters, name)
         if was != becomes:
             unit = notes(type(programme.parameters))[name].unit
-            out.append(f"{name} of the programme was {_said(was)} and is {_said(becomes)} from the next stop on [{unit}]")
+            old, new = ("not given" if value is None else f"{value:g}" for value in (was, becomes))
+            out.append(f"{name} of the programme was {old} and is {new} from the next stop on [{unit}]")
     return out
-
-
-def _said(value: float | None) -> str:
-    return "not given" if value is None else f"{value:g}"
 
 
 def check_state(state: ProgrammeState, programme: Programme, period: float, values: tuple[float, float]) -> None:
@@ -217,8 +211,8 @@ def check_state(state: ProgrammeState, programme: Programme, period: float, valu
     if not state.counting - 1 <= state.seen <= max(state.published, 0):
         where = f"cycle {state.counting} is counted, {state.seen} seen and {state.published} published"
         raise ValueError(f"its control cycles do not follow one another: {where}")
-    if len(state.holds) > MOST_HOLDS:
-        raise ValueError(f"{len(state.holds)} values were held, at most {MOST_HOLDS} can have been")
+    if len(state.holds) > MAX_HOLDS:
+        raise ValueError(f"{len(state.holds)} values were held, at most {MAX_HOLDS} can have been")
     if state.counted > programme.load_cycles:
         raise ValueError(f"{state.counted} load cycles are counted, the programme has {programme.load_cycles}")
     check_motions(state.motions, programme, period, state.holds, *values)
@@ -232,7 +226,7 @@ def check_state(state: ProgrammeState, programme: Programme, period: float, valu
 def value_range(limits: Limits, follows: str) -> tuple[float, float]:
     """Return the range of a rig's forces [N] or positions [m]; wide for a rig file without limits."""
     low, high = (-limits.force, limits.force) if follows == "force" else limits.position
-    return (low, high) if low < high else (-LARGEST_HOLD, LARGEST_HOLD)
+    return (low, high) if low < high else (-MAX_HOLD, MAX_HOLD)
 
 
 class LineCheck:

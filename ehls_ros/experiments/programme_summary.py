@@ -17,10 +17,10 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.valve import load_flow
 from ehls_ros.trajectory import Trajectory
 
-MOST_SAMPLES = 200_000
+MAX_SAMPLES = 200_000
 """Maximum number of samples of a load cycle, or of a block without load cycles."""
 
-LEAST_SAMPLES = 20
+MIN_SAMPLES = 20
 """Minimum number of these samples."""
 
 BINS = 32
@@ -237,7 +237,7 @@ def _values(segment: Segment, begin: float, end: float) -> list[float]:
 
 def _samples(time: float, step: float) -> int:
     """Return the number of samples for a duration, one step apart if possible; both in s."""
-    return int(np.clip(math.ceil(time / step), LEAST_SAMPLES, MOST_SAMPLES))
+    return int(np.clip(math.ceil(time / step), MIN_SAMPLES, MAX_SAMPLES))
 
 
 def _turning(values: Sequence[float]) -> list[float]:

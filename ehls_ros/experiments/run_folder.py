@@ -17,7 +17,7 @@ from ehls_ros.experiments.spec import Spec, spec_to_mapping
 from ehls_ros.experiments.yaml_files import spec_text
 from ehls_ros.recording.reason import reason
 
-HOLDS = (
+CONTENT = (
     "spec.yaml",
     "bag",
     "metrics.json",
@@ -29,7 +29,7 @@ HOLDS = (
 )
 """Files and folders of a run."""
 
-LEFT = re.compile(r"(load_cycles\.[0-9]+\.csv|programme_state\.[0-9]+\.json|\.(load_cycles|programme_state)\..+\.part)")
+SET_ASIDE = re.compile(r"(load_cycles\.[0-9]+\.csv|programme_state\.[0-9]+\.json|\.(load_cycles|programme_state)\..+\.part)")
 """Names of files put aside by a restarted programme, and of those left unfinished by a killed process."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -58,9 +58,9 @@ class RunFolder(NamedTuple):
         try:
             path.mkdir(parents=True, exist_ok=True)
             present = sorted(entry.name for entry in path.iterdir())
-            strangers = [entry for entry in present if entry not in HOLDS and not LEFT.fullmatch(entry)]
-            if strangers:
-                raise BadInput(f"the run folder holds '{strangers[0]}'", str(path), "a new or empty folder")
+            foreign = [entry for entry in present if entry not in CONTENT and not SET_ASIDE.fullmatch(entry)]
+            if foreign:
+                raise BadInput(f"the run folder holds '{foreign[0]}'", str(path), "a new or empty folder")
             if present and not overwrite:
                 raise BadInput("the folder already holds a run", str(path), "a new folder, or --overwrite")
             for entry in present:

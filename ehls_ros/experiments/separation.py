@@ -36,17 +36,17 @@ class Difference(NamedTuple):
     Attributes:
         blocks: block means in units of the noise floor, shape (blocks, signals).
         scale: noise floor of each block and signal in its unit, shape (blocks, signals).
-        bent: deviation of the fitted parameters from the data so far, in standard deviations.
+        parameter_deviation: deviation of the fitted parameters from the data so far, in standard deviations.
     """
 
     blocks: Array
     scale: Array
-    bent: float = 0.0
+    parameter_deviation: float = 0.0
 
     @property
     def sigma(self) -> float:
         """Separation, in standard deviations."""
-        return math.hypot(float(np.linalg.norm(self.blocks)), self.bent)
+        return math.hypot(float(np.linalg.norm(self.blocks)), self.parameter_deviation)
 
 
 def start_of(record: Array, period: float, yielding: float) -> int:

@@ -23,8 +23,7 @@ from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured
-from ehls_ros.experiments.points_file import read_points
-from ehls_ros.experiments.programme_file import programme_values
+from ehls_ros.experiments.reference_files import programme_values, read_points
 from ehls_ros.physics.integration_step import LONGEST_STEP, check_step, steps_per_period
 from ehls_ros.physics.plausibility import WARNING_FACTOR, check_ranges, check_rig, check_signal
 from ehls_ros.physics.rig import (
@@ -59,7 +58,7 @@ class DisturbanceUse(NamedTuple):
 class Settings(NamedTuple):
     """Scalar settings of a spec."""
 
-    title: Annotated[str, text("what the experiment is called in reports")] = "experiment"
+    title: Annotated[str, text("title of the experiment in reports")] = "experiment"
     duration: Annotated[float, quantity("s", "plant time to run", above=0.0, maximum=1e6)] = 10.0
     control_period: Annotated[float, quantity("s", "time between two control cycles", minimum=1e-6, maximum=0.1)] = 1e-3
     integration_step: Annotated[
@@ -178,7 +177,8 @@ def with_programme(spec: Spec, file: str) -> Spec:
         file: the programme's file, or the name of one of the package; empty: the reference of the experiment.
 
     Raises:
-        BadInput: the file is wrong.
+        BadInput: a file cannot be read, or a key is missing, unknown or out of range. Values that are valid individually but
+            inconsistent together, such as both time and rate of a ramp, are reported when the programme is expanded.
     """
     if not file:
         return spec
@@ -199,8 +199,11 @@ def check_law(spec: Spec, law: str, where: str) -> None:
     check_serves(CONTROLLERS, law, spec.controller_rig, where)
     follows, meant_for = (CONTROLLERS.load(name).FOLLOWS for name in (law, spec.controller.name))
     if meant_for != follows:
-        what = f"the spec's reference is a {meant_for} for {spec.controller.name}"
-        raise BadInput(what, where, f"a spec whose controller follows a {follows}, as {law} does")
+        raise BadInput(
+            f"the spec's reference is a {meant_for} for {spec.controller.name}",
+            where,
+            f"a spec whose controller follows a {follows}, as {law} does",
+        )
 
 
 def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
@@ -411,7 +414,7 @@ def _placed(where: str) -> Iterator[None]:
         raise BadInput(error.what, f"{where}: {error.where}", error.expected) from None
 
 
-def untold(spec: Spec, law: str | None = None) -> tuple[str, ...]:
+def undeclared_effects(spec: Spec, law: str | None = None) -> tuple[str, ...]:
     """Return a warning for each effect of the rig that the controller supports but that is not declared as known.
 
     Args:
@@ -420,10 +423,11 @@ def untold(spec: Spec, law: str | None = None) -> tuple[str, ...]:
     """
     name = spec.controller.name if law is None else law
     acting = {use.name for use in spec.loader_rig().effects}
-    told = {use.name for use in spec.controller_rig.effects}
-    unknown = [effect for effect in getattr(CONTROLLERS.load(name), "KNOWS", ()) if effect in acting - told]
+    undeclared = acting - {use.name for use in spec.controller_rig.effects}
     return tuple(
-        f"{name} is not told of the rig's {effect} and may lose the force: name it under known_effects" for effect in unknown
+        f"{name} does not know the rig's {effect} and may lose the force: name it under known_effects"
+        for effect in getattr(CONTROLLERS.load(name), "KNOWS", ())
+        if effect in undeclared
     )
 
 

@@ -88,13 +88,13 @@ def _of_rig(rig: Mapping[str, Any], more: Mapping[str, Mapping[str, str]]) -> Re
         },
         "limits": _units(Limits),
     }
-    told = {
+    remarks = {
         section: {key: "; ".join(filter(None, [unit, more.get(section, {}).get(key, "")])) for key, unit in own.items()}
         for section, own in units.items()
     }
     sensors = dict.fromkeys(rig.get("sensors", {}), _units(Sensor))
     effects = [_units(EFFECTS.load(use["name"]).Parameters) for use in rig.get("effects", [])]
-    return {**told, "sensors": sensors, "effects": effects}
+    return {**remarks, "sensors": sensors, "effects": effects}
 
 
 def _of_use(family: Family[Any], use: Any) -> Remarks:
@@ -112,8 +112,8 @@ def _lines(values: Mapping[str, Any], remarks: Any, indent: str = "") -> Iterato
             yield from _lines(value, own or {}, f"{indent}  ")
         elif isinstance(value, list) and value and isinstance(value[0], dict):
             yield f"{indent}{key}:"
-            for entry, told in zip(value, own or [{}] * len(value), strict=True):
-                first, *rest = _lines(entry, told, f"{indent}    ")
+            for entry, inner in zip(value, own or [{}] * len(value), strict=True):
+                first, *rest = _lines(entry, inner, f"{indent}    ")
                 yield from (f"{indent}  - {first.lstrip()}", *rest)
         else:
             text = yaml.safe_dump([value], default_flow_style=True, allow_unicode=True, width=10**6).strip()[1:-1]

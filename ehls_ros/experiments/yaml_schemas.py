@@ -129,8 +129,8 @@ def _answers() -> Schema:
         own = whole["properties"][key]
         if note.unit:
             written = {"type": "string", "pattern": "^[0-9.eE+-]+ *[^0-9 ].*$", "description": "a number and its unit"}
-            told = {word: own.pop(word) for word in ("description", "examples") if word in own}
-            whole["properties"][key] = {**told, "anyOf": [*own.get("anyOf", [own]), written]}
+            annotations = {word: own.pop(word) for word in ("description", "examples") if word in own}
+            whole["properties"][key] = {**annotations, "anyOf": [*own.get("anyOf", [own]), written]}
     return whole
 
 

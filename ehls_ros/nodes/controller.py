@@ -28,7 +28,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.accepted_rig import accepted_model
 from ehls_ros.experiments.loop import sampled
-from ehls_ros.experiments.spec import check_law, company_of, signal_kind, untold, uses_actuator
+from ehls_ros.experiments.spec import check_law, company_of, signal_kind, undeclared_effects, uses_actuator
 from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
 from ehls_ros.nodes.latency import Latency
@@ -186,7 +186,7 @@ class ControllerNode(ControlNode):
         """Compile the law and open the topics."""
         period = self.spec.settings.control_period
         model = model_of(self.spec.controller_rig, period)
-        for warning in untold(self.spec, self.law):
+        for warning in undeclared_effects(self.spec, self.law):
             self.get_logger().warning(warning)
         self.company = company_of(self.spec, model, self.get_name(), self.law, self.tuning)
         learnt_files.recall(self.company, self.spec)

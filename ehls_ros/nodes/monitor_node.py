@@ -42,8 +42,7 @@ from ehls_ros.experiments.monitoring.memory import UNUSABLE, Memory, SavedMonito
 from ehls_ros.experiments.monitoring.monitor import Monitor
 from ehls_ros.experiments.monitoring.monitor import Parameters as MonitoringParameters
 from ehls_ros.experiments.monitoring.trends import MAX_HISTORY
-from ehls_ros.experiments.state_files.access import NotWritten
-from ehls_ros.experiments.state_files.folder_lock import FolderLock
+from ehls_ros.experiments.state_files.access import FolderLock, NotWritten
 from ehls_ros.experiments.state_files.kinds import LEARNS_ANEW
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text

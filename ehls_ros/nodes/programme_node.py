@@ -16,7 +16,7 @@ from ehls_ros.control.programme.counting import Counter, LoadCycle, Sample
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.programme.motion import Motion, Rows, Runner, State
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.programme_records import MOST_HOLDS, digest, open_records, plain, state_file
+from ehls_ros.experiments.programme_records import MAX_HOLDS, digest, open_records, plain, state_file
 from ehls_ros.experiments.spec import with_programme
 from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.experiments.state_files.kinds import ProgrammeState
@@ -135,7 +135,7 @@ class ProgrammeNode(AheadNode):
             self.get_logger().warning(remark)
         self.saved, self.log, self.file = records.state, records.log, state_file(self.folder, origin)
         held = (*(self.saved.holds if self.saved else ()), self.programme.parameters.hold)
-        self.holds = tuple(dict.fromkeys(held))[-MOST_HOLDS:]
+        self.holds = tuple(dict.fromkeys(held))[-MAX_HOLDS:]
         self.digest = digest(self.programme)
         self.counter = Counter(self.programme, records.counted, self.saved.stiffness if self.saved else ())
         self.unwritten = ""

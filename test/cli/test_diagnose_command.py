@@ -13,8 +13,8 @@ from ehls_ros.cli.main import main
 from ehls_ros.cli.verbs import diagnose as verb
 from ehls_ros.diagnosis.result import Rival
 from ehls_ros.estimate import Estimate
+from ehls_ros.experiments import analysis
 from ehls_ros.experiments import consequences as follows
-from ehls_ros.experiments import diagnosing
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.load import load
@@ -46,7 +46,7 @@ def diagnosed(recording, tmp_path_factory):
     """The folder of a run, and the diagnosis it is based on."""
     out, kept = tmp_path_factory.mktemp("diagnosed"), []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(diagnosing, "diagnose", lambda *a, real=diagnosing.diagnose, **k: kept.append(real(*a, **k)) or kept[-1])
+        patch.setattr(analysis, "diagnose", lambda *a, real=analysis.diagnose, **k: kept.append(real(*a, **k)) or kept[-1])
         assert main(["diagnose", str(recording), "--rig", str(RIG), "--out", str(out), "--threads", "1", "--seed", "3"]) == 0
     return out, kept[0]
 
@@ -57,7 +57,7 @@ def again(diagnosed, recording, tmp_path, monkeypatch):
 
     def run(*arguments, **changes):
         found = replace(diagnosed[1], **changes)
-        monkeypatch.setattr(diagnosing, "diagnose", lambda *a, **k: found)
+        monkeypatch.setattr(analysis, "diagnose", lambda *a, **k: found)
         code = main(["diagnose", str(recording), "--rig", str(RIG), "--out", str(tmp_path), *arguments])
         return code, json.loads((tmp_path / "diagnosis.json").read_text()) if code == 0 else None
 
@@ -77,7 +77,7 @@ def test_a_foreign_file_is_diagnosed_by_the_map_proposed_for_it(diagnosed, recor
     rows = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in zip(*values, strict=True)]
     file.write_text("\n".join(["Bemerkung;kühl", *heads, *rows]), encoding="latin-1")
     seen = []
-    monkeypatch.setattr(diagnosing, "diagnose", lambda trajectory, *a, **k: seen.append(trajectory) or diagnosed[1])
+    monkeypatch.setattr(analysis, "diagnose", lambda trajectory, *a, **k: seen.append(trajectory) or diagnosed[1])
     assert main(["columns", str(file), "--valve", "10 V = 10 mm", "--out", str(columns)]) == 0
     assert main(["diagnose", str(file), "--columns", str(columns), "--rig", str(RIG), "--out", str(tmp_path / "out")]) == 0
     assert set(seen[0].signals) == names.keys() - {"time_s"}
@@ -222,7 +222,7 @@ def test_what_fails_beside_the_diagnosis_is_a_remark(again, monkeypatch):
     assert result["free_run"] is result["controller_gain"] is result["next_experiment"] is None
 
 
-@pytest.mark.parametrize(("module", "where"), [(diagnosing, "consequences"), (verb, "write_diagnosis_report")])
+@pytest.mark.parametrize(("module", "where"), [(analysis, "consequences"), (verb, "write_diagnosis_report")])
 def test_an_interruption_leaves_no_halves(again, tmp_path, monkeypatch, module, where, capsys):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt

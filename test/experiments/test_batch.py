@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.batch import FEWEST, is_ready, run_batch
+from ehls_ros.experiments.batch import MIN_TOGETHER, is_ready, run_batch
 from ehls_ros.experiments.campaign.work import code_version, run_chunk, run_one
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
@@ -15,7 +15,7 @@ from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import spec_to_mapping
 from ehls_ros.physics.lane_memory import LANES
 
-RUNS = LANES + FEWEST
+RUNS = LANES + MIN_TOGETHER
 DURATION = 0.6
 REFERENCES = (
     {"name": "sine", "amplitude": 8e3, "frequency": 2.0},
@@ -105,7 +105,7 @@ def test_the_loop_of_what_runs_by_itself_is_never_ready(make_spec):
 
 @pytest.mark.long
 def test_a_campaigns_runs_side_by_side_have_the_metrics_they_have_alone(make_run):
-    runs = [json.dumps(json_document(spec_to_mapping(make_run(index)))) for index in range(FEWEST)]
+    runs = [json.dumps(json_document(spec_to_mapping(make_run(index)))) for index in range(MIN_TOGETHER)]
     unreadable = json.dumps({**json.loads(runs[0]), "duration": -1.0})
     impossible = json.dumps({**json.loads(runs[0]), "initial_position": 1.0})
     together = [*runs[:2], unreadable, *runs[2:], impossible]
@@ -114,4 +114,4 @@ def test_a_campaigns_runs_side_by_side_have_the_metrics_they_have_alone(make_run
         expected = run_one(spec)
         assert row.pop("wall_s") >= 0.0
         assert row == {name: value for name, value in expected.items() if name != "wall_s"}
-    assert [row["error"] is None for row in rows] == [True, True, False, *[True] * (FEWEST - 2), False]
+    assert [row["error"] is None for row in rows] == [True, True, False, *[True] * (MIN_TOGETHER - 2), False]

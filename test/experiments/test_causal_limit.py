@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ehls_ros.experiments.causal_limit import evaluate_recording, limit_of_run, limit_of_spec, with_causal_limit
+from ehls_ros.experiments.causal_limit import evaluate_recording, limit_of_run, with_causal_limit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
@@ -35,10 +35,6 @@ def test_no_law_is_below_the_limit(runs):
     assert limit_of_run(runs[1]).limit.horizon == 2e-3
 
 
-def test_an_experiment_has_the_limit_of_its_run(specs, runs):
-    assert limit_of_spec(specs[1]) == limit_of_run(runs[1])
-
-
 def test_a_recording_that_went_through_json_has_the_same_limit(runs):
     again = replace(runs[1], metadata=json.loads(json.dumps(runs[1].metadata)))
     assert evaluate_recording(again).causal_limit_n == limit_of_run(runs[1]).limit.largest
@@ -62,7 +58,7 @@ def test_what_has_no_limit_says_why(runs, config):
     position = load_spec(config / "experiments" / "friction_sweep_quick.yaml")
     broken = {**run.metadata, "spec": {**run.metadata["spec"], "duration": -1.0}}
     cases = {
-        "position": limit_of_spec(position),
+        "position": limit_of_run(run_in_process(position)),
         "rig and experiment": limit_of_run(replace(run, metadata={})),
         "cannot be read": limit_of_run(replace(run, metadata=broken)),
         "not recorded": limit_of_run(replace(run, signals=unknown)),

@@ -11,7 +11,7 @@ from ehls_ros.experiments import diagnosis_document as document
 from ehls_ros.experiments.controller_benefit import BenefitCase, ControllerBenefit, Steady
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.next_experiment import NextExperiment, Pair
-from ehls_ros.experiments.reproduction.results import CellResult
+from ehls_ros.reproduction.results import CellResult
 
 SCHEMA = {
     document.DiagnosisDocument: (

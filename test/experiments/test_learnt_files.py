@@ -117,7 +117,7 @@ def test_a_link_stays_a_link_and_a_foreign_file_as_it_is(learnt: bytes, tmp_path
     assert (tmp_path / "store" / "learnt.npz").is_file()
     # A file that was put there during the run.
     (tmp_path / "store" / "learnt.npz").write_bytes(b"mine")
-    with pytest.raises(NotWritten, match=r"what was learnt is lost: .*learnt\.npz: is not replaced"):
+    with pytest.raises(NotWritten, match=r"learnt arrays are lost: .*learnt\.npz: is not replaced"):
         learnt_files.keep(company, spec)
     assert (tmp_path / "store" / "learnt.npz").read_bytes() == b"mine"
 
@@ -149,7 +149,7 @@ def test_a_run_whose_learnt_file_cannot_be_written_is_kept(spec_file: Path, tmp_
     monkeypatch.setattr(ClosedLoop, "keep_learnt", without_folder)
     assert main(["experiment", str(spec_file), "--in-process", "--out", str(tmp_path / "run")]) == 1
     told = capsys.readouterr()
-    reason = f"what was learnt is lost: {tmp_path / 'kept' / 'learnt.npz'}: cannot be written (No such file or directory)"
+    reason = f"learnt arrays are lost: {tmp_path / 'kept' / 'learnt.npz'}: cannot be written (No such file or directory)"
     assert told.err.count("\n") == 1
     assert reason in told.err
     assert f"warning: {reason}" in told.out

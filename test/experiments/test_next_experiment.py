@@ -15,7 +15,7 @@ from ehls_ros.experiments import next_experiment as module
 from ehls_ros.experiments import separation
 from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, home_of, reach
 from ehls_ros.experiments.loop import run_in_process
-from ehls_ros.experiments.next_experiment import LEAST_SIGMA, next_experiment
+from ehls_ros.experiments.next_experiment import MIN_SIGMA, next_experiment
 from ehls_ros.experiments.spec import load_rig, load_spec, spec_from_mapping
 from ehls_ros.physics.rig import SENSED, Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 
@@ -201,7 +201,7 @@ def test_the_proposal_separates_the_pair(rig, proposed, pair):
     assert experiment.name in EXPECTED[pair]
     (separation,) = experiment.separation
     assert {separation.one, separation.other} == set(pair)
-    assert separation.sigma > 5.0 * LEAST_SIGMA
+    assert separation.sigma > 5.0 * MIN_SIGMA
     for true, seed in itertools.product(pair, (1, 2)):
         assert better_explained(rig, rigs, experiment.spec, true, seed) == true
 
@@ -279,7 +279,7 @@ def test_what_its_own_parameters_explain_separates_nothing(rig):
     proposal = next_experiment(rigs, parameter_std=0.1)
     assert proposal.experiment is None
     assert "separates the candidates by" in proposal.reason
-    assert proposal.considered[0].sigma < LEAST_SIGMA
+    assert proposal.considered[0].sigma < MIN_SIGMA
     assert next_experiment(rigs, parameter_std=1e-4).experiment is not None
 
 

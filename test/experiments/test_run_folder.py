@@ -110,4 +110,4 @@ def test_spec_and_metrics_can_be_read_back(tmp_path, config):
     assert spec_from_mapping(written, "spec", tmp_path) == spec
     assert load_spec(folder.spec) == spec
     assert json.loads((folder.path / "metrics.json").read_text(encoding="utf-8"))["max_error_n"] == 1.0
-    assert {entry.name for entry in folder.path.iterdir()} <= set(module.HOLDS)
+    assert {entry.name for entry in folder.path.iterdir()} <= set(module.CONTENT)

@@ -13,7 +13,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.spec import Spec, Use, load_rig, load_spec, spec_from_mapping, spec_to_mapping, untold
+from ehls_ros.experiments.spec import Spec, Use, load_rig, load_spec, spec_from_mapping, spec_to_mapping, undeclared_effects
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import MOST_EFFECTS, SENSED, rig_from_mapping, rig_to_mapping
 
@@ -439,10 +439,10 @@ def test_the_papers_rig_is_the_papers(config):
 
 def test_an_effect_that_the_law_reckons_with_and_is_not_told_of_is_named(config):
     spec = load_spec(config / "experiments" / "measured_sine_fd2_preview.yaml")
-    assert untold(spec) == ()
+    assert undeclared_effects(spec) == ()
     unaware = spec._replace(controller_rig=spec.controller_rig._replace(effects=()))
-    assert [sentence.split(" and ")[0] for sentence in untold(unaware)] == [
-        "fasmc_predictive is not told of the rig's command_delay",
-        "fasmc_predictive is not told of the rig's coupling_stiffness",
+    assert [sentence.split(" and ")[0] for sentence in undeclared_effects(unaware)] == [
+        "fasmc_predictive does not know the rig's command_delay",
+        "fasmc_predictive does not know the rig's coupling_stiffness",
     ]
-    assert untold(unaware, "fasmc_output_feedback") == ()
+    assert undeclared_effects(unaware, "fasmc_output_feedback") == ()

@@ -19,8 +19,7 @@ from ehls_ros.declared_arrays import Entry, check_arrays
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.state_files import access, archive, table
-from ehls_ros.experiments.state_files.access import NotWritten
-from ehls_ros.experiments.state_files.folder_lock import LOCKS, FolderLock
+from ehls_ros.experiments.state_files.access import LOCKS, FolderLock, NotWritten
 from ehls_ros.experiments.state_files.state_file import Kind, OfAnotherOrigin, Origin, StateFile
 
 RIG = load_rig(Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml")
@@ -297,7 +296,7 @@ def test_a_locked_folder_names_its_process_and_is_free_after_it(tmp_path):
 
 
 def test_a_killed_process_holds_no_folder(tmp_path):
-    program = "import sys, pathlib; from ehls_ros.experiments.state_files.folder_lock import FolderLock\n"
+    program = "import sys, pathlib; from ehls_ros.experiments.state_files.access import FolderLock\n"
     program += "lock = FolderLock(pathlib.Path(sys.argv[1]), 'test'); print('locked', flush=True); sys.stdin.read()"
     command = [sys.executable, "-c", program, str(tmp_path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:

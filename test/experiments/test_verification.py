@@ -9,10 +9,9 @@ import pytest
 import ehls_ros as ehls
 from ehls_ros import trajectory
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.verification.blocks import BLOCK, PHASE, REPETITION
-from ehls_ros.experiments.verification.period import cycle_of
+from ehls_ros.experiments.verification.blocks import BLOCK, PHASE, REPETITION, cycle_of
 from ehls_ros.experiments.verification.results import Cyclic, NonCyclic, Refused, verification_document
-from ehls_ros.experiments.verification.uncertainty import of_mean
+from ehls_ros.experiments.verification.uncertainty import std_of_mean
 from ehls_ros.experiments.verification.verify import Given, verify_recording
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.trajectory import Signal, Trajectory
@@ -144,9 +143,9 @@ def test_few_cycles_are_as_well_covered_as_many():
     random = np.random.default_rng(3)
     for cycles in (3, 30):
         values = random.standard_normal((2000, cycles))
-        covered = np.mean([abs(row.mean()) <= 2.0 * of_mean(row) for row in values])
+        covered = np.mean([abs(row.mean()) <= 2.0 * std_of_mean(row) for row in values])
         assert covered == pytest.approx(0.9545, abs=0.015)
-    assert math.isnan(of_mean(np.ones(1)))
+    assert math.isnan(std_of_mean(np.ones(1)))
 
 
 # --- inertia --------------------------------------------------------------------------------------

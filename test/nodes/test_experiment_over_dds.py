@@ -223,6 +223,6 @@ def test_a_run_is_kept_whose_controller_cannot_write_what_it_has_learnt(ros_doma
     removing.join()
     assert done.returncode == 1
     assert "fasmc_node ended with exit code 1" in done.stderr
-    assert f"what was learnt is lost: {kept / 'learnt.npz'}: cannot be written (No such file or directory)" in done.stderr
+    assert f"learnt arrays are lost: {kept / 'learnt.npz'}: cannot be written (No such file or directory)" in done.stderr
     assert {"bag", "metrics.json", "report.html"} <= {path.name for path in run.iterdir()}
     assert len(read_bag(run / "bag")) == 6001

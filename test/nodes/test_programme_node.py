@@ -15,8 +15,7 @@ from benchmarks.spoilt_memory import PROGRAMME as PROGRAMME_OF_FATIGUE
 from ehls_msgs.msg import LoaderState, ProgrammePoint
 from ehls_ros.control.programme.motion import Runner, State
 from ehls_ros.experiments.programme_records import read_state
-from ehls_ros.experiments.state_files.access import NotWritten
-from ehls_ros.experiments.state_files.folder_lock import LOCKS
+from ehls_ros.experiments.state_files.access import LOCKS, NotWritten
 from ehls_ros.nodes.ahead import LEAD
 from ehls_ros.nodes.programme_node import ProgrammeNode
 from ehls_ros.recording.topics import DEPTH

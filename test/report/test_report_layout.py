@@ -16,8 +16,8 @@ from ehls_ros.report.campaign import write_campaign_report
 from ehls_ros.report.diagnosis import write_diagnosis_report
 from ehls_ros.report.experiment import write_experiment_report
 from ehls_ros.report.identification import write_identification_report
-from ehls_ros.report.reproduction import write_reproduction_report
 from ehls_ros.report.rig_identification import write_rig_report
+from ehls_ros.reproduction.report import write_reproduction_report
 
 pytest.importorskip("websockets", reason="needs websockets to drive a browser")
 

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from report_pages import check, numbers, panels, parts, row, rows
 
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.results import (
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.paper import Cell
+from ehls_ros.reproduction.report import write_reproduction_report
+from ehls_ros.reproduction.report_findings import verdict_sentence
+from ehls_ros.reproduction.report_remarks import adaptation_remarks, choices_remarks
+from ehls_ros.reproduction.results import (
     Beyond,
     CellResult,
     CoefficientOff,
@@ -31,9 +34,6 @@ from ehls_ros.experiments.reproduction.results import (
     TriedGains,
     TriedWidth,
 )
-from ehls_ros.report.reproduction import write_reproduction_report
-from ehls_ros.report.reproduction_findings import verdict_sentence
-from ehls_ros.report.reproduction_remarks import adaptation_remarks, choices_remarks
 from ehls_ros.trajectory import Trajectory
 
 CONTROLLERS = ("SIC", "FASMC I", "FASMC II")
@@ -502,6 +502,6 @@ def test_the_page_of_long_runs_is_small(report):
 
 
 def test_importing_the_report_compiles_nothing():
-    code = "import sys, ehls_ros.report.reproduction; print(*sys.modules)"
+    code = "import sys, ehls_ros.reproduction.report; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
     assert not {"numba", "scipy", "pandas", "rclpy", "plotly.graph_objs"} & set(loaded)

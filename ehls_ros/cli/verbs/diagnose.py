@@ -12,8 +12,8 @@ from ehls_ros.cli.results import all_or_nothing, print_files, print_table, writa
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.analysis import STEPS, diagnose_recording
 from ehls_ros.experiments.consequences import Consequences
-from ehls_ros.experiments.diagnosing import STEPS, diagnose_recording
 from ehls_ros.experiments.diagnosis_document import diagnosis_document
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.run_folder import recording_in

@@ -13,14 +13,14 @@ from ehls_ros.cli.arguments import add_configured, add_json, check_duration, nee
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
-from ehls_ros.experiments.adapting import Adapted, adapted
+from ehls_ros.experiments.adaptation_result import Adapted, adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
 from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, company_of, load_spec, untold
+from ehls_ros.experiments.spec import Spec, company_of, load_spec, undeclared_effects
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.bag_reader import read_bag
@@ -86,7 +86,7 @@ def run(options: Namespace) -> int:
         metrics = with_failure(metrics, done.failure)
         found = adapted(spec, done.trajectory)
         limited = () if found is None else found.at_bounds
-        metrics = metrics._replace(warnings=(*metrics.warnings, *untold(spec), *limited))
+        metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(spec), *limited))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
         lines = () if found is None else _write_adapted(found, folder)

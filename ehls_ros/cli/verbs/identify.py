@@ -9,7 +9,7 @@ from typing import Any
 from ehls_ros.cli.arguments import add_columns, add_results, add_rig, check_range, columns_of
 from ehls_ros.cli.results import print_files, print_table, writable, write_json
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.identifying import identify_whole_rig
+from ehls_ros.experiments.analysis import identify_whole_rig
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.stroke_experiments import stroke_experiments
 from ehls_ros.experiments.yaml_files import rig_text

@@ -8,8 +8,8 @@ from ehls_ros.cli.arguments import add_configured, add_json
 from ehls_ros.cli.results import writable
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.json_document import json_document
-from ehls_ros.experiments.programme_file import load_programme
 from ehls_ros.experiments.programme_summary import Counts, Summary, counted, in_bins, summary_of
+from ehls_ros.experiments.reference_files import load_programme
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.recording.load import load

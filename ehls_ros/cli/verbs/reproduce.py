@@ -6,18 +6,18 @@ from pathlib import Path
 
 from ehls_ros.cli.arguments import add_results, check_range
 from ehls_ros.cli.results import print_files, print_table, writable, write_json
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.results import (
+from ehls_ros.progress import progress_bar
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.report import write_reproduction_report
+from ehls_ros.reproduction.report_findings import causal_limits
+from ehls_ros.reproduction.results import (
     CellResult,
     Place,
     Results,
     reproduction_document,
     table3_document,
 )
-from ehls_ros.experiments.reproduction.study import compile_everything, reproduce
-from ehls_ros.progress import progress_bar
-from ehls_ros.report.reproduction import write_reproduction_report
-from ehls_ros.report.reproduction_findings import causal_limits
+from ehls_ros.reproduction.study import compile_everything, reproduce
 
 HELP = "Run the paper's simulation study again: table3.json, and a report with the paper's number beside ours."
 

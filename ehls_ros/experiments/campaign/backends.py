@@ -19,7 +19,7 @@ from ehls_ros.recording.reason import reason
 CONNECTING_S, JOINING_S = 10.0, 60.0
 """Time limits for a scheduler to answer, and for its first worker to join [s]."""
 
-OLDEST_JOBLIB = (1, 4)
+MIN_JOBLIB = (1, 4)
 
 AHEAD = 2
 """Number of chunks handed out per slot."""
@@ -84,7 +84,9 @@ def local(jobs: int) -> Iterator[Backend]:
     try:
         yield Backend(jobs, work, own_kernels=True)
     except loky.TerminatedWorkerError:
-        raise WorkFailed("a worker process was killed, perhaps for want of memory; start again to go on") from None
+        raise WorkFailed(
+            "a worker process was killed, perhaps for lack of memory; start the campaign again to continue"
+        ) from None
     finally:
         if jobs > 1:
             joblib.externals.loky.get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
@@ -96,7 +98,7 @@ def _joblib() -> Any:
     except ImportError:
         found = "joblib is not installed"
     else:
-        if tuple(map(int, joblib.__version__.split(".")[:2])) >= OLDEST_JOBLIB:
+        if tuple(map(int, joblib.__version__.split(".")[:2])) >= MIN_JOBLIB:
             return joblib
         found = f"joblib is {joblib.__version__}, which returns nothing before all is done"
     raise missing(found, "campaign", "campaign")
@@ -135,7 +137,7 @@ def dask(address: str) -> Iterator[Backend]:
     except distributed.KilledWorker as error:
         raise WorkFailed(f"workers died one after another over the same runs ({reason(error)})") from None
     except CancelledError:
-        raise WorkFailed(f"the scheduler at {address} is lost; start again to go on") from None
+        raise WorkFailed(f"the scheduler at {address} is lost; start the campaign again to continue") from None
     except ModuleNotFoundError as error:
         raise WorkFailed(f"a worker lacks the module {error.name}; install ehls_ros on every worker") from None
     finally:

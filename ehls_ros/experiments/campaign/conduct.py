@@ -10,24 +10,24 @@ import yaml
 from ehls_ros.experiments.batch import is_ready
 from ehls_ros.experiments.campaign.backends import Backend, Chunk, Place
 from ehls_ros.experiments.campaign.plan import Plan
-from ehls_ros.experiments.campaign.store import Folder, Index, digests_done, keep
+from ehls_ros.experiments.campaign.store import Folder, Index, digests_done, write_part
 from ehls_ros.experiments.campaign.work import Row, code_version, run_digest, spec_of
 from ehls_ros.physics.lane_memory import LANES
 
 CHUNK_CYCLES = 400_000
 """Largest number of control cycles in a chunk: about a second of work."""
 
-SIDE_BY_SIDE_FROM = 6_000_000
+MIN_SIDE_BY_SIDE = 6_000_000
 """Number of control cycles from which compilation of a loop for lanes pays off: it takes the time saved by 600 runs of 10 s. A
 compiled one is used for fewer."""
 
-SIDE_BY_SIDE_MOST = 1_600_000
+MAX_SIDE_BY_SIDE = 1_600_000
 """Largest number of control cycles of runs in lanes, which are in memory together: 0.25 kB each."""
 
-CHUNKS_LEFT = 3
+MIN_CHUNKS_LEFT = 3
 """Number of remaining chunks per slot below which chunks shrink, so that all slots end together."""
 
-KEPT_EVERY_S = 2.0
+WRITE_INTERVAL_S = 2.0
 """Longest time before rows are written [s]."""
 
 Progress = Callable[[int, int], None]
@@ -76,10 +76,10 @@ class _Work:
 
     def __init__(self, plan: Plan, folder: Folder, progress: Progress | None) -> None:
         self._plan, self._folder, self._progress = plan, folder, progress
-        self._known = digests_done(folder)
-        self._unkept: list[tuple[str, Row]] = []
-        self._kept_at = time.monotonic()
-        self._left = max(len(plan) - len(self._known), 1)
+        self._done = digests_done(folder)
+        self._pending: list[tuple[str, Row]] = []
+        self._written_at = time.monotonic()
+        self._left = max(len(plan) - len(self._done), 1)
         self._together = LANES if self._pays() else 1
         self._found = 0
         self.index = Index(plan.columns)
@@ -97,7 +97,7 @@ class _Work:
             for chunk, rows in backend.work(itertools.chain((first,), chunks)):
                 self._take(chunk, rows)
         finally:
-            keep(self._folder, self._unkept)
+            write_part(self._folder, self._pending)
 
     def _pays(self, *, compiled: bool = False) -> bool:
         """Return whether to make runs in lanes.
@@ -106,18 +106,18 @@ class _Work:
             compiled: whether to do so for fewer runs too if the loop is already compiled.
         """
         plan = self._plan
-        if LANES * plan.cycles > SIDE_BY_SIDE_MOST:
+        if LANES * plan.cycles > MAX_SIDE_BY_SIDE:
             return False
-        if self._left * plan.cycles >= SIDE_BY_SIDE_FROM:
+        if self._left * plan.cycles >= MIN_SIDE_BY_SIDE:
             return True
         return compiled and all(is_ready(spec_of(point.spec)) for point in plan.points)
 
     def _take(self, chunk: Chunk, rows: list[Row]) -> None:
-        self._unkept += zip(chunk.digests, rows, strict=True)
+        self._pending += zip(chunk.digests, rows, strict=True)
         self.made += len(rows)
-        if time.monotonic() - self._kept_at > KEPT_EVERY_S:
-            keep(self._folder, self._unkept)
-            self._unkept, self._kept_at = [], time.monotonic()
+        if time.monotonic() - self._written_at > WRITE_INTERVAL_S:
+            write_part(self._folder, self._pending)
+            self._pending, self._written_at = [], time.monotonic()
         if self._progress is not None:
             self._progress(self._found + self.made, len(self._plan))
 
@@ -129,13 +129,13 @@ class _Work:
         for run in self._plan.runs():
             digest = run_digest(run.spec)
             self.index.add(run, digest)
-            if digest in self._known:
+            if digest in self._done:
                 self._found += 1
                 continue
-            self._known.add(digest)
+            self._done.add(digest)
             digests.append(digest)
             specs.append(run.spec)
-            blocks = min(most, self._left // (CHUNKS_LEFT * slots)) // self._together
+            blocks = min(most, self._left // (MIN_CHUNKS_LEFT * slots)) // self._together
             if len(specs) >= max(blocks, 1) * self._together:
                 yield Chunk(tuple(digests), tuple(specs), self._together > 1)
                 self._left -= len(specs)

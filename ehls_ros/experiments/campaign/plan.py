@@ -23,7 +23,7 @@ from ehls_ros.experiments.spec import SECTIONS, Spec, spec_from_mapping, spec_to
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import declarations, parse, quantity, text
 
-MOST_POINTS, MOST_RUNS = 100_000, 1_000_000
+MAX_POINTS, MAX_RUNS = 100_000, 1_000_000
 """Largest number of grid points, and of runs."""
 
 KEYS = ("title", "base", "vary", "zip", "runs", "seed")
@@ -35,8 +35,8 @@ SEED = "seed"
 class Settings(NamedTuple):
     """Scalar settings of a campaign file."""
 
-    title: Annotated[str, text("what the campaign is called in its report")] = "campaign"
-    runs: Annotated[int, quantity("1", "draws at each point of the grid", minimum=1, maximum=MOST_RUNS)] = 1
+    title: Annotated[str, text("title of the campaign in its report")] = "campaign"
+    runs: Annotated[int, quantity("1", "draws at each point of the grid", minimum=1, maximum=MAX_RUNS)] = 1
     seed: Annotated[int, quantity("1", "seed of everything drawn", minimum=0)] = 0
 
 
@@ -188,8 +188,8 @@ def plan_from_mapping(data: Any, where: str, folder: Path) -> Plan:
     if drawn and "runs" not in data:
         raise BadInput("key 'runs' is missing", where, f"how often to draw {', '.join(drawn)}")
     count = int(np.prod([len(group) for group in groups], dtype=object))
-    if count > MOST_POINTS or count * settings.runs > MOST_RUNS:
-        expected = f"at most {MOST_POINTS} points and {MOST_RUNS} runs"
+    if count > MAX_POINTS or count * settings.runs > MAX_RUNS:
+        expected = f"at most {MAX_POINTS} points and {MAX_RUNS} runs"
         raise BadInput(f"the grid has {count} points for {settings.runs} runs each", where, expected)
     points, cycles = [], 0
     for combination in itertools.product(*groups):
@@ -315,7 +315,7 @@ def _check_draws(point: Point, drawn: Mapping[str, Distribution], where: str) ->
     mapping = json.loads(point.spec)
     for path, distribution in drawn.items():
         _set(mapping, path, distribution.middle, f"{where}: vary: {path}", relative=distribution.relative)
-    spec_from_mapping(mapping, f"{where}: the middle of what is drawn", Path())
+    spec_from_mapping(mapping, f"{where}: the medians of the drawn values", Path())
 
 
 def _set(mapping: dict[str, Any], path: str, value: Any, where: str, *, relative: bool) -> Any:

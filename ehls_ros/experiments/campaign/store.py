@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.campaign.plan import Column, Run
 from ehls_ros.experiments.campaign.work import METRICS, Row
-from ehls_ros.experiments.state_files.folder_lock import FolderLock
+from ehls_ros.experiments.state_files.access import FolderLock
 from ehls_ros.extras import library
 from ehls_ros.recording.reason import reason
 
@@ -89,7 +89,7 @@ def digests_done(folder: Folder) -> set[str]:
     return done
 
 
-def keep(folder: Folder, rows: Sequence[tuple[str, Row]]) -> None:
+def write_part(folder: Folder, rows: Sequence[tuple[str, Row]]) -> None:
     """Write a part.
 
     Args:
@@ -148,11 +148,13 @@ class Index:
         arrow: Any = import_module("pyarrow")
         compute: Any = import_module("pyarrow.compute")
         parts = [_read(path) for path in sorted(folder.parts.glob("*.parquet"))]
-        kept = arrow.concat_tables(parts).combine_chunks()
-        at = compute.index_in(arrow.array(self._digests, arrow.string()), value_set=kept.column("digest").combine_chunks())
+        metrics_table = arrow.concat_tables(parts).combine_chunks()
+        at = compute.index_in(
+            arrow.array(self._digests, arrow.string()), value_set=metrics_table.column("digest").combine_chunks()
+        )
         if at.null_count:
             raise WorkFailed(f"{at.null_count} runs are missing in {folder.parts}; start the campaign again")
-        metrics = kept.take(at)
+        metrics = metrics_table.take(at)
         columns = {"run": arrow.array(range(len(self._digests))), "draw": arrow.array(self._draws)}
         columns |= {path: arrow.array(values) for path, values in self._values.items()}
         columns |= {name: metrics.column(name) for name in (*METRICS, "error", "digest")}

@@ -1,6 +1,7 @@
-"""Access to state files: bounded reads of regular files, atomic replacement, and a write test of the folder before a run."""
+"""Access to state files: bounded reads, atomic replacement, a write test before a run, and exclusive use of a folder."""
 
 import errno
+import fcntl
 import os
 import stat
 from collections.abc import Callable
@@ -15,16 +16,16 @@ from ehls_ros.recording.regular_file import KINDS, check_regular
 TRIAL = 1 << 16
 """Size of the test file in a folder [B]; writing it fails on a full disk."""
 
-LONGEST_NAME = 200
+MAX_NAME_LENGTH = 200
 """Maximum length of a file's name in the name of its unfinished successor [characters]."""
 
-MOST_UNFINISHED = 100
+MAX_UNFINISHED = 100
 """Maximum number of unfinished files of one name and process number, left by killed writers."""
 
 UNFINISHED = "part"
 """Suffix of an unfinished file."""
 
-MOST_ASIDE = 10_000
+MAX_ASIDE = 10_000
 """Bound on the numbers for putting aside one file."""
 
 
@@ -157,11 +158,11 @@ def unused_name(path: Path) -> Path:
     Raises:
         NotWritten: all names are taken.
     """
-    for number in range(1, MOST_ASIDE):
+    for number in range(1, MAX_ASIDE):
         other = path.with_name(f"{path.stem}.{number}{path.suffix}")
         if not os.path.lexists(other):
             return other
-    raise NotWritten(f"{path}: cannot be put aside ({MOST_ASIDE} names are taken)")
+    raise NotWritten(f"{path}: cannot be put aside ({MAX_ASIDE} names are taken)")
 
 
 def put_aside(path: Path) -> Path:
@@ -194,11 +195,11 @@ def _target(path: Path) -> Path:
 
 def _unfinished(target: Path) -> tuple[Path, int]:
     """Create an empty file beside another one, and return its path and descriptor."""
-    for number in range(MOST_UNFINISHED):
-        part = target.with_name(f".{target.name[:LONGEST_NAME]}.{os.getpid()}.{number}.{UNFINISHED}")
+    for number in range(MAX_UNFINISHED):
+        part = target.with_name(f".{target.name[:MAX_NAME_LENGTH]}.{os.getpid()}.{number}.{UNFINISHED}")
         with suppress(FileExistsError):
             return part, os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-    raise OSError(errno.EEXIST, f"{MOST_UNFINISHED} unfinished files lie beside it")
+    raise OSError(errno.EEXIST, f"{MAX_UNFINISHED} unfinished files lie beside it")
 
 
 def _sync_folder(folder: Path) -> None:
@@ -209,3 +210,61 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+LOCKS = Path("/proc/locks")
+"""The system's list of locks."""
+
+
+class FolderLock:
+    """Exclusive lock on a folder, held until it is released or the process ends for any reason.
+
+    The folder itself is locked (flock), so that files in it can be replaced and no lock file is needed.
+
+    Attributes:
+        remark: sentence for the operator if the file system cannot lock folders, as some network file systems; empty if locked.
+    """
+
+    def __init__(self, folder: Path, work: str) -> None:
+        """Lock a folder.
+
+        Args:
+            folder: the folder; it exists.
+            work: kind of work in the folder, such as ``programme``, for the error.
+
+        Raises:
+            BadInput: the folder is locked already; the error names the process.
+        """
+        self.remark, self._descriptor = "", -1
+        try:
+            self._descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            what = f"{_holder(self._descriptor)} runs another {work} in the folder"
+            self.release()
+            raise BadInput(what, str(folder), "another folder, or that process stopped first") from None
+        except OSError as error:
+            self.remark = f"{folder} cannot be locked ({reason(error)}): start no other {work} in it"
+            self.release()
+
+    def release(self) -> None:
+        """Release the lock, if it is held."""
+        if self._descriptor >= 0:
+            # After closing alone, processes forked meanwhile would still hold the lock.
+            with suppress(OSError):
+                fcntl.flock(self._descriptor, fcntl.LOCK_UN)
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+def _holder(descriptor: int) -> str:
+    """Return the process that has locked an open file, without its number if the system does not list it."""
+    status = os.fstat(descriptor)
+    place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    with suppress(OSError):
+        for line in LOCKS.read_text(encoding="ascii").splitlines():
+            # Number, type, mode, access, process, place, first and last byte. A process of another container has the number 0.
+            words = line.split()
+            if len(words) == 8 and (words[1], words[5]) == ("FLOCK", place) and words[4] != "0":
+                return f"process {words[4]}"
+    return "another process"

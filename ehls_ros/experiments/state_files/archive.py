@@ -39,7 +39,7 @@ ARRAY_HEADER = re.compile(
 )
 """Header of an array in C order."""
 
-LONGEST_AXIS = 1 << 40
+MAX_AXIS_LENGTH = 1 << 40
 """Largest length of an axis; the product of the lengths is compared with the content."""
 
 
@@ -141,7 +141,7 @@ def _array(name: str, data: memoryview) -> NDArray[np.generic]:
         raise Damaged(f"the array {name!r} has another layout or type")
     shape = tuple(int(length) for length in found["shape"].replace(b" ", b"").split(b",") if length)
     kind = np.dtype(found["type"].decode())
-    if any(length > LONGEST_AXIS for length in shape) or _product(shape) * kind.itemsize != len(data) - found.end():
+    if any(length > MAX_AXIS_LENGTH for length in shape) or _product(shape) * kind.itemsize != len(data) - found.end():
         raise Damaged(f"the array {name!r} has another size than its header says")
     return np.frombuffer(data, kind, offset=found.end()).reshape(shape).copy()
 

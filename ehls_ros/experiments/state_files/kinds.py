@@ -222,14 +222,14 @@ class HealthyRig(NamedTuple):
     signals: tuple[str, ...]
 
 
-LARGEST_SCORE = 1e15
+MAX_SCORE = 1e15
 """Largest score, information or share of a block; the scores are in units of noise."""
 
 ROWS = 3
 """Rows of a block: score, information and share."""
 
 HEALTHY_ARRAYS: Mapping[str, Entry] = {
-    "rows": Entry(shape=(ROWS, "blocks", "quantities"), least=-LARGEST_SCORE, most=LARGEST_SCORE),
+    "rows": Entry(shape=(ROWS, "blocks", "quantities"), least=-MAX_SCORE, most=MAX_SCORE),
     "lengths": Entry("int64", ("sections",), least=1, most=1 << 20),
     "time": Entry(shape=("samples",), least=-LONGEST_TIME, most=LONGEST_TIME),
     "signals": Entry(shape=("names", "samples"), missing=True),
@@ -238,7 +238,7 @@ HEALTHY_ARRAYS: Mapping[str, Entry] = {
 
 BLOCK_ARRAYS: Mapping[str, Entry] = {
     "begins": Entry(shape=("blocks",), least=-LONGEST_TIME, most=LONGEST_TIME),
-    "rows": Entry("float32", (ROWS, "blocks", "quantities"), least=-LARGEST_SCORE, most=LARGEST_SCORE),
+    "rows": Entry("float32", (ROWS, "blocks", "quantities"), least=-MAX_SCORE, most=MAX_SCORE),
 }
 """Arrays of the summed blocks."""
 

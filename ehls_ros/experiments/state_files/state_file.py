@@ -28,7 +28,7 @@ HEAD = 256
 SAME_PERIOD = 1e-9
 """Relative difference below which two control periods are equal."""
 
-MOST_DIFFERENCES = 3
+MAX_DIFFERENCES = 3
 """Maximum number of differences between two rigs named in an error."""
 
 
@@ -80,8 +80,8 @@ class Origin(NamedTuple):
         if self.rig == other.rig:
             return ""
         differing = [words for words in _differences("", other.rig, self.rig) if words]
-        more = f" and {len(differing) - MOST_DIFFERENCES} more" if len(differing) > MOST_DIFFERENCES else ""
-        return f"another rig: {', '.join(differing[:MOST_DIFFERENCES])}{more}"
+        more = f" and {len(differing) - MAX_DIFFERENCES} more" if len(differing) > MAX_DIFFERENCES else ""
+        return f"another rig: {', '.join(differing[:MAX_DIFFERENCES])}{more}"
 
 
 class OfAnotherOrigin(BadInput):

@@ -16,7 +16,7 @@ from ehls_ros.recording import limits
 from ehls_ros.recording.reason import reason
 from ehls_ros.recording.regular_file import check_regular
 
-LONGEST_LINE = 4096
+MAX_LINE_LENGTH = 4096
 """Longest line of a table [B]."""
 
 TAIL = 1 << 16
@@ -95,9 +95,9 @@ def rows(path: Path, heading: str, check: Check, expected: str, what: str) -> It
         return
     try:
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:  # noqa: PTH123 - a descriptor
-            file.readline(LONGEST_LINE)
+            file.readline(MAX_LINE_LENGTH)
             while file.tell() < judged.end:
-                cells = _cells(file.readline(LONGEST_LINE))
+                cells = _cells(file.readline(MAX_LINE_LENGTH))
                 check(cells)
                 yield cells
     except OSError as error:
@@ -113,7 +113,7 @@ def _cells(line: bytes) -> list[str]:
         ValueError: it is too long, or not text.
     """
     if not line.endswith(b"\n"):
-        raise ValueError(f"a line has more than {LONGEST_LINE} bytes")
+        raise ValueError(f"a line has more than {MAX_LINE_LENGTH} bytes")
     _check_text(line)
     return line[:-1].decode("ascii").split(",")
 
@@ -121,7 +121,7 @@ def _cells(line: bytes) -> list[str]:
 def _check_text(tail: bytes) -> None:
     """Reject bytes that are not text, such as zeros after a power failure."""
     for line in tail.split(b"\n"):
-        if len(line) > LONGEST_LINE:
+        if len(line) > MAX_LINE_LENGTH:
             raise ValueError(f"a line has {len(line)} bytes")
         if not (line.isascii() and line.decode("ascii", "replace").isprintable()):
             raise ValueError("a line is not text")

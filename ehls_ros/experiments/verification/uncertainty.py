@@ -66,12 +66,12 @@ class TypeB(NamedTuple):
     cell: float = 0.0
 
 
-def of_resolution(step: float) -> float:
+def std_of_resolution(step: float) -> float:
     """Return the standard uncertainty of a quantised reading: a rectangular distribution of the step's width."""
     return step / math.sqrt(12.0)
 
 
-def of_mean(values: Array | NDArray[np.complex128], freedom_per_cycle: int = 1) -> float:
+def std_of_mean(values: Array | NDArray[np.complex128], freedom_per_cycle: int = 1) -> float:
     """Return the standard uncertainty of the mean of independent cycles; NaN for a single one.
 
     Args:

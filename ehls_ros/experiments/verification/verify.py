@@ -15,12 +15,19 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.verification.blocks import BLOCK, Block, blocks_of
-from ehls_ros.experiments.verification.cycles import Cycles, alike, cycles_of, has_fundamental, settled
-from ehls_ros.experiments.verification.inertia import correct
+from ehls_ros.experiments.verification.cycles import (
+    INTERPOLATION_ERROR,
+    Cycles,
+    cycles_of,
+    has_fundamental,
+    has_usual_reference,
+    settled,
+)
 from ehls_ros.experiments.verification.results import (
     Cyclic,
     Distortion,
     Harmonic,
+    Inertia,
     JudgedBlock,
     NonCyclic,
     OneCycle,
@@ -30,17 +37,16 @@ from ehls_ros.experiments.verification.results import (
     Trend,
     Verification,
 )
-from ehls_ros.experiments.verification.uncertainty import COVERAGE, TypeB, Uncertainty, of_mean, of_resolution, student
-from ehls_ros.experiments.verification.waveform import BETWEEN
+from ehls_ros.experiments.verification.uncertainty import COVERAGE, TypeB, Uncertainty, std_of_mean, std_of_resolution, student
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
-STEADY = 1e-3
+MAX_DRIFT = 1e-3
 """Drift over the judged cycles beyond which a significantly drifting force has not settled, as a fraction of the range."""
 
-MOST_UNLIKE = 0.2
+MAX_OTHER_CYCLES = 0.2
 """Fraction of cycles with another reference above which a block is not judged by its cycles."""
 
 
@@ -84,7 +90,7 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
 
 
 def _check(run: Trajectory, given: Given, name: str) -> None:
-    for signal, why in (("force_n", "the measured force"), ("force_reference_n", "what it is compared with")):
+    for signal, why in (("force_n", "the measured force"), ("force_reference_n", "its reference")):
         if signal not in run or not np.isfinite(run[signal]).any():
             raise BadInput(f"there is no {signal}, {why}", name, "a recording of a force-controlled test with both")
     for value, what in ((given.inertia_mass, "the inertia mass"), (given.cell_uncertainty, "the cell's uncertainty")):
@@ -108,15 +114,15 @@ def _recorded_rig(metadata: Mapping[str, Any]) -> Rig | None:
 def _remarks(run: Trajectory, given: Given, rig: Rig | None) -> Iterator[str]:
     yield from run.preparation.remarks
     if BLOCK not in run:
-        yield "The recording has no programme: it is judged as one block, by its own reference."
+        yield "The recording has no programme: it is judged as one block with the cycle of its reference."
     if rig is None:
         yield "No rig file was given: resolution, noise and lag of the sensors are not in the uncertainty."
     elif "force" not in rig.sensors:
-        yield "The rig file says nothing of the force sensor: its resolution and noise count as zero."
+        yield "The rig file does not describe the force sensor: its resolution and noise count as zero."
     if given.cell_uncertainty is None:
-        yield "The load cell's calibration uncertainty was not told and counts as zero: uncertainties here are too small by it."
+        yield "The load cell's calibration uncertainty is not given and counts as zero: uncertainties here are too small by it."
     if given.inertia_mass is None:
-        yield "The inertia of the mass between load cell and specimen is not corrected: no mass was told."
+        yield "The inertia of the mass between load cell and specimen is not corrected: no mass is given."
 
 
 def _judged(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> JudgedBlock:
@@ -140,8 +146,8 @@ def _found(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> Cycl
         return _over_time(run, block, cycles)
     if not has_fundamental(cycles):
         return _over_time(run, block, "its reference has no part at the frequency of the cycle")
-    usual = alike(cycles)
-    if np.mean(~usual) > MOST_UNLIKE:
+    usual = has_usual_reference(cycles)
+    if np.mean(~usual) > MAX_OTHER_CYCLES:
         reason = f"the reference of {int(np.sum(~usual))} of its {len(cycles)} cycles differs from the usual one"
         return _over_time(run, block, reason)
     late, in_time = settled(cycles.only(usual), given.settling)
@@ -149,7 +155,7 @@ def _found(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> Cycl
     judged[np.flatnonzero(usual)[~late]] = False
     if not judged.any():
         return _over_time(run, block, f"none of its {len(cycles)} cycles is left after those in which it settles")
-    return _over_cycles(run, cycles, judged, (int(np.sum(usual)), in_time), given, rig)
+    return _over_cycles(run, cycles, judged, int(np.sum(usual)), in_time, given, rig)
 
 
 def _over_time(run: Trajectory, block: Block, reason: str) -> NonCyclic:
@@ -171,11 +177,12 @@ def _over_time(run: Trajectory, block: Block, reason: str) -> NonCyclic:
 # --- a block by its cycles -----------------------------------------------------------------------
 
 
-def _over_cycles(run: Trajectory, every: Cycles, judged: Mask, told: tuple[int, bool], given: Given, rig: Rig | None) -> Cyclic:
-    usual, in_time = told
+def _over_cycles(
+    run: Trajectory, every: Cycles, judged: Mask, usual: int, in_time: bool, given: Given, rig: Rig | None
+) -> Cyclic:
     cycles = every.only(judged)
     sensor = rig.sensors.get("force", Sensor()) if rig is not None else Sensor()
-    known = TypeB(sensor.noise_std, of_resolution(sensor.resolution), (given.cell_uncertainty or 0.0) / 100.0 / COVERAGE)
+    known = TypeB(sensor.noise_std, std_of_resolution(sensor.resolution), (given.cell_uncertainty or 0.0) / 100.0 / COVERAGE)
     frequency = float(cycles.frequency.mean())
     amplitude, phase = _fundamental(cycles, known)
     harmonics, distortion = _harmonics(cycles, known)
@@ -189,10 +196,7 @@ def _over_cycles(run: Trajectory, every: Cycles, judged: Mask, told: tuple[int, 
         cycles_unlike=len(every) - usual,
         passes=len(np.unique(every.stretch)),
         settled=in_time and _steady(cycles, repeated),
-        peak=_end_level(cycles, "peak", known),
-        valley=_end_level(cycles, "valley", known),
-        mean=_mean(cycles, known),
-        range=_range(cycles, known),
+        **_levels(cycles, known),
         amplitude=amplitude,
         phase=phase,
         delay_s=-phase.error / 360.0 / frequency,
@@ -200,7 +204,7 @@ def _over_cycles(run: Trajectory, every: Cycles, judged: Mask, told: tuple[int, 
         distortion=distortion,
         harmonics=harmonics,
         repeatability=repeated,
-        inertia=None if mass is None else correct(cycles, mass, of_resolution(position.resolution), amplitude, phase),
+        inertia=None if mass is None else _inertia(cycles, mass, std_of_resolution(position.resolution), amplitude, phase),
         trend=Trend(
             np.arange(1.0, len(every) + 1.0), judged, every.peak, every.valley, every.reference_peak, every.reference_valley
         ),
@@ -221,7 +225,7 @@ def _of_noise(cycles: Cycles, known: TypeB, leverage: Array) -> float:
 
 
 def _uncertainty(
-    cycles: Cycles, values: Array, leverage: Array, known: TypeB, reading: float, missed: float = 0.0
+    cycles: Cycles, values: Array, leverage: Array, known: TypeB, reading: float, waveform: float = 0.0
 ) -> Uncertainty:
     """Combine the uncertainty components of a mean over cycles.
 
@@ -231,67 +235,51 @@ def _uncertainty(
         leverage: its variance per variance of a sample in each cycle, shape (cycles,).
         known: type B information.
         reading: reading to which the calibration's relative uncertainty refers [N].
-        missed: deviation of the fit at the quantity [N].
+        waveform: error of the fitted waveform at the quantity [N].
     """
     return Uncertainty(
-        repeatability=of_mean(values),
+        repeatability=std_of_mean(values),
         fit=_of_fit(cycles, leverage),
         noise=_of_noise(cycles, known, leverage),
         resolution=known.resolution,
         cell=known.cell * abs(reading),
-        waveform=abs(missed),
+        waveform=abs(waveform),
     )
 
 
-def _missed(cycles: Cycles, name: str) -> float:
-    """Return the deviation of the fitted waveform from the samples around an extreme, less the contribution of noise [N]."""
-    parts = getattr(cycles, f"missed_{name}")
+def _levels(cycles: Cycles, known: TypeB) -> dict[str, Quantity]:
+    """Return peak, valley, mean and range of the force, by name."""
+    # Possible interpolation error of an extreme between two samples.
+    step = 2.0 * math.pi / float(cycles.samples.mean())
+    between = INTERPOLATION_ERROR * step**4 * float(np.abs(cycles.force[:, 0]).mean())
+    peak, valley = _waveform_error(cycles, cycles.peak_residual), _waveform_error(cycles, cycles.valley_residual)
+
+    def level(name: str, value: Array, reference: Array, leverage: Array, known: TypeB = known, error: float = 0.0) -> Quantity:
+        measured = float(value.mean())
+        uncertainty = _uncertainty(cycles, value - reference, leverage, known, measured, error)
+        return Quantity(name, "n", float(reference.mean()), measured, _span(cycles), uncertainty)
+
+    ranges, reference = cycles.peak - cycles.valley, cycles.reference_peak - cycles.reference_valley
+    both = known._replace(resolution=math.sqrt(2.0) * known.resolution)
+    error = math.hypot(peak, valley, 2.0 * between)
+    quantities = (
+        level("peak", cycles.peak, cycles.reference_peak, cycles.peak_leverage, error=math.hypot(peak, between)),
+        level("valley", cycles.valley, cycles.reference_valley, cycles.valley_leverage, error=math.hypot(valley, between)),
+        level("mean", cycles.force_mean, cycles.reference_mean, cycles.mean_leverage),
+        level("range", ranges, reference, cycles.peak_leverage + cycles.valley_leverage, both, error),
+    )
+    return {quantity.name: quantity for quantity in quantities}
+
+
+def _waveform_error(cycles: Cycles, residuals: Array) -> float:
+    """Return the error of the fitted waveform around an extreme, without the contribution of noise [N].
+
+    Args:
+        cycles: the cycles.
+        residuals: mean residuals around the extreme of each cycle, shape (cycles, 3) [N].
+    """
     noise = float(np.mean(cycles.variance * 6.0 * cycles.harmonics / cycles.samples)) / len(cycles)
-    return math.sqrt(max(float(np.max(parts.mean(axis=0) ** 2)) - 4.0 * noise, 0.0))
-
-
-def _between(cycles: Cycles) -> float:
-    """Return the possible interpolation error of an extreme between two samples [N]."""
-    return BETWEEN * (2.0 * math.pi / float(cycles.samples.mean())) ** 4 * float(np.abs(cycles.force[:, 0]).mean())
-
-
-def _end_level(cycles: Cycles, name: str, known: TypeB) -> Quantity:
-    values, references = getattr(cycles, name), getattr(cycles, f"reference_{name}")
-    measured, reference = float(values.mean()), float(references.mean())
-    missed = math.hypot(_missed(cycles, name), _between(cycles))
-    leverage = getattr(cycles, f"of_{name}")
-    return Quantity(
-        name,
-        "n",
-        reference,
-        measured,
-        _span(cycles),
-        _uncertainty(cycles, values - references, leverage, known, measured, missed),
-    )
-
-
-def _mean(cycles: Cycles, known: TypeB) -> Quantity:
-    measured, reference = float(cycles.force_mean.mean()), float(cycles.reference_mean.mean())
-    values = cycles.force_mean - cycles.reference_mean
-    return Quantity(
-        "mean", "n", reference, measured, _span(cycles), _uncertainty(cycles, values, cycles.of_mean, known, measured)
-    )
-
-
-def _range(cycles: Cycles, known: TypeB) -> Quantity:
-    values, references = cycles.peak - cycles.valley, cycles.reference_peak - cycles.reference_valley
-    measured, reference = float(values.mean()), float(references.mean())
-    missed = math.hypot(_missed(cycles, "peak"), _missed(cycles, "valley"), 2.0 * _between(cycles))
-    twice = known._replace(resolution=math.sqrt(2.0) * known.resolution)
-    leverage = cycles.of_peak + cycles.of_valley
-    return Quantity(
-        "range",
-        "n",
-        reference,
-        measured,
-        reference,
-        _uncertainty(cycles, values - references, leverage, twice, measured, missed),
-    )
+    return math.sqrt(max(float(np.max(residuals.mean(axis=0) ** 2)) - 4.0 * noise, 0.0))
 
 
 def _fundamental(cycles: Cycles, known: TypeB) -> tuple[Quantity, Quantity]:
@@ -308,9 +296,9 @@ def _fundamental(cycles: Cycles, known: TypeB) -> tuple[Quantity, Quantity]:
         asked,
         size,
         asked,
-        _uncertainty(cycles, along.real - np.abs(reference), cycles.of_harmonic, known, size),
+        _uncertainty(cycles, along.real - np.abs(reference), cycles.harmonic_leverage, known, size),
     )
-    across = _uncertainty(cycles, along.imag, cycles.of_harmonic, known, 0.0)
+    across = _uncertainty(cycles, along.imag, cycles.harmonic_leverage, known, 0.0)
     if not size:
         nothing = Uncertainty(math.nan, math.nan)
         return amplitude, Quantity("phase", "deg", 0.0, math.nan, None, nothing)
@@ -321,9 +309,9 @@ def _fundamental(cycles: Cycles, known: TypeB) -> tuple[Quantity, Quantity]:
 def _harmonics(cycles: Cycles, known: TypeB) -> tuple[tuple[Harmonic, ...], Distortion]:
     """Return the harmonics and the total distortion; the contribution of noise to every amplitude is subtracted."""
     force, reference = cycles.force.mean(axis=0), np.abs(cycles.reference.mean(axis=0))
-    fit = max(_of_fit(cycles, cycles.of_harmonic), _of_noise(cycles, known, cycles.of_harmonic))
+    fit = max(_of_fit(cycles, cycles.harmonic_leverage), _of_noise(cycles, known, cycles.harmonic_leverage))
     error = cycles.force - cycles.reference
-    std = np.array([np.nanmax([of_mean(column, 2), fit]) for column in error.T])
+    std = np.array([np.nanmax([std_of_mean(column, 2), fit]) for column in error.T])
     size = np.sqrt(np.maximum(np.abs(force) ** 2 - 2.0 * std**2, 0.0))
     expanded = COVERAGE * np.hypot(std, known.resolution)
     first, asked = size[0], reference[0]
@@ -348,21 +336,21 @@ def _harmonics(cycles: Cycles, known: TypeB) -> tuple[tuple[Harmonic, ...], Dist
     below = thd - math.sqrt(max(total - spread, 0.0))
     # Quantisation of the converter causes harmonics of up to the square root of two times its rms in total.
     uncertain = math.hypot(max(above, below), COVERAGE * math.sqrt(2.0) * known.resolution)
-    asked_for = float(np.sqrt(np.sum(reference[1:] ** 2)) / asked)
-    return rows, Distortion(100.0 * thd / first, 100.0 * asked_for, 100.0 * uncertain / first)
+    reference_distortion = float(np.sqrt(np.sum(reference[1:] ** 2)) / asked)
+    return rows, Distortion(100.0 * thd / first, 100.0 * reference_distortion, 100.0 * uncertain / first)
 
 
 def _repeatability(cycles: Cycles) -> Repeatability:
-    several = len(cycles) > 1
     peak, valley = cycles.peak - cycles.reference_peak, cycles.valley - cycles.reference_valley
-    spread = [float(np.std(values, ddof=1)) if several else math.nan for values in (peak, valley, peak - valley)]
-    of_peak, of_valley, of_range = spread
+    of_peak, of_valley, of_range = (
+        float(np.std(values, ddof=1)) if len(cycles) > 1 else math.nan for values in (peak, valley, peak - valley)
+    )
     return Repeatability(of_peak, of_valley, of_range, *_drift(peak), *_drift(valley))
 
 
 def _steady(cycles: Cycles, found: Repeatability) -> bool:
     """Return whether peaks and valleys do not drift over the cycles; True for too few cycles."""
-    least = STEADY * _span(cycles) / len(cycles)
+    least = MAX_DRIFT * _span(cycles) / len(cycles)
     return not any(
         abs(drift) > max(expanded, least)
         for drift, expanded in (
@@ -394,3 +382,57 @@ def _last(run: Trajectory, cycles: Cycles) -> OneCycle:
     here = slice(int(cycles.first[-1]), int(cycles.stop[-1]))
     time = run.time_s[here]
     return OneCycle(time - time[0], run["force_n"][here].copy(), run["force_reference_n"][here].copy())
+
+
+def _inertia(cycles: Cycles, mass: float, resolution: float, amplitude: Quantity, phase: Quantity) -> Inertia | Refused:
+    """Correct amplitude and phase of a block for the inertia of the mass between load cell and specimen.
+
+    The cell measures the force on the specimen plus the inertia force of that mass: F_cell = F_specimen + m a, with force and
+    position positive in the same direction. The acceleration is that of the measured position's fundamental, -(2 pi f)^2 x, so
+    that no sample is differentiated.
+
+    Args:
+        cycles: the judged cycles.
+        mass: mass between load cell and specimen [kg].
+        resolution: standard uncertainty of the position sensor's resolution [m].
+        amplitude: amplitude of the measured force.
+        phase: phase of the measured force.
+
+    Returns:
+        The correction; Refused if the acceleration is not available.
+    """
+    measured = np.isfinite(cycles.position[:, 0])
+    if not measured.any():
+        return Refused("the position was not measured over whole cycles, and without it there is no acceleration")
+    kept = cycles.only(measured)
+    motion = complex(kept.position[:, 0].mean())
+    fit = math.sqrt(float(np.mean(kept.position_variance)) / len(kept))
+    scatter = std_of_mean(kept.position[:, 0], 2)
+    motion_std = math.hypot(float(np.nanmax([fit, scatter, 0.0])), resolution)
+    per_metre = mass * (2.0 * math.pi * float(kept.frequency.mean())) ** 2
+    if abs(motion) <= COVERAGE * motion_std:
+        return Refused(
+            f"the motion, {abs(motion):.2g} m at the cycle's frequency, is not above its uncertainty of "
+            f"{COVERAGE * motion_std:.2g} m; the force that it takes is at most {per_metre * 2.0 * COVERAGE * motion_std:.2g} N"
+        )
+    force, reference = complex(cycles.force[:, 0].mean()), complex(cycles.reference[:, 0].mean())
+    inertia, std = -per_metre * motion, per_metre * motion_std
+    specimen = force - inertia
+    size = abs(specimen)
+    in_degrees = math.degrees(std / size) if size else math.nan
+
+    def wider(given: Uncertainty, std: float) -> Uncertainty:
+        """Add the independent uncertainty of the position to the random part."""
+        return given._replace(repeatability=math.hypot(given.random, std))
+
+    return Inertia(
+        mass_kg=mass,
+        force_n=abs(inertia),
+        force_expanded_n=COVERAGE * std,
+        percent=100.0 * abs(inertia) / abs(force) if force else math.nan,
+        phase_deg=math.degrees(np.angle(inertia / force)) if force else math.nan,
+        amplitude=amplitude._replace(measured=size, uncertainty=wider(amplitude.uncertainty, std)),
+        phase=phase._replace(
+            measured=math.degrees(np.angle(specimen / reference)), uncertainty=wider(phase.uncertainty, in_degrees)
+        ),
+    )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ehls_ros.experiments.json_document import json_document
-from ehls_ros.experiments.reproduction.paper import Cell
+from ehls_ros.reproduction.paper import Cell
 
 
 class CellResult(NamedTuple):

@@ -62,7 +62,7 @@ def adapted(spec: Spec, trajectory: Trajectory) -> Adapted | None:
         model = adaptation.done(past, model)
     search = adaptation.search
     search.solve()
-    sentences = tuple(str(told) for told in search.report().values() if isinstance(told, str))
+    sentences = tuple(str(value) for value in search.report().values() if isinstance(value, str))
     rig = corrected_rig(spec.controller_rig, original, search.values()) if search.changed() else None
     return Adapted(sentences, search.at_bounds(), rig)
 
@@ -74,15 +74,21 @@ def _stretches(trajectory: Trajectory, period: float) -> list[Past]:
     command = _signal(trajectory, "valve_command_m")
     cuts = np.flatnonzero((np.diff(cycles) != 1) | (cycles[1:] % STRIDE == 0)) + 1
     bounds = [0, *cuts.tolist(), len(cycles)]
-    return [_past(int(cycles[first]), measured[first:last], command[first:last]) for first, last in pairwise(bounds)]
+    nothing = np.full((len(cycles), max(ROW, PLACE, STATUS_SIZE)), np.nan)
+    return [
+        Past(
+            int(cycles[first]),
+            nothing[first:last, :ROW],
+            nothing[first:last, :3],
+            nothing[first:last, :PLACE],
+            measured[first:last],
+            command[first:last],
+            nothing[first:last, :STATUS_SIZE],
+        )
+        for first, last in pairwise(bounds)
+    ]
 
 
 def _signal(trajectory: Trajectory, name: str) -> Array:
     values = trajectory.signals.get(name)
     return np.full(len(trajectory.time_s), np.nan) if values is None else values
-
-
-def _past(first: int, measured: Array, command: Array) -> Past:
-    n = len(command)
-    nothing = np.full((n, max(ROW, PLACE, STATUS_SIZE)), np.nan)
-    return Past(first, nothing[:, :ROW], nothing[:, :3], nothing[:, :PLACE], measured, command, nothing[:, :STATUS_SIZE])

@@ -12,11 +12,11 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.margins import pressure_loop_margins
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, largest_error, paper_rig
-from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.results import Place, Searches, TriedGains, TriedWidth
 from ehls_ros.parallel import Task
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import Change, largest_error, paper_rig
+from ehls_ros.reproduction.paper import Cell
+from ehls_ros.reproduction.results import Place, Searches, TriedGains, TriedWidth
 
 GAINS = (
     *product((50.0, 100.0, 150.0, 200.0, 240.0, 260.0, 270.0, 280.0), (0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 1000.0)),

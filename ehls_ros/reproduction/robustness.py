@@ -5,12 +5,12 @@ from functools import partial
 
 import numpy as np
 
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, largest_errors, paper_rig
-from ehls_ros.experiments.reproduction.results import CoefficientOff, Draws, Place, Robustness
 from ehls_ros.parallel import Task
 from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.lane_memory import LANES
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import Change, largest_errors, paper_rig
+from ehls_ros.reproduction.results import CoefficientOff, Draws, Place, Robustness
 
 CELLS = tuple(cell for cell in paper.CELLS if cell.controller == paper.FASMC_2)
 

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from functools import partial
 
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, case, largest_error
-from ehls_ros.experiments.reproduction.continuous import paper_quantities
-from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.results import Sampling, SamplingLine
 from ehls_ros.parallel import Task
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import Change, case, largest_error
+from ehls_ros.reproduction.continuous import paper_quantities
+from ehls_ros.reproduction.paper import Cell
+from ehls_ros.reproduction.results import Sampling, SamplingLine
 
 PERIODS = (5e-6, 1e-5, 1.5e-5, 2e-5, 2.2e-5, 2.4e-5, 3e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 5e-3)
 """Sampling periods [s]."""

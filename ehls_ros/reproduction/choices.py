@@ -5,11 +5,11 @@ from functools import partial
 from typing import NamedTuple
 
 from ehls_ros.control.controllers import fasmc
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, largest_error
-from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.results import TriedChoice
 from ehls_ros.parallel import Task
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import Change, largest_error
+from ehls_ros.reproduction.paper import Cell
+from ehls_ros.reproduction.results import TriedChoice
 
 PHI1_READINGS = 1000.0 / 103.0
 """The text's phi1 is 103 or, with a lost exponent, 10^3."""
@@ -61,14 +61,14 @@ def choices() -> list[Choice]:
         Choice("SIC's inner loop", "motion fed forward", "PI alone", Change({"controller": {"compensation": 0.0}}), sic),
         Choice(
             "φ1 printed as 103 or 10³",
-            "our own rate",
+            "our rate",
             "10³/103 = 9.7 times it",
             tuned(phi1=fasmc.Parameters().phi1 * PHI1_READINGS),
             every,
         ),
         Choice("keeping α̂, β̂", "forgetting 0.1 1/s and projection", "projection alone", tuned(forgetting=0.0), every),
         Choice("keeping α̂, β̂", "forgetting 0.1 1/s and projection", "forgetting 1 1/s", tuned(forgetting=1.0), every),
-        Choice("rate of pL", "model, corrected by what it missed", "model alone", tuned(rate_correction=0.0), every),
+        Choice("rate of pL", "model, corrected by its error", "model alone", tuned(rate_correction=0.0), every),
         Choice("unit of k_i in Table 1", "N/mm", "N/m", Change(known_friction={"element_stiffness": 1e-3}), every),
         Choice("sign of gravity in (3)", "as printed", "turned round", Change(plant={"gravity": -1.0}), every),
     ]

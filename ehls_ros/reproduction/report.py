@@ -4,8 +4,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from ehls_ros.experiments.reproduction.paper import FASMC_2, FULL_SCALE, Cell
-from ehls_ros.experiments.reproduction.results import (
+from ehls_ros.report import page
+from ehls_ros.report.page import Entry, LeftOut, Panel, Row, listed, number, signed
+from ehls_ros.report.run_signals import setting
+from ehls_ros.reproduction import report_figures as drawn
+from ehls_ros.reproduction import report_findings as findings
+from ehls_ros.reproduction import report_remarks as remarks
+from ehls_ros.reproduction.paper import FASMC_2, FULL_SCALE, Cell
+from ehls_ros.reproduction.report_findings import Runs, place_name
+from ehls_ros.reproduction.results import (
     Beyond,
     CellResult,
     ContinuousRun,
@@ -15,13 +22,6 @@ from ehls_ros.experiments.reproduction.results import (
     Results,
     TriedChoice,
 )
-from ehls_ros.report import page
-from ehls_ros.report import reproduction_figures as drawn
-from ehls_ros.report import reproduction_findings as findings
-from ehls_ros.report import reproduction_remarks as remarks
-from ehls_ros.report.page import Entry, LeftOut, Panel, Row, listed, number, signed
-from ehls_ros.report.reproduction_findings import Runs, place_name
-from ehls_ros.report.run_signals import setting
 from ehls_ros.trajectory import Trajectory
 
 WORSE = "▲ "

@@ -7,21 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.paper import FASMC_1, FASMC_2, SIC, Cell
-from ehls_ros.experiments.reproduction.results import (
-    CellResult,
-    ContinuousRun,
-    DriftRun,
-    Place,
-    Results,
-    Robustness,
-    Sampling,
-    Searches,
-    TriedChoice,
-)
 from ehls_ros.report.page import listed, number, signed
-from ehls_ros.report.reproduction_findings import (
+from ehls_ros.report.run_signals import setting
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.paper import FASMC_1, FASMC_2, SIC, Cell
+from ehls_ros.reproduction.report_findings import (
     Runs,
     as_set,
     error_text,
@@ -32,7 +22,17 @@ from ehls_ros.report.reproduction_findings import (
     worst_of,
     worst_of_controller,
 )
-from ehls_ros.report.run_signals import setting
+from ehls_ros.reproduction.results import (
+    CellResult,
+    ContinuousRun,
+    DriftRun,
+    Place,
+    Results,
+    Robustness,
+    Sampling,
+    Searches,
+    TriedChoice,
+)
 
 NOTHING_OFF = "nothing off"
 
@@ -55,11 +55,11 @@ def is_late(row: ContinuousRun) -> bool:
 
 def bounds_remarks(rows: Sequence[ContinuousRun]) -> list[str]:
     """Return remarks on whether the law in continuous time keeps the bounds (44) to (46)."""
-    kept = sum(row.holds for row in rows)
+    within = sum(row.holds for row in rows)
     over = [row for row in rows if is_late(row)]
     text = (
         f"With steps small enough to count as continuous, the law reaches |s| ≤ b/h and the bound (44) in time, and stays"
-        f" there, in {kept} of {len(rows)} cells."
+        f" there, in {within} of {len(rows)} cells."
     )
     if over:
         late = [number(1e3 * (row.converged_s - row.paper_bound_s)) for row in over]
@@ -261,9 +261,9 @@ def choices_remarks(choices: Sequence[TriedChoice], cells: Sequence[CellResult])
                 continue
             changes = choice_changes(choice, errors)
             label = f"{choice.what}, {choice.other} instead of {choice.ours}"
-            gone = sum(math.isinf(change) for change in changes.values())
-            if gone:
-                lost.append(f"{label} in {gone} of {len(changes)} cells")
+            count = sum(math.isinf(change) for change in changes.values())
+            if count:
+                lost.append(f"{label} in {count} of {len(changes)} cells")
             known = [(name, change) for name, change in changes.items() if math.isfinite(change)]
             finite += [(abs(change), change, f"{name}: {label}") for name, change in known]
             parts = [(name, change / (choice.errors_n[name] - change)) for name, change in known if change]
@@ -292,8 +292,8 @@ def robustness_remark(robustness: Robustness, nominal_n: float | None) -> str:
         if nominal_n is not None:
             parts[-1] += f" in the worst cell, against {error_text(nominal_n)} with {NOTHING_OFF}"
         parts[-1] += "."
-        gone = sum(math.isinf(error) for error, *_ in worst)
-        parts.append(f"{gone} of {len(worst)} changes lose the force." if gone else "No change loses the force.")
+        lost = sum(math.isinf(error) for error, *_ in worst)
+        parts.append(f"{lost} of {len(worst)} changes lose the force." if lost else "No change loses the force.")
     draws = robustness.draws
     parts.append(
         f"Of {number(draws.count)} rigs drawn with every coefficient off by up to {number(100 * draws.spread, 2)} %,"

@@ -6,20 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.experiments.reproduction.paper import FASMC_1, FASMC_2, Cell
-from ehls_ros.experiments.reproduction.results import (
-    CellResult,
-    ContinuousRun,
-    FrictionCurves,
-    Place,
-    Robustness,
-    Sampling,
-    Searches,
-)
 from ehls_ros.report import plot
 from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
 from ehls_ros.report.plot import KILONEWTON, MICROSECOND, NEWTON, PURE_NUMBER, Axis, Trace, Unit, dots, line, upright
-from ehls_ros.report.reproduction_findings import (
+from ehls_ros.report.run_figures import adaptation, steady_span
+from ehls_ros.report.run_signals import since_start
+from ehls_ros.reproduction.paper import FASMC_1, FASMC_2, Cell
+from ehls_ros.reproduction.report_findings import (
     DISTURBANCES,
     Runs,
     as_set,
@@ -29,9 +22,16 @@ from ehls_ros.report.reproduction_findings import (
     places_of,
     worst_of,
 )
-from ehls_ros.report.reproduction_remarks import NOTHING_OFF
-from ehls_ros.report.run_figures import adaptation, steady_span
-from ehls_ros.report.run_signals import since_start
+from ehls_ros.reproduction.report_remarks import NOTHING_OFF
+from ehls_ros.reproduction.results import (
+    CellResult,
+    ContinuousRun,
+    FrictionCurves,
+    Place,
+    Robustness,
+    Sampling,
+    Searches,
+)
 
 BUCKETS = 1000
 """Number of intervals to which a line of the paper's figures is reduced."""

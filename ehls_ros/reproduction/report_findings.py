@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from ehls_ros.experiments.reproduction.paper import FASMC_1, FASMC_2, FULL_SCALE, SIC, Cell
-from ehls_ros.experiments.reproduction.results import CellResult, Place, Reduction, Results, Searches, TriedWidth
 from ehls_ros.report.page import limit_text, listed, number
+from ehls_ros.reproduction.paper import FASMC_1, FASMC_2, FULL_SCALE, SIC, Cell
+from ehls_ros.reproduction.results import CellResult, Place, Reduction, Results, Searches, TriedWidth
 from ehls_ros.trajectory import Trajectory
 
 Runs = Mapping[Cell, Trajectory]
@@ -74,9 +74,9 @@ def verdict_sentence(results: Results) -> tuple[str, bool | None]:
     cells = results.cells
     published = [cell for cell in cells if cell.controller == FASMC_2 and math.isfinite(paper_newton(cell))]
     above = [cell for cell in cells if is_above_paper(cell)]
-    kept = len(published) - sum(cell.controller == FASMC_2 for cell in above)
+    within = len(published) - sum(cell.controller == FASMC_2 for cell in above)
     ranked, of = ranking(cells)
-    parts = [f"{FASMC_2} is at or below the paper in {kept} of {len(published)} cells"] if published else []
+    parts = [f"{FASMC_2} is at or below the paper in {within} of {len(published)} cells"] if published else []
     if of:
         parts.append(f"the errors rank {SIC} > {FASMC_1} > {FASMC_2} in {ranked} of {of}")
     if above:

@@ -1,4 +1,4 @@
-"""Diagnosis of a recording and its consequences: the work of `ehls diagnose`, without files."""
+"""Diagnosis of a recording, and identification of a whole rig, with the kernels compiled first; without files."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -6,9 +6,12 @@ from typing import NamedTuple
 from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
-from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs, identification_jobs
 from ehls_ros.experiments.consequences import Consequences, consequences
+from ehls_ros.identification.rig_result import RigIdentification
+from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig
 from ehls_ros.progress import Update
@@ -50,7 +53,7 @@ def diagnose_recording(
         BadInput: a recording does not match the rig, or contradicts the rig file.
     """
 
-    def told(doing: str, part: float) -> None:
+    def report(doing: str, part: float) -> None:
         progress(round(CORE * STEPS * part), STEPS, doing)
 
     for called, recording in ({name: trajectory} | dict(baselines)).items():
@@ -60,10 +63,10 @@ def diagnose_recording(
         if baselines:
             known = list(baselines.values())
             found = diagnose_against(
-                trajectory, known, rig, name, seed=seed, threads=threads, progress=told, names=list(baselines)
+                trajectory, known, rig, name, seed=seed, threads=threads, progress=report, names=list(baselines)
             )
         else:
-            found = diagnose(trajectory, rig, name, seed=seed, threads=threads, progress=told)
+            found = diagnose(trajectory, rig, name, seed=seed, threads=threads, progress=report)
         follows = consequences(
             found,
             trajectory,
@@ -72,3 +75,33 @@ def diagnose_recording(
             progress=lambda doing, part: progress(round(STEPS * (CORE + (1.0 - CORE) * part)), STEPS, doing),
         )
     return Diagnosed(found, follows)
+
+
+def identify_whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, *, seed: int, progress: Update) -> RigIdentification:
+    """Identify all identifiable coefficients of a rig, with kernels compiled on all processors.
+
+    Args:
+        recordings: recordings by their names in messages.
+        rig: the rig as known so far.
+        seed: seed of the noise added to find the noise floor.
+        progress: called with the steps done, their total and the current activity.
+
+    Raises:
+        BadInput: there is no recording, or none of them matches the rig or agrees with its file.
+    """
+    _check(recordings, rig)
+    with Workers() as workers:
+        compile_in_parallel(identification_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
+    return identify_rig(recordings, rig, seed=seed, progress=lambda doing, done, total: progress(done, total, doing))
+
+
+def _check(recordings: Mapping[str, Trajectory], rig: Rig) -> None:
+    """Reject recordings before the compilation if none of them matches the rig; single ones may be left out later."""
+    refused = list[BadInput]()
+    for name, recording in recordings.items():
+        try:
+            check_suits(recording, rig, name)
+        except BadInput as error:
+            refused.append(error)
+    if len(refused) == len(recordings):
+        raise refused[0]

@@ -13,12 +13,12 @@ from ehls_ros.arrays import in_python
 from ehls_ros.control.bounds import pressure_error_bound, reaching_rate, reaching_time_bound, remaining_s, sliding_time
 from ehls_ros.control.controllers import base, fasmc
 from ehls_ros.experiments.loop import ClosedLoop
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, case
-from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.results import ContinuousRun
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Task
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import Change, case
+from ehls_ros.reproduction.paper import Cell
+from ehls_ros.reproduction.results import ContinuousRun
 
 STEP = 4e-6
 """Period of control and integration [s]; the robust rate times it is 0.35."""
@@ -27,7 +27,7 @@ DURATION = 5.0
 """Plant time [s]: complete periods of every sine except fd1, which has passed both extremes."""
 
 POINTS = 2000
-"""Number of points of the lines kept for the report."""
+"""Number of points of the lines sliding_bound for the report."""
 
 
 def tasks() -> list[Task]:
@@ -73,7 +73,7 @@ def against_bounds(cell: Cell) -> ContinuousRun:
     reaching = reaching_time_bound(start_s, p.h, p.b, p.xi, units["e1"], p.delta_f, units["m0"])
     remains = remaining_s(p.h, p.b, p.xi, units["e1"], p.delta_f, units["m0"])
     sliding = sliding_time(start_e, e_bound, p.k, p.g, p.xi)
-    kept = sliding_time(start_e, e_bound, p.k, p.g, p.xi, remains)
+    sliding_bound = sliding_time(start_e, e_bound, p.k, p.g, p.xi, remains)
     after = slice(min(outside_e + 1, len(e) - 1), None)
     area = spec.controller_rig.plant.piston_area * 1e6
     edges = np.arange(0, len(s), window)
@@ -85,15 +85,15 @@ def against_bounds(cell: Cell) -> ContinuousRun:
         reached_s=reached,
         reaching_bound_s=reaching,
         sliding_s=sliding,
-        sliding_bound_s=kept,
+        sliding_bound_s=sliding_bound,
         converged_s=converged,
         paper_bound_s=reaching + sliding,
-        convergence_bound_s=reaching + kept,
+        convergence_bound_s=reaching + sliding_bound,
         largest_s=float(s[min(outside_s + 1, len(s) - 1) :].max()),
         s_bound=s_bound,
         largest_error_n=float(e[after].max()) * area,
         error_bound_n=e_bound * area,
-        holds=bool(reached <= reaching + STEP and converged <= reaching + kept),
+        holds=bool(reached <= reaching + STEP and converged <= reaching + sliding_bound),
         time_s=tuple((edges * STEP).tolist()),
         s_line=tuple(np.maximum.reduceat(s, edges).tolist()),
         error_line_n=tuple((np.maximum.reduceat(e, edges) * area).tolist()),

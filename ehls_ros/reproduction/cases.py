@@ -10,13 +10,13 @@ from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import Metrics, evaluate, evaluate_errors
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.paper import Cell
 from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import Spec, load_rig, spec_from_mapping
 from ehls_ros.physics.friction import gms
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.paper import Cell
 from ehls_ros.trajectory import Trajectory
 
 PARTS: dict[str, dict[str, Any]] = {
@@ -72,8 +72,8 @@ def case(cell: Cell, change: Change = AS_PUBLISHED) -> Spec:
         **PARTS[cell.controller],
     }
     for key, value in change.sections.items():
-        own = sections.get(key)
-        sections[key] = {**own, **value} if isinstance(own, Mapping) and isinstance(value, Mapping) else value
+        usual = sections.get(key)
+        sections[key] = {**usual, **value} if isinstance(usual, Mapping) and isinstance(value, Mapping) else value
     spec = spec_from_mapping(sections, f"case {cell}", Path())
     believed = spec.controller_rig._replace(friction=_scaled(spec.controller_rig.friction, change.known_friction))
     plant, friction = spec.rig.plant, _scaled(_scaled(spec.rig.friction, change.known_friction), change.friction)
@@ -82,9 +82,9 @@ def case(cell: Cell, change: Change = AS_PUBLISHED) -> Spec:
 
 def _scaled(parameters: Coefficients, factors: Mapping[str, float]) -> Coefficients:
     """Return a parameter set with some coefficients scaled, those of several elements by the same factor."""
-    own = parameters._asdict()
+    values = parameters._asdict()
     scaled: dict[str, Any] = {
-        name: tuple(factor * value for value in own[name]) if isinstance(own[name], tuple) else factor * own[name]
+        name: tuple(factor * value for value in values[name]) if isinstance(values[name], tuple) else factor * values[name]
         for name, factor in factors.items()
     }
     return parameters._replace(**scaled)

@@ -9,23 +9,25 @@ import numpy as np
 
 from ehls_ros import __version__
 from ehls_ros.control.bounds import force_error_bound
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.reproduction import (
+from ehls_ros.parallel import Progress, Task, run_tasks
+from ehls_ros.reproduction import (
     choices,
     continuous,
     drift,
-    friction,
     paper,
     robustness,
     sampling,
     searches,
 )
-from ehls_ros.experiments.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, largest_errors, paper_rig, run
-from ehls_ros.experiments.reproduction.paper import CELLS, Cell
-from ehls_ros.experiments.reproduction.results import (
+from ehls_ros.reproduction.cases import AS_PUBLISHED, DIVERGED, Change, case, largest_errors, paper_rig, run
+from ehls_ros.reproduction.paper import CELLS, Cell
+from ehls_ros.reproduction.results import (
     Beyond,
     CellResult,
+    FrictionCurves,
     Place,
     Reduction,
     Results,
@@ -33,11 +35,18 @@ from ehls_ros.experiments.reproduction.results import (
     Theory,
     TriedWidth,
 )
-from ehls_ros.parallel import Progress, Task, run_tasks
 from ehls_ros.trajectory import Trajectory
 
 QUICK = ("constant", "sine")
 """References of the quick study."""
+
+FASTEST = 0.15
+"""Largest velocity of the paper's sweep [m/s]."""
+
+STROKE, FREQUENCY = 1.2e-3, 0.1
+"""Amplitude [m] and frequency [Hz] of the small sine; the paper gives no frequency."""
+
+PERIOD = 1e-3
 
 
 class Study(NamedTuple):
@@ -118,7 +127,7 @@ def reproduce(
         cells=table,
         beyond=beyond,
         theory=theory(),
-        friction=friction.curves(),
+        friction=friction_curves(),
         figures={str(number): shown for number, shown in paper.FIGURES.items()},
         wall_s=time.perf_counter() - start,
         compile_s=compile_s,
@@ -179,4 +188,28 @@ def theory() -> Theory:
         reaching_rate_1_s=rate,
         gain_times_period=rate * spec.settings.control_period,
         slope_mpa_s=0.5 * p.k,
+    )
+
+
+def friction_curves() -> FrictionCurves:
+    """Return the identified friction as in the paper's Figures 4 and 5: Stribeck curve and hysteresis loop."""
+    rig = paper_rig()
+    friction = rig.friction
+    velocity = np.linspace(-FASTEST, FASTEST, 602)
+    level = np.array([rig.friction_level(v) for v in velocity])
+    steady = np.sign(velocity) * level + friction.viscous_coefficient * velocity
+
+    # Two periods: the first starts from rest and leads to the loop.
+    time = np.arange(round(2.0 / FREQUENCY / PERIOD)) * PERIOD
+    omega = 2.0 * np.pi * FREQUENCY
+    displacement, speed = STROKE * np.sin(omega * time), STROKE * omega * np.cos(omega * time)
+    estimator = FrictionEstimator("gms", rig, PERIOD)
+    elements = len(friction.element_stiffness)
+    rows = np.array([estimator.update(v)[: 2 + elements].copy() for v in speed])[::20]
+    return FrictionCurves(
+        velocity_m_s=tuple(velocity.tolist()),
+        steady_force_n=tuple(steady.tolist()),
+        displacement_m=tuple(displacement[::20].tolist()),
+        hysteresis_n=tuple(rows[:, 0].tolist()),
+        elements_n=tuple(map(tuple, rows[:, 2:].T.tolist())),
     )

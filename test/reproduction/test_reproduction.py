@@ -8,11 +8,11 @@ import pytest
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.reproduction import choices, continuous, drift, paper, robustness, sampling, searches, study
-from ehls_ros.experiments.reproduction.cases import DIVERGED, Change, case, evaluated, largest_error, largest_errors, run
-from ehls_ros.experiments.reproduction.paper import CELLS, Cell
-from ehls_ros.experiments.reproduction.results import Searches, TriedGains, TriedWidth
 from ehls_ros.parallel import run_tasks
+from ehls_ros.reproduction import choices, continuous, drift, paper, robustness, sampling, searches, study
+from ehls_ros.reproduction.cases import DIVERGED, Change, case, evaluated, largest_error, largest_errors, run
+from ehls_ros.reproduction.paper import CELLS, Cell
+from ehls_ros.reproduction.results import Searches, TriedGains, TriedWidth
 
 REACHED = {
     ("SIC", "constant", "fd1"): 12.8,

@@ -7,11 +7,11 @@ from typing import Any
 
 from ehls_ros.control.controllers import fasmc
 from ehls_ros.experiments.metrics import Metrics
-from ehls_ros.experiments.reproduction import paper
-from ehls_ros.experiments.reproduction.cases import Change, evaluated, paper_rig
-from ehls_ros.experiments.reproduction.paper import Cell
-from ehls_ros.experiments.reproduction.results import DriftRun
 from ehls_ros.parallel import Task
+from ehls_ros.reproduction import paper
+from ehls_ros.reproduction.cases import Change, evaluated, paper_rig
+from ehls_ros.reproduction.paper import Cell
+from ehls_ros.reproduction.results import DriftRun
 
 DURATION = 20.0
 """Duration of the friction drift [s]."""
