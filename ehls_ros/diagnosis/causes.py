@@ -8,11 +8,10 @@ import numpy as np
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import mostly_in
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.held_out import Assessment, probabilities
 from ehls_ros.diagnosis.hypotheses import parts
 from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.missing_signals import deciding, untried
-from ehls_ros.diagnosis.probability import probabilities
 from ehls_ros.diagnosis.remainder import remainder_in
 from ehls_ros.diagnosis.result import Cause, Rival
 from ehls_ros.diagnosis.search import Place, Searched

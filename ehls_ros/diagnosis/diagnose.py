@@ -19,14 +19,11 @@ from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders, with_allowances
-from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult, trace
 from ehls_ros.diagnosis.search import search
-from ehls_ros.diagnosis.spectrum import spectral_lines
-from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, Channel, Setup, Stage, setup
-from ehls_ros.diagnosis.starts import Starts, main_channel, try_starts
-from ehls_ros.diagnosis.traces import trace
-from ehls_ros.diagnosis.verdict import Finding, decide
+from ehls_ros.diagnosis.starts import Starts, main_channel, spectral_lines, try_starts
+from ehls_ros.diagnosis.verdict import Finding, Nrmse, decide, not_recorded, stage_result
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 

@@ -9,8 +9,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended, parts
-from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss
-from ehls_ros.diagnosis.loss import loss
+from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
 

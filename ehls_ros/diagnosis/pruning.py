@@ -12,10 +12,9 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import differences, most_explained, mostly_in, relevance
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
-from ehls_ros.diagnosis.held_out import Assessment, assess
+from ehls_ros.diagnosis.held_out import Assessment, assess, probabilities
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.pool import Pool
-from ehls_ros.diagnosis.probability import probabilities
 from ehls_ros.diagnosis.remainder import remainder_as_noise
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 from ehls_ros.diagnosis.starts import Starts

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.stages import REQUIRED, Channel, Stage
+from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.stages import REQUIRED, UNITS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
 
@@ -295,3 +296,27 @@ class Diagnosis:
     def names_causes(self) -> bool:
         """Whether causes are named, with or without an unexplained remainder."""
         return self.verdict in NAMING
+
+
+def trace(evidence: Evidence, channel: Channel, after: Array, signals: Mapping[str, Array]) -> ChannelTrace:
+    """Return a channel's residual for plots.
+
+    Args:
+        evidence: the recording compared with the given model.
+        channel: the channel.
+        after: residual with the causes, of the usable windows, in the channel's unit, shape (n,).
+        signals: signals it may depend on, by name, one value per sample.
+    """
+    floor = evidence.floor[channel]
+    return ChannelTrace(
+        channel=channel,
+        unit=UNITS[channel],
+        size=evidence.sizes[channel],
+        time=evidence.times[channel],
+        measured=evidence.comparison().measured(evidence.rig, channel)[evidence.masks[channel]],
+        before=evidence.base.values[channel] * floor,
+        after=after,
+        floor=floor,
+        noise=evidence.noise[channel] * floor,
+        against={name: evidence.means(channel, values) for name, values in signals.items() if name != "time_s"},
+    )

@@ -21,7 +21,6 @@ import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.local_polynomial import integral, local_row, local_slope
 from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
@@ -37,7 +36,7 @@ from ehls_ros.diagnosis.record import (
     Record,
 )
 from ehls_ros.diagnosis.resolution import command_seen, friction_known, presliding_travel
-from ehls_ros.diagnosis.windows import Window, smooth_window
+from ehls_ros.diagnosis.windows import Window, integral, local_row, local_slope, smooth_window
 from ehls_ros.duals import linear, value_of, values_of
 from ehls_ros.physics.along import PARTS, run_part
 from ehls_ros.physics.along.base import ModelRun, Motion

@@ -18,9 +18,8 @@ from ehls_ros.diagnosis.healthy_variation import HealthyVariation, describe, lea
 from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy
+from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy, trace
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, setup
-from ehls_ros.diagnosis.traces import trace
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import BIASES, COULOMB, VISCOUS, coefficients

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, SENT, MessageColumns, align
 from ehls_ros.recording.bag_topic import BLOCK, BagTopic, cycle_topic
-from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, uncompressed_bag
+from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.provenance import Provenance, Seal, provenance_in
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import NOTE
 from ehls_ros.recording.regular_file import check_regular, read_text
 from ehls_ros.recording.storage_file import CLOSED_BAG, METADATA_FILE, custom_data_in, parse_metadata

@@ -11,15 +11,13 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.columns import TIME
-from ehls_ros.recording.deadline import Deadline
-from ehls_ros.recording.header_row import Kind
-from ehls_ros.recording.reason import reason
+from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.table import Pick, RawTable, check_length
-from ehls_ros.recording.text_layout import SPACES, Layout, layout_of, split
+from ehls_ros.recording.table_layout import SPACES, Kind, Layout, layout_of, split
 from ehls_ros.recording.times import seconds_of_clock
 from ehls_ros.trajectory import Trajectory
 
@@ -33,7 +31,7 @@ EXPECTED_FILE = "a CSV file"
 
 
 def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
-    """Read a table from a text file: CSV in any of the layouts of :mod:`text_layout`.
+    """Read a table from a text file: CSV in any of the layouts of :mod:`table_layout`.
 
     Args:
         path: the file.

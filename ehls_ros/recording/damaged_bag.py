@@ -11,14 +11,13 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES
 from ehls_ros.recording.bag_writer import Storage
 from ehls_ros.recording.ledger import Ledger
 from ehls_ros.recording.limits import TEXT
 from ehls_ros.recording.mcap_salvage import names_in_mcap, salvage_mcap
 from ehls_ros.recording.provenance import Provenance, provenance_in
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import Flushed, read_note
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.salvage import Found, Loss, Salvage

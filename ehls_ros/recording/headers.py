@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from ehls_ros.recording.columns import TIME, is_contract_name
-from ehls_ros.recording.units import ELECTRICAL, quantity_of, unit_of
+from ehls_ros.recording.columns import ELECTRICAL, TIME, is_contract_name, quantity_of, unit_of
 from ehls_ros.trajectory import READABLE
 from ehls_ros.units import UNITS
 

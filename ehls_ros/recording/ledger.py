@@ -17,14 +17,18 @@ from zlib import error as CompressionError  # noqa: N812 - an exception, and zli
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.recording.piecewise import first_match
 from ehls_ros.recording.provenance import checksum_of, checksum_sum, message_checksum, message_digest
 from ehls_ros.schema import from_json, quantity
+
+PIECE = 1 << 20
+"""Bytes searched in one call."""
+
 
 MOST_PARTS = 255
 """Maximum number of blocks of a bag's provenance."""
 
 MARK = b"\x9dLEDGER\x1a"
+
 _MARK = re.compile(re.escape(MARK))
 
 ROOM = 4000
@@ -34,6 +38,7 @@ LONGEST_HEAD, LONGEST_TEXT = 1 << 17, 1 << 24
 """Maximum expanded sizes of the head of a block and of a bag's provenance [B]."""
 
 ENTRY = Struct("<BQ8s")
+
 ENTRIES = np.dtype([("topic", "u1"), ("stamp_ns", "<u8"), ("checksum", "<u8")])
 
 MESSAGES, PROVENANCE = 0, 1
@@ -41,7 +46,27 @@ MESSAGES, PROVENANCE = 0, 1
 _Number = Annotated[int, quantity("1", "number of a topic or of messages", minimum=0, maximum=1 << 53)]
 
 _FRAME = Struct("<8sQBHH")
+
 _FRAMED = Struct("<BHH")
+
+
+def first_match(
+    pattern: re.Pattern[bytes], content: bytes | mmap, start: int, end: int, longest: int
+) -> re.Match[bytes] | None:
+    """Return the first match of a pattern, searching in pieces so that Ctrl-C is handled.
+
+    Args:
+        pattern: the pattern.
+        content: content of the file.
+        start: offset to begin at.
+        end: offset behind the last byte that may belong to the match.
+        longest: length of the longest match.
+    """
+    for begin in range(start, end, PIECE):
+        match = pattern.search(content, begin, min(begin + PIECE + longest, end))
+        if match is not None:
+            return match
+    return None
 
 
 class Tally(NamedTuple):

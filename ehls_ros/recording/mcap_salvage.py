@@ -12,8 +12,7 @@ from mmap import mmap
 from typing import NamedTuple
 from zlib import crc32
 
-from ehls_ros.recording.ledger import Ledger
-from ehls_ros.recording.piecewise import first_match
+from ehls_ros.recording.ledger import Ledger, first_match
 from ehls_ros.recording.salvage import LONGEST_NAME, Budget, Found, Loss, Names
 from ehls_ros.recording.storage_file import MCAP_MESSAGE, MCAP_RECORD
 

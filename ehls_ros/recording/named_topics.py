@@ -16,8 +16,8 @@ from ehls_ros.recording.bag_reader import OpenBag, damage_reported, opened
 from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.cdr import CdrError, Field, flatten
 from ehls_ros.recording.columns import TIME, Column, ColumnMap, is_topic
-from ehls_ros.recording.even_times import sent_evenly
 from ehls_ros.recording.table import assemble
+from ehls_ros.recording.times import sent_evenly
 from ehls_ros.recording.typestore import typestore_of
 from ehls_ros.trajectory import Preparation, Trajectory
 

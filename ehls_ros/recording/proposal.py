@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.diagnosis.record import COMMAND, SPOOL
-from ehls_ros.diagnosis.stage_results import NEEDED_SIGNALS
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, formable
+from ehls_ros.diagnosis.verdict import NEEDED_SIGNALS
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import TABLES, TIME, is_topic
+from ehls_ros.recording.columns import ELECTRICAL, TABLES, TIME, is_topic, unit_of
 from ehls_ros.recording.conversion import given_by
 from ehls_ros.recording.headers import Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
 from ehls_ros.recording.table import RawTable
-from ehls_ros.recording.units import ELECTRICAL, unit_of
 from ehls_ros.units import UNITS
 
 UNITS_OF_FIELDS: Mapping[str, str] = {

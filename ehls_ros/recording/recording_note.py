@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.provenance import checksum_of
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.schema import from_json, quantity
 

@@ -10,8 +10,7 @@ from collections.abc import Iterator
 from mmap import mmap
 from typing import NamedTuple
 
-from ehls_ros.recording.ledger import Ledger
-from ehls_ros.recording.piecewise import first_match
+from ehls_ros.recording.ledger import Ledger, first_match
 from ehls_ros.recording.salvage import LONGEST_NAME, Budget, Found, Loss, Names
 
 DEFAULT_PAGE = 4096

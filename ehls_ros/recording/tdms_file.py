@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.contained import contained
-from ehls_ros.recording.library import check_library
-from ehls_ros.recording.reason import reason
+from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.times import seconds_of_moments
 
@@ -50,15 +48,8 @@ def read_tdms(path: Path, pick: Pick | None = None) -> RawTable:
 def read_here(path: Path, pick: Pick | None) -> RawTable:
     """Read a TDMS file in this process, without a memory limit; see :func:`read_tdms`."""
     where = str(path)
-    try:
-        with import_module(LIBRARY).TdmsFile.open(path) as file:
-            return _table([channel for group in file.groups() for channel in group.channels()], pick, where)
-    except BadInput:
-        raise
-    except MemoryError:
-        raise
-    except Exception as error:  # noqa: BLE001 - npTDMS raises any exception on a damaged file
-        raise BadInput(f"it is not a TDMS file ({reason(error)})", where, EXPECTED_FILE) from None
+    with library_errors("a TDMS file", where, EXPECTED_FILE), import_module(LIBRARY).TdmsFile.open(path) as file:
+        return _table([channel for group in file.groups() for channel in group.channels()], pick, where)
 
 
 def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:

@@ -7,8 +7,8 @@ import numpy as np
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, Sensitivity, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
-from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
+from ehls_ros.diagnosis.verdict import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words

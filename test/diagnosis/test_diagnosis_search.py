@@ -18,8 +18,7 @@ from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended
 from ehls_ros.diagnosis.pool import Pool, informative_blocks
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.search import Place, simpler
-from ehls_ros.diagnosis.spectrum import spectral_lines
-from ehls_ros.diagnosis.starts import combined, main_channel
+from ehls_ros.diagnosis.starts import combined, main_channel, spectral_lines
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.trajectory import Trajectory

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from ehls_ros.recording.columns import read_columns
+from ehls_ros.recording.columns import read_columns, unit_of
 from ehls_ros.recording.headers import recognised
 from ehls_ros.recording.load import load
 from ehls_ros.recording.proposal import look, proposed_map
-from ehls_ros.recording.units import unit_of
 from ehls_ros.units import QUANTITIES, SPELLINGS, UNITS
 
 STATED = {

@@ -12,11 +12,10 @@ from rich.markup import escape
 from rich.table import Table as Printed
 
 from ehls_ros.diagnosis.stages import STAGES
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.columns import TIME
 from ehls_ros.recording.load import READERS
 from ehls_ros.recording.proposal import Proposal, Table, look, proposed_map, valve_data, with_valve
-from ehls_ros.recording.reason import reason
 
 SAID = {"contract": "certain: by its name", "stated": "certain", "unsure": "wants a look", "unknown": "not known"}
 """Wording of the certainty of a column."""

@@ -5,8 +5,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from ehls_ros.errors import BadInput
-from ehls_ros.recording.reason import reason
+from ehls_ros.errors import BadInput, reason
 
 LOCKS = Path("/proc/locks")
 """The system's list of locks."""

@@ -13,7 +13,7 @@ import numpy as np
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.extras import library
 from ehls_ros.hardware.backends.base import Reading, Wiring, permitted
-from ehls_ros.hardware.free_running import free_running_time
+from ehls_ros.hardware.sample_clock import free_running_time
 from ehls_ros.schema import quantity, text
 
 NOT_YET = -200284
