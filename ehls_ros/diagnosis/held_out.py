@@ -90,8 +90,8 @@ def assess(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Assess
     channels = fit.channels
     e = fit.residuals.joined(channels)
     block = np.concatenate([evidence.block[c] for c in channels]) if channels else np.empty(0, dtype=np.intp)
-    alike = [inflation(fit.residuals.values[c]) * evidence.correlation.get(c, 1.0) for c in channels]
-    scatter = np.repeat(alike, [len(evidence.block[c]) for c in channels])
+    variances = [inflation(fit.residuals.values[c]) * evidence.correlation.get(c, 1.0) for c in channels]
+    scatter = np.repeat(variances, [len(evidence.block[c]) for c in channels])
     without, covariance = leave_out(fit.jacobian, e, block, evidence.blocks, scatter)
     averaged: Mapping[Channel, float] = dict.fromkeys(channels, 0.0)
     if worker is not None and channels:

@@ -1,5 +1,7 @@
 """Huber loss of whitened residuals, quadratic in the range of noise and linear beyond, and Gauss-Newton steps on it."""
 
+import math
+
 import numpy as np
 
 from ehls_ros.arrays import Array
@@ -18,8 +20,13 @@ def weights(e: Array) -> Array:
 
 
 def power(e: Array) -> float:
-    """Return the mean square of whitened residuals."""
+    """Return the mean square of values, such as whitened residuals."""
     return float(np.mean(e * e))
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square of values."""
+    return math.sqrt(power(values))
 
 
 def closed(before: Array, after: Array, noise: Array) -> float:
@@ -29,7 +36,7 @@ def closed(before: Array, after: Array, noise: Array) -> float:
 
 def inflation(e: Array) -> float:
     """Return the ratio of the variance of whitened residuals to that of noise, at least 1."""
-    return max(1.0, float(np.mean(np.minimum(e * e, rules.MOST_SQUARE))))
+    return max(1.0, float(np.mean(np.minimum(e * e, rules.MAX_SQUARE))))
 
 
 def gauss_newton(jacobian: Array, e: Array, damping: float, values: Array, lower: Array, upper: Array) -> Array:

@@ -6,7 +6,6 @@ coarsened posterior: Miller, Dunson 2019), and a cause must exceed the errors of
 several values of the rig file are wrong, these are fitted first and the causes sought beside them.
 """
 
-import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -20,7 +19,7 @@ from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.loss import closed, rms
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.pruning import needed
 from ehls_ros.diagnosis.remainder import at_a_bound, remainder_as_noise, with_allowances
@@ -55,8 +54,8 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
     evidence = starts.pool.evidence
     if evidence.baselines:
         # The remainder of the model's form has counted as noise from the beginning.
-        whole, told = with_allowances(evidence, found)
-        return PartialAnswer(whole, told) if told.best.names and worthwhile(whole, told.best) else None
+        full, found_in_full = with_allowances(evidence, found)
+        return PartialAnswer(full, found_in_full) if found_in_full.best.names and worthwhile(full, found_in_full.best) else None
     few = _beside_form(found, starts, progress)
     values = fitted_values(Worker(evidence), found.screened)
     # One cause is simpler than several values that are wrong together.
@@ -130,7 +129,7 @@ def wrong(evidence: Evidence, values: Fit) -> list[str]:
     for index, (candidate, part) in enumerate(zip(values.hypothesis, parts(values.hypothesis), strict=True)):
         moved = values.jacobian[:, part] @ (values.values[part] - candidate.neutral)
         sizes = {c: max(evidence.sizes[c], 1e-300) for c in here}
-        changes = [math.sqrt(power(moved[rows] * evidence.floor[c])) / sizes[c] for c, rows in here.items()]
+        changes = [rms(moved[rows] * evidence.floor[c]) / sizes[c] for c, rows in here.items()]
         if max(changes, default=0.0) >= rules.FORM_ERROR and assessed.sigmas(index) >= rules.MIN_SIGMAS:
             out.append(candidate.name)
     return out

@@ -90,7 +90,7 @@ def _changes(evidence: Evidence, now: Searched, rivals: Rivals, seed: int) -> li
                 out.append(Changed(other, {**rest, other.names[-1]: cause}))
         compared = [place.without, best, *place.rivals]
         absent = probabilities([j.per_block(scale) for j in compared], [len(j.fit.values) for j in compared], seed)[0]
-        if len(best.names) > 1 and (1.0 - absent < rules.LEAST_PROBABLE or not _matters(evidence, best, place.without)):
+        if len(best.names) > 1 and (1.0 - absent < rules.MIN_PROBABILITY or not _matters(evidence, best, place.without)):
             out.append(Changed(place.without, rest))
     return out
 

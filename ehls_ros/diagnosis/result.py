@@ -1,7 +1,7 @@
 """Result of a diagnosis."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from ehls_ros.arrays import Array
@@ -250,7 +250,7 @@ class BaselineSummary(NamedTuple):
     new: Mapping[Channel, ChannelTrace]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Result of a diagnosis: errors of a rig's model, their causes, and the gain from correcting them.
 
@@ -277,16 +277,16 @@ class Diagnosis:
     verdict: Verdict
     missing: tuple[str, ...]
     stages: Mapping[Stage, StageResult]
-    causes: tuple[Cause, ...]
-    unknown_stage: Stage | None
-    depends_on: tuple[str, ...]
-    partial: tuple[str, ...]
-    gain: Gain | None
+    causes: tuple[Cause, ...] = ()
+    unknown_stage: Stage | None = None
+    depends_on: tuple[str, ...] = ()
+    partial: tuple[str, ...] = ()
+    gain: Gain | None = None
     rig: Rig
     extended: Rig
-    traces: Mapping[Channel, ChannelTrace]
-    sensitivities: tuple[Sensitivity, ...]
-    not_judged: Mapping[str, str]
+    traces: Mapping[Channel, ChannelTrace] = field(default_factory=dict)
+    sensitivities: tuple[Sensitivity, ...] = ()
+    not_judged: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...]
     seed: int
     wall_s: float

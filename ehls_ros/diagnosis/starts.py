@@ -141,7 +141,7 @@ def _gain_beside(few: Evidence, remainder: Residuals, other: Fit) -> float:
     """
     before = remainder.joined(other.channels)
     e = before + other.residuals.joined(other.channels) - few.base.joined(other.channels)
-    step = gauss_newton(other.jacobian, e, rules.LEAST_DAMPING, other.values, *bounds(other.hypothesis))
+    step = gauss_newton(other.jacobian, e, rules.MIN_DAMPING, other.values, *bounds(other.hypothesis))
     return float(np.sum(loss(before))) - linear_loss(e, other.jacobian, step)
 
 
@@ -192,7 +192,7 @@ def combined(evidence: Evidence, fit: Fit, other: Fit) -> Start:
     hypothesis = (*fit.hypothesis, *other.hypothesis)
     lower, upper = bounds(hypothesis)
     values = np.concatenate([fit.values, other.values])
-    moved = np.clip(values + gauss_newton(j, e, rules.LEAST_DAMPING, values, lower, upper), lower, upper)
+    moved = np.clip(values + gauss_newton(j, e, rules.MIN_DAMPING, values, lower, upper), lower, upper)
     after = linear_loss(e, j, moved - values)
     before = float(np.sum(loss(fit.residuals.joined(channels))))
     steps = np.concatenate([fit.steps, other.steps])

@@ -138,7 +138,7 @@ def _coefficients(given: Rig, fitted: Rig, variation: HealthyVariation) -> dict[
     for own in variation.channels.values():
         learnt = own.learnt
         for name, told, deviation, varies in zip(
-            own.terms.spreads, learnt.told, learnt.deviations, learnt.spread, strict=False
+            own.terms.spreads, learnt.identified, learnt.deviations, learnt.spread, strict=False
         ):
             if told:
                 precision[name] = precision.get(name, 0.0) + 1.0 / max(float(deviation), 1e-12) ** 2

@@ -3,7 +3,7 @@
 WINDOW = 0.5
 """Time over which cycles are counted [s]."""
 
-LEAST = 0.9
+MIN_ANSWERED = 0.9
 """Fraction of the cycles that must be answered; below it the computer is too slow."""
 
 CLEAR = 0.8
@@ -29,7 +29,7 @@ class Pace:
         complaint: `too slow: 720 of 1000 cycles/s`; empty while the computer keeps up.
     """
 
-    def __init__(self, least: float = LEAST) -> None:
+    def __init__(self, least: float = MIN_ANSWERED) -> None:
         """Start without a complaint; the first call of :meth:`look` opens the first window.
 
         Args:

@@ -48,7 +48,7 @@ from ehls_ros.experiments.state_files.folder_lock import FolderLock
 from ehls_ros.experiments.state_files.kinds import LEARNS_ANEW
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text
-from ehls_ros.hardware.realtime import be_modest, tidy
+from ehls_ros.hardware.realtime import release_freed_memory, trim_memory
 from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import NAMESPACE, OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.frames import loader_frame
@@ -161,7 +161,7 @@ class MonitorNode(ControlNode):
         Raises:
             BadInput: a baseline cannot be read, or the folder cannot be made or is another monitor's.
         """
-        be_modest()
+        release_freed_memory()
         namespace = self.get_namespace().strip("/")
         below = "monitor" if namespace == NAMESPACE else f"monitor_{namespace.replace('/', '_')}"
         self.folder = Path(self.own.folder or Path("runs") / below)
@@ -255,7 +255,7 @@ class MonitorNode(ControlNode):
         """Start following the graph."""
         # The loops with deadlines run without garbage collection; this one has time, and lists of findings refer to each other.
         gc.enable()
-        tidy()
+        trim_memory()
         self.heard = self.tidied = time.monotonic()
         self.day = today()
         self.published = -math.inf
@@ -288,7 +288,7 @@ class MonitorNode(ControlNode):
         # Learning or diagnosis took more memory than is needed from now on.
         if events or time.monotonic() - self.tidied > TIDY:
             self.tidied = time.monotonic()
-            tidy()
+            trim_memory()
 
     def _follow(self) -> list[Event]:
         """Read all messages, and return the events."""

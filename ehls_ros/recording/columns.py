@@ -58,7 +58,7 @@ class Column(NamedTuple):
     table: Annotated[str, text("the file that has the column, where several have one of this name; of a bag, the topic")] = ""
     expression: Annotated[str, text("instead of a name: columns of one unit, such as pA - pB, or `p A` - `p B`")] = ""
     range: Annotated[tuple[float, ...], text("two values of the column, such as [4, 20] of a transmitter in mA")] = ()
-    means: Annotated[tuple[float, ...], text("what the signal is at both values of the range", "SI")] = ()
+    means: Annotated[tuple[float, ...], text("the signal at both values of the range", "SI")] = ()
     rate: Annotated[float, quantity("Hz", "of time: sampling rate; name is the column of sample numbers, if there is one")] = (
         0.0
     )
@@ -304,9 +304,7 @@ def _check_fit(name: str, column: Column, columns: Columns, path: Path) -> None:
         why = f"a known scale: {f'only {fixed_by} fixes that of' if fixed_by else 'no second signal fixes that of'} {name}"
         raise BadInput(f"fit_to is {column.fit_to!r}", where, why)
     if column.fit_to not in columns or columns[column.fit_to].fit_to:
-        raise BadInput(
-            f"fit_to is {column.fit_to!r}, which has no scale of its own", where, "that signal in the map, in its unit"
-        )
+        raise BadInput(f"fit_to is {column.fit_to!r}, which has no scale", where, "that signal in the map, in its unit")
 
 
 def is_topic(table: str) -> bool:

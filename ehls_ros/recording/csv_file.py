@@ -59,7 +59,7 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
             values = columns.read(lines) if places else {}
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
-    said, header = layout.sentence(), layout.header
+    layout_remark, header = layout.sentence(), layout.header
     clocks = {name: "s" for name, kind in zip(names, header.kinds, strict=True) if kind == "clock"}
     return RawTable(
         names,
@@ -67,7 +67,7 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
         "line",
         header.first + 1,
         {**header.units, **clocks},
-        (said,) if said else (),
+        (layout_remark,) if layout_remark else (),
         {names[place]: cell for place, cell in columns.wrong.items()},
     )
 

@@ -72,8 +72,8 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
         columns[column] = None if wrong is not None else _numbers(cells)
     clocks = {name: "s" for name, kind in zip(header.names, header.kinds, strict=True) if kind == "clock"}
     others = [other for other, _ in sheets if other != name]
-    said = [f"read from sheet '{name}'; not from {', '.join(others)}"] if others else []
-    return RawTable(header.names, columns, "row", header.first + 1, {**header.units, **clocks}, tuple(said), texts)
+    remarks = [f"read from sheet '{name}'; not from {', '.join(others)}"] if others else []
+    return RawTable(header.names, columns, "row", header.first + 1, {**header.units, **clocks}, tuple(remarks), texts)
 
 
 def _text(cell: object) -> str:

@@ -24,7 +24,7 @@ PIECE = 1 << 20
 """Bytes searched in one call."""
 
 
-MOST_PARTS = 255
+MAX_PARTS = 255
 """Maximum number of blocks of a bag's provenance."""
 
 MARK = b"\x9dLEDGER\x1a"
@@ -34,7 +34,7 @@ _MARK = re.compile(re.escape(MARK))
 ROOM = 4000
 """Maximum size of a block [B]: fits a SQLite page of 4096 B with its overhead."""
 
-LONGEST_HEAD, LONGEST_TEXT = 1 << 17, 1 << 24
+MAX_HEAD, MAX_TEXT = 1 << 17, 1 << 24
 """Maximum expanded sizes of the head of a block and of a bag's provenance [B]."""
 
 ENTRY = Struct("<BQ8s")
@@ -161,7 +161,7 @@ def provenance_blocks(text: str) -> list[bytes]:
     packed = compress(text.encode(), 9)
     size = ROOM - _FRAME.size
     parts = [packed[start : start + size] for start in range(0, len(packed), size)]
-    if len(parts) > MOST_PARTS:
+    if len(parts) > MAX_PARTS:
         return []
     blocks = [_block(PROVENANCE, len(parts) << 8 | number, part, b"") for number, part in enumerate(parts)]
     return 2 * blocks  # twice, in case a block is damaged
@@ -303,8 +303,8 @@ class Ledger:
         for number, path in self.names.items():
             chosen = self._sound & (self._entries["topic"] == number)
             order = np.argsort(self._entries["stamp_ns"][chosen], kind="stable")
-            stamps, gone = self._entries["stamp_ns"][chosen][order], missing[chosen][order]
-            edges = np.flatnonzero(np.diff(np.concatenate(([False], gone, [False])).astype(np.int8)))
+            stamps, lost = self._entries["stamp_ns"][chosen][order], missing[chosen][order]
+            edges = np.flatnonzero(np.diff(np.concatenate(([False], lost, [False])).astype(np.int8)))
             runs = [
                 Range(last - first, int(stamps[first]), int(stamps[last - 1])) for first, last in edges.reshape(-1, 2).tolist()
             ]
@@ -323,7 +323,7 @@ class Ledger:
 def _parsed_head(head: bytes) -> Mapping[str, tuple[int, int]] | None:
     """Return each topic's number and the count of its earlier messages, by full name, from the head of a block."""
     try:
-        text = _expanded(head, LONGEST_HEAD)
+        text = _expanded(head, MAX_HEAD)
         return cast(Mapping[str, tuple[int, int]], from_json(Mapping[str, tuple[_Number, _Number]], text))
     except (CompressionError, ValueError):
         return None
@@ -334,7 +334,7 @@ def _joined(parts: Mapping[tuple[int, int], bytes]) -> str | None:
     if not total or len(parts) < total:
         return None
     try:
-        return _expanded(b"".join(part for _, part in sorted(parts.items())), LONGEST_TEXT).decode()
+        return _expanded(b"".join(part for _, part in sorted(parts.items())), MAX_TEXT).decode()
     except (CompressionError, UnicodeDecodeError):
         return None
 

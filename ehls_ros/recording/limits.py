@@ -69,7 +69,7 @@ COPIES = 4
 SECONDS = 60.0
 """Reading time allowed for any file [s]."""
 
-SLOWEST = 1e6
+MIN_RATE = 1e6
 """Slowest reading rate of a larger file [B/s]; even a busy computer is ten times as fast."""
 
 
@@ -83,7 +83,7 @@ class Deadline:
             size: size of the file [B].
             where: the file, for the error.
         """
-        self.seconds = SECONDS + size / SLOWEST
+        self.seconds = SECONDS + size / MIN_RATE
         self._where = where
         self._end = time.monotonic() + self.seconds
 

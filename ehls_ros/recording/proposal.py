@@ -122,12 +122,12 @@ def with_valve(tables: Sequence[Table], valve: Valve) -> list[Table]:
 
     def known(column: Seen) -> Seen:
         header = column.header
-        moved = header.sureness == "unsure" and header.signal in (COMMAND, SPOOL) and header.unit
+        moved = header.certainty == "unsure" and header.signal in (COMMAND, SPOOL) and header.unit
         if not moved or UNITS[header.unit].quantity != UNITS[valve.unit].quantity:
             return column
         factor = UNITS[valve.unit].scale / UNITS[header.unit].scale
         low, high = (float(f"{factor * end:.12g}") for end in valve.ends)
-        stated = header._replace(sureness="stated", open=f"by the valve's data: {low:g} to {high:g} {header.unit}")
+        stated = header._replace(certainty="stated", open=f"by the valve's data: {low:g} to {high:g} {header.unit}")
         return column._replace(
             header=stated, entry=f", range: [{low!r}, {high!r}], means: [{-valve.stroke!r}, {valve.stroke!r}]"
         )
@@ -150,16 +150,16 @@ def look(path: Path) -> list[Table]:
     seen = tuple(_seen(header, table.values[header.column])._replace(wrong=_wrong(table, header.column)) for header in headers)
     if not any(column.numeric for column in seen):
         raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
-    sure = [h for h in headers if h.signal == TIME and h.sureness in ("contract", "stated")]
-    times = _seconds(sure[0], table.values[sure[0].column]) if sure else None
+    time_headers = [h for h in headers if h.signal == TIME and h.certainty in ("contract", "stated")]
+    times = _seconds(time_headers[0], table.values[time_headers[0].column]) if time_headers else None
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
     backwards = np.flatnonzero(np.diff(times) <= 0.0) if times is not None else np.empty(0)
-    said = (
+    remarks = (
         [f"times that do not increase: {len(backwards)}, the first in {table.place(int(backwards[0]) + 1)}"]
         if len(backwards)
         else []
     )
-    return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *said))]
+    return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *remarks))]
 
 
 def _topic(name: str, found: Found) -> Table:
@@ -230,7 +230,7 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
         lines.append(f"{TABLES}:")
         for table in tables:
             time = next(
-                (_entry(c.header) for c in table.columns if c.header.signal == TIME and c.header.sureness == "stated"), ""
+                (_entry(c.header) for c in table.columns if c.header.signal == TIME and c.header.certainty == "stated"), ""
             )
             lines.append(f"  {json.dumps(table.name, ensure_ascii=False)}: {time or '{name: time_s}'}")
     taken: dict[str, str] = {}
@@ -239,9 +239,9 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
             lines.append(f"# --- {table.name}")
         lines += _lines(table, several, taken)
     headers = [column.header for table in tables for column in table.columns if column.numeric]
-    damaged = [c for table in tables for c in table.columns if not c.numeric and c.header.sureness in ("contract", "stated")]
-    ready = [header for header in headers if header.sureness == "contract"]
-    times = [header for header in headers if header.sureness == "stated" and header.signal == TIME]
+    damaged = [c for table in tables for c in table.columns if not c.numeric and c.header.certainty in ("contract", "stated")]
+    ready = [header for header in headers if header.certainty == "contract"]
+    times = [header for header in headers if header.certainty == "stated" and header.signal == TIME]
     timed = [TIME] if several and (times or any(is_topic(table.name) for table in tables)) else []
     signals = frozenset({*taken, *timed, *(header.signal for header in ready)})
     certain = len(ready) + len(taken) + (len(times) if several else 0)
@@ -255,11 +255,11 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
         if not column.numeric:
             yield f"# {name} is not a column of numbers{f': {column.wrong}' if column.wrong else ''}"
             continue
-        if header.sureness == "contract" or (several and header.signal == TIME and header.sureness == "stated"):
+        if header.certainty == "contract" or (several and header.signal == TIME and header.certainty == "stated"):
             continue
         of = f", table: {json.dumps(table.name, ensure_ascii=False)}" if several else ""
         span = f"{column.smallest:.4g} to {column.largest:.4g}"
-        if header.sureness == "stated" and header.signal not in taken:
+        if header.certainty == "stated" and header.signal not in taken:
             taken[header.signal] = table.name
             hint = "; if it sits between piston and load: load_cell_n" if header.signal == "force_n" else ""
             yield f"{header.signal}: {_entry(header)[:-1]}{column.entry}{of}}}  # {span}{hint}"
@@ -271,7 +271,7 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
 def _entry(header: Recognised) -> str:
     name = json.dumps(header.column, ensure_ascii=False)
     if not header.unit:
-        return f'{{name: {name}, unit: "?"}}' if header.sureness != "contract" else f"{{name: {name}}}"
-    known = header.sureness == "stated" or UNITS[header.unit].quantity not in ELECTRICAL
+        return f'{{name: {name}, unit: "?"}}' if header.certainty != "contract" else f"{{name: {name}}}"
+    known = header.certainty == "stated" or UNITS[header.unit].quantity not in ELECTRICAL
     gain = "" if known else ', range: ["?", "?"], means: ["?", "?"]'
     return f"{{name: {name}, unit: {json.dumps(header.unit, ensure_ascii=False)}{gain}}}"

@@ -33,7 +33,7 @@ from ehls_ros.recording.typestore import typestore
 BLOCK = 4096
 """Messages processed together."""
 
-LATEST_NS = (1 << 63) - 1
+MAX_NS = (1 << 63) - 1
 """Latest time that a bag can represent [ns]."""
 
 
@@ -231,7 +231,7 @@ def _plausible(
         good = [
             index
             for index, decodes in zip(indices, formed, strict=True)
-            if decodes and block[index].stamp_ns <= LATEST_NS and (block[index].verified or in_time[index])
+            if decodes and block[index].stamp_ns <= MAX_NS and (block[index].verified or in_time[index])
         ]
         counts[path].malformed += len(indices) - len(good)
         kept += good

@@ -74,7 +74,7 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
         The header. A damaged row of values is not taken for names.
     """
 
-    def told(cell: str) -> bool:
+    def is_value(cell: str) -> bool:
         return is_number(cell) or is_clock(cell)
 
     plain = [k for k, row in enumerate(rows) if any(row) and not COMMENT.match(row[0])]
@@ -87,19 +87,19 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     def is_values(row: Row) -> bool:
         cells = [cell for cell, kind in zip(row, kinds, strict=False) if kind != "text"]
         filled = [cell for cell in cells if cell]
-        return len(row) == width and 2 * sum(map(told, filled)) > len(filled) > 0
+        return len(row) == width and 2 * sum(map(is_value, filled)) > len(filled) > 0
 
     first = next((k for k in plain if is_values(rows[k])), None)
     if first is None:
         # Without values, the last row of this width can only be names.
         first = max((k + 1 for k in plain if len(rows[k]) == width), default=0)
     above = [k for k in plain if k < first]
-    while above and len(rows[above[-1]]) == width and any(map(told, rows[above[-1]])):
+    while above and len(rows[above[-1]]) == width and any(map(is_value, rows[above[-1]])):
         first = above.pop()  # a damaged row of values
     if not above or len(rows[above[-1]]) != width:
         commented = [k for k in range(first) if rows[k] and k not in plain and len(rows[k]) in (width, width + 1)]
         above = commented or above
-    named, units_row = _named([k for k in above[-3:] if not any(map(told, _uncommented(rows[k])))], rows)
+    named, units_row = _named([k for k in above[-3:] if not any(map(is_value, _uncommented(rows[k])))], rows)
     names = _uncommented(rows[named]) if named is not None else [f"column {k + 1}" for k in range(width)]
     if len(names) == width - 1 and kinds[-1] == "text":
         names.append("")  # each row of values ends with a delimiter
@@ -111,9 +111,9 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
 
 def _named(texts: Sequence[int], rows: Sequence[Row]) -> tuple[int | None, int | None]:
     """Return the indices of the row of names and of the row of units among the last rows of text above the values."""
-    alike = [k for k in texts if len(rows[k]) == len(rows[texts[-1]])]
-    units_row = next((k for k in alike[-2:] if len(alike) > 1 and _are_units(_uncommented(rows[k]))), None)
-    if units_row is not None and units_row - 1 in alike:
+    same_width = [k for k in texts if len(rows[k]) == len(rows[texts[-1]])]
+    units_row = next((k for k in same_width[-2:] if len(same_width) > 1 and _are_units(_uncommented(rows[k]))), None)
+    if units_row is not None and units_row - 1 in same_width:
         return units_row - 1, units_row  # a row below the units holds a comment for each channel
     return next((k for k in reversed(texts) if k != units_row), None), units_row
 
@@ -134,8 +134,8 @@ def _uncommented(row: Row) -> list[str]:
 
 
 def _are_units(row: Row) -> bool:
-    said = [cell for cell in row if cell not in NO_UNIT]
-    return bool(said) and all(unit_of(cell.strip("[](){}<> ")) is not None for cell in said)
+    stated = [cell for cell in row if cell not in NO_UNIT]
+    return bool(stated) and all(unit_of(cell.strip("[](){}<> ")) is not None for cell in stated)
 
 
 BEGINNING = 2**19
@@ -175,10 +175,10 @@ class Layout(NamedTuple):
         names = "no line of names" if self.header.row is None else f"names in line {self.header.row + 1}"
         units = "" if self.header.units_row is None else f", units in line {self.header.units_row + 1}"
         point = "comma" if self.decimal == "," else "point"
-        said = (
+        layout = (
             f"{self.encoding.removesuffix('-sig')}, {DELIMITERS[self.delimiter]} between cells, decimal {point}, {names}{units}"
         )
-        return "" if said == PLAIN else f"read as {said}, values from line {self.header.first + 1}"
+        return "" if layout == PLAIN else f"read as {layout}, values from line {self.header.first + 1}"
 
 
 PLAIN = "utf-8, commas between cells, decimal point, names in line 1"
@@ -273,7 +273,7 @@ def _fit(lines: Sequence[str], delimiter: str, decimal: str) -> tuple[bool, floa
     widths = [len(row) for row in rows]
     width = max(widths, key=lambda count: (widths.count(count), count), default=0)
     cells = [cell for row in rows if len(row) == width for cell in row if cell]
-    told = sum(number(cell) or is_clock(cell) for cell in cells)
-    share = told / max(1, len(cells)) * widths.count(width) / max(1, len(rows))
+    values = sum(number(cell) or is_clock(cell) for cell in cells)
+    share = values / max(1, len(cells)) * widths.count(width) / max(1, len(rows))
     # Spaces are parts of names, too.
-    return width > 1, round(share, 3), width if told == 0 and delimiter != SPACES else 0
+    return width > 1, round(share, 3), width if values == 0 and delimiter != SPACES else 0

@@ -65,14 +65,14 @@ def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
     check_length(max((len(by_name[name]) for name in wanted if name in by_name), default=0), len(wanted), where)
     values = {name: _values(by_name[name], pick is None) for name in wanted if name in by_name}
     times = {name: "s" for name, c in by_name.items() if c.dtype.kind in "mM"}
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     if even:
         step = steps.pop()
-        said = (f"{WAVEFORM_TIME} is counted from the channels' {INCREMENT} of {step:g} s",)
+        remarks = (f"{WAVEFORM_TIME} is counted from the channels' {INCREMENT} of {step:g} s",)
         times[WAVEFORM_TIME] = "s"
         values[WAVEFORM_TIME] = np.arange(lengths.pop()) * step
     units = {name: str(c.properties[key]) for name, c in by_name.items() for key in reversed(UNIT_KEYS) if key in c.properties}
-    return RawTable(names, values, "sample", units={**units, **times}, remarks=said)
+    return RawTable(names, values, "sample", units={**units, **times}, remarks=remarks)
 
 
 def _values(channel: Any, lenient: bool) -> NDArray[Any] | None:

@@ -97,7 +97,7 @@ def test_operating_points_never_seen_are_said_and_raise_no_alarm(run, rig):
     assert found.verdict in ("consistent", "insufficient")
     beyond = {item.signal: item.beyond for item in found.baseline.coverage}
     assert beyond["velocity_m_s"] > 0.1
-    assert any("outside what the baseline covers" in remark and "velocity_m_s" in remark for remark in found.remarks)
+    assert any("outside the baseline's range" in remark and "velocity_m_s" in remark for remark in found.remarks)
 
 
 @pytest.mark.long

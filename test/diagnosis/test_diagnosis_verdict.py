@@ -368,7 +368,7 @@ TRAVEL = {"slides": 1.01, "sticks": 0.99}
 def test_a_stage_is_excited_if_its_key_parameter_is_detectable(stage, key, limit, travel, expected):
     presliding, coulomb = 2e-5, 300.0
     nominal = coulomb if stage == "force_balance" else 1.0
-    sizes = [Sensitivity(*key, limit * rules.TELLING * nominal, "1")]
+    sizes = [Sensitivity(*key, limit * rules.MAX_UNDETECTED * nominal, "1")]
     slid = Sliding(TRAVEL[travel] * rules.SLIDING * presliding, presliding, coulomb)
     assert excited(stage, sizes, slid) is expected
 

@@ -82,27 +82,27 @@ def test_a_header_that_says_quantity_and_unit_is_taken(header: str):
     [said] = recognised([header])
     expected = STATED[header]
     if expected is None:
-        assert said.sureness != "stated", said
+        assert said.certainty != "stated", said
         return
-    assert (said.signal, said.unit, said.sureness) == (*expected, "stated"), said
+    assert (said.signal, said.unit, said.certainty) == (*expected, "stated"), said
 
 
 @pytest.mark.parametrize("header", LEFT_OPEN)
 def test_nothing_is_guessed(header: str):
     [said] = recognised([header])
-    assert said.sureness in ("unsure", "unknown"), said
+    assert said.certainty in ("unsure", "unknown"), said
     assert LEFT_OPEN[header] in said.open, said
 
 
 def test_names_of_the_data_contract_need_no_map():
-    assert [said.sureness for said in recognised(["time_s", "force_n", "pressure_a_pa"])] == ["contract"] * 3
+    assert [said.certainty for said in recognised(["time_s", "force_n", "pressure_a_pa"])] == ["contract"] * 3
 
 
 def test_two_columns_that_say_the_same_are_both_left_open():
     first, second, other = recognised(["x1 [mm]", "Weg [mm]", "position [mm]"])
-    assert first.sureness == "unsure"
-    assert (second.sureness, other.sureness) == ("unsure", "unsure")
-    assert "2 columns say the same" in second.open
+    assert first.certainty == "unsure"
+    assert (second.certainty, other.certainty) == ("unsure", "unsure")
+    assert "2 columns state the same signal" in second.open
 
 
 @pytest.mark.parametrize(

@@ -84,8 +84,8 @@ def _print(table: Table, console: Console) -> None:
         header = column.header
         span = (f"{column.smallest:.5g}", f"{column.largest:.5g}") if column.numeric else ("–", "–")
         gaps = [f"{100 * column.missing:.2g} % missing"] if column.numeric and column.missing > 0.0 else []
-        unit = header.unit or ("SI" if header.sureness == "contract" else "?")
-        sure = SAID[header.sureness] if column.numeric else "not of numbers"
+        unit = header.unit or ("SI" if header.certainty == "contract" else "?")
+        sure = SAID[header.certainty] if column.numeric else "not of numbers"
         left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else column.wrong
         printed.add_row(escape(header.column), *span, unit, header.signal or "?", sure, escape(left_open))
     console.print(printed)
