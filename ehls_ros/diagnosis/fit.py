@@ -197,7 +197,10 @@ class Worker:
     ) -> Fit:
         evidence = self.evidence
         lower, upper = bounds(hypothesis)
-        steps = _first_steps(values, lower, upper) if steps is None else steps.copy()
+        if steps is None:
+            span = np.minimum(np.where(np.isfinite(upper - lower), upper - lower, 1.0), 1e12)
+            steps = np.where(values != 0.0, rules.FIRST_STEP * np.abs(values), rules.FIRST_STEP_AT_ZERO * span)
+        steps = steps.copy()
         norm = float(np.sqrt(sum(np.sum(np.minimum(v * v, rules.MAX_COUNTED)) for v in residuals.values.values())))
         change = max(rules.CHANGE, rules.CHANGE_FRACTION * norm)
         columns, touched = list[Residuals](), set[Channel]()
@@ -290,11 +293,6 @@ class Worker:
                 missed = residuals.values[c] - now.residuals.values[c] - jacobian[rows] @ step
                 jacobian[rows] += np.outer(missed, along / length)
         return now._replace(values=values, residuals=residuals, jacobian=jacobian, loss=total)
-
-
-def _first_steps(values: Array, lower: Array, upper: Array) -> Array:
-    span = np.minimum(np.where(np.isfinite(upper - lower), upper - lower, 1.0), 1e12)
-    return np.where(values != 0.0, rules.FIRST_STEP * np.abs(values), rules.FIRST_STEP_AT_ZERO * span)
 
 
 def newton_start(fit: Fit) -> Start:

@@ -102,7 +102,9 @@ def free_run(
     signals = tuple(
         _followed(record, signal, before[:, column], None if after is None else after[:, column])
         for column, sensor in enumerate(SENSED)
-        if (signal := RECORDED_AS[sensor]) in record and _moves(record, signal)
+        if (signal := RECORDED_AS[sensor]) in record
+        and signal != TEMPERATURE
+        and float(np.std(record.signals[signal])) > rules.MOVED * record.noise[signal]
     )
     remarks = ["the position integrates any error of the valve's null, so it may drift even with a good model"]
     for which, run in (("the model as it was given", before), ("the extended model", after)):
@@ -110,10 +112,6 @@ def free_run(
             until = float(record.time[np.argmin(np.all(np.isfinite(run), axis=1))] - record.time[0])
             remarks.append(f"{which} leaves the stroke and was stopped after {until:.2g} s")
     return FreeRun(record.time - record.time[0], signals, tuple(remarks))
-
-
-def _moves(record: Record, signal: str) -> bool:
-    return signal != TEMPERATURE and float(np.std(record.signals[signal])) > rules.MOVED * record.noise[signal]
 
 
 def _followed(record: Record, signal: str, before: Array, after: Array | None) -> Followed:

@@ -63,7 +63,7 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     pool = starts.pool
     evidence = pool.evidence
     progress("causes one by one", 0.35)
-    base = assess(evidence, _nothing(evidence) if begin is None else begin)
+    base = assess(evidence, _afresh(evidence, (), np.empty(0), np.empty(0)) if begin is None else begin)
     level = _fitted(evidence, pool, starts.extensions(base)) if base.names else _alone(evidence, pool, starts.alone)
     progress("causes together", 0.55)
     best, scale = _added(evidence, pool, starts, base, level, progress)
@@ -117,10 +117,6 @@ def explaining(
 ) -> Assessment | None:
     """Return the best hypothesis that explains the recording, regardless of the baselines."""
     return next((j for j in _ranked(level, scale) if explains(evidence, j, base, scale)), None)
-
-
-def _nothing(evidence: Evidence) -> Fit:
-    return _afresh(evidence, (), np.empty(0), np.empty(0))
 
 
 def _afresh(evidence: Evidence, hypothesis: Hypothesis, values: Array, steps: Array) -> Fit:

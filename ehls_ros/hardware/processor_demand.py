@@ -67,16 +67,12 @@ class ProcessorDemand:
         had = (ran - self._start[1]) / elapsed
         self.demand = had + (waited - self._start[2]) / elapsed
         self._start = now, ran, waited
-        if self.complaint:
-            return now >= self._until and self._resume()
-        return self._share < 1.0 and self.demand > self._share and had > MIN_RUNNING and self._yield(now)
-
-    def _so_far(self) -> tuple[float, float]:
-        """Return the running time of the loop's thread and its queueing time for a processor [s]."""
-        ran, waited = os.pread(self._statistics, 100, 0).split()[:2]
-        return 1e-9 * int(ran), 1e-9 * int(waited)
-
-    def _yield(self, now: float) -> bool:
+        if self.complaint and now >= self._until:
+            restore_priority(self._had)
+            self._had, self.complaint = {}, ""
+            return True
+        if self.complaint or self._share >= 1.0 or self.demand <= self._share or had <= MIN_RUNNING:
+            return False
         self._had = drop_priority()
         self._until = now + PAUSE
         self.given_back += 1
@@ -86,10 +82,10 @@ class ProcessorDemand:
         )
         return True
 
-    def _resume(self) -> bool:
-        restore_priority(self._had)
-        self._had, self.complaint = {}, ""
-        return True
+    def _so_far(self) -> tuple[float, float]:
+        """Return the running time of the loop's thread and its queueing time for a processor [s]."""
+        ran, waited = os.pread(self._statistics, 100, 0).split()[:2]
+        return 1e-9 * int(ran), 1e-9 * int(waited)
 
     def figures(self) -> dict[str, float]:
         """Return figures for diagnostics."""

@@ -110,7 +110,8 @@ class _Lines:
                 yield block
             return
         line = block.lines[wrong]
-        if not line.strip() and not any(map(str.strip, block.lines[wrong:])) and self._only_space_follows():
+        following = iter(partial(self._stream.read, BLOCK), "")
+        if not any(map(str.strip, block.lines[wrong:])) and not any(map(str.strip, following)):
             if wrong:
                 yield _Block(block.lines[:wrong], block.first)
             return
@@ -129,9 +130,6 @@ class _Lines:
             return None
         return next(k for k, count in enumerate(counts) if count != self._cells)
 
-    def _only_space_follows(self) -> bool:
-        return not any(piece.strip() for piece in iter(partial(self._stream.read, BLOCK), ""))
-
 
 class _Columns:
     """Columns of blocks of lines, parsed by pandas."""
@@ -149,17 +147,14 @@ class _Columns:
         rows = 0
         for block in blocks:
             if rows == 0:
-                self._note_texts(block)
+                cells = split(block.lines[0], self._layout.delimiter)
+                texts = {place: cells[place].strip() for place, kind in self.kinds.items() if kind == "text"}
+                self.wrong = {place: f"line {block.first} is {cell[:40]!r}" for place, cell in texts.items() if cell}
             rows += len(block.lines)
             check_length(rows, len(parts), self._where)
             for place, values in self._block(block).items():
                 parts[place].append(values)
         return {place: self._whole(self.kinds[place], pieces) for place, pieces in parts.items()}
-
-    def _note_texts(self, block: _Block) -> None:
-        cells = split(block.lines[0], self._layout.delimiter)
-        texts = {place: cells[place].strip() for place, kind in self.kinds.items() if kind == "text"}
-        self.wrong = {place: f"line {block.first} is {cell[:40]!r}" for place, cell in texts.items() if cell}
 
     def _whole(self, kind: Kind, pieces: list[NDArray[Any]]) -> NDArray[np.float64] | None:
         if kind == "text":
@@ -203,6 +198,8 @@ class _Columns:
         if not places:
             return {}
         pandas: Any = import_module("pandas")
+        # From 3.1 on, exact parsing of numbers is the default.
+        exact = {} if tuple(map(int, pandas.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
         table = pandas.read_csv(
             io.StringIO("\n".join(lines)),
             sep=self._layout.delimiter,
@@ -212,14 +209,9 @@ class _Columns:
             usecols=places,
             dtype={place: str if self.kinds[place] == "clock" else np.float64 for place in places},
             skipinitialspace=True,
-            **_exactly(pandas.__version__),
+            **exact,
         )
         return {place: table[place].to_numpy() for place in places}
-
-
-def _exactly(version: str) -> dict[str, str]:
-    """Return the option for exact parsing of numbers by pandas; none from 3.1 on, where this is the default."""
-    return {} if tuple(map(int, version.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:

@@ -133,7 +133,9 @@ def _recognised(column: str, apart: str) -> Recognised:
     quantity, qualifiers = _words(label)
     signal, left_open = _signal(quantity, qualifiers)
     if not quantity:
-        candidate = _only_signal(UNITS[unit].quantity) if unit else ""
+        # The unit alone gives a candidate if only one signal has its quantity.
+        candidates = [name for name in (TIME, *READABLE) if unit and quantity_of(name) == UNITS[unit].quantity]
+        candidate = candidates[0] if len(candidates) == 1 else ""
         what = doubt or ("the unit is known, the name is not" if unit else "no word of the name is known")
         return Recognised(column, candidate, unit, "unsure" if unit or doubt else "unknown", what)
     if doubt or not unit:
@@ -233,9 +235,9 @@ def _signal(quantity: str, qualifiers: set[str]) -> tuple[str, str]:
         if of == quantity and rest == {qualifier}:
             return signal, doubt
     if quantity == "temperature":
-        return _plain(quantity), doubt or "of the oil?"
+        return _BY_QUANTITY.get(quantity, ""), doubt or "of the oil?"
     free = quantity in ("command", "spool") and rest <= {"valve"}
-    return _plain(quantity), doubt or ("" if free or not rest else "which one?")
+    return _BY_QUANTITY.get(quantity, ""), doubt or ("" if free or not rest else "which one?")
 
 
 _DOUBTS: Mapping[str, str] = {
@@ -291,13 +293,3 @@ _BY_QUANTITY: Mapping[str, str] = {
     "torque": "torque_n_m",
     "command": "valve_command_m",
 }
-
-
-def _plain(quantity: str) -> str:
-    return _BY_QUANTITY.get(quantity, "")
-
-
-def _only_signal(quantity: str) -> str:
-    """Return the only signal of a quantity; empty if there are several."""
-    signals = [name for name in (TIME, *READABLE) if quantity_of(name) == quantity]
-    return signals[0] if len(signals) == 1 else ""

@@ -81,7 +81,7 @@ def join(tables: Mapping[str, Trajectory], base: str, where: str) -> Trajectory:
             else:
                 signals[signal] = _at(clock, table.time_s, values, periods[name], ratio, signal in HELD)
             if ratio > 1.0 + SAME_RATE:
-                interpolated[signal] = Own(periods[name], _noise(values))
+                interpolated[signal] = Own(periods[name], noise_between_moves(values[np.isfinite(values)]))
         if name != chosen:
             remarks.append(f"{', '.join(table.signals)}: {_resampling(ratio, periods[name])}")
     return Trajectory(clock.time, signals, preparation=Preparation(tuple(remarks), interpolated))
@@ -101,10 +101,6 @@ def _common(tables: Mapping[str, Trajectory], where: str) -> tuple[float, float]
         expected = "tables of the same time; 'tables: {file: {name: ..., offset: ...}}' in the map shifts a clock, in s"
         raise BadInput(f"the tables hardly overlap ({shown})", where, expected)
     return begin, end
-
-
-def _noise(values: Signal) -> float:
-    return noise_between_moves(values[np.isfinite(values)])
 
 
 def _resampling(ratio: float, period: float) -> str:

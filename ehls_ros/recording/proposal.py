@@ -18,7 +18,6 @@ from ehls_ros.recording.conversion import given_by
 from ehls_ros.recording.headers import Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
-from ehls_ros.recording.table import RawTable
 from ehls_ros.units import UNITS
 
 UNITS_OF_FIELDS: Mapping[str, str] = {
@@ -147,11 +146,17 @@ def look(path: Path) -> list[Table]:
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
     headers = recognised(table.names, table.units)
-    seen = tuple(_seen(header, table.values[header.column])._replace(wrong=_wrong(table, header.column)) for header in headers)
+    seen = tuple(
+        _seen(header, values)._replace(wrong=table.wrong.get(header.column, "") if values is None else "no cell has a value")
+        for header in headers
+        for values in [table.values[header.column]]
+    )
     if not any(column.numeric for column in seen):
         raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
     time_headers = [h for h in headers if h.signal == TIME and h.certainty in ("contract", "stated")]
-    times = _seconds(time_headers[0], table.values[time_headers[0].column]) if time_headers else None
+    times = table.values[time_headers[0].column] if time_headers else None
+    if times is not None and time_headers[0].unit:
+        times = times * UNITS[time_headers[0].unit].scale
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
     backwards = np.flatnonzero(np.diff(times) <= 0.0) if times is not None else np.empty(0)
     remarks = (
@@ -166,29 +171,20 @@ def _topic(name: str, found: Found) -> Table:
     """Interpret a topic by its name and by the unit that its type implies."""
     last = name.rpartition("/")[2]
     labels = [last if field in PLAIN else f"{last}_{field}" for field in found.fields]
-    units = [_unit(f"{found.type}.{field}") for field in found.fields]
+    units = [
+        next((unit for ending, unit in UNITS_OF_FIELDS.items() if f"{found.type}.{field}".endswith(ending)), "")
+        for field in found.fields
+    ]
     headers = recognised([f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)])
     named = [header._replace(column=field) for header, field in zip(headers, found.fields, strict=True)]
     seen = tuple(_seen(header, values) for header, values in zip(named, found.fields.values(), strict=True))
     return Table(name, seen, len(found.time), *_rate(found.time))
 
 
-def _unit(field: str) -> str:
-    return next((unit for ending, unit in UNITS_OF_FIELDS.items() if field.endswith(ending)), "")
-
-
 def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
     finite = values[np.isfinite(values)] if values is not None else np.empty(0)
     smallest, largest = (float(np.min(finite)), float(np.max(finite))) if finite.size else (np.nan, np.nan)
     return Seen(header, smallest, largest, 1.0 - finite.size / max(1, values.size) if values is not None else 1.0)
-
-
-def _wrong(table: RawTable, name: str) -> str:
-    return table.wrong.get(name, "") if table.values[name] is None else "no cell has a value"
-
-
-def _seconds(header: Recognised, values: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    return None if values is None else values * (UNITS[header.unit].scale if header.unit else 1.0)
 
 
 def _rate(times: NDArray[np.float64] | None) -> tuple[float, float]:

@@ -154,7 +154,8 @@ def _recover(
     )
     loss, counts, done = Loss(), {path: _Counts() for path in topics}, 0
     try:
-        for block in _blocks(bag.messages(ledger, loss)):
+        messages = bag.messages(ledger, loss)
+        while block := list(islice(messages, BLOCK)):
             for found in _plausible(block, topics, counts, loss, verified_only=verified_only):
                 writer.write(topics[found.topic].name, found.stamp_ns, found.serialized)
                 counts[found.topic].add(found)
@@ -202,11 +203,6 @@ class _Counts:
         added = message_checksum(found.topic, found.stamp_ns, found.serialized)
         self.tally = Tally(messages + 1, checksum_sum([checksum, added]), max(newest_ns, found.stamp_ns))
         self.unverified += not found.verified
-
-
-def _blocks(messages: Iterator[Found]) -> Iterator[list[Found]]:
-    while block := list(islice(messages, BLOCK)):
-        yield block
 
 
 def _plausible(

@@ -67,12 +67,12 @@ LEFT_OPEN = {
     "Weg [furlong]": "is not known",
     "[mm]": "the name is not",
     "qm [mm]": "the name is not",
-    "s_foo_mm": "the name says nothing",
+    "s_foo_mm": "no word of the name",
     "x_3 [mm]": "a word of the name",
-    "qm": "the name says nothing",
-    "vir": "the name says nothing",
-    "PG_1": "the name says nothing",
-    "": "the name says nothing",
+    "qm": "no word of the name",
+    "vir": "no word of the name",
+    "PG_1": "no word of the name",
+    "": "no word of the name",
 }
 """Headers that leave a part open, with that part."""
 
