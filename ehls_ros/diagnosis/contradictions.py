@@ -112,11 +112,10 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
         BadInput: they contradict each other; the error names the value or signal whose unit, sign or column is probably wrong.
     """
     seen = _seen(trajectory)
-    wrong = [ratio for ratio in (_of_both if fitted else _ratios)(rig, seen) if ratio.impossible]
+    wrong = [ratio for ratio in _ratios(rig, seen, fitted=fitted) if ratio.impossible]
     if not wrong:
-        return tuple(
-            f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in _of_both(rig, seen) if ratio.doubtful
-        )
+        doubtful = [ratio for ratio in _ratios(rig, seen, fitted=True) if ratio.doubtful]
+        return tuple(f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in doubtful)
     # A ratio that involves the recording is more informative than a range.
     summary = "; ".join(map(str, wrong[:-3:-1]))
     readings = _resolving(rig, seen)
@@ -192,17 +191,12 @@ def _with_unit(value: Any, unit: str) -> str:
 # --- ratios ------------------------------------------------------------------------------------
 
 
-def _ratios(rig: Rig, seen: Seen) -> Iterator[Ratio]:
-    """Yield every ratio, those of the rig file alone first."""
-    yield from (ratio for ratio in _of_rig(rig) if math.isfinite(ratio.value))
-    yield from _of_both(rig, seen)
-
-
-def _of_both(rig: Rig, seen: Seen) -> Iterator[Ratio]:
-    """Yield the ratios of recording to rig file."""
+def _ratios(rig: Rig, seen: Seen, *, fitted: bool = False) -> Iterator[Ratio]:
+    """Yield every known ratio: those of the rig file alone, unless it is fitted, then those of recording to rig file."""
     long = all(len(values) >= rules.SIZE_FEWEST for values in seen.signals.values())
     with np.errstate(all="ignore"):
         for ratio in (
+            *(() if fitted else _of_rig(rig)),
             *_of_sizes(rig, seen),
             *(_of_slopes(rig, seen) if long else ()),
             *(_of_forces(rig, seen) if long else ()),

@@ -47,10 +47,7 @@ class Windows(NamedTuple):
 
     def thinned(self, stride: int) -> "Windows":
         """Return each ``stride``-th window."""
-        s = slice(None, None, stride)
-        return Windows(
-            self.residual[s], self.noise[s], self.terms[s], self.signals[s], self.factor[s], self.block[s]
-        )  # fmt: skip
+        return Windows(*(values[::stride] for values in self))
 
 
 def joined(recordings: Sequence[Windows]) -> Windows:

@@ -13,7 +13,7 @@ the hooks of effects need velocity, which is taken from a local fit of the posit
 """
 
 import math
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -150,9 +150,13 @@ class Comparison:
         """
         effective = rig.effective()
         wanted = self.setup.channels if channels is None else channels
+        residual: dict[Channel, Callable[[EffectiveRig], Any]] = {
+            "spool": self._spool, "volume": self._volume, "supply": self._supply,
+            "force": self._force, "cell": self._cell, "velocity": self._velocity,
+        }  # fmt: skip
         # A diverging model has no finite residual, and its fit is rejected.
         with np.errstate(over="ignore", invalid="ignore"):
-            return {channel: getattr(self, f"_{channel}")(effective) for channel in wanted}
+            return {channel: residual[channel](effective) for channel in wanted}
 
     def measured(self, rig: Rig, channel: Channel) -> Array:
         """Return the measured quantity to which a channel's residual refers, in its unit, one value a window.
