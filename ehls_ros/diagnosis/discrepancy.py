@@ -47,7 +47,7 @@ class Windows(NamedTuple):
 
     def thinned(self, stride: int) -> "Windows":
         """Return each ``stride``-th window."""
-        return Windows(*(values[::stride] for values in self))
+        return Windows._make(values[::stride] for values in self)
 
 
 def joined(recordings: Sequence[Windows]) -> Windows:

@@ -123,7 +123,7 @@ def _tables(path: Path, given: ColumnMap) -> list[Path]:
             expected = f"one of its tables {', '.join(given.tables)}, or their folder"
             raise BadInput(f"it is not among the tables of the map ({', '.join(given.tables)})", str(path), expected)
         return [folder / name for name in given.tables]
-    files = _known(lambda: sorted(path.iterdir()), otherwise=[]) if folder == path else []
+    files = _known(lambda: sorted(path.iterdir()), otherwise=list[Path]()) if folder == path else []
     return (
         []
         if any(file.name == METADATA_FILE for file in files)
