@@ -38,7 +38,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import load_rig, load_spec
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
-from ehls_ros.hardware.packet import HEADER, LARGEST, MAGIC, MOST_VALUES, VERSION, Codec, Kind, Packet
+from ehls_ros.hardware.packet import HEADER, MAGIC, MAX_SIZE, MAX_VALUES, VERSION, Codec, Kind, Packet
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
 from ehls_ros.recording.columns import Column, ColumnMap, read_columns
 from ehls_ros.recording.load import load
@@ -176,7 +176,7 @@ def spoilt(draw: random.Random, whole: bytes) -> bytes:
 def sample_packet(draw: random.Random) -> Packet:
     """Return a valid packet."""
     kind = draw.choice(list(Kind))
-    count = {Kind.HELLO: 0, Kind.COMMAND: 1}.get(kind, draw.randint(1, MOST_VALUES))
+    count = {Kind.HELLO: 0, Kind.COMMAND: 1}.get(kind, draw.randint(1, MAX_VALUES))
     return Packet(
         kind=kind,
         session=draw.getrandbits(64) | 1,
@@ -197,9 +197,9 @@ def spoilt_packets(seed: int, codec: Codec) -> Iterator[bytes]:
         whole = codec.pack(sample_packet(draw))
         match draw.randrange(7):
             case 0:
-                yield draw.randbytes(draw.randrange(2 * LARGEST))
+                yield draw.randbytes(draw.randrange(2 * MAX_SIZE))
             case 1:
-                yield MAGIC + bytes([VERSION, draw.randrange(5)]) + draw.randbytes(draw.randrange(LARGEST))
+                yield MAGIC + bytes([VERSION, draw.randrange(5)]) + draw.randbytes(draw.randrange(MAX_SIZE))
             case 2:
                 yield whole[: draw.randrange(len(whole))]
             case 3:

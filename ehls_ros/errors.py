@@ -2,9 +2,13 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from textwrap import shorten
 
 LONGEST = 1000
 """Maximum length of each part of a message [characters]; longer parts are cut in the middle."""
+
+LONGEST_REASON = 160
+"""Maximum length of a library's message within it [characters]."""
 
 
 class BadInput(ValueError):
@@ -57,3 +61,13 @@ class WorkFailed(RuntimeError):
 
     The command line prints it and exits with code 1.
     """
+
+
+def reason(error: Exception) -> str:
+    """Return the message of the operating system or library, on one line.
+
+    Args:
+        error: exception raised while a file was opened, read or written.
+    """
+    words = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return shorten(str(words), LONGEST_REASON, placeholder=" …")

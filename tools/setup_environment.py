@@ -70,7 +70,7 @@ def main() -> int:
     Returns:
         Exit code: 0 done, 1 failed with one line on stderr, 130 interrupted.
     """
-    parser = argparse.ArgumentParser(description="Make .venv/ with what the demo needs, and with the groups asked for.")
+    parser = argparse.ArgumentParser(description="Make .venv/ for the demo, with the requested groups.")
     parser.add_argument("groups", nargs="*", help="further dependency groups of pyproject.toml, such as dashboard or test")
     parser.add_argument(
         "--python-was-chosen",

@@ -9,13 +9,13 @@ import numpy as np
 from .experiments import TICK
 from .forms import KINDS, LARGEST, PER_STAGE, SMALLEST, STAGES, FormErrors, Rng, Signals, draw_shapes
 from .recording import IntegrationStopped, Recording, record
-from .visibility import leftovers
+from .visibility import model_residuals
 
 ROUNDS, TOLERANCE, TRIES = 4, 0.05, 20
 
 
 def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]]:
-    """Return the rms of the largest term in each residual of `visibility.leftovers`; 0 for that of the supply."""
+    """Return the rms of the largest term in each residual of `visibility.model_residuals`; 0 for that of the supply."""
     plant, c = rig["plant"], r.columns
     area = plant["piston_area"]
     load, speed = _rms(area * c["load_pressure_pa"]), _rms(np.gradient(c["position_m"], TICK))
@@ -41,12 +41,12 @@ class Scale:
         c = plain.columns
         speed = np.gradient(c["position_m"], TICK)
         self.signals = Signals(speed, c["load_pressure_pa"], c["force_n"], c["valve_command_m"], c["spool_m"])
-        self.terms, self.without = largest_terms(rig, plain), leftovers(rig, plain)
+        self.terms, self.without = largest_terms(rig, plain), model_residuals(rig, plain)
 
     def rows(self, forms: FormErrors) -> dict[str, list[float]]:
         """Return the size of form errors in each residual, as a fraction of its largest term."""
         r = record(self.rig, {}, self.experiment, forms=forms, **self.same)
-        found = leftovers(self.rig, r)
+        found = model_residuals(self.rig, r)
         return {
             stage: [
                 _rms(a - b) / term if term > 0.0 else 0.0

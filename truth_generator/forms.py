@@ -34,7 +34,7 @@ class Signals(NamedTuple):
 class Kind(NamedTuple):
     """Kind of form error.
 
-    stage, row: the residual of `visibility.leftovers` that shows it. amplitude: the kernel field it is proportional to.
+    stage, row: the residual of `visibility.model_residuals` that shows it. amplitude: the kernel field it is proportional to.
     first: initial guess of that field. most: the largest value that a rig could have. shape: draws the other fields.
     """
 

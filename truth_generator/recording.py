@@ -110,7 +110,7 @@ def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
     else:
         raise ValueError(f"friction model {friction['model']!r}: the truth has gms and lugre")
     if rig.get("effects"):
-        raise ValueError("the rig file has effects of its own: the truth starts from a nominal rig and hides its own effects")
+        raise ValueError("the rig file has effects: the truth starts from a nominal rig and adds the hidden effects")
     limits = rig.get("limits", {})
     p["spool_limit"] = limits.get("spool", 1.0e-2)
     p["nominal_supply"], p["nominal_area"], p["nominal_bulk"] = p["supply"], p["area"], p["bulk"]
@@ -129,7 +129,7 @@ def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
     if given is None:
         return SENSORS[column]
     if faults := {name for name in ("bias", "bandwidth", "delay") if given.get(name)}:
-        raise ValueError(f"sensors: {key}: {sorted(faults)} is not among what the truth starts from")
+        raise ValueError(f"sensors: {key}: {sorted(faults)} is not among the parameters of a nominal sensor")
     return given.get("noise_std", 0.0), given.get("resolution", 0.0)
 
 

@@ -53,7 +53,7 @@ def friction_along(v, dt, stiffness, weight, attraction, fc, fs, vs, exponent, l
     return out
 
 
-def leftovers(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray]]:
+def model_residuals(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray]]:
     """Return the residuals of the nominal equations for a recording, by stage.
 
     Columns may be missing: residuals that compare them are omitted, the spool follows from the command, and the supply
@@ -152,14 +152,14 @@ def background(
         given(record(rig, {}, experiment, seed=seed, duration=duration, noise=noise, disturbed=disturbed))
         for noise in (0.0, 1.0)
     )
-    left, spoilt = leftovers(rig, quiet), leftovers(rig, noisy)
+    left, spoilt = model_residuals(rig, quiet), model_residuals(rig, noisy)
     floor = {stage: [_rms(a - b) for a, b in zip(spoilt[stage], left[stage], strict=True)] for stage in STAGES}
     return Background(quiet, left, floor)
 
 
 def against(without: Background, rig: Mapping[str, Any], r: Recording) -> dict[str, float]:
     """Return the `visibility` of the effects in a noise-free recording against a background."""
-    found = leftovers(rig, r)
+    found = model_residuals(rig, r)
     return {
         stage: max(
             (_rms(a - b) / f for a, b, f in zip(found[stage], without.left[stage], without.floor[stage], strict=True)),
@@ -186,7 +186,7 @@ def rows_between(a: Rows, b: Rows) -> Rows:
 
 
 @dataclass
-class Standing:
+class Prominence:
     """Prominence of an effect on a rig that differs from the model.
 
     visibility: by stage, the rms residual due to the effect in units of that due to noise and all other errors.
@@ -198,7 +198,7 @@ class Standing:
     share: float
 
 
-def standing(without: Background, rest: Sequence[tuple[float, Rows]], healthy: Rows, changed: Rows) -> Standing:
+def prominence(without: Background, rest: Sequence[tuple[float, Rows]], healthy: Rows, changed: Rows) -> Prominence:
     """Compare an effect with all other errors.
 
     Args:
@@ -220,7 +220,7 @@ def standing(without: Background, rest: Sequence[tuple[float, Rows]], healthy: R
                 due += (total - _rms(healthy[stage][i] - without.left[stage][i]) ** 2) / floor**2
                 whole += total / floor**2
         seen[stage] = max(ratios, default=0.0)
-    return Standing(seen, due / whole if whole > 0.0 else 0.0)
+    return Prominence(seen, due / whole if whole > 0.0 else 0.0)
 
 
 def _rms(a: np.ndarray) -> float:
@@ -240,7 +240,7 @@ def raw_difference(a: Recording, b: Recording) -> tuple[float, str]:
 def main(rig_file: str, experiment: str = "rich", draws: int = 10) -> None:
     """Print the visibility of every effect over some draws: smallest, median, largest."""
     rig = yaml.safe_load(Path(rig_file).read_text(encoding="utf-8"))
-    print(f"{'effect':31s} {'stage':14s} {'seen in':14s} {'visibility: least, median, most':32s} difference of recordings")
+    print(f"{'effect':31s} {'stage':14s} {'seen in':14s} {'visibility: min, median, max':32s} difference of recordings")
     backgrounds = [background(rig, experiment, seed=seed) for seed in range(draws)]
     for index, (name, effect) in enumerate(EFFECTS.items()):
         seen, raw = [], []

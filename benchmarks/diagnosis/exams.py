@@ -26,7 +26,7 @@ from truth_generator import (
     draw_other_form,
     record,
 )
-from truth_generator.visibility import Background, against, background, leftovers, rows_between, standing
+from truth_generator.visibility import Background, against, background, model_residuals, prominence, rows_between
 
 Rng = np.random.Generator
 
@@ -114,10 +114,10 @@ class _Scene:
         r = record(
             rig_file(), hidden, self.experiment, seed=self.seed, duration=self.duration, noise=0.0, forms=self.forms, day=day
         )
-        return leftovers(rig_file(), r)
+        return model_residuals(rig_file(), r)
 
-    def standing(self, hidden: dict[str, Any]) -> Any:
-        return standing(self.model, self.rest, self.healthy, self._left(hidden, self.day))
+    def prominence(self, hidden: dict[str, Any]) -> Any:
+        return prominence(self.model, self.rest, self.healthy, self._left(hidden, self.day))
 
     def with_forms(self, forms: FormErrors) -> "_Scene":
         return _Scene(forms, self.day, self.weight, (self.experiment, self.seed, self.duration))
@@ -132,7 +132,7 @@ def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], 
     low, high = STANDS_OUT
     target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     drawn = [draw_effect(name, rng, rig_file()) for _ in range(CANDIDATES)]
-    found = [(scene.standing({name: sizes}), sizes) for sizes in drawn]
+    found = [(scene.prominence({name: sizes}), sizes) for sizes in drawn]
     fit = [(s, sizes) for s, sizes in found if max(s.visibility.values()) >= low]
     if fit:
         s, sizes = min(fit, key=lambda pair: abs(np.log(max(pair[0].visibility.values()) / target)))
@@ -146,7 +146,7 @@ def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], 
     if smaller >= 1.0:
         return None
     scene = scene.with_forms(scene.forms.shrunk(stage, smaller))
-    s = scene.standing({name: sizes})
+    s = scene.prominence({name: sizes})
     return (scene, sizes, s) if max(s.visibility.values()) >= low else None
 
 

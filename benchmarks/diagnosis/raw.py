@@ -11,7 +11,7 @@ from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.joining import join
 from ehls_ros.trajectory import Trajectory
 from truth_generator import LISTED, Recording, record, variants
-from truth_generator.visibility import background, leftovers, standing
+from truth_generator.visibility import background, model_residuals, prominence
 
 SLOW = 100.0
 """Rate of slow data [1/s]."""
@@ -78,8 +78,8 @@ def visible(kind: str, hidden: Hidden, experiment: str, seed: int, duration: flo
 
     def seen(left: Callable[[Recording], Recording]) -> dict[str, float]:
         without = background(rig_file(), experiment, seed=seed, duration=duration, given=left)
-        changed = leftovers(rig_file(), left(full))
-        return standing(without, [(APART, without.left)], without.left, changed).visibility
+        changed = model_residuals(rig_file(), left(full))
+        return prominence(without, [(APART, without.left)], without.left, changed).visibility
 
     found = seen(data.left)
     quick = seen(lambda r: r) if data.fast else {}

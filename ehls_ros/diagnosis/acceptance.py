@@ -10,7 +10,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, noise_power
 from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.hypotheses import extended
-from ehls_ros.diagnosis.loss import closed, loss, power, weights
+from ehls_ros.diagnosis.loss import closed, loss, power, rms, weights
 from ehls_ros.diagnosis.stages import Channel
 
 
@@ -39,7 +39,7 @@ def explains(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     clear = not less.names and shows(apart, rules.CLEAR)
     if gain < rules.NEEDED_GAIN or not (matters or clear) or not (beside or shows(apart)):
         return False
-    if earned(evidence, more, less) < rules.MIN_GAIN_RATIO or not recurs(more, less, inflation):
+    if gain_ratio(evidence, more, less) < rules.MIN_GAIN_RATIO or not recurs(more, less, inflation):
         return False
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
@@ -67,7 +67,7 @@ def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessm
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> list[Array]:
     """Return the difference between two hypotheses' residuals in each channel, in units of the noise floor.
 
-    Only the part beyond possible measurement errors counts. A rig's natural spread can make a change less certain, but not
+    Only the part beyond possible measurement errors counts. A rig's healthy spread can make a change less certain, but not
     smaller.
     """
     one, other = more.fit.residuals.values, less.fit.residuals.values
@@ -89,11 +89,11 @@ def relevance(evidence: Evidence, apart: Sequence[Array]) -> float:
         size = max(evidence.sizes[c], 1e-300)
         # A rare error has a small rms, but is relevant where it acts.
         rare = float(np.quantile(change, rules.RARE_QUANTILE)) / rules.RARE_FACTOR
-        largest = max(largest, float(np.sqrt(np.mean(change**2))) / size, rare / size)
+        largest = max(largest, rms(change) / size, rare / size)
     return largest
 
 
-def earned(evidence: Evidence, more: Assessment, less: Assessment) -> float:
+def gain_ratio(evidence: Evidence, more: Assessment, less: Assessment) -> float:
     """Return the gain of one hypothesis over another, as a fraction of the possible gain of its change of the residuals.
 
     A change fitted to the residuals gains half its square. A change that only shifts noise between windows gains or loses
@@ -125,7 +125,7 @@ def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:
         apart: difference of their whitened residuals, one array a channel.
         least: its least rms.
     """
-    return any(float(np.sqrt(np.mean(a * a))) >= least for a in apart)
+    return any(rms(a) >= least for a in apart)
 
 
 def is_new(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
@@ -167,7 +167,7 @@ def most_explained(before: Residuals, after: Residuals) -> Channel:
 def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> float:
     """Return the fraction of one hypothesis' remainder that another closes, in the channel where it explains most.
 
-    Against baselines, the first cause counts in full: its excess over the natural spread would be small beside the scatter of
+    Against baselines, the first cause counts in full: its excess over the healthy spread would be small beside the scatter of
     a long recording, however large the change. The remainder of another cause is mostly spread; there only the excess counts.
     """
     main = mostly_in(more, less)

@@ -1,6 +1,6 @@
 """Allowances for fault-free variation: an expected residual, and directions in which it may vary.
 
-An allowance is a normal prior on deviations that are no fault, such as a skew between two channels or the natural spread of a
+An allowance is a normal prior on deviations that are no fault, such as a skew between two channels or the healthy spread of a
 healthy rig. It is marginalised once: along its directions, residuals are shrunk to the scatter of all others. All hypotheses
 are compared by these residuals, and gain nothing from allowed variation.
 """
@@ -16,20 +16,20 @@ from ehls_ros.diagnosis import rules
 
 
 class Allowance(NamedTuple):
-    """Expectation and natural variation of a channel's fault-free residual.
+    """Expectation and variation of a channel's fault-free residual.
 
     Attributes:
         mean: expected residual of each usable window, in the channel's unit, shape (n,).
         directions: covariance factor of the variation common to all windows, in the channel's unit, shape (n, m).
         variance: of the remaining variation of each window, in the square of the channel's unit, shape (n,).
-        alike: number of neighbouring windows over which the latter is correlated.
+        correlated: number of neighbouring windows over which the latter is correlated.
         most: standard deviations beyond which a variation is weighted :data:`rules.EDGE` times, at most with full weight.
     """
 
     mean: Array
     directions: Array
     variance: Array
-    alike: float = 1.0
+    correlated: float = 1.0
     most: float = math.inf
 
     def whitening(self, floor: Array, correlation: float = 1.0) -> "Allowed":
@@ -41,7 +41,7 @@ class Allowance(NamedTuple):
         """
         directions = self.directions / floor[:, None]
         squares, along = np.linalg.eigh(directions.T @ directions)
-        kept = squares > rules.LEAST_ALLOWED * correlation
+        kept = squares > rules.MIN_ALLOWED * correlation
         basis = directions @ along[:, kept] / np.sqrt(squares[kept])
         return Allowed(self.mean, basis, np.sqrt(1.0 + squares[kept] / correlation), self.most * np.sqrt(1.0 + squares[kept]))
 
@@ -89,6 +89,6 @@ def together(allowances: Sequence[Allowance]) -> Allowance:
         np.sum([a.mean for a in allowances], axis=0),
         np.hstack([a.directions for a in allowances]),
         np.sum([a.variance for a in allowances], axis=0),
-        max(a.alike for a in allowances),
+        max(a.correlated for a in allowances),
         max(a.most for a in allowances),
     )

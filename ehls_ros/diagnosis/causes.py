@@ -8,11 +8,10 @@ import numpy as np
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import mostly_in
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.held_out import Assessment, probabilities
 from ehls_ros.diagnosis.hypotheses import parts
 from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.missing_signals import deciding, untried
-from ehls_ros.diagnosis.probability import probabilities
 from ehls_ros.diagnosis.remainder import remainder_in
 from ehls_ros.diagnosis.result import Cause, Rival
 from ehls_ros.diagnosis.search import Place, Searched
@@ -57,12 +56,12 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
         if remainder_in(evidence, best, main).doubtful:
             probability *= rules.FORM_RIGHT
         probability *= right
-        alike = _alike(evidence, best, others, gain, scale) | untried(evidence, best.fit, place.without.fit)
+        equivalent = _indistinguishable(evidence, best, others, gain, scale) | untried(evidence, best.fit, place.without.fit)
         out.append(
             Cause(
                 name=candidate.name,
                 probability=probability,
-                equivalent_to=tuple(alike),
+                equivalent_to=tuple(equivalent),
                 stage=stages[index],
                 group=groups[index],
                 parameters=_estimates(best, index),
@@ -72,13 +71,13 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
                 rivals=tuple(_rival(evidence, found, place.without, j) for j in others[: rules.RIVALS]),
                 channel=main,
                 share=_share(evidence, best, place.without, main),
-                deciding=tuple(dict.fromkeys(signal for signals in alike.values() for signal in signals)),
+                deciding=tuple(dict.fromkeys(signal for signals in equivalent.values() for signal in signals)),
             )
         )
     return tuple(sorted(out, key=lambda cause: (cause.name in last, -cause.gain)))
 
 
-def _alike(
+def _indistinguishable(
     evidence: Evidence, best: Assessment, others: Sequence[Assessment], gain: float, scale: Mapping[Channel, float]
 ) -> dict[str, tuple[str, ...]]:
     """Return the effects indistinguishable from a cause in the recording, with the missing signals that would separate them.

@@ -103,8 +103,7 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
         trajectory: the recording, any subset of the data contract's signals.
         rig: the rig; its unknown values are not compared.
         name: name of the recording.
-        fitted: whether the rig comes from a fit instead of a file; its undetermined values may be anything, so they are not
-            checked on their own.
+        fitted: whether the rig comes from a fit instead of a file; its undetermined values may be anything and are not checked.
 
     Returns:
         Doubtful ratios, one sentence each.
@@ -113,18 +112,17 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
         BadInput: they contradict each other; the error names the value or signal whose unit, sign or column is probably wrong.
     """
     seen = _seen(trajectory)
-    wrong = [ratio for ratio in (_of_both if fitted else _ratios)(rig, seen) if ratio.impossible]
+    wrong = [ratio for ratio in _ratios(rig, seen, fitted=fitted) if ratio.impossible]
     if not wrong:
-        return tuple(
-            f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in _of_both(rig, seen) if ratio.doubtful
-        )
+        doubtful = [ratio for ratio in _ratios(rig, seen, fitted=True) if ratio.doubtful]
+        return tuple(f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in doubtful)
     # A ratio that involves the recording is more informative than a range.
-    told = "; ".join(map(str, wrong[:-3:-1]))
+    summary = "; ".join(map(str, wrong[:-3:-1]))
     readings = _resolving(rig, seen)
     if not readings:
-        raise BadInput(told, name, "a rig file and a recording of one rig, both in SI units (see --columns)")
+        raise BadInput(summary, name, "a rig file and a recording of one rig, both in SI units (see --columns)")
     doubted = "; ".join(reading.doubted for reading in readings)
-    raise BadInput(f"{doubted} ({told})", name, "; ".join(reading.meant for reading in readings))
+    raise BadInput(f"{doubted} ({summary})", name, "; ".join(reading.meant for reading in readings))
 
 
 def _resolving(rig: Rig, seen: Seen) -> list[Reading]:
@@ -167,17 +165,17 @@ def _readings(rig: Rig, seen: Seen) -> Iterator[Reading]:
             for unit, size in mistaken_for(note.unit).items():
                 scaled = tuple(size * v for v in value) if isinstance(value, tuple) else size * value
                 other = rig._replace(**{section: values._replace(**{key: scaled})})
-                said = f"{section}.{key} of the rig file is {_told(value, note.unit)}: {unit}?"
-                yield Reading(other, seen, said, f"{_told(scaled, note.unit)}, if {_told(value, unit)} was meant")
+                doubted = f"{section}.{key} of the rig file is {_with_unit(value, note.unit)}: {unit}?"
+                yield Reading(other, seen, doubted, f"{_with_unit(scaled, note.unit)}, if {_with_unit(value, unit)} was meant")
     for signal in seen.signals:
         unit = MEASURED[signal].unit
-        said = f"{signal} reaches {seen.reach[signal]:.3g} {unit}"
+        doubted = f"{signal} reaches {seen.reach[signal]:.3g} {unit}"
         for other_unit, size in mistaken_for(unit).items():
             reached = seen.reach[signal]
             meant = f"{reached * size:.3g} {unit}, if its column is in {other_unit} (see --columns)"
-            yield Reading(rig, seen.times(signal, size), f"{said}: {other_unit}?", meant)
+            yield Reading(rig, seen.times(signal, size), f"{doubted}: {other_unit}?", meant)
             meant = f"{reached / size:.3g} {unit}, if its column is not in {other_unit} but in {unit} already"
-            yield Reading(rig, seen.times(signal, 1.0 / size), f"{said}: {unit} already?", meant)
+            yield Reading(rig, seen.times(signal, 1.0 / size), f"{doubted}: {unit} already?", meant)
         meant = f"its column with the other sign (scale: -1, see --columns): positive {signal} has to act towards +x"
         yield Reading(rig, seen.times(signal, -1.0), f"{signal} goes the wrong way", meant)
     for first, second in combinations(seen.signals, 2):
@@ -186,24 +184,19 @@ def _readings(rig: Rig, seen: Seen) -> Iterator[Reading]:
         yield Reading(rig, seen.exchanged(first, second), f"{first} and {second} do not fit", "the two columns exchanged")
 
 
-def _told(value: Any, unit: str) -> str:
+def _with_unit(value: Any, unit: str) -> str:
     return f"[{', '.join(f'{v:g}' for v in value)}] {unit}" if isinstance(value, tuple) else f"{value:g} {unit}"
 
 
 # --- ratios ------------------------------------------------------------------------------------
 
 
-def _ratios(rig: Rig, seen: Seen) -> Iterator[Ratio]:
-    """Yield every ratio, those of the rig file alone first."""
-    yield from (ratio for ratio in _of_rig(rig) if math.isfinite(ratio.value))
-    yield from _of_both(rig, seen)
-
-
-def _of_both(rig: Rig, seen: Seen) -> Iterator[Ratio]:
-    """Yield the ratios of recording to rig file."""
+def _ratios(rig: Rig, seen: Seen, *, fitted: bool = False) -> Iterator[Ratio]:
+    """Yield every known ratio: those of the rig file alone, unless it is fitted, then those of recording to rig file."""
     long = all(len(values) >= rules.SIZE_FEWEST for values in seen.signals.values())
     with np.errstate(all="ignore"):
         for ratio in (
+            *(() if fitted else _of_rig(rig)),
             *_of_sizes(rig, seen),
             *(_of_slopes(rig, seen) if long else ()),
             *(_of_forces(rig, seen) if long else ()),
@@ -235,8 +228,8 @@ def _of_sizes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
     ):
         if reach.get(signal, 0.0) > 0.0:
             unit = MEASURED[signal].unit
-            told = f"the recorded {signal}, which reaches {reach[signal]:.3g} {unit}, over {what}"
-            yield Ratio(told, reach[signal] / known, low, high, usual)
+            description = f"the recorded {signal}, which reaches {reach[signal]:.3g} {unit}, over {what}"
+            yield Ratio(description, reach[signal] / known, low, high, usual)
     if "position_m" in seen.signals and (travel := float(np.ptp(seen.signals["position_m"]))) > 0.0:
         yield Ratio(f"the recorded travel of {travel:.3g} m over limits.position", travel / room, -inf, 5.0, 0.3)
 

@@ -58,9 +58,9 @@ def _ranges(evidence: Evidence) -> dict[str, Range]:
 def remarks(coverage: Sequence[Coverage]) -> list[str]:
     """Return a remark for each signal that leaves the range covered by the baselines."""
     return [
-        f"{100.0 * item.beyond:.0f} % of the recording lie outside what the baseline covers: {item.signal} from"
+        f"{100.0 * item.beyond:.0f} % of the recording lie outside the baseline's range: {item.signal} from"
         f" {item.new[0]:.3g} to {item.new[1]:.3g}, in the baseline from {item.baseline[0]:.3g} to {item.baseline[1]:.3g};"
-        " a change that shows there only is not told from the rig's own remainder"
+        " a change that shows only there cannot be distinguished from the rig's remainder"
         for item in coverage
         if item.beyond > rules.MENTIONED_UNSEEN
     ]

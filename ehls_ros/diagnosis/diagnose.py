@@ -10,7 +10,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.dependence import depends_on, signals_along
 from ehls_ros.diagnosis.evidence import Evidence, gather
-from ehls_ros.diagnosis.excitation import excited, mass_shows, sensitivities, sliding
+from ehls_ros.diagnosis.excitation import excited, mass_observable, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
@@ -19,14 +19,11 @@ from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders, with_allowances
-from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult, trace
 from ehls_ros.diagnosis.search import search
-from ehls_ros.diagnosis.spectrum import spectral_lines
-from ehls_ros.diagnosis.stage_results import Nrmse, not_recorded, stage_result
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, Channel, Setup, Stage, setup
-from ehls_ros.diagnosis.starts import Starts, main_channel, try_starts
-from ehls_ros.diagnosis.traces import trace
-from ehls_ros.diagnosis.verdict import Finding, decide
+from ehls_ros.diagnosis.starts import Starts, main_channel, spectral_lines, try_starts
+from ehls_ros.diagnosis.verdict import Finding, Nrmse, decide, not_recorded, stage_result
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -68,27 +65,29 @@ def diagnose(
     main = main_channel(evidence.channels)
     lines = spectral_lines(evidence.base.values[main], evidence.times[main])
     tried, not_tried = candidates(record, rig, lines)
-    if not mass_shows(evidence):
+    if not mass_observable(evidence):
         everything, tried = {c.name for c in tried}, [c for c in tried if not c.parts_mass]
-        not_tried |= dict.fromkeys(everything - {c.name for c in tried}, "the piston hardly accelerates: no mass shows")
+        not_tried |= dict.fromkeys(
+            everything - {c.name for c in tried}, "the piston hardly accelerates: masses are not observable"
+        )
     with closing(Pool(evidence, threads or os.cpu_count() or 1)) as pool:
         starts = Starts(pool, try_starts(pool, tried, progress))
         found = search(starts, progress)
         sizes = sensitivities(evidence, found.screened)
-        seen, told = with_allowances(evidence, found)
-        findings = _findings(seen, sizes, remainders(seen, told))
-        named = causes(seen, told, seed)
+        full, found_in_full = with_allowances(evidence, found)
+        findings = _findings(full, sizes, remainders(full, found_in_full))
+        named = causes(full, found_in_full, seed)
         verdict, unknown = decide(findings, [cause.stage for cause in named], against_baselines=bool(evidence.baselines))
         answer = partial_answer(found, starts, progress, seed) if verdict == "unknown" else None
-    known, best = (seen, told.best) if answer is None else (answer.evidence, answer.found.best)
+    known, best = (full, found_in_full.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
     model = extended(rig, best.hypothesis, best.fit.values)
     names = verdict in NAMING
     signals = signals_along(evidence.comparison(), model)
-    said = allowed_for(known, best.held_out.residuals.values)
+    allowances = allowed_for(known, best.held_out.residuals.values)
     # The remainder that a partial answer counts as noise is not noise.
-    noise = {c: seen.noise_nrmse(c) for c in seen.channels}
+    noise = {c: full.noise_nrmse(c) for c in full.channels}
     stages = _stage_results(known, best, findings, noise, signals)
     return Diagnosis(
         verdict=verdict,
@@ -101,15 +100,15 @@ def diagnose(
         gain=gain(known, best, noise, seed) if names else None,
         rig=rig,
         extended=model if names else rig,
-        traces={c: trace(seen, c, known.floor[c] * best.held_out.residuals.values[c], signals) for c in evidence.channels},
+        traces={c: trace(full, c, known.floor[c] * best.held_out.residuals.values[c], signals) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,
         remarks=(
             *record.remarks,
-            said,
+            allowances,
             *remarks_on_baselines(found.always),
             *_incidents(findings),
-            *(_would_tell(named) if names else ()),
+            *(_deciding_signals(named) if names else ()),
         ),
         seed=seed,
         wall_s=time.perf_counter() - began,
@@ -118,10 +117,10 @@ def diagnose(
 
 def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
     slid = sliding(evidence)
-    # A change hidden in the natural spread is no deficiency of the data.
-    telling = rules.TELLING_BESIDE_SPREAD if evidence.baselines else rules.TELLING
+    # A change hidden in the healthy spread is no deficiency of the data.
+    largest = rules.MAX_UNDETECTED_BESIDE_SPREAD if evidence.baselines else rules.MAX_UNDETECTED
     return {
-        stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid, telling))
+        stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid, largest))
         for stage in STAGES
     }
 
@@ -157,7 +156,7 @@ def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
     """Return a remark for each stage that exceeds the noise only once."""
     return [
         f"between {item.incident[0]:.1f} and {item.incident[1]:.1f} s more than noise is left in the {stage.replace('_', ' ')},"
-        " and at no other time: nothing is concluded from that, look at what happened there"
+        " and at no other time: no conclusion is drawn; check the rig's log at that time"
         for stage, finding in findings.items()
         for item in finding.remainders
         if item.incident is not None
@@ -167,16 +166,16 @@ def _incidents(findings: Mapping[Stage, Finding]) -> list[str]:
 def remarks_on_baselines(allowed: Assessment | None) -> list[str]:
     """Return a remark for each cause that is no change because the baselines allow it as well."""
     return [
-        f"{name} would explain the recording, but the baselines allow it as well: it may always have been so;"
-        " only a baseline in which it would show can tell"
+        f"{name} would explain the recording, but the baselines allow it as well, so it may be no change;"
+        " to decide, add a baseline in which it would show"
         for name in (() if allowed is None else allowed.names)
     ]
 
 
-def _would_tell(named: Sequence[Cause]) -> list[str]:
+def _deciding_signals(named: Sequence[Cause]) -> list[str]:
     """Return a remark for each cause that missing signals would separate from its equivalents."""
     return [
-        f"without {' and '.join(cause.deciding)}, {cause.name} is not told from {', '.join(cause.equivalent_to)}"
+        f"without {' and '.join(cause.deciding)}, {cause.name} cannot be distinguished from {', '.join(cause.equivalent_to)}"
         for cause in named
         if cause.deciding
     ]
@@ -189,16 +188,8 @@ def _nothing_recorded(record: Record, rig: Rig, compared: Setup, seed: int, bega
         verdict="insufficient",
         missing=_missing(stages),
         stages=stages,
-        causes=(),
-        unknown_stage=None,
-        depends_on=(),
-        partial=(),
-        gain=None,
         rig=rig,
         extended=rig,
-        traces={},
-        sensitivities=(),
-        not_judged={},
         remarks=record.remarks,
         seed=seed,
         wall_s=time.perf_counter() - began,

@@ -45,12 +45,9 @@ class Windows(NamedTuple):
     factor: Array
     block: NDArray[np.intp]
 
-    def every(self, stride: int) -> "Windows":
-        """Return every ``stride``-th window."""
-        s = slice(None, None, stride)
-        return Windows(
-            self.residual[s], self.noise[s], self.terms[s], self.signals[s], self.factor[s], self.block[s]
-        )  # fmt: skip
+    def thinned(self, stride: int) -> "Windows":
+        """Return each ``stride``-th window."""
+        return Windows._make(values[::stride] for values in self)
 
 
 def joined(recordings: Sequence[Windows]) -> Windows:
@@ -106,7 +103,7 @@ class Learnt(NamedTuple):
     deviations: Array
 
     @property
-    def told(self) -> Mask:
+    def identified(self) -> Mask:
         """Mask of the coefficients whose errors the recordings identify, shape (terms,)."""
         return self.deviations < rules.MAX_IDENTIFIED_STD * rules.LEFT_ERROR
 
@@ -140,7 +137,7 @@ class Learnt(NamedTuple):
 
     def leaving(self, after: Array) -> "Learnt":
         """Return the model with its unexplained rest estimated from the residuals on held-out stretches, shape (n,)."""
-        capped = np.minimum(after**2, rules.MOST_SQUARE * (GAUSS * float(np.median(np.abs(after)))) ** 2)
+        capped = np.minimum(after**2, rules.MAX_SQUARE * (GAUSS * float(np.median(np.abs(after)))) ** 2)
         noise = float(np.mean(self.windows.noise**2))
         left = float(np.sqrt(max(float(np.mean(capped)) - noise, 0.0)))
         return self._replace(left=left, together=_together(after, self.windows.block))
@@ -173,11 +170,11 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
         recording = np.repeat(np.arange(len(recordings)), [len(r.residual) for r in recordings])
     else:
         recording = data.block * rules.SECTIONS // (int(np.max(data.block)) + 1)
-    stride = -(-len(data.residual) // rules.MOST_LEARNT)
-    data, recording = data.every(stride), recording[::stride]
+    stride = -(-len(data.residual) // rules.MAX_LEARNT)
+    data, recording = data.thinned(stride), recording[::stride]
     middle = np.median(data.signals, axis=0)
     largest = np.maximum(np.max(np.abs(data.signals), axis=0), 1e-300)
-    scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), rules.LEAST_SCALE * largest)
+    scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), rules.MIN_SCALE * largest)
     count = 2 * data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
@@ -198,7 +195,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
         energy = np.bincount(features.group, (mean**2 + np.diag(inverse))[data.terms.shape[1] :], count)
         grown = (energy + (size / now.sizes) ** 2) / (members + 1.0)
         now = now._replace(
-            sizes=np.maximum(now.sizes * np.sqrt(grown), rules.LEAST_FUNCTION * size),
+            sizes=np.maximum(now.sizes * np.sqrt(grown), rules.MIN_FUNCTION * size),
             power=(float(np.mean(y**2)), float(np.mean(after**2))),
         ).leaving(after)
     return _with_spread(now, features, default_spread, len(recordings) == 1)
@@ -304,7 +301,7 @@ def _together(e: Array, block: NDArray[np.intp]) -> float:
     limit = rules.HUBER * GAUSS * float(np.median(np.abs(e)))
     e = np.clip(e, -limit, limit)
     total, power = 1.0, float(np.mean(e * e))
-    for lag in range(1, rules.LONGEST_MEMORY):
+    for lag in range(1, rules.MAX_MEMORY):
         same = block[lag:] == block[:-lag]
         if not np.any(same) or power == 0.0:
             break
@@ -364,7 +361,7 @@ def _between(rest: Learnt, columns: Array, own: Array, group: NDArray[np.intp], 
     between, fold = np.where(default > 0.0, 1.0, 0.0), _folds(len(data.residual))
     all_fitted = np.ones(0, dtype=np.bool_)
     for _ in range(rules.SPREAD_STEPS):
-        energy, told, after = np.zeros(len(default)), np.zeros(len(default)), data.residual.copy()
+        energy, determined, after = np.zeros(len(default)), np.zeros(len(default)), data.residual.copy()
         variance = rest.variance(data, own)
         for k in members:
             inside = rest.recording == k
@@ -372,9 +369,9 @@ def _between(rest: Learnt, columns: Array, own: Array, group: NDArray[np.intp], 
             shift, inverse = _posterior(part, data.residual[inside], variance[inside], all_fitted)
             after[inside] = _held_out(part, data.residual[inside], variance[inside], fold[inside])
             energy += np.bincount(group, shift**2, len(default))
-            told += np.bincount(group, 1.0 - np.diag(inverse), len(default))
+            determined += np.bincount(group, 1.0 - np.diag(inverse), len(default))
         # Fitting the mean to all recordings takes the degrees of freedom of one.
-        told *= max(len(members) - 1, 1) / len(members)
-        between = np.sqrt((between**2 * energy + default**2) / (told + 1.0))
+        determined *= max(len(members) - 1, 1) / len(members)
+        between = np.sqrt((between**2 * energy + default**2) / (determined + 1.0))
         rest = rest.leaving(after)
     return between

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance, Allowed
-from ehls_ros.diagnosis.loss import loss
+from ehls_ros.diagnosis.loss import loss, rms
 from ehls_ros.diagnosis.noise import deviations, largest_terms, scatter, with_noise
 from ehls_ros.diagnosis.record import POSITION, VELOCITY, Record
 from ehls_ros.diagnosis.resolution import coarseness
@@ -133,16 +133,16 @@ class Evidence:
             after = float(np.sum(loss(noisy[c] - residuals.values[c])))
             # A remainder larger than the added noise indicates underestimated noise.
             scale = float(np.sum(loss(residuals.values[c]))) / max(after, 1e-300)
-            saved[c] = (before - after) * float(np.clip(scale, 1.0, rules.MOST_NOISE_SCALE))
+            saved[c] = (before - after) * float(np.clip(scale, 1.0, rules.MAX_NOISE_SCALE))
         return saved
 
     def nrmse(self, channel: Channel, e: Array) -> float:
         """Return the rms of whitened residuals in the channel's unit, as a fraction of the largest term of its balance."""
-        return float(np.sqrt(np.mean((e * self.floor[channel]) ** 2))) / max(self.sizes[channel], 1e-300)
+        return rms(e * self.floor[channel]) / max(self.sizes[channel], 1e-300)
 
     def noise_nrmse(self, channel: Channel) -> float:
         """Return the rms of the noise floor, as the same fraction."""
-        return float(np.sqrt(np.mean(self.floor[channel] ** 2))) / max(self.sizes[channel], 1e-300)
+        return rms(self.floor[channel]) / max(self.sizes[channel], 1e-300)
 
     def means(self, channel: Channel, values: Array) -> Array:
         """Return the mean of a signal over each usable window."""
@@ -168,7 +168,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
     sizes = largest_terms(comparison, rig)
     coarse = {c: setup.window_of(c).mean(coarseness(record, formed_of(record, c)) ** 2) for c in channels}
     floor = {c: np.sqrt(deviation[c] ** 2 + coarse[c] * (rules.TOLERANCE * sizes[c]) ** 2)[masks[c]] for c in channels}
-    blocks = int(np.clip(round(len(record.time) * record.period / rules.BLOCK), rules.FEWEST_BLOCKS, rules.MOST_BLOCKS))
+    blocks = int(np.clip(round(len(record.time) * record.period / rules.BLOCK), rules.MIN_BLOCKS, rules.MAX_BLOCKS))
     block, times = dict[Channel, NDArray[np.intp]](), dict[Channel, Array]()
     for c in channels:
         window = setup.window_of(c)
@@ -211,7 +211,7 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge:
     floor = {c: np.sqrt(evidence.floor[c] ** 2 + allowances[c].variance) for c in channels}
     unexpected = {c: evidence.base.values[c] - allowances[c].mean / evidence.floor[c] for c in channels}
     # A mean over correlated windows scatters more than one over windows of noise.
-    more = {c: (allowances[c].alike - 1.0) * allowances[c].variance / floor[c] ** 2 for c in channels}
+    more = {c: (allowances[c].correlated - 1.0) * allowances[c].variance / floor[c] ** 2 for c in channels}
     correlation = {c: 1.0 + float(np.median(more[c])) for c in channels}
     base = Residuals(unexpected, evidence.base.depends)
     return measured_in(replace(evidence, channels=channels, base=base, allowances=allowances, judge=judge), floor, correlation)
@@ -224,7 +224,7 @@ def part_of(evidence: Evidence, kept: Mapping[Channel, Mask]) -> Evidence:
         evidence: the recording compared with the given model.
         kept: mask of the usable windows to keep, by channel.
     """
-    channels = tuple(c for c in evidence.channels if c in kept and np.mean(kept[c]) >= rules.LEAST_SEEN)
+    channels = tuple(c for c in evidence.channels if c in kept and np.mean(kept[c]) >= rules.MIN_KEPT_WINDOWS)
     masks = dict(evidence.masks)
     for c in channels:
         masks[c] = evidence.masks[c].copy()
@@ -271,7 +271,7 @@ def whitened(
     allowed: Mapping[Channel, Allowed] | None = None,
 ) -> dict[Channel, Array]:
     """Return the residuals of the usable windows in units of their noise floor; finite but large for a diverged model."""
-    far = rules.FARTHEST
+    far = rules.MAX_RESIDUAL
     out = {}
     for channel, values in raw.items():
         given = (allowed or {}).get(channel)
@@ -293,7 +293,7 @@ def whitened_slopes(evidence: Evidence, raw: Mapping[Channel, Any], parameters: 
     for channel, values in raw.items():
         mask, floor = evidence.masks[channel], evidence.floor[channel]
         out[channel] = np.zeros((len(floor), parameters))
-        far = ~(np.abs(value_of(values)[mask] / floor) < rules.FARTHEST)
+        far = ~(np.abs(value_of(values)[mask] / floor) < rules.MAX_RESIDUAL)
         for parameter, tangent in tangents_of(values).items():
             column = np.broadcast_to(tangent, mask.shape)[mask] / floor
             out[channel][:, parameter] = np.where(far, 0.0, np.nan_to_num(column))
@@ -316,4 +316,4 @@ def noise_power(evidence: Evidence, channel: Channel) -> float:
     if evidence.baselines:
         return 1.0
     e = evidence.noise[channel]
-    return max(float(np.mean(e * e)), rules.LEAST_NOISE_POWER)
+    return max(float(np.mean(e * e)), rules.MIN_NOISE_POWER)

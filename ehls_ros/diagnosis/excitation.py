@@ -70,7 +70,7 @@ def smallest_detectable(information: float, effect: float) -> float | None:
     return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
 
 
-def mass_shows(evidence: Evidence) -> bool:
+def mass_observable(evidence: Evidence) -> bool:
     """Return whether the moving mass is observable: whether doubling it changes a balance noticeably.
 
     A piston that hardly accelerates moves the same with any mass. A separate mass would then have to be far larger, or be a
@@ -103,18 +103,18 @@ def sliding(evidence: Evidence) -> Sliding:
     return Sliding(evidence.travel, presliding, rig.friction_level(math.inf))
 
 
-def excited(stage: Stage, found: Sequence[Sensitivity], slid: Sliding, telling: float = rules.TELLING) -> bool:
+def excited(stage: Stage, found: Sequence[Sensitivity], slid: Sliding, largest: float = rules.MAX_UNDETECTED) -> bool:
     """Return whether the data could show an error of a stage's key parameter; for friction, the piston must also slide.
 
     Args:
         stage: the stage.
         found: the smallest detectable sizes.
         slid: travel and friction of the piston.
-        telling: largest change that may remain undetected, as a fraction of the parameter's nominal value.
+        largest: largest change that may remain undetected, as a fraction of the parameter's nominal value.
     """
     if stage not in KEYS:
         return True
     if stage == "force_balance" and slid.travel < rules.SLIDING * slid.presliding:
         return False
     nominal = slid.coulomb if stage == "force_balance" else 1.0
-    return any(s.smallest < telling * nominal for s in found if Key(s.name, s.parameter) == KEYS[stage])
+    return any(s.smallest < largest * nominal for s in found if Key(s.name, s.parameter) == KEYS[stage])

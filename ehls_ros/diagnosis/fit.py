@@ -9,8 +9,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended, parts
-from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss
-from ehls_ros.diagnosis.loss import loss
+from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
 
@@ -142,7 +141,7 @@ class Worker:
                 break
         return best
 
-    def fit(self, start: Fit, iterations: int = rules.MOST_ITERATIONS, fresh: Fit | None = None) -> Fit:
+    def fit(self, start: Fit, iterations: int = rules.MAX_ITERATIONS, fresh: Fit | None = None) -> Fit:
         """Minimise the loss by Gauss-Newton steps with Levenberg's damping, within the parameters' ranges.
 
         Args:
@@ -159,7 +158,7 @@ class Worker:
             e = now.residuals.joined(now.channels)
             gained = False
             promised = -math.inf
-            for _ in range(rules.MOST_TRIES):
+            for _ in range(rules.MAX_TRIES):
                 step = gauss_newton(now.jacobian, e, damping, now.values, lower, upper)
                 useful = self._useful(now, e, np.clip(now.values + step, lower, upper) - now.values)
                 if np.any(useful):
@@ -181,7 +180,7 @@ class Worker:
                 fresh = now
                 continue
             decrease = now.loss - total
-            damping = max(damping / rules.DAMPING_FACTOR, rules.LEAST_DAMPING)
+            damping = max(damping / rules.DAMPING_FACTOR, rules.MIN_DAMPING)
             settled = decrease < now.negligible(total, len(e))
             settled = settled or decrease < min(rules.MIN_STEP_EFFICIENCY * promised, rules.MIN_STEP_FRACTION * total)
             if now.costly and not settled and decrease > rules.TRUSTED * promised:
@@ -198,8 +197,11 @@ class Worker:
     ) -> Fit:
         evidence = self.evidence
         lower, upper = bounds(hypothesis)
-        steps = _first_steps(values, lower, upper) if steps is None else steps.copy()
-        norm = float(np.sqrt(sum(np.sum(np.minimum(v * v, rules.MOST_COUNTED)) for v in residuals.values.values())))
+        if steps is None:
+            span = np.minimum(np.where(np.isfinite(upper - lower), upper - lower, 1.0), 1e12)
+            steps = np.where(values != 0.0, rules.FIRST_STEP * np.abs(values), rules.FIRST_STEP_AT_ZERO * span)
+        steps = steps.copy()
+        norm = float(np.sqrt(sum(np.sum(np.minimum(v * v, rules.MAX_COUNTED)) for v in residuals.values.values())))
         change = max(rules.CHANGE, rules.CHANGE_FRACTION * norm)
         columns, touched = list[Residuals](), set[Channel]()
         for i in range(len(values)):
@@ -230,10 +232,10 @@ class Worker:
             column = {c: (other.values[c] - residuals.values[c]) / signed for c in evidence.channels}
             with np.errstate(over="ignore", invalid="ignore"):
                 change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values())))
-            if change < rules.LEAST_CHANGE * enough and step < rules.ENLARGED_BELOW * span:
+            if change < rules.MIN_CHANGE * enough and step < rules.ENLARGED_BELOW * span:
                 factor = rules.STEP_GROWTH if change == 0.0 else min(rules.STEP_GROWTH, enough / change)
-                step = min(step * factor, rules.LONGEST_STEP * span)
-            elif change > rules.MOST_CHANGE * enough:
+                step = min(step * factor, rules.MAX_FIT_STEP * span)
+            elif change > rules.MAX_CHANGE * enough:
                 step *= max(rules.STEP_SHRINKAGE, enough / change)
             else:
                 break
@@ -293,11 +295,6 @@ class Worker:
         return now._replace(values=values, residuals=residuals, jacobian=jacobian, loss=total)
 
 
-def _first_steps(values: Array, lower: Array, upper: Array) -> Array:
-    span = np.minimum(np.where(np.isfinite(upper - lower), upper - lower, 1.0), 1e12)
-    return np.where(values != 0.0, rules.FIRST_STEP * np.abs(values), rules.FIRST_STEP_AT_ZERO * span)
-
-
 def newton_start(fit: Fit) -> Start:
     """Return a start that first tries a full Gauss-Newton step and then a shortened one."""
     lower, upper = bounds(fit.hypothesis)
@@ -318,6 +315,6 @@ def predicted_loss(fit: Fit) -> float:
         return fit.loss
     e = fit.residuals.joined(fit.channels)
     lower, upper = bounds(fit.hypothesis)
-    step = gauss_newton(fit.jacobian, e, rules.LEAST_DAMPING, fit.values, lower, upper)
+    step = gauss_newton(fit.jacobian, e, rules.MIN_DAMPING, fit.values, lower, upper)
     step = np.clip(fit.values + step, lower, upper) - fit.values
     return linear_loss(e, fit.jacobian, step)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array, in_python
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
@@ -101,20 +102,16 @@ def free_run(
     signals = tuple(
         _followed(record, signal, before[:, column], None if after is None else after[:, column])
         for column, sensor in enumerate(SENSED)
-        if (signal := RECORDED_AS[sensor]) in record and _moves(record, signal)
+        if (signal := RECORDED_AS[sensor]) in record
+        and signal != TEMPERATURE
+        and float(np.std(record.signals[signal])) > rules.MOVED * record.noise[signal]
     )
-    remarks = [
-        "the position integrates whatever is not known of the valve's null, so it may drift even where the model is good"
-    ]
+    remarks = ["the position integrates any error of the valve's null, so it may drift even with a good model"]
     for which, run in (("the model as it was given", before), ("the extended model", after)):
         if run is not None and not np.all(np.isfinite(run)):
             until = float(record.time[np.argmin(np.all(np.isfinite(run), axis=1))] - record.time[0])
-            remarks.append(f"{which} leaves the stroke, and was given up after {until:.2g} s")
+            remarks.append(f"{which} leaves the stroke and was stopped after {until:.2g} s")
     return FreeRun(record.time - record.time[0], signals, tuple(remarks))
-
-
-def _moves(record: Record, signal: str) -> bool:
-    return signal != TEMPERATURE and float(np.std(record.signals[signal])) > rules.MOVED * record.noise[signal]
 
 
 def _followed(record: Record, signal: str, before: Array, after: Array | None) -> Followed:
@@ -124,7 +121,7 @@ def _followed(record: Record, signal: str, before: Array, after: Array | None) -
     def nrmse(values: Array | None) -> float | None:
         if values is None or not np.all(np.isfinite(values)):
             return None
-        return float(np.sqrt(np.mean((values - measured)[good] ** 2))) / size
+        return rms((values - measured)[good]) / size
 
     return Followed(signal, measured, before, after, nrmse(before), nrmse(after))
 

@@ -32,9 +32,9 @@ def gain(evidence: Evidence, best: Assessment, noise: Mapping[Channel, float], s
 
     main = max(channels, key=removed)
     # A channel without removable error holds no information on the fraction removed.
-    telling = tuple(c for c in channels if power(base[c]) > rules.REMOVABLE * power(evidence.noise[c])) or (main,)
+    counted = tuple(c for c in channels if power(base[c]) > rules.REMOVABLE * power(evidence.noise[c])) or (main,)
     before, after, chance = (
-        np.sum([np.bincount(evidence.block[c], e[c] ** 2, evidence.blocks) for c in telling], axis=0)
+        np.sum([np.bincount(evidence.block[c], e[c] ** 2, evidence.blocks) for c in counted], axis=0)
         for e in (base, held_out, evidence.noise)
     )
     fraction, ci95 = closed_fraction(before, after, chance, seed)
@@ -45,7 +45,7 @@ def gain(evidence: Evidence, best: Assessment, noise: Mapping[Channel, float], s
         noise_floor=noise[main],
         closed_fraction=fraction,
         ci95=ci95,
-        channels={c: _channel_gain(evidence, held_out[c], c) for c in telling},
+        channels={c: _channel_gain(evidence, held_out[c], c) for c in counted},
     )
 
 
@@ -71,6 +71,6 @@ def closed_fraction(before: Array, after: Array, noise: Array, seed: int) -> tup
     fractions = fractions[np.isfinite(fractions)]
     low, high = np.quantile(fractions, [0.025, 0.975]) if fractions.size else (0.0, 0.0)
     removable = float(before.sum() - noise.sum())
-    enough = removable > rules.LEAST_REMOVABLE * float(noise.sum())
+    enough = removable > rules.MIN_REMOVABLE * float(noise.sum())
     closed = float(before.sum() - after.sum()) / removable if enough else 0.0
     return min(closed, 1.0), (float(min(low, 1.0)), float(min(high, 1.0)))

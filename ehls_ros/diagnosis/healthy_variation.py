@@ -13,6 +13,7 @@ from ehls_ros.diagnosis.coefficients import Term, terms
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
 from ehls_ros.diagnosis.evidence import Evidence, allowing, part_of
+from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.measurement import measurement
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
@@ -145,9 +146,9 @@ class OfChannel(NamedTuple):
         low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
         away = np.max(np.abs(new.signals - middle) / np.maximum(half, 1e-300), axis=1, initial=1.0)
-        growth = np.minimum(away, rules.FARTHEST_UNSEEN)
+        growth = np.minimum(away, rules.MAX_EXTRAPOLATION)
         found = self.learnt.expected(new.terms, new.signals, new.factor, growth)
-        return found._replace(variance=np.where(away > rules.FARTHEST_UNSEEN, np.inf, found.variance))
+        return found._replace(variance=np.where(away > rules.MAX_EXTRAPOLATION, np.inf, found.variance))
 
 
 class HealthyVariation(NamedTuple):
@@ -167,7 +168,7 @@ class HealthyVariation(NamedTuple):
         return {c: self.channels[c].expected(self.channels[c].terms.windows(recording, c)) for c in channels}
 
     def judged(self, evidence: Evidence) -> Evidence:
-        """Return the evidence with the rig's expected remainder subtracted and its natural spread allowed for.
+        """Return the evidence with the rig's expected remainder subtracted and its healthy spread allowed for.
 
         Channels that no baseline has are left out.
         """
@@ -180,13 +181,13 @@ class HealthyVariation(NamedTuple):
         measured = measurement(evidence)
         for c in evidence.channels:
             size, healthy = self.channels[c].terms.size, expected[c]
-            natural = Allowance(
+            variation = Allowance(
                 mean=healthy.mean[near[c]] * size,
                 directions=healthy.directions[near[c]] * size,
                 variance=healthy.variance[near[c]] * size**2,
-                alike=self.channels[c].learnt.together,
+                correlated=self.channels[c].learnt.together,
             )
-            allowances[c] = together([natural, measured[c]])
+            allowances[c] = together([variation, measured[c]])
         return replace(allowing(evidence, allowances, self.judged), baselines=self.healthy)
 
 
@@ -195,21 +196,21 @@ def learn_healthy_variation(baselines: Sequence[Described]) -> HealthyVariation:
     out = dict[Channel, OfChannel]()
     for c in dict.fromkeys(c for b in baselines for c in b.evidence.channels):
         having = [b for b in baselines if c in b.evidence.channels]
-        told = set.intersection(*(set(b.signals[c]) for b in having))
-        values = {name: np.concatenate([b.signals[c][name] for b in having]) for name in told}
+        common = set.intersection(*(set(b.signals[c]) for b in having))
+        values = {name: np.concatenate([b.signals[c][name] for b in having]) for name in common}
         spreads = {OFFSET: rules.SPREAD_OF_OFFSET} | {term.name: term.spread for b in having for term in b.errors[c]}
         made_of = Terms(
             size=max(1e-300, *(b.evidence.sizes[c] for b in having)),
             spreads=spreads | dict.fromkeys({SCALE} & set(spreads), 0.0),
             # A signal missing in one of them cannot be used.
-            signals=tuple(name for name in SIGNALS[c] if name in told),
+            signals=tuple(name for name in SIGNALS[c] if name in common),
             factor=FACTORS[c],
-            unit=float(np.sqrt(np.mean(values.get(FACTORS[c], np.zeros(1)) ** 2))) or 1.0,
-            temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in told else None,
+            unit=rms(values.get(FACTORS[c], np.zeros(1))) or 1.0,
+            temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in common else None,
         )
         out[c] = OfChannel(made_of, made_of.learnt_on([made_of.windows(b, c) for b in having]))
-    natural = HealthyVariation(out)
-    return natural._replace(healthy=tuple(natural.judged_by(b.evidence, natural.expected(b)) for b in baselines))
+    learnt = HealthyVariation(out)
+    return learnt._replace(healthy=tuple(learnt.judged_by(b.evidence, learnt.expected(b)) for b in baselines))
 
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
@@ -222,8 +223,8 @@ def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
     if "spool" in evidence.channels:
         along[SPOOL_RATE] = np.gradient(comparison.simulated_spool(evidence.rig.effective()), evidence.record.period)
     # A measured load responds to the friction: at controlled pressure it would determine the residual.
-    told = [name for name in along if name not in evidence.record.measured]
+    usable = [name for name in along if name not in evidence.record.measured]
     return {
-        c: {name: evidence.means(c, along[name]) for name in (*SIGNALS[c], TEMPERATURE) if name in told}
+        c: {name: evidence.means(c, along[name]) for name in (*SIGNALS[c], TEMPERATURE) if name in usable}
         for c in evidence.channels
     }

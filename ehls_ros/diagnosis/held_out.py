@@ -1,6 +1,6 @@
-"""Cross-validation of a fitted hypothesis on held-out blocks."""
+"""Cross-validation of fitted hypotheses on held-out blocks, and their relative probabilities."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +11,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.hypotheses import Hypothesis, extended, parts
-from ehls_ros.diagnosis.least_squares import products
-from ehls_ros.diagnosis.loss import inflation, loss, weights
+from ehls_ros.diagnosis.loss import inflation, loss, products, weights
 from ehls_ros.diagnosis.stages import Channel
 
 
@@ -91,8 +90,8 @@ def assess(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Assess
     channels = fit.channels
     e = fit.residuals.joined(channels)
     block = np.concatenate([evidence.block[c] for c in channels]) if channels else np.empty(0, dtype=np.intp)
-    alike = [inflation(fit.residuals.values[c]) * evidence.correlation.get(c, 1.0) for c in channels]
-    scatter = np.repeat(alike, [len(evidence.block[c]) for c in channels])
+    variances = [inflation(fit.residuals.values[c]) * evidence.correlation.get(c, 1.0) for c in channels]
+    scatter = np.repeat(variances, [len(evidence.block[c]) for c in channels])
     without, covariance = leave_out(fit.jacobian, e, block, evidence.blocks, scatter)
     averaged: Mapping[Channel, float] = dict.fromkeys(channels, 0.0)
     if worker is not None and channels:
@@ -150,3 +149,29 @@ def leave_out(jacobian: Array, e: Array, block: NDArray[np.intp], blocks: int, s
     with np.errstate(over="ignore", invalid="ignore"):
         larger = np.maximum(1.0, np.sqrt(np.maximum(np.diag(between), 0.0) / np.maximum(np.diag(noise), 1e-300)))
         return without, noise * np.outer(larger, larger) / np.outer(unit, unit)
+
+
+def probabilities(gains: Sequence[Array], parameters: Sequence[int], seed: int) -> Array:
+    """Return the probability of each of several hypotheses, given their gains on the held-out blocks.
+
+    Stacking by a Bayesian bootstrap of the blocks (Yao, Vehtari, Simpson, Gelman 2018): the mean over resamplings of its share
+    of the likelihood.
+
+    Args:
+        gains: of each hypothesis, shape (blocks,) [nats]; empty for a hypothesis that changes nothing.
+        parameters: number of free parameters of each.
+        seed: of the resampling.
+
+    Returns:
+        The probabilities, shape (hypotheses,).
+    """
+    rng = np.random.default_rng(seed)
+    blocks = max((len(g) for g in gains), default=1)
+    table = np.array([np.resize(g, blocks) if len(g) else np.zeros(blocks) for g in gains])
+    penalty = rules.PENALTY * np.array(parameters)
+    weights = rng.dirichlet(np.ones(blocks), rules.RESAMPLED) * blocks
+    scores = weights @ table.T - penalty
+    scores -= scores.max(axis=1, keepdims=True)
+    likelihood = np.exp(scores)
+    mean: Array = np.mean(likelihood / likelihood.sum(axis=1, keepdims=True), axis=0)
+    return mean

@@ -109,7 +109,7 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
             continue
         tried = [_candidate(name, number, form, record, lines) for number, form in enumerate(effect.forms(rig))]
         if not all(np.all(np.isfinite(candidate.starts)) for candidate in tried):
-            out[name] = "needs what the rig file lacks"
+            out[name] = "needs values missing from the rig file"
             continue
         found += tried
     return found, out
@@ -165,8 +165,8 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
                 upper[column] = min(upper[column], float(np.quantile(values, 1.0 - rules.OUTER)))
         elif form.free[parameter] and all(isinstance(start, Peak) for start in form.free[parameter]):
             # A faster line shows only in the initial state of the friction.
-            window = max(rules.WINDOW, rules.LEAST_WINDOW * record.period)
-            upper[column] = min(upper[column], rules.FASTEST_LINE / window)
+            window = max(rules.WINDOW, rules.MIN_WINDOW * record.period)
+            upper[column] = min(upper[column], rules.MAX_LINE_PERIODS / window)
     if all(form.free.values()):
         # A small effect is found from the neutral values, provided the loss has a gradient there.
         rows = np.vstack([neutral, rows])

@@ -61,17 +61,17 @@ def allowed_for(evidence: Evidence, left: Mapping[Channel, Array]) -> str:
     record = evidence.record
     samples = [1e3 * pick(record.sampled(signal) for signal in record.signals) for pick in (min, max)]
     sample = " to ".join(f"{value:.3g}" for value in dict.fromkeys(samples))
-    said = (
+    allowances = (
         f"allowed for: signals late or early by up to a sample ({sample} ms) against each other, and drifting;"
-        f" zeros off by up to {100.0 * rules.MOST_ALLOWED * rules.OFFSET:.2g} % of their signals"
+        f" zeros off by up to {100.0 * rules.MAX_ALLOWED * rules.OFFSET:.2g} % of their signals"
     )
     explained = dict[Stage, float]()
     for c, e in left.items():
         taken = evidence.whole(c, e) - e
-        if power(taken) > max(power(evidence.noise[c]), rules.LEAST_NOISE_POWER):
+        if power(taken) > max(power(evidence.noise[c]), rules.MIN_NOISE_POWER):
             explained[CHANNELS[c]] = max(explained.get(CHANNELS[c], 0.0), evidence.nrmse(c, taken))
     parts = [f"{100.0 * part:.2g} % in the {stage.replace('_', ' ')}" for stage, part in explained.items()]
-    return f"{said}; that explains {', '.join(parts)}" if parts else said
+    return f"{allowances}; that explains {', '.join(parts)}" if parts else allowances
 
 
 def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> Allowance:
@@ -87,7 +87,7 @@ def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> All
     skews = rules.SKEW * np.column_stack([-np.sum([none, *late], axis=0), *late])
     drift = (times - times[0]) / max(float(np.ptp(times)), 1e-300) - 0.5
     directions = np.column_stack([skews, skews * drift[:, None], *off])
-    return Allowance(none, directions[:, np.all(np.isfinite(directions), axis=0)], none, most=rules.MOST_ALLOWED)
+    return Allowance(none, directions[:, np.all(np.isfinite(directions), axis=0)], none, most=rules.MAX_ALLOWED)
 
 
 def _residuals(evidence: Evidence, signal: str, values: Array, channels: tuple[Channel, ...]) -> dict[Channel, Array]:

@@ -11,6 +11,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.noise import largest_terms
 from ehls_ros.diagnosis.record import FORCE, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Comparison, setup
@@ -43,7 +44,7 @@ def deciding(evidence: Evidence, one: Fit, other: Fit) -> tuple[str, ...]:
     if not missing:
         return ()
     along, rigs = evidence.comparison(), [extended(evidence.rig, fit.hypothesis, fit.values) for fit in (one, other)]
-    return tuple(signal for signal in missing if _tells(along, signal, *rigs))
+    return tuple(signal for signal in missing if _separates(along, signal, *rigs))
 
 
 def untried(evidence: Evidence, best: Fit, without: Fit) -> dict[str, tuple[str, ...]]:
@@ -77,7 +78,7 @@ def untried(evidence: Evidence, best: Fit, without: Fit) -> dict[str, tuple[str,
     return out
 
 
-def _tells(along: Comparison, signal: str, one: Rig, other: Rig) -> bool:
+def _separates(along: Comparison, signal: str, one: Rig, other: Rig) -> bool:
     record = along.record
     completed = record._replace(
         signals={**record.signals, signal: EXPECTED[signal](along, one.effective())},
@@ -88,4 +89,4 @@ def _tells(along: Comparison, signal: str, one: Rig, other: Rig) -> bool:
     whole = Comparison(completed, setup(completed, one))
     added = tuple(c for c in whole.setup.channels if c not in along.setup.channels)
     first, second, sizes = whole.residuals(one, added), whole.residuals(other, added), largest_terms(whole, one)
-    return any(float(np.sqrt(np.mean((first[c] - second[c]) ** 2))) > rules.RELEVANT * sizes[c] for c in added)
+    return any(rms(first[c] - second[c]) > rules.RELEVANT * sizes[c] for c in added)

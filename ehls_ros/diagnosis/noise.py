@@ -9,6 +9,7 @@ import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.record import COMMAND, HELD, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
@@ -64,9 +65,9 @@ def _sampling(values: Array) -> Sampling:
     more, less = (noise_of(differences[part]) ** 2 for part in (fast, slow))
     if quickly <= slowly:
         return Sampling(0.0, math.sqrt(less), clear=False)
-    jitter = min(math.sqrt(max(more - less, 0.0) / (quickly - slowly)), rules.MOST_JITTER)
+    jitter = min(math.sqrt(max(more - less, 0.0) / (quickly - slowly)), rules.MAX_JITTER)
     clear = quickly > rules.FAST_RATE**2 * less
-    if jitter < rules.LEAST_JITTER:
+    if jitter < rules.MIN_JITTER:
         return Sampling(0.0, math.sqrt(less), clear)
     return Sampling(jitter, math.sqrt(max(less - jitter**2 * slowly, 0.0)), clear)
 
@@ -130,28 +131,23 @@ def scatter(
         # The change of the residual by a wider local fit of the motion measures the uncertainty of the fit.
         unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, rules.FIT_ERROR_WINDOWS, mode="nearest")
         unresolved += scipy.ndimage.uniform_filter1d((led[c] - raw[c]) ** 2, rules.LEAD_WINDOWS, mode="nearest")
-        out[c] = np.sqrt(np.maximum(local, rules.LEAST_VARIANCE * typical) + unresolved)
+        out[c] = np.sqrt(np.maximum(local, rules.MIN_VARIANCE * typical) + unresolved)
     return out, added
 
 
 def largest_terms(comparison: Comparison, rig: Rig) -> dict[Channel, float]:
     """Return the rms of the largest term in each channel's balance, in the channel's unit."""
     plant, record = rig.effective().plant, comparison.record
-    rms = {name: float(np.sqrt(np.mean(record.signals[name] ** 2))) for name in record.signals}
-    flow = (
-        float(np.sqrt(np.mean(comparison.flow_terms(rig.effective())[:, 0] ** 2)))
-        if "volume" in comparison.setup.channels
-        else 0.0
-    )
+    sizes = {name: rms(values) for name, values in record.signals.items()}
+    flow = rms(comparison.flow_terms(rig.effective())[:, 0]) if "volume" in comparison.setup.channels else 0.0
     moving = not {"force", "velocity"}.isdisjoint(comparison.setup.channels)
-    speed = comparison.motion(rig.effective()).velocity if moving else np.zeros(1)
-    swept = plant.piston_area * float(np.sqrt(np.mean(speed**2)))
-    driving = plant.piston_area * rms["load_pressure_pa"] if "load_pressure_pa" in rms else rms.get("force_n", 0.0)
+    speed = rms(comparison.motion(rig.effective()).velocity) if moving else 0.0
+    driving = plant.piston_area * sizes["load_pressure_pa"] if "load_pressure_pa" in sizes else sizes.get("force_n", 0.0)
     return {
-        "spool": rms.get("spool_m", 0.0),
-        "volume": max(flow, swept),
-        "supply": rms.get("supply_pressure_pa", 0.0),
-        "force": max(driving, rms.get("disturbance_force_n", 0.0)),
+        "spool": sizes.get("spool_m", 0.0),
+        "volume": max(flow, plant.piston_area * speed),
+        "supply": sizes.get("supply_pressure_pa", 0.0),
+        "force": max(driving, sizes.get("disturbance_force_n", 0.0)),
         "cell": driving,
-        "velocity": float(np.sqrt(np.mean(speed**2))),
+        "velocity": speed,
     }

@@ -6,6 +6,7 @@ coarsened posterior: Miller, Dunson 2019), and a cause must exceed the errors of
 several values of the rig file are wrong, these are fitted first and the causes sought beside them.
 """
 
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from typing import NamedTuple
@@ -14,17 +15,17 @@ import numpy as np
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import most_explained
-from ehls_ros.diagnosis.evidence import Evidence, Residuals
-from ehls_ros.diagnosis.fit import Worker
-from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
+from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import closed
+from ehls_ros.diagnosis.loss import closed, rms
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.pruning import needed
 from ehls_ros.diagnosis.remainder import at_a_bound, remainder_as_noise, with_allowances
-from ehls_ros.diagnosis.rig_values import fitted_values
 from ehls_ros.diagnosis.search import Searched, search
 from ehls_ros.diagnosis.starts import Starts
+from ehls_ros.physics.effects import EFFECTS
 
 
 class PartialAnswer(NamedTuple):
@@ -53,8 +54,8 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
     evidence = starts.pool.evidence
     if evidence.baselines:
         # The remainder of the model's form has counted as noise from the beginning.
-        whole, told = with_allowances(evidence, found)
-        return PartialAnswer(whole, told) if told.best.names and worthwhile(whole, told.best) else None
+        full, found_in_full = with_allowances(evidence, found)
+        return PartialAnswer(full, found_in_full) if found_in_full.best.names and worthwhile(full, found_in_full.best) else None
     few = _beside_form(found, starts, progress)
     values = fitted_values(Worker(evidence), found.screened)
     # One cause is simpler than several values that are wrong together.
@@ -98,3 +99,43 @@ def worthwhile(evidence: Evidence, best: Assessment) -> bool:
     after, main = best.held_out.residuals.values, most_explained(evidence.base, best.held_out.residuals)
     little = evidence.nrmse(main, after[main]) <= rules.FORM_LEFT
     return little and closed(evidence.base.values[main], after[main], evidence.noise[main]) >= rules.WORTHWHILE
+
+
+def fitted_values(worker: Worker, alone: Sequence[Fit]) -> Fit | None:
+    """Fit all rig-file values that some effect corrects; None unless several are wrong.
+
+    Args:
+        worker: of the recording compared with the given model.
+        alone: every cause alone, with its derivatives.
+    """
+    hypothesis = tuple({c.name: c for fit in reversed(alone) for c in fit.hypothesis if corrects_value(c.name)}.values())
+    if not hypothesis:
+        return None
+    neutral = np.concatenate([c.neutral for c in hypothesis])
+    values = worker.fit(worker.linearise(hypothesis, neutral), rules.POLISHING_STEPS)
+    return values if len(wrong(worker.evidence, values)) > 1 else None
+
+
+def wrong(evidence: Evidence, values: Fit) -> list[str]:
+    """Return the names of the corrections that change a balance by more than an error of form.
+
+    Args:
+        evidence: the recording compared with the given model.
+        values: the fitted values.
+    """
+    assessed = assess(evidence, values)
+    here = sections(evidence.block, values.channels)
+    out = []
+    for index, (candidate, part) in enumerate(zip(values.hypothesis, parts(values.hypothesis), strict=True)):
+        moved = values.jacobian[:, part] @ (values.values[part] - candidate.neutral)
+        sizes = {c: max(evidence.sizes[c], 1e-300) for c in here}
+        changes = [rms(moved[rows] * evidence.floor[c]) / sizes[c] for c, rows in here.items()]
+        if max(changes, default=0.0) >= rules.FORM_ERROR and assessed.sigmas(index) >= rules.MIN_SIGMAS:
+            out.append(candidate.name)
+    return out
+
+
+def corrects_value(name: str) -> bool:
+    """Return whether an effect corrects a value of the rig file rather than adding a missing mechanism."""
+    effect = EFFECTS.load(name)
+    return not effect.WORDS.lacking and effect.GROUP != "sensors"

@@ -12,10 +12,9 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import differences, most_explained, mostly_in, relevance
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
-from ehls_ros.diagnosis.held_out import Assessment, assess
+from ehls_ros.diagnosis.held_out import Assessment, assess, probabilities
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.pool import Pool
-from ehls_ros.diagnosis.probability import probabilities
 from ehls_ros.diagnosis.remainder import remainder_as_noise
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 from ehls_ros.diagnosis.starts import Starts
@@ -91,7 +90,7 @@ def _changes(evidence: Evidence, now: Searched, rivals: Rivals, seed: int) -> li
                 out.append(Changed(other, {**rest, other.names[-1]: cause}))
         compared = [place.without, best, *place.rivals]
         absent = probabilities([j.per_block(scale) for j in compared], [len(j.fit.values) for j in compared], seed)[0]
-        if len(best.names) > 1 and (1.0 - absent < rules.LEAST_PROBABLE or not _matters(evidence, best, place.without)):
+        if len(best.names) > 1 and (1.0 - absent < rules.MIN_PROBABILITY or not _matters(evidence, best, place.without)):
             out.append(Changed(place.without, rest))
     return out
 

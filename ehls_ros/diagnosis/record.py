@@ -100,8 +100,8 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         BadInput: time does not increase, too much of a signal is bad, or recording and rig contradict each other.
     """
     time = np.asarray(trajectory.time_s, dtype=np.float64)
-    if len(time) < rules.FEWEST_SAMPLES:
-        raise BadInput(f"there are {len(time)} samples", name, f"at least {rules.FEWEST_SAMPLES}")
+    if len(time) < rules.MIN_SAMPLES:
+        raise BadInput(f"there are {len(time)} samples", name, f"at least {rules.MIN_SAMPLES}")
     steps = np.diff(time)
     if not np.all(np.isfinite(time)) or np.any(steps <= 0.0):
         raise BadInput("time_s does not increase from sample to sample", name, "increasing times in seconds")
@@ -131,9 +131,9 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     for signal, values in recorded.items():
         right, own = trusted[signal], preparation.interpolated.get(signal)
         bad = 1.0 - float(np.mean(right))
-        if bad > rules.MOST_BAD:
+        if bad > rules.MAX_BAD:
             what = f"{100 * bad:.0f} % of signal '{signal}' are missing or outliers"
-            raise BadInput(what, name, f"at most {100 * rules.MOST_BAD:.0f} %")
+            raise BadInput(what, name, f"at most {100 * rules.MAX_BAD:.0f} %")
         if bad > rules.MENTIONED_BAD:
             remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
@@ -170,11 +170,11 @@ def spread_noise(own: Own, period: float) -> float:
 
 def _stretches(time: Array, remarks: list[str]) -> NDArray[np.intp]:
     duration = float(time[-1] - time[0])
-    if duration <= rules.LONGEST_RECORDING:
+    if duration <= rules.MAX_RECORDING:
         return np.arange(len(time))
-    length = rules.LONGEST_RECORDING / rules.STRETCHES
+    length = rules.MAX_RECORDING / rules.STRETCHES
     begins = time[0] + np.linspace(0.0, duration - length, rules.STRETCHES)
-    remarks.append(f"of {duration:.0f} s, {rules.STRETCHES} stretches of {length:.0f} s spread evenly over it are looked at")
+    remarks.append(f"of {duration:.0f} s, {rules.STRETCHES} stretches of {length:.0f} s spread evenly over it are used")
     parts = [np.arange(*np.searchsorted(time, [b, b + length])) for b in begins]
     # A stretch in a gap of the recording may be empty; dropping the first sample keeps adjacent stretches apart.
     return np.unique(np.concatenate([p[1:] for p in parts if len(p) > 2]))
@@ -191,7 +191,7 @@ def _on_grid(time: Array, values: Array, right: Mask, grid: Array, period: float
     after = np.clip(np.searchsorted(at, grid - 0.5 * period), 0, len(at) - 1)
     before = np.clip(after - 1, 0, len(at) - 1)
     near = np.minimum(np.abs(at[after] - grid), np.abs(at[before] - grid)) <= 0.5 * period
-    inside = (at[after] - at[before] <= (rules.LONGEST_FILLED + 1.5) * period) & (grid >= at[0]) & (grid <= at[-1])
+    inside = (at[after] - at[before] <= (rules.MAX_FILLED + 1.5) * period) & (grid >= at[0]) & (grid <= at[-1])
     return out, near | inside
 
 
@@ -204,7 +204,7 @@ def _not_spikes(values: Array) -> Mask:
     around = scipy.ndimage.median_filter(np.abs(whole - before), rules.SPIKE_NEIGHBOURS, mode="nearest") + np.abs(
         after - before
     )
-    jumps = (off > rules.SPIKE * around) & (off > rules.LEAST_SPIKE * np.max(np.abs(whole)))
+    jumps = (off > rules.SPIKE * around) & (off > rules.MIN_SPIKE * np.max(np.abs(whole)))
     good: Mask = np.isfinite(values) & ~(alone & jumps)
     return good
 

@@ -14,7 +14,7 @@ from ehls_ros.diagnosis.acceptance import mostly_in
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, measured_in, noise_power
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
-from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.loss import power, rms
 from ehls_ros.diagnosis.search import Place, Searched
 from ehls_ros.diagnosis.stages import Channel
 
@@ -178,10 +178,10 @@ def with_allowances(evidence: Evidence, found: Searched) -> tuple[Evidence, Sear
     def full(residuals: Residuals) -> Residuals:
         return residuals._replace(values={c: evidence.whole(c, e) - taken[c] for c, e in residuals.values.items()})
 
-    def seen(assessed: Assessment) -> Assessment:
+    def in_full(assessed: Assessment) -> Assessment:
         return assessed._replace(held_out=assessed.held_out._replace(residuals=full(assessed.held_out.residuals)))
 
-    places = tuple(Place(seen(place.without), tuple(seen(rival) for rival in place.rivals)) for place in found.places)
+    places = tuple(Place(in_full(place.without), tuple(in_full(rival) for rival in place.rivals)) for place in found.places)
     return replace(evidence, base=full(evidence.base)), found._replace(places=places)
 
 
@@ -199,9 +199,9 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
     for c in evidence.channels:
         remains, noise = (power(e * evidence.floor[c]) for e in (left[c], evidence.noise[c]))
         beyond = max(0.0, remains - noise)
-        alike = max(1.0, len(left[c]) / rules.FORM_FREEDOMS)
+        repeats = max(1.0, len(left[c]) / rules.FORM_FREEDOMS)
         floor[c] = np.sqrt(evidence.floor[c] ** 2 + beyond)
-        correlation[c] = (noise + alike * beyond) / max(noise + beyond, 1e-300)
+        correlation[c] = (noise + repeats * beyond) / max(noise + beyond, 1e-300)
     return measured_in(evidence, floor, correlation)
 
 
@@ -225,14 +225,14 @@ def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -
         alone: whether no cause is named, so that no inexact form can explain a residual clear of the noise.
     """
     noise = noise_power(evidence, channel)
-    typical = float(np.sqrt(np.mean(evidence.floor[channel] ** 2)))
+    typical = rms(evidence.floor[channel])
     size = max(evidence.sizes[channel], 1e-300)
     limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
     scatter = rules.SCATTER
     if evidence.baselines:
         # The mean square of few windows, or of many correlated ones, has a scatter too.
         windows = len(evidence.floor[channel]) / evidence.correlation[channel]
-        scatter *= 1.0 + rules.MOST_ALLOWED * math.sqrt(2.0 / windows)
+        scatter *= 1.0 + rules.MAX_ALLOWED * math.sqrt(2.0 / windows)
     return Relevance(noise, limit, (scatter + rules.CLEAR**2) * noise if alone else math.inf, scatter)
 
 

@@ -8,6 +8,7 @@ import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.record import COMMAND, HELD, POSITION, SPOOL, VELOCITY, Record
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
@@ -25,7 +26,7 @@ def command_seen(record: Record, rig: Rig) -> bool:
         return True
     stride = max(1, round(period / record.period))
     values = record.signals[COMMAND][::stride]
-    return float(np.sqrt(np.mean(np.diff(values) ** 2))) <= rules.SLOWEST * float(np.std(values))
+    return rms(np.diff(values)) <= rules.SLOWEST * float(np.std(values))
 
 
 def presliding_travel(rig: Rig) -> float:
@@ -84,7 +85,7 @@ def coarseness(record: Record, signals: Collection[str]) -> Array:
 
 def _bends(record: Record, signal: str) -> Array:
     period, values = record.sampled(signal), record.signals[signal]
-    stride, size = max(1, round(period / record.period)), float(np.sqrt(np.mean(values**2)))
+    stride, size = max(1, round(period / record.period)), rms(values)
     if period <= rules.UNSEEN_COMMANDS * rules.RESOLVED_PERIOD or size == 0.0:
         return np.ones(len(values))
     longer = np.pad(values, stride, mode="reflect", reflect_type="odd")

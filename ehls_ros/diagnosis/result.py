@@ -1,11 +1,12 @@
 """Result of a diagnosis."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.stages import REQUIRED, Channel, Stage
+from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.stages import REQUIRED, UNITS, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
 
@@ -249,7 +250,7 @@ class BaselineSummary(NamedTuple):
     new: Mapping[Channel, ChannelTrace]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Result of a diagnosis: errors of a rig's model, their causes, and the gain from correcting them.
 
@@ -276,16 +277,16 @@ class Diagnosis:
     verdict: Verdict
     missing: tuple[str, ...]
     stages: Mapping[Stage, StageResult]
-    causes: tuple[Cause, ...]
-    unknown_stage: Stage | None
-    depends_on: tuple[str, ...]
-    partial: tuple[str, ...]
-    gain: Gain | None
+    causes: tuple[Cause, ...] = ()
+    unknown_stage: Stage | None = None
+    depends_on: tuple[str, ...] = ()
+    partial: tuple[str, ...] = ()
+    gain: Gain | None = None
     rig: Rig
     extended: Rig
-    traces: Mapping[Channel, ChannelTrace]
-    sensitivities: tuple[Sensitivity, ...]
-    not_judged: Mapping[str, str]
+    traces: Mapping[Channel, ChannelTrace] = field(default_factory=dict)
+    sensitivities: tuple[Sensitivity, ...] = ()
+    not_judged: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...]
     seed: int
     wall_s: float
@@ -295,3 +296,27 @@ class Diagnosis:
     def names_causes(self) -> bool:
         """Whether causes are named, with or without an unexplained remainder."""
         return self.verdict in NAMING
+
+
+def trace(evidence: Evidence, channel: Channel, after: Array, signals: Mapping[str, Array]) -> ChannelTrace:
+    """Return a channel's residual for plots.
+
+    Args:
+        evidence: the recording compared with the given model.
+        channel: the channel.
+        after: residual with the causes, of the usable windows, in the channel's unit, shape (n,).
+        signals: signals it may depend on, by name, one value per sample.
+    """
+    floor = evidence.floor[channel]
+    return ChannelTrace(
+        channel=channel,
+        unit=UNITS[channel],
+        size=evidence.sizes[channel],
+        time=evidence.times[channel],
+        measured=evidence.comparison().measured(evidence.rig, channel)[evidence.masks[channel]],
+        before=evidence.base.values[channel] * floor,
+        after=after,
+        floor=floor,
+        noise=evidence.noise[channel] * floor,
+        against={name: evidence.means(channel, values) for name, values in signals.items() if name != "time_s"},
+    )

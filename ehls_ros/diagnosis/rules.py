@@ -63,7 +63,7 @@ def table() -> Iterator[Entry]:
 
 # --- record ------------------------------------------------------------------------------------
 
-FEWEST_SAMPLES: Annotated[int, Rule("record", "1", "Fewest samples a recording must have.")] = 200
+MIN_SAMPLES: Annotated[int, Rule("record", "1", "Fewest samples a recording must have.")] = 200
 
 COMMAND_LATENESS: Annotated[
     float, Rule("record", "1", "Fraction of a sampling period by which the time stamp of a held command may be late.")
@@ -78,7 +78,7 @@ SPIKE: Annotated[
 
 SPIKE_NEIGHBOURS: Annotated[int, Rule("record", "1", "Samples over which the median change around a command is taken.")] = 41
 
-LEAST_SPIKE: Annotated[
+MIN_SPIKE: Annotated[
     float, Rule("record", "1", "Fraction of the largest command below which a jump is rounding and not a spike.")
 ] = 1e-6
 
@@ -93,9 +93,9 @@ ANSWERED: Annotated[
 
 ANSWERED_WITHIN: Annotated[float, Rule("record", "s", "Longest time the spool may take to show that response.")] = 0.015
 
-LONGEST_FILLED: Annotated[int, Rule("record", "1", "Most consecutive missing samples that are interpolated.")] = 3
+MAX_FILLED: Annotated[int, Rule("record", "1", "Most consecutive missing samples that are interpolated.")] = 3
 
-MOST_BAD: Annotated[float, Rule("record", "1", "Largest fraction of a signal that may be missing or outliers.")] = 0.25
+MAX_BAD: Annotated[float, Rule("record", "1", "Largest fraction of a signal that may be missing or outliers.")] = 0.25
 
 MENTIONED_BAD: Annotated[float, Rule("record", "1", "Fraction of bad samples in a signal above which a remark is made.")] = 1e-4
 
@@ -105,13 +105,13 @@ UNEVEN: Annotated[
     float, Rule("record", "1", "Fraction of the period by which a time step may differ before the sampling is called uneven.")
 ] = 0.01
 
-LONGEST_RECORDING: Annotated[
+MAX_RECORDING: Annotated[
     float, Rule("record", "s", "Longest recording that is used completely; a longer one is sampled in stretches of this total.")
 ] = 150.0
 
 STRETCHES: Annotated[int, Rule("record", "1", "Stretches taken of a longer recording, spread evenly over it.")] = 15
 
-UNIT_QUANTILE: Annotated[float, Rule("record", "1", "Quantile of a signal's magnitude that counts as what it reaches.")] = 0.99
+UNIT_QUANTILE: Annotated[float, Rule("record", "1", "Quantile of a signal's magnitude that counts as its reach.")] = 0.99
 
 SIZE_FACTOR: Annotated[
     float,
@@ -131,7 +131,11 @@ SIZE_DOUBT: Annotated[float, Rule("record", "1", "Factor within that bound from 
 
 SIZE_RELATED: Annotated[
     float,
-    Rule("record", "1", "Correlation from which two quantities count as measurements of one, so that factor and sign tell."),
+    Rule(
+        "record",
+        "1",
+        "Correlation from which two quantities count as measurements of one, so that factor and sign are informative.",
+    ),
 ] = 0.9
 
 SIZE_BLOCKS: Annotated[
@@ -140,7 +144,7 @@ SIZE_BLOCKS: Annotated[
 
 SIZE_BLOCK: Annotated[float, Rule("record", "s", "Shortest of these blocks.")] = 0.02
 
-SIZE_FEWEST: Annotated[int, Rule("record", "1", "Fewest blocks that tell a factor.")] = 50
+SIZE_FEWEST: Annotated[int, Rule("record", "1", "Fewest blocks that determine a factor.")] = 50
 
 SIZE_READINGS: Annotated[int, Rule("record", "1", "Most values and signals that are taken to be wrong at once.")] = 3
 
@@ -157,7 +161,7 @@ RESOLUTION_MISFIT: Annotated[
 
 WINDOW: Annotated[float, Rule("stages", "s", "Length of the windows of the balances.")] = 0.04
 
-LEAST_WINDOW: Annotated[int, Rule("stages", "1", "Fewest samples in a window of a balance.")] = 8
+MIN_WINDOW: Annotated[int, Rule("stages", "1", "Fewest samples in a window of a balance.")] = 8
 
 SPOOL_WINDOW: Annotated[float, Rule("stages", "s", "Length of the windows over which spool and sensors are averaged.")] = 0.008
 
@@ -189,7 +193,7 @@ TURN_SEEN: Annotated[
         "1",
         "Path within the sample in which the piston turns, relative to the travel over which static friction builds up, above"
         " which the turn is not resolved: friction is then known only once that travel has been slid SLIDING times.",
-        "what the piston of the test rig covers in 2.6 ms (SLOWEST_TURN) at its usual 1 m/s²: 3.4 of 380 µm",
+        "travel of the test rig's piston in 2.6 ms (SLOWEST_TURN) at its usual 1 m/s²: 3.4 of 380 µm",
     ),
 ] = 0.01
 
@@ -198,12 +202,13 @@ CLEAR_TURN: Annotated[
     Rule("stages", "1", "Change of velocity within a sample, in standard deviations of its noise, above which a turn is one."),
 ] = 5.0
 
-LEAST_SEEN: Annotated[
+MIN_KEPT_WINDOWS: Annotated[
     float,
     Rule(
         "stages",
         "1",
-        "Part of the windows that must be left for a balance to be judged, after unresolved turns or what no baseline covers.",
+        "Part of the windows that must be left for a balance to be judged, after unresolved turns or operating points outside"
+        " the baselines are removed.",
     ),
 ] = 0.25
 
@@ -219,7 +224,7 @@ MEMORY_STEP: Annotated[
         "stages",
         "s",
         "Longest integration step of an effect's own states.",
-        "at twice that, the plays of a hysteresis lag by what looks like a command delay of 0.13 ms",
+        "at twice that, the plays of a hysteresis lag as if by a command delay of 0.13 ms",
     ),
 ] = 2.5e-4
 
@@ -231,10 +236,10 @@ FASTEST_SHARE: Annotated[
 
 RELAXED: Annotated[float, Rule("stages", "1", "Relaxation times of a friction model per integration step, at most.")] = 1.5
 
-MOST_STEPS: Annotated[int, Rule("stages", "1", "Most integration steps of a friction model per sample.")] = 40
+MAX_STEPS: Annotated[int, Rule("stages", "1", "Most integration steps of a friction model per sample.")] = 40
 
-SHORTEST_STEP: Annotated[
-    float, Rule("stages", "s", "Shortest integration step of a separate load; what diverges at that step is no rig.")
+MIN_STEP: Annotated[
+    float, Rule("stages", "s", "Shortest integration step of a separate load; a model that diverges at that step is no rig.")
 ] = 1e-4
 
 LOAD_STEP: Annotated[float, Rule("stages", "s", "Longest integration step of a separate load.")] = 2.5e-4
@@ -289,20 +294,22 @@ FAST_SAMPLES: Annotated[
 
 FAST_RATE: Annotated[
     float,
-    Rule("evidence", "1", "Rms rate of these samples, in the noise of the slow ones per sample, from which jitter is told."),
+    Rule(
+        "evidence", "1", "Rms rate of these samples, in the noise of the slow ones per sample, above which jitter is estimated."
+    ),
 ] = 7.0
 
-LEAST_JITTER: Annotated[
+MIN_JITTER: Annotated[
     float,
     Rule(
         "evidence",
         "1",
-        "Jitter in sampling periods below which it is not told from what third differences of a smooth signal hold.",
+        "Jitter in sampling periods below which it is indistinguishable from the third differences of a smooth signal.",
         "of 47 recordings without jitter, no signal this fast had more; with a jitter of 0.1, half had 0.09 to 0.10",
     ),
 ] = 0.05
 
-MOST_JITTER: Annotated[
+MAX_JITTER: Annotated[
     float,
     Rule(
         "evidence", "1", "Largest jitter in sampling periods.", "a converter that takes this sample or the one before, evenly"
@@ -311,7 +318,7 @@ MOST_JITTER: Annotated[
 
 VARIANCE_WINDOWS: Annotated[int, Rule("evidence", "1", "Windows over which the noise variance is smoothed.")] = 9
 
-LEAST_VARIANCE: Annotated[
+MIN_VARIANCE: Annotated[
     float, Rule("evidence", "1", "Least noise variance of a window, as a fraction of the channel's median variance.")
 ] = 0.5
 
@@ -326,7 +333,7 @@ SKEW: Annotated[
     Rule(
         "evidence",
         "1",
-        "Skew of a signal that is nobody's fault, standard deviation, in its sampling periods; the same for its drift.",
+        "Fault-free skew of a signal, standard deviation, in its sampling periods; the same for its drift.",
         "1 / √12: even within a sample",
     ),
 ] = 0.29
@@ -336,26 +343,26 @@ OFFSET: Annotated[
     Rule(
         "evidence",
         "1",
-        "Offset of a converter that is nobody's fault, standard deviation, as a fraction of UNIT_QUANTILE of its signal.",
+        "Fault-free offset of a converter, standard deviation, as a fraction of UNIT_QUANTILE of its signal.",
         "data sheets of 12-bit converters state some units of 1 / 4096 at most",
     ),
 ] = 3e-4
 
-MOST_ALLOWED: Annotated[
-    float, Rule("evidence", "1", "Standard deviations of what the measurement may add that are nobody's fault.")
-] = 3.0
+MAX_ALLOWED: Annotated[float, Rule("evidence", "1", "Largest fault-free error of the measurement, in standard deviations.")] = (
+    3.0
+)
 
 EDGE: Annotated[
     float,
     Rule(
         "evidence",
         "1",
-        "Times what each of these counts that any further one counts; a hard edge would stop fits.",
-        "a second-order valve told from a delay: 10 and 30 find it, 100 and more do not where signals are skewed",
+        "Weight of each further standard deviation; a hard bound would stop fits.",
+        "a second-order valve distinguished from a delay: 10 and 30 find it, 100 and more do not where signals are skewed",
     ),
 ] = 30.0
 
-LEAST_ALLOWED: Annotated[
+MIN_ALLOWED: Annotated[
     float, Rule("evidence", "1", "Variance in units of the noise below which a direction is not allowed for.")
 ] = 0.01
 
@@ -363,28 +370,28 @@ HUBER: Annotated[
     float, Rule("evidence", "1", "Whitened residual above which the loss grows linearly, so that a few windows do not decide.")
 ] = 3.0
 
-LEAST_NOISE_POWER: Annotated[
+MIN_NOISE_POWER: Annotated[
     float, Rule("evidence", "1", "Least mean square ascribed to noise in a whitened residual; the floor holds a tolerance too.")
 ] = 0.8
 
-FARTHEST: Annotated[
+MAX_RESIDUAL: Annotated[
     float, Rule("evidence", "1", "Whitened residual that stands for any larger one and for a model that diverges.")
 ] = 1e6
 
 BLOCK: Annotated[float, Rule("evidence", "s", "Length of the blocks that cross-validation leaves out.")] = 2.5
 
-FEWEST_BLOCKS: Annotated[int, Rule("evidence", "1", "Fewest blocks of a recording.")] = 6
+MIN_BLOCKS: Annotated[int, Rule("evidence", "1", "Fewest blocks of a recording.")] = 6
 
-MOST_BLOCKS: Annotated[int, Rule("evidence", "1", "Most blocks of a recording.")] = 60
+MAX_BLOCKS: Annotated[int, Rule("evidence", "1", "Most blocks of a recording.")] = 60
 
-MOST_NOISE_SCALE: Annotated[
+MAX_NOISE_SCALE: Annotated[
     float,
     Rule("evidence", "1", "Largest factor by which the loss saved by averaging noise is scaled up for underestimated noise."),
 ] = 2.0
 
 PENALTY: Annotated[float, Rule("evidence", "nat", "Cost of each free parameter of a hypothesis.")] = 3.0
 
-MOST_SQUARE: Annotated[
+MAX_SQUARE: Annotated[
     float,
     Rule(
         "evidence",
@@ -413,7 +420,7 @@ OUTER: Annotated[
     ),
 ] = 0.5
 
-FASTEST_LINE: Annotated[
+MAX_LINE_PERIODS: Annotated[
     float,
     Rule(
         "hypotheses",
@@ -438,11 +445,11 @@ CHANGE_FRACTION: Annotated[
     ),
 ] = 0.03
 
-MOST_COUNTED: Annotated[float, Rule("fit", "1", "Square at which a whitened residual is cut off in that norm.")] = 1e6
+MAX_COUNTED: Annotated[float, Rule("fit", "1", "Square at which a whitened residual is cut off in that norm.")] = 1e6
 
-LEAST_CHANGE: Annotated[float, Rule("fit", "1", "Fraction of that change below which the step is enlarged.")] = 0.1
+MIN_CHANGE: Annotated[float, Rule("fit", "1", "Fraction of that change below which the step is enlarged.")] = 0.1
 
-MOST_CHANGE: Annotated[float, Rule("fit", "1", "Multiple of that change above which the step is shortened.")] = 5.0
+MAX_CHANGE: Annotated[float, Rule("fit", "1", "Multiple of that change above which the step is shortened.")] = 5.0
 
 STEP_GROWTH: Annotated[float, Rule("fit", "1", "Largest factor by which a step is enlarged at once.")] = 1e3
 
@@ -452,7 +459,7 @@ ENLARGED_BELOW: Annotated[float, Rule("fit", "1", "Fraction of a parameter's ran
     0.2
 )
 
-LONGEST_STEP: Annotated[float, Rule("fit", "1", "Longest step, as a fraction of a parameter's range.")] = 0.25
+MAX_FIT_STEP: Annotated[float, Rule("fit", "1", "Longest step, as a fraction of a parameter's range.")] = 0.25
 
 STEP_TRIES: Annotated[int, Rule("fit", "1", "Most sizes tried for one step.")] = 5
 
@@ -462,7 +469,7 @@ FIRST_STEP_AT_ZERO: Annotated[
     float, Rule("fit", "1", "First step of a parameter that is zero, as a fraction of its range.")
 ] = 1e-4
 
-MOST_ITERATIONS: Annotated[int, Rule("fit", "1", "Most Gauss-Newton steps of a fit.")] = 8
+MAX_ITERATIONS: Annotated[int, Rule("fit", "1", "Most Gauss-Newton steps of a fit.")] = 8
 
 CONVERGED: Annotated[float, Rule("fit", "nat", "Decrease of the loss below which a fit has settled.")] = 0.02
 
@@ -489,7 +496,7 @@ MANY_PARAMETERS: Annotated[
 
 LOW_DAMPING: Annotated[float, Rule("fit", "1", "Levenberg damping of the first step from fresh derivatives.")] = 1e-6
 
-LEAST_DAMPING: Annotated[float, Rule("fit", "1", "Least Levenberg damping, also used to predict what a step reaches.")] = 1e-9
+MIN_DAMPING: Annotated[float, Rule("fit", "1", "Least Levenberg damping, also used to predict the result of a step.")] = 1e-9
 
 DAMPED: Annotated[float, Rule("fit", "1", "Levenberg damping tried after an undamped step that does not help.")] = 0.1
 
@@ -497,7 +504,7 @@ DAMPING_FACTOR: Annotated[
     float, Rule("fit", "1", "Factor on the damping from one failed step to the next, and its inverse after a good one.")
 ] = 10.0
 
-MOST_TRIES: Annotated[int, Rule("fit", "1", "Most dampings tried for one step.")] = 4
+MAX_TRIES: Annotated[int, Rule("fit", "1", "Most dampings tried for one step.")] = 4
 
 SHORTENED: Annotated[float, Rule("fit", "1", "Fraction of the first step that is tried when the full step falls short.")] = 0.3
 
@@ -571,7 +578,7 @@ MIN_GAIN_RATIO: Annotated[
     Rule(
         "search",
         "1",
-        "Fraction of what a cause's change of the residuals could gain that it must gain; 1 where it is fitted and linear.",
+        "Minimum gain of a cause, as a fraction of the possible gain of its change of the residuals; 1 if fitted and linear.",
     ),
 ] = 0.1
 
@@ -586,12 +593,10 @@ SHOWN: Annotated[
 ] = 0.5
 
 RARE_QUANTILE: Annotated[
-    float, Rule("search", "1", "Quantile of a residual that stands for what acts seldom, which a mean would hide.")
+    float, Rule("search", "1", "Quantile of a residual that stands for rare errors, which a mean would hide.")
 ] = 0.99
 
-RARE_FACTOR: Annotated[
-    float, Rule("search", "1", "Factor by which that quantile may exceed what the rms is compared with.")
-] = 5.0
+RARE_FACTOR: Annotated[float, Rule("search", "1", "Factor by which that quantile may exceed the limit of the rms.")] = 5.0
 
 REMOVED_EXCESS: Annotated[
     float, Rule("search", "1", "Fraction of the excess a hypothesis leaves that a further cause must gain.")
@@ -604,7 +609,9 @@ PROMISED_EXCESS: Annotated[
 NEEDED_SHARE: Annotated[
     float,
     Rule(
-        "search", "1", "Fraction of what the others leave that a further cause must close if it gains less than REMOVED_EXCESS."
+        "search",
+        "1",
+        "Fraction of the remainder of the others that a further cause must close if it gains less than REMOVED_EXCESS.",
     ),
 ] = 0.25
 
@@ -644,9 +651,9 @@ TRIED_SINGLES: Annotated[int, Rule("search", "1", "Single causes that are tried.
 
 FITTED_SINGLES: Annotated[int, Rule("search", "1", "Single causes that are fitted to the end.")] = 10
 
-MOST_CAUSES: Annotated[int, Rule("search", "1", "Most causes that are sought together.")] = 3
+MAX_CAUSES: Annotated[int, Rule("search", "1", "Most causes that are sought together.")] = 3
 
-MOST_EXCHANGES: Annotated[int, Rule("search", "1", "Most rounds in which causes are exchanged or dropped.")] = 4
+MAX_EXCHANGES: Annotated[int, Rule("search", "1", "Most rounds in which causes are exchanged or dropped.")] = 4
 
 # --- verdict -----------------------------------------------------------------------------------
 
@@ -735,7 +742,7 @@ REMOVABLE: Annotated[
     Rule("verdict", "1", "Ratio of residual power to noise power above which a channel counts towards the closed fraction."),
 ] = 1.1
 
-LEAST_REMOVABLE: Annotated[
+MIN_REMOVABLE: Annotated[
     float, Rule("verdict", "1", "Removable power, as a fraction of the noise's, below which the closed fraction is zero.")
 ] = 0.01
 
@@ -744,12 +751,12 @@ SLIDING: Annotated[
     Rule("verdict", "1", "Travel, in multiples of that over which static friction builds up, above which a piston slides."),
 ] = 6.0
 
-TELLING: Annotated[
+MAX_UNDETECTED: Annotated[
     float, Rule("verdict", "1", "Smallest detectable change of a stage's key parameter, as a fraction of its nominal value.")
 ] = 0.3
 
-TELLING_BESIDE_SPREAD: Annotated[
-    float, Rule("verdict", "1", "The same of a recording judged against baselines, whose natural spread may hide more.")
+MAX_UNDETECTED_BESIDE_SPREAD: Annotated[
+    float, Rule("verdict", "1", "The same of a recording judged against baselines, whose healthy spread may hide more.")
 ] = 1.0
 
 ENOUGH_STAGES: Annotated[
@@ -780,7 +787,12 @@ DEPENDS: Annotated[
 ] = 0.05
 
 DEPENDS_BESIDE: Annotated[
-    float, Rule("verdict", "1", "Fraction of what the strongest signal explains that another must reach to be named beside it.")
+    float,
+    Rule(
+        "verdict",
+        "1",
+        "Fraction of the variance explained by the strongest signal that another must reach to be named beside it.",
+    ),
 ] = 0.4
 
 # --- partial answer ---------------------------------------------------------------------------
@@ -790,7 +802,7 @@ FORM_FREEDOMS: Annotated[
     Rule(
         "partial answer",
         "1",
-        "Independent windows that tell as much as a whole recording does where errors of form are all that remains.",
+        "Independent windows equivalent to a whole recording where only errors of form remain.",
         "held the truth in 56 of 62 intervals of benchmarks/diagnosis --exam partial, seeds 9001, 9002, 61977 and 815209",
     ),
 ] = 10.0
@@ -810,14 +822,14 @@ FORM_LEFT: Annotated[
     ),
 ] = 0.1
 
-LEAST_PROBABLE: Annotated[
+MIN_PROBABILITY: Annotated[
     float,
     Rule(
         "partial answer",
         "1",
         "Probability that a cause, or another in its place, is there at all, below which it is not named beside others.",
-        "on EMPS with three values of the rig file 30 % off, in two patterns of signs: what is not there has at most 0.06, what"
-        " is there 0.3 or more, but for one wrong value with 0.15",
+        "on EMPS with three values of the rig file 30 % off, in two patterns of signs: an absent cause has at most 0.06, one"
+        " that is present 0.3 or more, but for one wrong value with 0.15",
     ),
 ] = 0.2
 
@@ -877,7 +889,11 @@ BASELINE_FREEDOMS: Annotated[
 
 LEFT_ERROR: Annotated[
     float,
-    Rule("baseline", "1", "Relative error of a coefficient after that fit, standard deviation, where the data do not tell."),
+    Rule(
+        "baseline",
+        "1",
+        "Relative error of a coefficient after that fit, standard deviation, where the data do not identify it.",
+    ),
 ] = 0.2
 
 AREA_ERROR: Annotated[float, Rule("baseline", "1", "Relative error of the piston area, standard deviation.")] = 0.05
@@ -911,12 +927,12 @@ FUNCTION_SPREAD: Annotated[
 ] = 0.1
 
 SECTIONS: Annotated[
-    int, Rule("baseline", "1", "Sections of an only baseline that stand for recordings when the natural spread is estimated.")
+    int, Rule("baseline", "1", "Sections of an only baseline that stand for recordings when the healthy spread is estimated.")
 ] = 3
 
 SPREAD_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which that spread is estimated.")] = 12
 
-MOST_LEARNT: Annotated[int, Rule("baseline", "1", "Most windows of all baselines together that a channel is learnt from.")] = (
+MAX_LEARNT: Annotated[int, Rule("baseline", "1", "Most windows of all baselines together that a channel is learnt from.")] = (
     9000
 )
 
@@ -924,7 +940,7 @@ TOGETHER: Annotated[
     float, Rule("baseline", "1", "Number of neighbouring windows that the sensors' noise moves together.", "windows overlap")
 ] = 3.0
 
-LEAST_SCALE: Annotated[float, Rule("baseline", "1", "Least scale of a signal, as a fraction of its largest magnitude.")] = 1e-3
+MIN_SCALE: Annotated[float, Rule("baseline", "1", "Least scale of a signal, as a fraction of its largest magnitude.")] = 1e-3
 
 SINGLE_CENTRES: Annotated[int, Rule("baseline", "1", "Most centres of the function of one signal.")] = 20
 
@@ -942,14 +958,16 @@ COLLINEAR: Annotated[
     float, Rule("baseline", "1", "Relative singular value below which derivatives by coefficients count as the same.")
 ] = 0.01
 
-LEAST_FUNCTION: Annotated[
+MIN_FUNCTION: Annotated[
     float, Rule("baseline", "1", "Least standard deviation of such a function, as a fraction of the one it starts from.")
 ] = 1e-3
 
 STRETCH: Annotated[
     int,
     Rule(
-        "baseline", "1", "Windows in each such stretch: longer than what is left remembers, too short to hold all that is rare."
+        "baseline",
+        "1",
+        "Windows in each such stretch: longer than the memory of the remainder, too short to hold all rare events.",
     ),
 ] = 40
 
@@ -959,12 +977,12 @@ LEARNING_STEPS: Annotated[int, Rule("baseline", "1", "Rounds in which sizes and 
 
 ROBUST_STEPS: Annotated[int, Rule("baseline", "1", "Rounds of Huber's weights in each.")] = 3
 
-LONGEST_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which what is left may be correlated, at most.")] = 40
+MAX_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which the remainder may be correlated, at most.")] = 40
 
 UNCORRELATED: Annotated[float, Rule("baseline", "1", "Correlation below which windows no longer err together.")] = 0.05
 
 MAX_IDENTIFIED_STD: Annotated[
-    float, Rule("baseline", "1", "Standard error of a coefficient, relative to LEFT_ERROR, below which baselines tell it.")
+    float, Rule("baseline", "1", "Standard error of a coefficient, relative to LEFT_ERROR, below which baselines identify it.")
 ] = 0.125
 
 SEEN: Annotated[
@@ -972,7 +990,7 @@ SEEN: Annotated[
     Rule("baseline", "1", "Fraction of a signal's samples at each end of its range that do not count as having been there."),
 ] = 1e-3
 
-FARTHEST_UNSEEN: Annotated[
+MAX_EXTRAPOLATION: Annotated[
     float,
     Rule("baseline", "1", "Distance from the middle, in half ranges of the baselines, beyond which nothing is judged."),
 ] = 2.0
@@ -986,7 +1004,7 @@ NOISE_MARGIN: Annotated[
 ] = 5.0
 
 MENTIONED_UNSEEN: Annotated[
-    float, Rule("baseline", "1", "Fraction of samples that are not covered above which that is said.")
+    float, Rule("baseline", "1", "Fraction of samples that are not covered above which a remark is made.")
 ] = 0.1
 
 # --- monitor -----------------------------------------------------------------------------------

@@ -63,7 +63,7 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     pool = starts.pool
     evidence = pool.evidence
     progress("causes one by one", 0.35)
-    base = assess(evidence, _nothing(evidence) if begin is None else begin)
+    base = assess(evidence, _afresh(evidence, (), np.empty(0), np.empty(0)) if begin is None else begin)
     level = _fitted(evidence, pool, starts.extensions(base)) if base.names else _alone(evidence, pool, starts.alone)
     progress("causes together", 0.55)
     best, scale = _added(evidence, pool, starts, base, level, progress)
@@ -98,13 +98,13 @@ def _added(
         level: the same with one more cause.
         progress: called with the progress.
     """
-    for count in range(1, rules.MOST_CAUSES + 1):
+    for count in range(1, rules.MAX_CAUSES + 1):
         scale = inflations(evidence, [best, *level])
         ranked = [j for j in _ranked(level, scale) if accepted(evidence, j, best, scale)]
         if not ranked:
             break
         best = ranked[0]
-        if count == rules.MOST_CAUSES:
+        if count == rules.MAX_CAUSES:
             break
         beam = _distinct(ranked)[: rules.BEAM]
         level = _fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
@@ -117,10 +117,6 @@ def explaining(
 ) -> Assessment | None:
     """Return the best hypothesis that explains the recording, regardless of the baselines."""
     return next((j for j in _ranked(level, scale) if explains(evidence, j, base, scale)), None)
-
-
-def _nothing(evidence: Evidence) -> Fit:
-    return _afresh(evidence, (), np.empty(0), np.empty(0))
 
 
 def _afresh(evidence: Evidence, hypothesis: Hypothesis, values: Array, steps: Array) -> Fit:
@@ -211,14 +207,14 @@ def _exchanged(
         return Place(without, tuple(_fitted(evidence, pool, starts.extensions(without), rival=best)))
 
     visited = set[frozenset[tuple[str, int]]]()
-    for exchanges in range(rules.MOST_EXCHANGES + 1):
+    for exchanges in range(rules.MAX_EXCHANGES + 1):
         visited.add(_key(best.hypothesis))
         keys = {i: _key([c for j, c in enumerate(best.hypothesis) if j != i]) for i in range(kept, len(best.hypothesis))}
         missing = [i for i, key in keys.items() if key not in known]
         known.update(zip([keys[i] for i in missing], pool.lead(partial(place_of, best), missing), strict=True))
         places = tuple(Place(known[key].without, _rivals(evidence, known[key], scale)) for key in keys.values())
         scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
-        if exchanges == rules.MOST_EXCHANGES:
+        if exchanges == rules.MAX_EXCHANGES:
             break
         simple = simpler(best, places, scale)
         # Do not return to a simpler hypothesis that was already exchanged for this one.
@@ -227,13 +223,13 @@ def _exchanged(
             continue
         better = list[Assessment]()
         for place in places:
-            sure = (rival for rival in place.rivals if accepted(evidence, rival, place.without, scale))
+            acceptable = (rival for rival in place.rivals if accepted(evidence, rival, place.without, scale))
             if accepted(evidence, best, place.without, scale):
-                # Only for a sure rival: an unsure one would be dropped again, and the sure cause with it.
-                better += [rival for rival in islice(sure, 1) if rival.score(scale) > best.score(scale) + rules.BETTER]
+                # Only for an acceptable rival: another one would be dropped again, and the accepted cause with it.
+                better += [rival for rival in islice(acceptable, 1) if rival.score(scale) > best.score(scale) + rules.BETTER]
             else:
-                # An unsure cause is dropped, or replaced by a sure one.
-                better += [place.without, *islice(sure, 1)]
+                # A cause that is not accepted is dropped, or replaced by an acceptable one.
+                better += [place.without, *islice(acceptable, 1)]
         if not better:
             break
         best = max(better, key=lambda j: j.score(scale))

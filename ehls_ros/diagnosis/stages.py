@@ -13,7 +13,7 @@ the hooks of effects need velocity, which is taken from a local fit of the posit
 """
 
 import math
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +21,6 @@ import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.local_polynomial import integral, local_row, local_slope
 from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
@@ -37,7 +36,7 @@ from ehls_ros.diagnosis.record import (
     Record,
 )
 from ehls_ros.diagnosis.resolution import command_seen, friction_known, presliding_travel
-from ehls_ros.diagnosis.windows import Window, smooth_window
+from ehls_ros.diagnosis.windows import Window, integral, local_row, local_slope, smooth_window
 from ehls_ros.duals import linear, value_of, values_of
 from ehls_ros.physics.along import PARTS, run_part
 from ehls_ros.physics.along.base import ModelRun, Motion
@@ -151,9 +150,13 @@ class Comparison:
         """
         effective = rig.effective()
         wanted = self.setup.channels if channels is None else channels
+        residual: dict[Channel, Callable[[EffectiveRig], Any]] = {
+            "spool": self._spool, "volume": self._volume, "supply": self._supply,
+            "force": self._force, "cell": self._cell, "velocity": self._velocity,
+        }  # fmt: skip
         # A diverging model has no finite residual, and its fit is rejected.
         with np.errstate(over="ignore", invalid="ignore"):
-            return {channel: getattr(self, f"_{channel}")(effective) for channel in wanted}
+            return {channel: residual[channel](effective) for channel in wanted}
 
     def measured(self, rig: Rig, channel: Channel) -> Array:
         """Return the measured quantity to which a channel's residual refers, in its unit, one value a window.
@@ -326,7 +329,7 @@ class Comparison:
         piston = rig.piston_mass()
         mass, moving = value_of(piston), value_of(rig.plant.moving_mass)
         longest = min(rules.LOAD_STEP, rules.GUIDED_STEP * min(mass, moving) / (mass + moving) / (2.0 * GUIDE))
-        longest = max(longest, rules.SHORTEST_STEP)
+        longest = max(longest, rules.MIN_STEP)
         steps = max(math.ceil(self.record.period / longest), self._stiff_steps(rig, motion))
         effects, joint = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
         others = rig._replace(effects=tuple(use for use in rig.effects if use not in joint))
@@ -339,7 +342,7 @@ class Comparison:
             "speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), rules.FASTEST_SHARE))
         )
         fastest = rig.friction_law.relaxation_rate(values_of(rig.friction), speed)
-        return min(rules.MOST_STEPS, max(1, math.ceil(fastest * self.record.period / rules.RELAXED)))
+        return min(rules.MAX_STEPS, max(1, math.ceil(fastest * self.record.period / rules.RELAXED)))
 
     def _balance(self, rig: EffectiveRig, motion: Motion) -> Any:
         """Return the friction that balances the other forces at the start of each stretch, from smoothed motion [N]."""
@@ -496,7 +499,7 @@ def setup(record: Record, rig: Rig) -> Setup:
     moved = record.sampled(POSITION, VELOCITY) / period
     balanced = record.sampled(*formed_of(record, "force")) / period
     averaged = record.sampled(COMMAND, SPOOL, PRESSURE, FORCE, SUPPLY) / period
-    samples = max(round(rules.LEAST_WINDOW * balanced), round(rules.WINDOW / period))
+    samples = max(round(rules.MIN_WINDOW * balanced), round(rules.WINDOW / period))
     average = smooth_window(max(round(3 * averaged), round(rules.SPOOL_WINDOW / period)), period, hop=2)
     why_not = dict[Stage, str]()
     channels = formable(record.signals, springless=rig.plant.spring_stiffness == 0.0)
@@ -504,14 +507,10 @@ def setup(record: Record, rig: Rig) -> Setup:
         channels.remove("spool")
         why_not["valve"] = COMMAND_UNSEEN.format(rate=f"{1.0 / record.sampled(COMMAND, SPOOL):.3g}")
     fit = max(2 * round(2 * moved) + 1, 2 * round(rules.VELOCITY_FIT / period / 2) + 1)
-    measured = False
-    if VELOCITY in record and POSITION in record:
-        slope = local_row(fit, 3, 1, period)
-        measured = record.noise[VELOCITY] * float(np.linalg.norm(local_row(fit, 2, 0, period))) < record.noise[
-            POSITION
-        ] * float(np.linalg.norm(slope))
+    both = VELOCITY in record and POSITION in record
+    measured = both and _velocity_noise(record, fit, measured=True) < _velocity_noise(record, fit, measured=False)
     found = Setup(smooth_window(samples, period), average, tuple(channels), measured, fit, presliding_travel(rig))
-    if "force" in channels and np.mean(_friction_known(Comparison(record, found))) < rules.LEAST_SEEN:
+    if "force" in channels and np.mean(_friction_known(Comparison(record, found))) < rules.MIN_KEPT_WINDOWS:
         channels.remove("force")
         why_not["force_balance"] = TURNS_UNSEEN.format(rate=f"{1.0 / record.sampled(POSITION, VELOCITY):.3g}")
     lacking = _lacking(Comparison(record, found), rig)
@@ -539,18 +538,24 @@ def _lacking(comparison: Comparison, rig: Rig) -> dict[Channel, list[str]]:
     return out
 
 
+def _velocity_noise(record: Record, fit: int, *, measured: bool) -> float:
+    """Return the standard deviation of a locally fitted velocity's noise [m/s], from the velocity sensor or the position."""
+    signal, row = (
+        (VELOCITY, local_row(fit, 2, 0, record.period)) if measured else (POSITION, local_row(fit, 3, 1, record.period))
+    )
+    return record.noise[signal] * float(np.linalg.norm(row))
+
+
 def _friction_known(comparison: Comparison) -> Mask:
     """Return the samples at which friction follows from the recorded motion, taken without the sensors' errors."""
     record, used = comparison.record, comparison.setup
     if record.sampled(POSITION, VELOCITY) <= rules.SLOWEST_TURN:
         return np.ones(len(record.time), dtype=np.bool_)
-    if used.velocity_measured or POSITION not in record:
-        velocity, row = comparison.local_fit(record.values(VELOCITY), 0), local_row(used.fit, 2, 0, record.period)
-        noise = record.noise[VELOCITY] * float(np.linalg.norm(row))
-    else:
-        velocity = comparison.local_fit(record.values(POSITION), 1)
-        row = local_row(used.fit, 3, 1, record.period)
-        noise = record.noise[POSITION] * float(np.linalg.norm(row))
+    measured = used.velocity_measured or POSITION not in record
+    velocity = (
+        comparison.local_fit(record.values(VELOCITY), 0) if measured else comparison.local_fit(record.values(POSITION), 1)
+    )
+    noise = _velocity_noise(record, used.fit, measured=measured)
     position = comparison.local_fit(record.values(POSITION), 0) if POSITION in record else np.cumsum(velocity) * record.period
     return friction_known(record, position, velocity, used.presliding, noise)
 

@@ -1,4 +1,4 @@
-"""Starting points of fits: every cause alone, and beside the causes already found."""
+"""Starting points of fits: every cause alone, beside the causes already found, and at spectral lines of the residual."""
 
 import math
 from collections.abc import Sequence
@@ -12,10 +12,8 @@ from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, at_lines, bounds, extended
-from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss
-from ehls_ros.diagnosis.loss import loss
+from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
-from ehls_ros.diagnosis.spectrum import spectral_lines
 from ehls_ros.diagnosis.stages import Channel
 
 
@@ -143,7 +141,7 @@ def _gain_beside(few: Evidence, remainder: Residuals, other: Fit) -> float:
     """
     before = remainder.joined(other.channels)
     e = before + other.residuals.joined(other.channels) - few.base.joined(other.channels)
-    step = gauss_newton(other.jacobian, e, rules.LEAST_DAMPING, other.values, *bounds(other.hypothesis))
+    step = gauss_newton(other.jacobian, e, rules.MIN_DAMPING, other.values, *bounds(other.hypothesis))
     return float(np.sum(loss(before))) - linear_loss(e, other.jacobian, step)
 
 
@@ -194,7 +192,7 @@ def combined(evidence: Evidence, fit: Fit, other: Fit) -> Start:
     hypothesis = (*fit.hypothesis, *other.hypothesis)
     lower, upper = bounds(hypothesis)
     values = np.concatenate([fit.values, other.values])
-    moved = np.clip(values + gauss_newton(j, e, rules.LEAST_DAMPING, values, lower, upper), lower, upper)
+    moved = np.clip(values + gauss_newton(j, e, rules.MIN_DAMPING, values, lower, upper), lower, upper)
     after = linear_loss(e, j, moved - values)
     before = float(np.sum(loss(fit.residuals.joined(channels))))
     steps = np.concatenate([fit.steps, other.steps])
@@ -207,3 +205,28 @@ def combined(evidence: Evidence, fit: Fit, other: Fit) -> Start:
 def main_channel(channels: Sequence[Channel]) -> Channel:
     """Return the channel searched for spectral lines."""
     return "force" if "force" in channels else channels[0]
+
+
+def spectral_lines(e: Array, times: Array, count: int = rules.LINES) -> tuple[float, ...]:
+    """Return the frequencies of the strongest lines in a residual's spectrum, strongest first [Hz].
+
+    Args:
+        e: whitened residuals, shape (n,).
+        times: their times, shape (n,) [s].
+        count: number of lines.
+    """
+    if len(e) < rules.LINE_SAMPLES:
+        return ()
+    step = float(np.median(np.diff(times)))
+    even = np.interp(np.arange(times[0], times[-1], step), times, np.clip(e, -rules.LINE_CLIP, rules.LINE_CLIP))
+    even = (even - even.mean()) * np.hanning(len(even))
+    padded = rules.LINE_PADDING * len(even)
+    spectrum = np.abs(np.fft.rfft(even, padded)) ** 2
+    frequency = np.fft.rfftfreq(padded, step)
+    spectrum[frequency < rules.LOWEST_LINE / (len(even) * step)] = 0.0
+    found = []
+    for _ in range(count):
+        peak = int(np.argmax(spectrum))
+        found.append(float(frequency[peak]))
+        spectrum[np.abs(frequency - frequency[peak]) < rules.LINE_WIDTH / (len(even) * step)] = 0.0
+    return tuple(found)

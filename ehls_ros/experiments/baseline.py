@@ -18,9 +18,8 @@ from ehls_ros.diagnosis.healthy_variation import HealthyVariation, describe, lea
 from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy
+from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy, trace
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, setup
-from ehls_ros.diagnosis.traces import trace
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import BIASES, COULOMB, VISCOUS, coefficients
@@ -140,7 +139,7 @@ def _coefficients(given: Rig, fitted: Rig, variation: HealthyVariation) -> dict[
     for own in variation.channels.values():
         learnt = own.learnt
         for name, determined, deviation, varies in zip(
-            own.terms.spreads, learnt.told, learnt.deviations, learnt.spread, strict=False
+            own.terms.spreads, learnt.identified, learnt.deviations, learnt.spread, strict=False
         ):
             if determined:
                 precision[name] = precision.get(name, 0.0) + 1.0 / max(float(deviation), 1e-12) ** 2

@@ -10,12 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.errors import BadInput, WorkFailed, reason
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.experiments.spec import Spec, spec_to_mapping
 from ehls_ros.experiments.yaml_files import spec_text
-from ehls_ros.recording.reason import reason
 
 CONTENT = (
     "spec.yaml",

@@ -75,7 +75,7 @@ def _inputs(data: Mapping[str, Any], where: str) -> dict[str, Input]:
         check_channel(inputs[signal], place)
         other = taken.setdefault(inputs[signal].channel, signal)
         if other != signal:
-            raise BadInput(f"channel is {inputs[signal].channel}, already used by {other}", place, "a channel of its own")
+            raise BadInput(f"channel is {inputs[signal].channel}, already used by {other}", place, "a separate channel")
     if not inputs:
         raise BadInput("no signal is wired", where, f"at least one of {', '.join(SENSED)}")
     return inputs

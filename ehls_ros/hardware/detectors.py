@@ -109,6 +109,10 @@ class Detector:
             self.value = value
             self.count += 1
 
+    def compare(self, value: float, elapsed: float, lasting: float) -> None:
+        """Record an observation whose magnitude may not exceed the limit in force; arguments as for :meth:`look`."""
+        self.look(abs(value) > self.limit, value, self.limit, elapsed, lasting)
+
     def flag(self, value: float, limit: float, subject: str) -> None:
         """Raise a fault of a single message; it stays raised until the gate's next step."""
         self.raised = True
@@ -219,14 +223,11 @@ class Readings:
         """Apply other limits."""
         self._p = parameters
         limits, level, detectors = self._rig.limits, parameters.trip_level, self._detectors
-        self._force_limit = level * limits.force
-        self._pressure_limit = level * limits.load_pressure
-        self._velocity_limit = level * limits.velocity
         self._lowest = limits.position[0] + parameters.position_margin
         self._highest = limits.position[1] - parameters.position_margin
-        detectors.force.limit = self._force_limit
-        detectors.load_pressure.limit = self._pressure_limit
-        detectors.velocity.limit = self._velocity_limit
+        detectors.force.limit = level * limits.force
+        detectors.load_pressure.limit = level * limits.load_pressure
+        detectors.velocity.limit = level * limits.velocity
         detectors.position.limit = self._highest
         detectors.force_error.limit = parameters.force_error
         detectors.frozen.limit = parameters.frozen_command
@@ -332,13 +333,10 @@ class Readings:
     def _look_at_limits(self, values: Sequence[float], elapsed: float, written: float, reference: float) -> None:
         p, has, detectors = self._p, self._has, self._detectors
         if has[FORCE]:
-            force = values[FORCE]
-            detectors.force.look(abs(force) > self._force_limit, force, self._force_limit, elapsed, p.limit_time)
-            error = force - reference
-            detectors.force_error.look(abs(error) > p.force_error, error, p.force_error, elapsed, p.force_error_time)
+            detectors.force.compare(values[FORCE], elapsed, p.limit_time)
+            detectors.force_error.compare(values[FORCE] - reference, elapsed, p.force_error_time)
         if has[LOAD_PRESSURE]:
-            pressure, limit = values[LOAD_PRESSURE], self._pressure_limit
-            detectors.load_pressure.look(abs(pressure) > limit, pressure, limit, elapsed, p.limit_time)
+            detectors.load_pressure.compare(values[LOAD_PRESSURE], elapsed, p.limit_time)
         if has[POSITION]:
             position = values[POSITION]
             upper = position > self._highest
@@ -346,7 +344,7 @@ class Readings:
             wrong = (upper and written > 0.0) or (position < self._lowest and written < 0.0)
             detectors.position.look(wrong, position, self._highest if upper else self._lowest, elapsed, p.limit_time)
         speed = values[VELOCITY] if has[VELOCITY] else self._speed_from(values[POSITION], elapsed)
-        detectors.velocity.look(abs(speed) > self._velocity_limit, speed, self._velocity_limit, elapsed, p.limit_time)
+        detectors.velocity.compare(speed, elapsed, p.limit_time)
 
     def _speed_from(self, position: float, elapsed: float) -> float:
         """Return the smoothed derivative of the position; unchanged while a position is missing."""
@@ -360,16 +358,14 @@ class Readings:
         p, has, detectors = self._p, self._has, self._detectors
         if has[FORCE] and has[LOAD_PRESSURE]:
             difference = values[FORCE] - self._rig.plant.piston_area * values[LOAD_PRESSURE]
-            wrong = abs(difference) > p.force_mismatch
-            detectors.force_mismatch.look(wrong, difference, p.force_mismatch, elapsed, p.mismatch_time)
+            detectors.force_mismatch.compare(difference, elapsed, p.mismatch_time)
         if has[POSITION] and has[VELOCITY]:
             position, velocity = values[POSITION], values[VELOCITY]
             missed = position - self._last_position - 0.5 * (velocity + self._last_velocity) * elapsed
             if math.isfinite(missed):
                 self._drift = (self._drift + missed) * DRIFT_TIME / (DRIFT_TIME + elapsed)
             self._last_position, self._last_velocity = position, velocity
-            wrong = abs(self._drift) > p.position_mismatch
-            detectors.position_mismatch.look(wrong, self._drift, p.position_mismatch, elapsed, p.mismatch_time)
+            detectors.position_mismatch.compare(self._drift, elapsed, p.mismatch_time)
         if has[LOAD_PRESSURE]:
             supply = values[SUPPLY_PRESSURE] if has[SUPPLY_PRESSURE] else self._rig.plant.supply_pressure
             excess = abs(values[LOAD_PRESSURE]) - supply

@@ -135,19 +135,15 @@ class Emulator:
         self._opened |= raw != self._null
         if self._opened:
             if self._until_disturbed <= 0:
-                self._row = self._next_row()
+                at = self._disturbed % BLOCK
+                if at == 0:
+                    self._rows = self._disturbance.rows(self._disturbed, BLOCK).tolist()
+                self._row = self._rows[at]
+                self._disturbed += 1
             self._until_disturbed -= 1
         if self.log is not None:
             self.log.add((*self._truth(spool), raw, status, sequence, answered, now))
         simulator.advance(spool, *self._row)
-
-    def _next_row(self) -> list[float]:
-        """Return the next row of the disturbance, which has begun."""
-        at = self._disturbed % BLOCK
-        if at == 0:
-            self._rows = self._disturbance.rows(self._disturbed, BLOCK).tolist()
-        self._disturbed += 1
-        return self._rows[at]
 
     def _truth(self, spool: float) -> tuple[float, ...]:
         *truth, oil_temperature = self._simulator.truth[LOGGED].tolist()

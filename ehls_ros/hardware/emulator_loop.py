@@ -11,13 +11,13 @@ from ehls_ros.hardware.packet import Status
 from ehls_ros.hardware.target import Target
 from ehls_ros.hardware.wire import Wire
 
-GIVEN_UP = 1.0
+MAX_LAG = 1.0
 """Lag behind the clock beyond which the schedule is shifted instead of caught up [s]."""
 
-LOOK = 0.05
+STOP_CHECK = 0.05
 """Interval at which a stop is checked for while waiting for packets [s]."""
 
-SLOWEST = 10_000
+MAX_DELAY_US = 10_000
 """Largest wake-up delay resolved by the histogram [us]."""
 
 
@@ -28,13 +28,13 @@ class Run(NamedTuple):
         cycles: number of cycles to run.
         stopped: returns whether to stop.
         lines: faults to inject, appended by another thread.
-        tell: called with each injected fault, or the error in its line, and the time [s].
+        report: called with each injected fault, or the error in its line, and the time [s].
     """
 
     cycles: int
     stopped: Callable[[], bool]
     lines: deque[str]
-    tell: Callable[[str, float], None]
+    report: Callable[[str, float], None]
 
 
 class Delays:
@@ -42,12 +42,12 @@ class Delays:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._counts = [0] * (SLOWEST + 1)
+        self._counts = [0] * (MAX_DELAY_US + 1)
         self.largest = 0.0
 
     def add(self, delay: float) -> None:
         """Count a delay [s]."""
-        self._counts[min(int(1e6 * delay), SLOWEST)] += 1
+        self._counts[min(int(1e6 * delay), MAX_DELAY_US)] += 1
         self.largest = max(self.largest, delay)
 
     def quantile(self, fraction: float) -> float:
@@ -57,7 +57,7 @@ class Delays:
             seen += count
             if seen >= rank:
                 return 1e-6 * delay
-        return 1e-6 * SLOWEST
+        return 1e-6 * MAX_DELAY_US
 
 
 def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delays: Delays) -> None:
@@ -80,7 +80,7 @@ def run_realtime(emulator: Emulator, target: Target, wire: Wire, run: Run, delay
         deadline = start + cycle * period
         now = wire.wait(deadline)
         delays.add(now - deadline)
-        given_up = max(now - deadline - GIVEN_UP, 0.0)
+        given_up = max(now - deadline - MAX_LAG, 0.0)
         start += given_up
         paused += given_up
         _put_faults(emulator, run, now)
@@ -123,7 +123,7 @@ def run_lockstep(emulator: Emulator, target: Target, wire: Wire, run: Run, patie
                 return
             if now > give_up:
                 raise WorkFailed(f"lockstep: no command answered cycle {cycle} within {patience:g} s")
-            wire.await_packet(LOOK)
+            wire.await_packet(STOP_CHECK)
             now = time.monotonic()
             _put_faults(emulator, run, now)
             for data, sender in wire.received():
@@ -154,6 +154,6 @@ def _put_faults(emulator: Emulator, run: Run, now: float) -> None:
         try:
             emulator.faults.apply(line)
         except BadInput as error:
-            run.tell(str(error), now)
+            run.report(str(error), now)
         else:
-            run.tell(line, now)
+            run.report(line, now)

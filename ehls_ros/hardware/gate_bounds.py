@@ -13,13 +13,13 @@ from ehls_ros.physics.rig import Rig
 BLIND_TRAVEL = 0.1
 """Fraction of the stroke that the piston may travel at the velocity limit before a fault is acted on."""
 
-FASTEST = 5
+MIN_PERIODS = 5
 """Minimum number of periods in which a command may cross the full spool range."""
 
-VALVE_TIMES = 10.0
+MIN_ENABLE_LAGS = 10.0
 """Minimum enabling time, in time constants of the valve."""
 
-SMOOTH = 50
+MIN_ENABLE_PERIODS = 50
 """Minimum enabling time, in control periods."""
 
 
@@ -49,14 +49,18 @@ def bounds_of(rig: Rig, period: float) -> dict[str, Bound]:
     blind = max(BLIND_TRAVEL * stroke / limits.velocity, 3.0 * period)
     travel = f"at the velocity limit the piston travels {100.0 * BLIND_TRAVEL:g} % of its stroke in {blind:.3g} s"
     waits = Bound(0.0, blind, travel)
-    fastest, slowest = 2.0 * limits.spool / (FASTEST * period), limits.spool / blind
-    gentle = max(VALVE_TIMES / rig.plant.valve_bandwidth, SMOOTH * period)
+    fastest, slowest = 2.0 * limits.spool / (MIN_PERIODS * period), limits.spool / blind
+    gentle = max(MIN_ENABLE_LAGS / rig.plant.valve_bandwidth, MIN_ENABLE_PERIODS * period)
     return {
         **dict.fromkeys(("command_timeout", "sensor_timeout", "hold_time", "ramp_time", "limit_time"), waits),
         "command_rate": Bound(
-            slowest, fastest, f"the spool closes within {blind:.3g} s and takes at least {FASTEST} periods to cross its range"
+            slowest,
+            fastest,
+            f"the spool closes within {blind:.3g} s and takes at least {MIN_PERIODS} periods to cross its range",
         ),
-        "enable_time": Bound(gentle, unbounded, f"{VALVE_TIMES:g} time constants of the valve and {SMOOTH} periods"),
+        "enable_time": Bound(
+            gentle, unbounded, f"{MIN_ENABLE_LAGS:g} time constants of the valve and {MIN_ENABLE_PERIODS} periods"
+        ),
         "position_margin": Bound(0.0, unbounded, "the ends of the rig's stroke"),
     }
 

@@ -3,7 +3,7 @@
 WINDOW = 0.5
 """Time over which cycles are counted [s]."""
 
-LEAST = 0.9
+MIN_ANSWERED = 0.9
 """Fraction of the cycles that must be answered; below it the computer is too slow."""
 
 CLEAR = 0.8
@@ -29,16 +29,14 @@ class Pace:
         complaint: `too slow: 720 of 1000 cycles/s`; empty while the computer keeps up.
     """
 
-    def __init__(self, least: float = LEAST) -> None:
+    def __init__(self, least: float = MIN_ANSWERED) -> None:
         """Start without a complaint; the first call of :meth:`look` opens the first window.
 
         Args:
             least: fraction of the cycles that must be answered.
         """
         self._least = least
-        self._start: float | None = None
-        self._due = 0.0
-        self._answered = 0
+        self._window: tuple[float, float, int] | None = None
         self._reported = 0.0
         self.asked = 0.0
         self.reached = 0.0
@@ -56,27 +54,22 @@ class Pace:
         Returns:
             Whether this call ended a window and updated :attr:`complaint`.
         """
-        if self._start is None:
-            self._open(now, due, answered)
+        if self._window is None:
+            self._window = now, due, answered
             return False
-        elapsed = now - self._start
+        begin, due_before, answered_before = self._window
+        elapsed = now - begin
         if elapsed < WINDOW:
             return False
-        self.asked = (due - self._due) / elapsed
-        self.reached = (answered - self._answered) / elapsed
-        self._open(now, due, answered)
-        self._evaluate()
-        return True
-
-    def _open(self, now: float, due: float, answered: int) -> None:
-        self._start, self._due, self._answered = now, due, answered
-
-    def _evaluate(self) -> None:
+        self._window = now, due, answered
+        self.asked = (due - due_before) / elapsed
+        self.reached = (answered - answered_before) / elapsed
         least = (self._least + CLEAR * (1.0 - self._least) if self.complaint else self._least) * self.asked
         if not 0.0 < self.reached < least:
             self.complaint = ""
         elif not self.complaint or abs(self.reached - self._reported) > CHANGE * self.asked:
             self.complaint, self._reported = f"too slow: {self.reached:.0f} of {self.asked:.0f} cycles/s", self.reached
+        return True
 
     def figures(self) -> dict[str, float]:
         """Return figures for diagnostics."""

@@ -34,14 +34,14 @@ FRAME = struct.Struct("<4sBBH")
 """Start of the header."""
 
 TAG = struct.Struct("<Q")
-MOST_VALUES = 32
-LARGEST = HEADER.size + 8 * MOST_VALUES + TAG.size
+MAX_VALUES = 32
+MAX_SIZE = HEADER.size + 8 * MAX_VALUES + TAG.size
 """Length of the longest packet [B]."""
 
-MOST_AT_ONCE = 256
+MAX_AT_ONCE = 256
 """Maximum number of packets received at once, so that a flood cannot block a loop."""
 
-LONGEST_KEY = hashlib.blake2b.MAX_KEY_SIZE
+MAX_KEY = hashlib.blake2b.MAX_KEY_SIZE
 """Length of the longest key [B]."""
 
 REASONS = ("length", "magic", "version", "kind", "count", "tag", "value", "session", "field")
@@ -81,11 +81,11 @@ class Packet(NamedTuple):
     values: tuple[float, ...] = ()
 
 
-VALUES = tuple(struct.Struct(f"<{count}d") for count in range(MOST_VALUES + 1))
-COUNTS: dict[int, range] = {Kind.HELLO: range(1), Kind.MEASUREMENT: range(1, MOST_VALUES + 1), Kind.COMMAND: range(1, 2)}
-LONGEST_WATCHDOG_US = 1_000_000
+VALUES = tuple(struct.Struct(f"<{count}d") for count in range(MAX_VALUES + 1))
+COUNTS: dict[int, range] = {Kind.HELLO: range(1), Kind.MEASUREMENT: range(1, MAX_VALUES + 1), Kind.COMMAND: range(1, 2)}
+MAX_WATCHDOG_US = 1_000_000
 WATCHDOGS: dict[int, range] = {
-    Kind.HELLO: range(1), Kind.MEASUREMENT: range(1), Kind.COMMAND: range(1, LONGEST_WATCHDOG_US + 1),
+    Kind.HELLO: range(1), Kind.MEASUREMENT: range(1), Kind.COMMAND: range(1, MAX_WATCHDOG_US + 1),
 }  # fmt: skip
 STATUSES: dict[int, range] = {Kind.HELLO: range(1), Kind.MEASUREMENT: range(len(Status)), Kind.COMMAND: range(1)}
 
@@ -152,7 +152,7 @@ class Codec:
 
 def _frame(data: bytes) -> str:
     """Return why the length or the start of the header cannot be a packet's; empty if they can."""
-    if not HEADER.size + TAG.size <= len(data) <= LARGEST:
+    if not HEADER.size + TAG.size <= len(data) <= MAX_SIZE:
         return "length"
     magic, version, kind, count = FRAME.unpack_from(data)
     if magic != MAGIC:

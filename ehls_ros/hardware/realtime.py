@@ -16,7 +16,7 @@ from ehls_ros.errors import BadInput
 SPIN = 50e-6
 """Busy-wait before a deadline, since a sleeper wakes late [s]."""
 
-LOWEST = 1
+MIN_PRIORITY = 1
 """Lowest priority of SCHED_FIFO: ahead of all ordinary work, behind every other realtime thread."""
 
 STACK = 2**20
@@ -31,7 +31,7 @@ LARGE = 2**25
 SMALL = 2**18
 """The same for a process that returns freed memory to the system [B]."""
 
-HARDLY = 0.25
+MIN_RESIDENT = 0.25
 """A file with no more than this fraction in memory is hardly used."""
 
 COMPILER = "libllvmlite"
@@ -140,7 +140,7 @@ def preferring_what_starts(priority: int) -> Iterator[None]:
         prefer(threads() - before, priority)
 
 
-def be_frugal() -> None:
+def limit_reserved_memory() -> None:
     """Limit the memory that this process reserves, and keep freed memory; call it before other threads start.
 
     By default each thread has a separate allocation arena and a stack of 8 MiB. Freed memory returned to the system would
@@ -196,14 +196,14 @@ def drop_compiler() -> None:
             ctypes.CDLL(None).madvise(ctypes.c_void_p(part.start), ctypes.c_size_t(part.length), MADV_DONTNEED)
 
 
-def be_modest() -> None:
-    """Undo the memory retention of :func:`be_frugal`, for a process without deadlines: large arrays are returned at once."""
+def release_freed_memory() -> None:
+    """Return large freed arrays to the system at once, for processes without deadlines; see :func:`limit_reserved_memory`."""
     system = ctypes.CDLL(None)
     system.mallopt(M_TRIM_THRESHOLD, SMALL)
     system.mallopt(M_MMAP_THRESHOLD, SMALL)
 
 
-def tidy() -> None:
+def trim_memory() -> None:
     """Return unused memory to the system, for a process that runs for weeks beside those with deadlines."""
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
@@ -212,7 +212,7 @@ def tidy() -> None:
 
 def _in_use(part: Part) -> bool:
     """Return whether a mapping is worth locking: anonymous memory in use, or a file of which more than a little is resident."""
-    least = HARDLY * part.length if part.file.startswith("/") else 0
+    least = MIN_RESIDENT * part.length if part.file.startswith("/") else 0
     return 1024 * part.resident > least
 
 
@@ -257,7 +257,7 @@ def claim(priority: int, behind: Collection[int] = ()) -> tuple[str, ...]:
 
     Args:
         priority: for SCHED_FIFO, 1 to 99; 0 leaves scheduling and memory unchanged.
-        behind: threads, by native id, that get :data:`LOWEST` instead.
+        behind: threads, by native id, that get :data:`MIN_PRIORITY` instead.
 
     Returns:
         A sentence for each request that was not permitted.
@@ -270,7 +270,7 @@ def claim(priority: int, behind: Collection[int] = ()) -> tuple[str, ...]:
     refused = []
     try:
         prefer(threads().difference(behind), priority)
-        prefer(behind, LOWEST)
+        prefer(behind, MIN_PRIORITY)
     except PermissionError:
         refused.append(f"SCHED_FIFO at priority {priority} is not permitted (RLIMIT_RTPRIO)")
     try:

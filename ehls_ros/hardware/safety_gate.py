@@ -56,10 +56,10 @@ LEFT = "left_active"
 STOP_TIME = 1.0
 """Shortest duration of an emergency stop [s]."""
 
-DEAF = 1.0
+MAX_SILENCE = 1.0
 """Silence of the service thread after which an emergency stop may not get through [s]."""
 
-REACH = 3
+MAX_PERIODS = 3
 """Largest number of periods by which one step may move or blend in the output, however late it is."""
 
 RECOVERY = 0.1
@@ -68,10 +68,10 @@ RECOVERY = 0.1
 NOTICE = 2.0
 """Time for which diagnostics keep showing a fault that is over [s]."""
 
-LEAST_STEP = 0.01
+MIN_STEP = 0.01
 """A clock that advances by less than this fraction of a period per step counts as stopped."""
 
-LARGEST_CYCLE = 2**63
+MAX_CYCLE = 2**63
 """Bound of the cycle numbers, which have 64 bits."""
 
 CHANGES_KEPT = 20
@@ -156,16 +156,23 @@ class Gate:
         self._period = float(period)
         self._limit = float(rig.limits.spool)
         self._commands = CommandIntake(self._limit, self._period)
-        self._stale = Detector("command_stale", "s")
-        self._blind = Detector("sensor_stale", "s")
-        self._steady = Detector("clock", "s")
+        self._command_stale = Detector("command_stale", "s")
+        self._sensor_stale = Detector("sensor_stale", "s")
+        self._clock_fault = Detector("clock", "s")
         self._gap = Detector("gap", "s", "")
-        self._shut = Detector("device_null", "", "")
-        self._unheard = Detector("services_silent", "s", "")
+        self._device_null = Detector("device_null", "", "")
+        self._services_silent = Detector("services_silent", "s", "")
         # Of equally severe faults the first in this order is the first cause: without snapshots there are no commands either.
         sensors = SensorDetectors()
-        without_parameter = (self._gap, self._shut, self._unheard)
-        self._all = (*without_parameter, *self._commands.detectors, *sensors, self._blind, self._stale, self._steady)
+        without_parameter = (self._gap, self._device_null, self._services_silent)
+        self._all = (
+            *without_parameter,
+            *self._commands.detectors,
+            *sensors,
+            self._sensor_stale,
+            self._command_stale,
+            self._clock_fault,
+        )
         self.detectors = {detector.name: detector for detector in self._all}
         self._readings = Readings(rig, measured, chosen, sensors)
         self._put_in_force(chosen)
@@ -273,7 +280,7 @@ class Gate:
         for detector in self._all:
             detector.retune(chosen)
         self._commands.retune(chosen)
-        self._stale.limit, self._blind.limit = chosen.command_timeout, chosen.sensor_timeout
+        self._command_stale.limit, self._sensor_stale.limit = chosen.command_timeout, chosen.sensor_timeout
         self._gap.limit = min(chosen.command_timeout, chosen.sensor_timeout)
 
     def sense(
@@ -304,7 +311,7 @@ class Gate:
             self._newest = number
             self._sensed = True
             self._lag = max(_number(lag), 0.0)
-            self._shut.look(bool(at_null), math.nan, math.nan)
+            self._device_null.look(bool(at_null), math.nan, math.nan)
             # A force error is meaningless while the loop does not control the force.
             expected = _number(reference) if self.state in {ACTIVE, HOLDING} else math.nan
             self._readings.look(_readings(measured), periods if elapsed is None else elapsed, self.output, expected)
@@ -330,10 +337,10 @@ class Gate:
         with self._lock:
             self._commands.hand_over(str(sender), self._newest)
 
-    def hear(self, silence: float) -> None:
+    def set_service_silence(self, silence: float) -> None:
         """Set how long the service thread has been silent [s]: without it the rig could not be stopped."""
         with self._lock:
-            self._unheard.look(not silence <= DEAF, silence, DEAF)
+            self._services_silent.look(not silence <= MAX_SILENCE, silence, MAX_SILENCE)
 
     def step(self, time: float) -> float:
         """Return the command to write; call it once per cycle, whatever was received.
@@ -357,9 +364,9 @@ class Gate:
     def _elapsed(self, time: float) -> float:
         """Return the time since the last step; one period if the clock is implausible."""
         elapsed = time - self._time
-        sound = LEAST_STEP * self._period < elapsed < math.inf
+        sound = MIN_STEP * self._period < elapsed < math.inf
         first = math.isnan(self._time) and math.isfinite(time)
-        self._steady.look(not (sound or first), elapsed, 0.0)
+        self._clock_fault.look(not (sound or first), elapsed, 0.0)
         if math.isfinite(time):
             self._time = time
         if not sound:
@@ -376,8 +383,8 @@ class Gate:
         age = self._age_of_command()
         # No command is due before the gate is enabled.
         missed = self.state != DISABLED and age >= p.command_timeout - ROUNDING
-        self._stale.look(missed, age, p.command_timeout)
-        self._blind.look(self._snapshot_age >= p.sensor_timeout - ROUNDING, self._snapshot_age, p.sensor_timeout)
+        self._command_stale.look(missed, age, p.command_timeout)
+        self._sensor_stale.look(self._snapshot_age >= p.sensor_timeout - ROUNDING, self._snapshot_age, p.sensor_timeout)
 
     def _age_of_command(self) -> float:
         return self._commands.age(self._newest, self._lag)
@@ -434,7 +441,7 @@ class Gate:
         if not self._begun or self.state in {CUT, STOPPED}:
             self.output = 0.0
         elif self.state in {ENABLING, ACTIVE}:
-            passed = min(elapsed, REACH * self._period)
+            passed = min(elapsed, MAX_PERIODS * self._period)
             goal = self._commands.value
             if self.state == ENABLING:
                 enable_time = self.parameters.enable_time
@@ -598,7 +605,7 @@ def _integer(value: Any) -> int | None:
         number = operator.index(value)
     except TypeError:
         return None
-    return number if abs(number) < LARGEST_CYCLE else None
+    return number if abs(number) < MAX_CYCLE else None
 
 
 def _readings(measured: Any) -> Sequence[float]:

@@ -15,6 +15,11 @@ device clock wrong by more than :data:`MAX_DRIFT` is indistinguishable from a de
 """
 
 import math
+import time
+
+UNDISTURBED = 20e-6
+"""Longest time to read the three clocks of :func:`free_running_time` without an interruption [s]."""
+
 
 MAX_DRIFT = 200e-6
 """Largest difference in rate between two free-running clocks; crystals are within 100 ppm each."""
@@ -33,6 +38,21 @@ WANDER = 0.5
 
 PAUSE = 0.5
 """Silence after which a device may have paused its sampling [s]: the longest time that a gate waits for a sample."""
+
+
+def free_running_time() -> float:
+    """Return a monotonic time that includes suspension and that no time server adjusts [s].
+
+    Linux adjusts the rate of ``CLOCK_MONOTONIC`` and ``CLOCK_BOOTTIME`` to a time server's, by up to 10 % with chrony.
+    """
+    for _ in range(3):
+        before = time.clock_gettime(time.CLOCK_MONOTONIC)
+        boot = time.clock_gettime(time.CLOCK_BOOTTIME)
+        raw = time.clock_gettime(time.CLOCK_MONOTONIC_RAW)
+        after = time.clock_gettime(time.CLOCK_MONOTONIC)
+        if after - before < UNDISTURBED:
+            break
+    return raw + (boot - 0.5 * (before + after))
 
 
 class SampleClock:
@@ -77,7 +97,7 @@ class SampleClock:
         Args:
             sequence: number of the sample; a number not above the last one means that the device restarted.
             time_ns: time of the sample by the device's clock [ns].
-            now: this computer's :func:`~ehls_ros.hardware.free_running.free_running_time` [s].
+            now: this computer's :func:`~ehls_ros.hardware.sample_clock.free_running_time` [s].
             session: of the device; another number means that it restarted.
         """
         if sequence <= self._sequence or session != self._session:

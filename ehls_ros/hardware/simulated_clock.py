@@ -11,17 +11,17 @@ grow, and simulated time catches up.
 
 from ehls_ros.hardware.pace import Pace
 
-BEARABLE = 2
+MAX_UNANSWERED = 2
 """Unanswered cycles in a row after which simulated time waits; a delay of three makes the law unstable (docs/measured.md)."""
 
-HOPE = 2.0
-"""Longest wait for an answer, after which the controller counts as gone [s]. A busy computer may well stop it for half a
+MAX_WAIT = 2.0
+"""Longest wait for an answer, after which the controller counts as absent [s]. A busy computer may well stop it for half a
 second, and a loop that continues without it diverges within a few cycles."""
 
 CATCH_UP = 0.01
 """Delay of the cycles that is still caught up where it delays no answer [s]."""
 
-SPARE = 0.25
+IDLE_RATIO = 0.25
 """Idle time after an awaited answer, as a fraction of the time it took."""
 
 
@@ -49,7 +49,7 @@ class SimulatedClock:
         self._ended = 0
         self._unanswered = 0
         self._overdue = False
-        self._rested: float | None = None
+        self._idle_until: float | None = None
         self.waiting = True
         self.slipped = 0.0
         self.missed = 0
@@ -68,13 +68,13 @@ class SimulatedClock:
             return self._end - now
         if self._overdue and answered:
             # Without a pause the nodes would take turns and leave the machine no idle time.
-            if self._rested is None:
-                self._rested = now + SPARE * (now - self._began)
-            return max(0.0, self._rested - now)
-        if answered or not (self.waiting and present) or now >= self._end + HOPE:
+            if self._idle_until is None:
+                self._idle_until = now + IDLE_RATIO * (now - self._began)
+            return max(0.0, self._idle_until - now)
+        if answered or not (self.waiting and present) or now >= self._end + MAX_WAIT:
             return 0.0
         self._overdue = True
-        return self._end + HOPE - now
+        return self._end + MAX_WAIT - now
 
     def end(self, now: float, *, answered: bool, expected: bool, prompt: bool = False) -> bool:
         """End the cycle and begin the next.
@@ -95,13 +95,13 @@ class SimulatedClock:
             self._unanswered += 1
         behind = now - self._end
         self.late += behind > self._period
-        long_ago = behind > max(BEARABLE * self._period, CATCH_UP if prompt else 0.0)
-        # A controller that seems to be gone is not awaited until it answers again.
-        self.waiting = answered if self.waiting else self._unanswered == BEARABLE or (answered and long_ago)
-        if self._overdue or long_ago:
+        much_later = behind > max(MAX_UNANSWERED * self._period, CATCH_UP if prompt else 0.0)
+        # A controller that seems absent is not awaited until it answers again.
+        self.waiting = answered if self.waiting else self._unanswered == MAX_UNANSWERED or (answered and much_later)
+        if self._overdue or much_later:
             self._end = now
             self.slipped += behind
-        self._overdue, self._rested = False, None
+        self._overdue, self._idle_until = False, None
         self._began = now
         self._end += self._period
         self._ended += 1
@@ -109,7 +109,7 @@ class SimulatedClock:
 
     def _update_pace(self, now: float) -> bool:
         before = self.pace.complaint
-        if self._unanswered > BEARABLE:
+        if self._unanswered > MAX_UNANSWERED:
             # A missing controller gives no information on the computer's speed.
             self.pace = Pace()
         elif self.pace.look(now, (now - self._start) / self._period, self._ended - self.missed):

@@ -4,12 +4,12 @@ import math
 from collections import deque
 from typing import Any
 
-from ehls_ros.hardware.packet import LONGEST_WATCHDOG_US, Codec, Kind, Packet, Status, random_session
+from ehls_ros.hardware.packet import MAX_WATCHDOG_US, Codec, Kind, Packet, Status, random_session
 
 SILENCE = 0.1
 """Silence of the computer in command after which another may take over [s]."""
 
-LONGEST_WATCHDOG = 1e-6 * LONGEST_WATCHDOG_US
+LONGEST_WATCHDOG = 1e-6 * MAX_WATCHDOG_US
 """Longest time for which the target holds a command, and in which a measurement can be answered [s]."""
 
 REASONS = ("busy", "stranger", "session", "order", "late", "kind")

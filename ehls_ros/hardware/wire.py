@@ -8,7 +8,7 @@ import socket
 import time
 from typing import Annotated, Any, NamedTuple
 
-from ehls_ros.hardware.packet import LARGEST, MOST_AT_ONCE
+from ehls_ros.hardware.packet import MAX_AT_ONCE, MAX_SIZE
 from ehls_ros.hardware.realtime import sleep_until
 from ehls_ros.schema import quantity
 
@@ -53,8 +53,8 @@ class Wire:
         """Return the packets that have arrived."""
         packets: list[Datagram] = []
         with contextlib.suppress(BlockingIOError):
-            while len(packets) < MOST_AT_ONCE:
-                packets.append(self._socket.recvfrom(LARGEST + 1))
+            while len(packets) < MAX_AT_ONCE:
+                packets.append(self._socket.recvfrom(MAX_SIZE + 1))
         return packets
 
     def send(self, data: bytes, address: Any) -> None:

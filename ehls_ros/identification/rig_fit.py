@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, whitened_slopes
-from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss
-from ehls_ros.diagnosis.loss import loss
+from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.duals import Dual
 from ehls_ros.identification.rig_coefficients import Coefficient, model_at

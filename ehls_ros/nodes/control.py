@@ -31,8 +31,8 @@ from std_msgs.msg import String
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import chosen_spec
-from ehls_ros.hardware.courtesy import Courtesy, statistics_of
-from ehls_ros.hardware.realtime import be_frugal, claim, exact_wake_ups, keep_to, processors_of
+from ehls_ros.hardware.processor_demand import ProcessorDemand, statistics_of
+from ehls_ros.hardware.realtime import claim, exact_wake_ups, keep_to, limit_reserved_memory, processors_of
 from ehls_ros.nodes.failures import Failures
 from ehls_ros.nodes.links import Links
 from ehls_ros.nodes.mismatches import Mismatches
@@ -172,7 +172,7 @@ class ControlNode(DeclaredParameters):
         self.is_running = False
         self.configured = False
         self.not_permitted: tuple[str, ...] = ()
-        self.courtesy: Courtesy | None = None
+        self.processor_demand: ProcessorDemand | None = None
         self._active = threading.Event()
         self._idle = threading.Event()
         self._idle.set()
@@ -194,7 +194,7 @@ class ControlNode(DeclaredParameters):
         self._beating = self.create_timer(BEAT, self._beat, clock=self.steady)
 
     def be_hosted(self) -> None:
-        """Let another node in the same process run this node's loop; that node handles the heartbeat and the courtesy."""
+        """Let another node in the same process run this node's loop; that node handles heartbeat and processor demand."""
         self.hosted = True
         self._beating.cancel()
 
@@ -305,7 +305,9 @@ class ControlNode(DeclaredParameters):
             keep_to(self._processors)
         if priority and not self.hosted:
             # The loop runs in the main thread, whose id is that of the process.
-            self.courtesy = Courtesy(float(self.get_parameter("processor_share").value), statistics_of(os.getpid()))
+            self.processor_demand = ProcessorDemand(
+                float(self.get_parameter("processor_share").value), statistics_of(os.getpid())
+            )
         self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
@@ -356,9 +358,9 @@ class ControlNode(DeclaredParameters):
             self.configured = False
             self.release()
             self._leaving.destroy()
-            if self.courtesy is not None:
-                self.courtesy.close()
-                self.courtesy = None
+            if self.processor_demand is not None:
+                self.processor_demand.close()
+                self.processor_demand = None
 
     def _release_after_failure(self) -> None:
         """Release the resources prepared before an exception."""
@@ -458,7 +460,7 @@ class ControlNode(DeclaredParameters):
         self._silence = 0.0 if self._beaten else self._silence + min(now - self._turned, LONGEST_TURN)
         self._beaten, self._turned = False, now
         self.unheard(self._silence)
-        if self.courtesy is not None and self.courtesy.look(now):
+        if self.processor_demand is not None and self.processor_demand.look(now):
             self.report_change()
 
     def _beat(self) -> None:
@@ -500,10 +502,10 @@ class ControlNode(DeclaredParameters):
         if level == OK and self._active.is_set() and self.now_ns() is None:
             # In lockstep the plant, which is the source of the time, starts last.
             level, message = OK if self.lockstep else WARN, f"{USE_SIM_TIME} is set, but no time arrives on {CLOCK_TOPIC}"
-        if self.courtesy is not None:
-            figures = {**figures, **self.courtesy.figures()}
-            if self.courtesy.complaint:
-                level, message = max(level, WARN), f"{self.courtesy.complaint}; {message}"
+        if self.processor_demand is not None:
+            figures = {**figures, **self.processor_demand.figures()}
+            if self.processor_demand.complaint:
+                level, message = max(level, WARN), f"{self.processor_demand.complaint}; {message}"
         if unmatched := self._mismatches.found:
             level, message = max(level, WARN), f"{unmatched[0]}; {message}"
         if contention := self.owners.complaint():
@@ -680,7 +682,7 @@ def run_nodes(
         makes: build the nodes, after ``rclpy.init``; in the order in which they configure and activate themselves.
         join: returns a function that runs the nodes' loops until an event is set.
     """
-    be_frugal()
+    limit_reserved_memory()
     stopping = Stopping()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())

@@ -10,10 +10,9 @@ from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.hardware.backends.base import Reading
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
-from ehls_ros.hardware.free_running import free_running_time
-from ehls_ros.hardware.pace import ADVICE, LEAST, Pace
+from ehls_ros.hardware.pace import ADVICE, MIN_ANSWERED, Pace
 from ehls_ros.hardware.safety_gate import DISABLED
-from ehls_ros.hardware.sample_clock import SampleClock
+from ehls_ros.hardware.sample_clock import SampleClock, free_running_time
 from ehls_ros.nodes.control import ERROR, OK, WARN, run_node
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
@@ -42,7 +41,7 @@ class Parameters(NamedTuple):
     least_answered: Annotated[
         float,
         quantity("1", "fraction of the samples that must be answered before the gate opens", minimum=0.0, maximum=1.0),
-    ] = LEAST
+    ] = MIN_ANSWERED
 
 
 class HardwareBridgeNode(PlantNode):

@@ -46,7 +46,7 @@ from ehls_ros.experiments.state_files.access import FolderLock, NotWritten
 from ehls_ros.experiments.state_files.kinds import LEARNS_ANEW
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text
-from ehls_ros.hardware.realtime import be_modest, tidy
+from ehls_ros.hardware.realtime import release_freed_memory, trim_memory
 from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import NAMESPACE, OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.frames import loader_frame
@@ -159,7 +159,7 @@ class MonitorNode(ControlNode):
         Raises:
             BadInput: a baseline cannot be read, or the folder cannot be made or is another monitor's.
         """
-        be_modest()
+        release_freed_memory()
         namespace = self.get_namespace().strip("/")
         below = "monitor" if namespace == NAMESPACE else f"monitor_{namespace.replace('/', '_')}"
         self.folder = Path(self.settings.folder or Path("runs") / below)
@@ -254,7 +254,7 @@ class MonitorNode(ControlNode):
         """Start reading the graph."""
         # The loops with deadlines run without garbage collection; this one has time, and cyclic references accumulate.
         gc.enable()
-        tidy()
+        trim_memory()
         self.last_snapshots = self.memory_released = time.monotonic()
         self.day = today()
         self.last_published = -math.inf
@@ -287,7 +287,7 @@ class MonitorNode(ControlNode):
         # Learning or diagnosis took more memory than is needed from now on.
         if events or time.monotonic() - self.memory_released > MEMORY_RELEASE_INTERVAL:
             self.memory_released = time.monotonic()
-            tidy()
+            trim_memory()
 
     def _read_messages(self) -> list[Event]:
         """Read all messages, and return the events."""

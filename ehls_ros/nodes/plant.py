@@ -373,7 +373,7 @@ class PlantNode(ControlNode):
     def unheard(self, silence: float) -> None:
         """Report to the gate how long an emergency stop could not be received; in lockstep the rig's time may stand still."""
         if not self.lockstep:
-            self.gate.hear(silence)
+            self.gate.set_service_silence(silence)
 
     def _beat(self) -> None:
         """Publish diagnostics as soon as the gate's state has changed: a trip must not be missed between two reports."""

@@ -57,9 +57,9 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
         if topic is VALVE_COMMAND:
             response_ns = columns[SENT][source] - loader[SENT][first][target]
             # A node in the plant's process has answered before either is sent, and its command is sent first.
-            told = response_ns >= 0
-            if told.any() or not told.size:
-                signals[RESPONSE] = _scatter(np.where(told, response_ns / 1e9, np.nan), target, len(cycles))
+            positive = response_ns >= 0
+            if positive.any() or not positive.size:
+                signals[RESPONSE] = _scatter(np.where(positive, response_ns / 1e9, np.nan), target, len(cycles))
     return time_s, signals
 
 

@@ -3,7 +3,7 @@
 import shlex
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, SENT, MessageColumns, align
 from ehls_ros.recording.bag_topic import BLOCK, BagTopic, cycle_topic
-from ehls_ros.recording.deadline import Deadline
 from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, uncompressed_bag
+from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.provenance import Provenance, Seal, provenance_in
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import NOTE
 from ehls_ros.recording.regular_file import check_regular, read_text
 from ehls_ros.recording.storage_file import CLOSED_BAG, METADATA_FILE, custom_data_in, parse_metadata
@@ -142,8 +141,12 @@ def opened(path: Path) -> Iterator[OpenBag]:
             size = _size(path, metadata)
             allowance, deadline = Allowance(size), Deadline(size, where)
             bag = stack.enter_context(uncompressed_bag(path, metadata, allowance)) if metadata is not None else path
-            custom_data = [_checked(file, allowance, deadline) for file in _storage_files(bag)]
-        reader = stack.enter_context(closing(_open(bag)))
+            files = sorted(file for file in bag.iterdir() if file.suffix in STORAGE_SUFFIXES) if bag.is_dir() else [bag]
+            custom_data = [_checked(file, allowance, deadline) for file in files]
+        with damage_reported(str(bag)):
+            reader = Reader(bag)
+            reader.open()
+        stack.callback(reader.close)
         compressed = metadata is not None and compression_mode(metadata) == "message"
         expand = partial(expanded_message, allowance=allowance, where=where) if compressed else None
         entries = reader.storage.metadata.custom
@@ -170,11 +173,6 @@ def _metadata(path: Path) -> Any:
     if path.suffix not in STORAGE_SUFFIXES:
         raise BadInput("it is not a bag", str(path), EXPECTED)
     return None
-
-
-def _storage_files(bag: Path) -> list[Path]:
-    """Return the storage files of a bag's folder, or the given file."""
-    return sorted(file for file in bag.iterdir() if file.suffix in STORAGE_SUFFIXES) if bag.is_dir() else [bag]
 
 
 def _size(path: Path, metadata: Any) -> int:
@@ -209,13 +207,6 @@ def damage_reported(where: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise BadInput(f"the bag cannot be read ({reason(error)})", where, CLOSED_BAG) from error
-
-
-def _open(path: Path) -> Reader:
-    with damage_reported(str(path)):
-        reader = Reader(path)
-        reader.open()
-        return reader
 
 
 def _provenance(custom_data: Sequence[Mapping[str, str]], where: str) -> Provenance | None:

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS, SENT, MessageColumns
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
 from ehls_ros.recording.provenance import Seal, checksum_sum, message_checksum
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.storage_file import CLOSED_BAG
 from ehls_ros.recording.topics import CONTROLLER_STATUS, SENDER, Topic
 from ehls_ros.recording.typestore import typestore, typestore_of

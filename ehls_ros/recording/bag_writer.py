@@ -12,11 +12,10 @@ import numpy as np
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.bag_storage import StorageWriter
 from ehls_ros.recording.ledger import provenance_blocks
 from ehls_ros.recording.provenance import Provenance, Seal, as_json
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import Flushed, remove_note, write_note
 from ehls_ros.recording.topics import NAMESPACE, TOPICS, Topic
 from ehls_ros.recording.trajectory_messages import streams_of

@@ -209,19 +209,19 @@ def _decode_equally_long(
         layout = _layout(fields, partial(_length_at, first, order))
         if not layout.size <= len(first) < layout.size + PADDING:
             raise CdrError(f"message has {len(first)} bytes where its fields need {layout.size}")
-        alike = (rows[:, :2] == rows[0, :2]).all(axis=1)
+        same_layout = (rows[:, :2] == rows[0, :2]).all(axis=1)
         for offset in layout.lengths:
-            alike &= (rows[:, offset : offset + 4] == rows[0, offset : offset + 4]).all(axis=1)
-        chosen = rows[alike]
+            same_layout &= (rows[:, offset : offset + 4] == rows[0, offset : offset + 4]).all(axis=1)
+        chosen = rows[same_layout]
         yield (
-            which[alike],
+            which[same_layout],
             {
                 place.field.name: _values(chosen[:, place.start : place.stop], place, order)
                 for place in layout.places
                 if place.field.name in wanted
             },
         )
-        rows, which = rows[~alike], which[~alike]
+        rows, which = rows[~same_layout], which[~same_layout]
 
 
 def _values(block: NDArray[np.uint8], place: _Place, order: str) -> NDArray[Any]:

@@ -1,16 +1,26 @@
-"""Map of foreign column names and units to the names of the data contract."""
+"""Units of recorded signals, and the map of foreign column names and units to the names of the data contract."""
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
+from ehls_ros import units
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.recording.expression import expression
-from ehls_ros.recording.units import ELECTRICAL, RECORDED, quantity_of, unit_of
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import parse, quantity, text
 from ehls_ros.trajectory import READABLE
-from ehls_ros.units import UNITS
+from ehls_ros.units import QUANTITIES, UNITS
+
+ELECTRICAL = ("current", "voltage", "ratio", "counts")
+"""Quantities that represent another one through the gain of a converter, an amplifier or a valve."""
+
+NEVER_RECORDED = ("area", "volume", "mass", "density", "stiffness", "damping")
+"""Quantities that occur only in rig files: ``t`` above a column is the time, not tonnes."""
+
+RECORDED = tuple(name for name, unit in UNITS.items() if unit.quantity not in NEVER_RECORDED)
+"""Permitted units of a column."""
+
 
 TIME = "time_s"
 
@@ -21,7 +31,19 @@ TABLES, BASE, CYLINDER, ROTARY = "tables", "base", "cylinder", "rotary"
 """Keys of a map other than names of signals."""
 
 EXPECTED_MAP = "a mapping like 'position_m: {name: x, scale: 0.001, offset: 0.0}'"
+
 EXPECTED_TABLES = "a list of files, or a mapping like 'fast.csv: {name: t, unit: ms}' of each file's time"
+
+
+def quantity_of(name: str) -> str:
+    """Return the quantity of a name in the data contract; empty if its unit is in no list."""
+    return "time" if name == "time_s" else QUANTITIES.get(READABLE[name].unit, "") if name in READABLE else ""
+
+
+def unit_of(text: str) -> str | None:
+    """Return the standard spelling of a column's unit; None if it is not a permitted unit."""
+    known = units.unit_of(text)
+    return known if known in RECORDED else None
 
 
 class Column(NamedTuple):
@@ -36,7 +58,7 @@ class Column(NamedTuple):
     table: Annotated[str, text("the file that has the column, where several have one of this name; of a bag, the topic")] = ""
     expression: Annotated[str, text("instead of a name: columns of one unit, such as pA - pB, or `p A` - `p B`")] = ""
     range: Annotated[tuple[float, ...], text("two values of the column, such as [4, 20] of a transmitter in mA")] = ()
-    means: Annotated[tuple[float, ...], text("what the signal is at both values of the range", "SI")] = ()
+    means: Annotated[tuple[float, ...], text("the signal at both values of the range", "SI")] = ()
     rate: Annotated[float, quantity("Hz", "of time: sampling rate; name is the column of sample numbers, if there is one")] = (
         0.0
     )
@@ -282,9 +304,7 @@ def _check_fit(name: str, column: Column, columns: Columns, path: Path) -> None:
         why = f"a known scale: {f'only {fixed_by} fixes that of' if fixed_by else 'no second signal fixes that of'} {name}"
         raise BadInput(f"fit_to is {column.fit_to!r}", where, why)
     if column.fit_to not in columns or columns[column.fit_to].fit_to:
-        raise BadInput(
-            f"fit_to is {column.fit_to!r}, which has no scale of its own", where, "that signal in the map, in its unit"
-        )
+        raise BadInput(f"fit_to is {column.fit_to!r}, which has no scale", where, "that signal in the map, in its unit")
 
 
 def is_topic(table: str) -> bool:

@@ -10,21 +10,61 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TypeVar
 
-from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.errors import BadInput, WorkFailed, reason
+from ehls_ros.extras import missing
 from ehls_ros.recording import limits
-from ehls_ros.recording.deadline import Deadline
+from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.sources import PACKAGE
 
 Argument = TypeVar("Argument")
+
 Result = TypeVar("Result")
 
 SMALLER = "a file whose variables fit in memory, or the data as CSV"
+
+
+def check_library(module: str, package: str, path: Path) -> None:
+    """Reject a file whose library is not installed, without importing it, which would take as long as reading a file.
+
+    Args:
+        module: dotted name of the module that reads the format.
+        package: name of the package to install.
+        path: the file.
+
+    Raises:
+        BadInput: the library is not installed.
+    """
+    try:
+        found = find_spec(module) is not None
+    except (ImportError, ValueError):
+        found = False
+    if not found:
+        raise missing(f"{package} is not installed, which reads this format", "files", str(path), "the data as CSV")
+
+
+@contextmanager
+def library_errors(kind: str, where: str, expected: str) -> Iterator[None]:
+    """Convert a library's exceptions, which may be of any kind on a damaged file, to BadInput; MemoryError is passed on.
+
+    Args:
+        kind: kind of file, such as ``an Excel file``.
+        where: the file.
+        expected: description of a valid file.
+    """
+    try:
+        yield
+    except (BadInput, MemoryError):
+        raise
+    except Exception as error:  # noqa: BLE001 - each library has other exceptions
+        raise BadInput(f"it is not {kind} ({reason(error)})", where, expected) from None
 
 
 def contained(

@@ -18,18 +18,18 @@ Signal = NDArray[np.float64]
 EQUAL_AREAS = 0.01
 """Relative area difference up to which the flow of a symmetric cylinder holds; as small as the error of a coefficient."""
 
-SAME = 0.98
+MIN_CORRELATION = 0.98
 """Minimum correlation of a fitted signal with the one that determines its scale; below it the two measure different
 quantities."""
 
-FEWEST = 100
+MIN_SAMPLES = 100
 """Minimum number of samples to determine a scale."""
 
-MOST_INTERVALS, FEWEST_IN_INTERVAL, FEWEST_INTERVALS = 200, 5, 10
+MAX_INTERVALS, MIN_IN_INTERVAL, MIN_INTERVALS = 200, 5, 10
 """Intervals over which both signals are compared, for independent errors: maximum number, minimum samples in one, minimum
 number."""
 
-NOTHING = 1e-9
+ZERO_CHANGE = 1e-9
 """Change of a signal, relative to its size, that is taken as zero."""
 
 TURNED: Mapping[str, tuple[str, int]] = {
@@ -163,7 +163,7 @@ def _supply(state: _State, given: ColumnMap, where: str) -> _State:
     rest = {name: values for name, values in state.signals.items() if name != supply}
     with_source = _State({**rest, "supply": state.signals[supply]}, _preparation(state.preparation, "supply", {supply: 1.0}))
     terms = {"supply": 1.0, tank: -1.0}
-    out = _added(with_source, supply, terms, where, "supply_pressure_pa is what the supply has above the tank")
+    out = _added(with_source, supply, terms, where, "supply_pressure_pa is the supply pressure above the tank pressure")
     kept = {name: own for name, own in out.preparation.interpolated.items() if name != "supply"}
     signals = {name: values for name, values in out.signals.items() if name != "supply"}
     return _State(signals, out.preparation._replace(interpolated=kept))
@@ -173,7 +173,9 @@ def _cell(state: _State, given: ColumnMap, where: str) -> _State:
     """Use a load cell between piston and load as the external force."""
     if "load_cell_n" not in state.signals:
         return state
-    remark = "disturbance_force_n is what the load cell between piston and load shows; the moving mass is that before the cell"
+    remark = (
+        "disturbance_force_n is the reading of the load cell between piston and load; the moving mass is that before the cell"
+    )
     return _measured(_added(state, "disturbance_force_n", {"load_cell_n": 1.0}, where, remark), "disturbance_force_n")
 
 
@@ -209,12 +211,12 @@ def fitted_scale(counts: Signal, other: Signal, time: Signal, kind: str) -> Scal
         kind: ``same`` quantity, ``integral`` if the counts are the other's integral, ``derivative`` if they are its derivative.
 
     Returns:
-        The scale; None if fewer than :data:`FEWEST` samples have both, or one does not vary.
+        The scale; None if fewer than :data:`MIN_SAMPLES` samples have both, or one does not vary.
     """
     both = np.isfinite(counts) & np.isfinite(other)
-    if np.count_nonzero(both) < FEWEST:
+    if np.count_nonzero(both) < MIN_SAMPLES:
         return None
-    edges = np.unique(np.linspace(0, len(time) - 1, min(MOST_INTERVALS, len(time) // FEWEST_IN_INTERVAL) + 1).astype(np.intp))
+    edges = np.unique(np.linspace(0, len(time) - 1, min(MAX_INTERVALS, len(time) // MIN_IN_INTERVAL) + 1).astype(np.intp))
     whole = np.add.reduceat(~both, edges[:-1]) == 0
     lasts = np.diff(time[edges])
     # Per interval: the change of one signal and the integral of the other.
@@ -223,7 +225,7 @@ def fitted_scale(counts: Signal, other: Signal, time: Signal, kind: str) -> Scal
     rate, target = (change / lasts)[whole], (wanted / lasts)[whole]
     spread = rate - np.mean(rate) if rate.size else rate
     size = float(spread @ spread)
-    if rate.size < FEWEST_INTERVALS or np.ptp(rate) <= NOTHING * np.max(np.abs(rate)) or np.ptp(target) == 0.0:
+    if rate.size < MIN_INTERVALS or np.ptp(rate) <= ZERO_CHANGE * np.max(np.abs(rate)) or np.ptp(target) == 0.0:
         return None
     factor = float(spread @ target) / size
     offset = float(np.mean(target) - factor * np.mean(rate))
@@ -270,9 +272,11 @@ def _fitted(state: _State, name: str, time: Signal, given: ColumnMap, where: str
         raise BadInput(
             f"{name} cannot be fitted to {other}: one of them is too short or does not change", where, "data that move"
         )
-    if scale.correlation < SAME:
+    if scale.correlation < MIN_CORRELATION:
         what = f"{name} follows {other} with a correlation of {scale.correlation:.3f} only: its scale is not fixed by it"
-        raise BadInput(what, where, f"{SAME} or more, or the scale of {given.columns[name].name} from its data sheet")
+        raise BadInput(
+            what, where, f"{MIN_CORRELATION} or more, or the scale of {given.columns[name].name} from its data sheet"
+        )
     values = scale.factor * state.signals[name] + (scale.offset or 0.0)
     unit = READABLE[name].unit
     zero = "its zero stays that of the counts" if scale.offset is None else f"zero at {scale.offset:.4g} {unit}"

@@ -11,15 +11,13 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.columns import TIME
-from ehls_ros.recording.deadline import Deadline
-from ehls_ros.recording.header_row import Kind
-from ehls_ros.recording.reason import reason
+from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.table import Pick, RawTable, check_length
-from ehls_ros.recording.text_layout import SPACES, Layout, layout_of, split
+from ehls_ros.recording.table_layout import SPACES, Kind, Layout, layout_of, split
 from ehls_ros.recording.times import seconds_of_clock
 from ehls_ros.trajectory import Trajectory
 
@@ -33,7 +31,7 @@ EXPECTED_FILE = "a CSV file"
 
 
 def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
-    """Read a table from a text file: CSV in any of the layouts of :mod:`text_layout`.
+    """Read a table from a text file: CSV in any of the layouts of :mod:`table_layout`.
 
     Args:
         path: the file.
@@ -61,7 +59,7 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
             values = columns.read(lines) if places else {}
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
-    said, header = layout.sentence(), layout.header
+    layout_remark, header = layout.sentence(), layout.header
     clocks = {name: "s" for name, kind in zip(names, header.kinds, strict=True) if kind == "clock"}
     return RawTable(
         names,
@@ -69,7 +67,7 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
         "line",
         header.first + 1,
         {**header.units, **clocks},
-        (said,) if said else (),
+        (layout_remark,) if layout_remark else (),
         {names[place]: cell for place, cell in columns.wrong.items()},
     )
 
@@ -112,7 +110,8 @@ class _Lines:
                 yield block
             return
         line = block.lines[wrong]
-        if not line.strip() and not any(map(str.strip, block.lines[wrong:])) and self._only_space_follows():
+        following = iter(partial(self._stream.read, BLOCK), "")
+        if not any(map(str.strip, block.lines[wrong:])) and not any(map(str.strip, following)):
             if wrong:
                 yield _Block(block.lines[:wrong], block.first)
             return
@@ -131,9 +130,6 @@ class _Lines:
             return None
         return next(k for k, count in enumerate(counts) if count != self._cells)
 
-    def _only_space_follows(self) -> bool:
-        return not any(piece.strip() for piece in iter(partial(self._stream.read, BLOCK), ""))
-
 
 class _Columns:
     """Columns of blocks of lines, parsed by pandas."""
@@ -151,17 +147,14 @@ class _Columns:
         rows = 0
         for block in blocks:
             if rows == 0:
-                self._note_texts(block)
+                cells = split(block.lines[0], self._layout.delimiter)
+                texts = {place: cells[place].strip() for place, kind in self.kinds.items() if kind == "text"}
+                self.wrong = {place: f"line {block.first} is {cell[:40]!r}" for place, cell in texts.items() if cell}
             rows += len(block.lines)
             check_length(rows, len(parts), self._where)
             for place, values in self._block(block).items():
                 parts[place].append(values)
         return {place: self._whole(self.kinds[place], pieces) for place, pieces in parts.items()}
-
-    def _note_texts(self, block: _Block) -> None:
-        cells = split(block.lines[0], self._layout.delimiter)
-        texts = {place: cells[place].strip() for place, kind in self.kinds.items() if kind == "text"}
-        self.wrong = {place: f"line {block.first} is {cell[:40]!r}" for place, cell in texts.items() if cell}
 
     def _whole(self, kind: Kind, pieces: list[NDArray[Any]]) -> NDArray[np.float64] | None:
         if kind == "text":
@@ -205,6 +198,8 @@ class _Columns:
         if not places:
             return {}
         pandas: Any = import_module("pandas")
+        # From 3.1 on, exact parsing of numbers is the default.
+        exact = {} if tuple(map(int, pandas.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
         table = pandas.read_csv(
             io.StringIO("\n".join(lines)),
             sep=self._layout.delimiter,
@@ -214,14 +209,9 @@ class _Columns:
             usecols=places,
             dtype={place: str if self.kinds[place] == "clock" else np.float64 for place in places},
             skipinitialspace=True,
-            **_exactly(pandas.__version__),
+            **exact,
         )
         return {place: table[place].to_numpy() for place in places}
-
-
-def _exactly(version: str) -> dict[str, str]:
-    """Return the option for exact parsing of numbers by pandas; none from 3.1 on, where this is the default."""
-    return {} if tuple(map(int, version.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:

@@ -11,14 +11,13 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES
 from ehls_ros.recording.bag_writer import Storage
 from ehls_ros.recording.ledger import Ledger
 from ehls_ros.recording.limits import TEXT
 from ehls_ros.recording.mcap_salvage import names_in_mcap, salvage_mcap
 from ehls_ros.recording.provenance import Provenance, provenance_in
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recording_note import Flushed, read_note
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.salvage import Found, Loss, Salvage
@@ -28,12 +27,12 @@ from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MA
 JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 """Magic bytes at the beginning of a rollback journal of SQLite, and at the end of one that names another file."""
 
-SMALLEST_PAGE = 512
+MIN_PAGE = 512
 """Smallest page of a SQLite database [B]."""
 
 RECOVERABLE = "a bag of ROS 2, its folder or its storage file"
 
-LONGEST_PROVENANCE = TEXT * 3 // 4
+MAX_PROVENANCE = TEXT * 3 // 4
 """Maximum length of a provenance that is copied to the new bag's metadata, which are limited when read [characters]."""
 
 
@@ -160,7 +159,7 @@ def _bound_journal(journal: Path, most: int) -> None:
     with journal.open("r+b") as stream:
         magic, pages, page_size = struct.unpack(">8s8xI4xI", stream.read(28).ljust(28, b"\0"))
         # A size of 0 denotes that of the database, which is at least the smallest.
-        there = most // max(page_size, SMALLEST_PAGE)
+        there = most // max(page_size, MIN_PAGE)
         if magic == JOURNAL_MAGIC and pages > there:
             stream.seek(16)
             stream.write(struct.pack(">I", there))
@@ -187,7 +186,7 @@ def _expected(folder: Path) -> tuple[Mapping[str, Flushed], list[str]]:
 def _provenance(ledger: Ledger, where: str) -> Provenance | None:
     """Return the bag's provenance; None if it is lost or would make the new bag unreadable."""
     text = ledger.provenance
-    if text is None or len(text) > LONGEST_PROVENANCE:
+    if text is None or len(text) > MAX_PROVENANCE:
         return None
     try:
         provenance = provenance_in(json.loads(text), where)

@@ -75,14 +75,14 @@ def read_events(path: Path) -> list[Event]:
     with opened(path) as bag:
         namespace = namespace_of(bag)
         snapshots = read_topics(bag, ())[LOADER_STATE.name]
-        tellers = _Tellers(namespace)
-        told = [
+        texts = _EventTexts(namespace)
+        events = [
             (stamp_ns, node.removeprefix(f"{namespace}/"), what)
-            for stamp_ns, topic, content in _contents(bag, tellers.by_topic(bag))
-            for node, what in tellers.tell(topic, content)
+            for stamp_ns, topic, content in _contents(bag, texts.by_topic(bag))
+            for node, what in texts.of_message(topic, content)
         ]
-    times = _times(snapshots, np.array([stamp_ns for stamp_ns, _, _ in told], np.int64))
-    return [Event(time_s, node, what) for time_s, (_, node, what) in zip(times, told, strict=True)]
+    times = _times(snapshots, np.array([stamp_ns for stamp_ns, _, _ in events], np.int64))
+    return [Event(time_s, node, what) for time_s, (_, node, what) in zip(times, events, strict=True)]
 
 
 class Pause(NamedTuple):
@@ -112,10 +112,10 @@ def read_pauses(path: Path) -> list[Pause]:
     with opened(path) as bag:
         snapshots = read_topics(bag, ())[LOADER_STATE.name]
         topic = DRIVING.resolve(namespace_of(bag))
-        told = [(stamp_ns, bool(content.data)) for stamp_ns, _, content in _contents(bag, {topic: DRIVING.type})]
-    times = _times(snapshots, np.array([stamp_ns for stamp_ns, _ in told], np.int64))
+        states = [(stamp_ns, bool(content.data)) for stamp_ns, _, content in _contents(bag, {topic: DRIVING.type})]
+    times = _times(snapshots, np.array([stamp_ns for stamp_ns, _ in states], np.int64))
     found, since = list[Pause](), None
-    for time, (_, driven) in zip(times, told, strict=True):
+    for time, (_, driven) in zip(times, states, strict=True):
         if driven and since is not None:
             found.append(Pause(since, -math.inf if time is None else time))
             since = None
@@ -147,7 +147,7 @@ def _times(snapshots: MessageColumns, stamps_ns: NDArray[np.int64]) -> list[floa
     return [float(times[place]) if place >= 0 else None for place in places.tolist()]
 
 
-class _Tellers:
+class _EventTexts:
     """Conversion of messages to event texts, with a memory of earlier values."""
 
     def __init__(self, namespace: str) -> None:
@@ -167,7 +167,7 @@ class _Tellers:
         self._types = {name: topic.type for name, topic in known.items() if topic and topic.type in self._by_type}
         return self._types
 
-    def tell(self, topic: str, content: Any) -> Iterator[tuple[str, str]]:
+    def of_message(self, topic: str, content: Any) -> Iterator[tuple[str, str]]:
         """Yield node and text for each event in a message."""
         yield from self._by_type[self._types[topic]](topic, content)
 
@@ -188,11 +188,11 @@ class _Tellers:
         for status in array.status:
             level, message = bytes([status.level]), status.message
             # Figures in a message vary from one report to the next.
-            said = level, re.sub(r"[\d.]+", "", message)
+            reported = level, re.sub(r"[\d.]+", "", message)
             of_gate = any(value.key == OF_GATE for value in status.values)
-            if said != self._messages.get(status.name) and (of_gate or level != b"\0"):
+            if reported != self._messages.get(status.name) and (of_gate or level != b"\0"):
                 yield status.name, message
-            self._messages[status.name] = said
+            self._messages[status.name] = reported
 
 
 def _value(value: Any) -> Any:

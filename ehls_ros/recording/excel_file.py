@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.contained import contained
-from ehls_ros.recording.header_row import header_of
-from ehls_ros.recording.library import check_library
-from ehls_ros.recording.reason import reason
+from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.table import Pick, RawTable, check_length
-from ehls_ros.recording.text_layout import is_number
+from ehls_ros.recording.table_layout import header_of, is_number
 from ehls_ros.recording.times import seconds_of_moments
 
 LIBRARY = "python_calamine"
@@ -47,18 +44,14 @@ def read_excel(path: Path, pick: Pick | None = None) -> RawTable:
 def read_here(path: Path, pick: Pick | None) -> RawTable:
     """Read an Excel file in this process, without a memory limit; see :func:`read_excel`."""
     where = str(path)
-    try:
-        with import_module(LIBRARY).CalamineWorkbook.from_path(path) as book:
-            sheets = [(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
-            name, sheet = next(((name, sheet) for name, sheet in sheets if sheet.height > 1), sheets[0])
-            check_length(sheet.height, sheet.width, where)
-            rows = sheet.to_python(skip_empty_area=False)
-    except BadInput:
-        raise
-    except MemoryError:
-        raise
-    except Exception as error:  # noqa: BLE001 - the library has exceptions of its own
-        raise BadInput(f"it is not an Excel file ({reason(error)})", where, EXPECTED_FILE) from None
+    with (
+        library_errors("an Excel file", where, EXPECTED_FILE),
+        import_module(LIBRARY).CalamineWorkbook.from_path(path) as book,
+    ):
+        sheets = [(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
+        name, sheet = next(((name, sheet) for name, sheet in sheets if sheet.height > 1), sheets[0])
+        check_length(sheet.height, sheet.width, where)
+        rows = sheet.to_python(skip_empty_area=False)
     head = [[_text(cell) for cell in row] if any(cell != "" for cell in row) else [] for row in rows[:LOOKED_AT]]
     header = header_of(head, lambda cell: is_number(cell, "."))
     values = rows[header.first :]
@@ -79,8 +72,8 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
         columns[column] = None if wrong is not None else _numbers(cells)
     clocks = {name: "s" for name, kind in zip(header.names, header.kinds, strict=True) if kind == "clock"}
     others = [other for other, _ in sheets if other != name]
-    said = [f"read from sheet '{name}'; not from {', '.join(others)}"] if others else []
-    return RawTable(header.names, columns, "row", header.first + 1, {**header.units, **clocks}, tuple(said), texts)
+    remarks = [f"read from sheet '{name}'; not from {', '.join(others)}"] if others else []
+    return RawTable(header.names, columns, "row", header.first + 1, {**header.units, **clocks}, tuple(remarks), texts)
 
 
 def _text(cell: object) -> str:

@@ -20,8 +20,7 @@ import yaml
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
-from ehls_ros.recording.deadline import Deadline
-from ehls_ros.recording.limits import EXPANDED, EXPANSION
+from ehls_ros.recording.limits import EXPANDED, EXPANSION, Deadline
 from ehls_ros.recording.storage_file import (
     CLOSED_BAG,
     MCAP_CHUNK,

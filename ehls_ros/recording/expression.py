@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-LONGEST = 300
+MAX_LENGTH = 300
 """Longest expression [characters]."""
 
-LARGEST = 1e300
+MAX_NUMBER = 1e300
 """Largest number in an expression."""
 
 NAME = re.compile(r"`([^`]+)`|(?<![\w.])([^\W\d]\w*)")
@@ -54,8 +54,8 @@ def expression(text: str) -> Expression:
     Raises:
         ValueError: it is too long, uses no column, or is more than arithmetic; the message says which.
     """
-    if len(text) > LONGEST:
-        raise ValueError(f"it has more than {LONGEST} characters")
+    if len(text) > MAX_LENGTH:
+        raise ValueError(f"it has more than {MAX_LENGTH} characters")
     names: dict[str, int] = {}
 
     def numbered(match: re.Match[str]) -> str:
@@ -80,7 +80,7 @@ def _check(node: ast.expr, names: int) -> None:
             _check(node.operand, names)
         case ast.Name() if node.id in {f"_{number}" for number in range(names)}:
             pass
-        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool) and abs(value) < LARGEST:
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool) and abs(value) < MAX_NUMBER:
             pass
         case _:
             raise ValueError("it is more than columns, numbers, + - * / ** and parentheses")

@@ -9,12 +9,11 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from ehls_ros.recording.columns import TIME, is_contract_name
-from ehls_ros.recording.units import ELECTRICAL, quantity_of, unit_of
+from ehls_ros.recording.columns import ELECTRICAL, TIME, is_contract_name, quantity_of, unit_of
 from ehls_ros.trajectory import READABLE
 from ehls_ros.units import UNITS
 
-Sureness = Literal["contract", "stated", "unsure", "unknown"]
+Certainty = Literal["contract", "stated", "unsure", "unknown"]
 
 
 class Recognised(NamedTuple):
@@ -24,14 +23,14 @@ class Recognised(NamedTuple):
         column: the header.
         signal: name in the data contract; the best candidate if unsure, empty if there is none.
         unit: unit in its standard spelling; empty if none is stated.
-        sureness: ``contract`` needs no map; ``stated`` has quantity and unit; ``unsure`` is ambiguous.
+        certainty: ``contract`` needs no map; ``stated`` has quantity and unit; ``unsure`` is ambiguous.
         open: the ambiguity; empty for the first two, or a remark.
     """
 
     column: str
     signal: str
     unit: str
-    sureness: Sureness
+    certainty: Certainty
     open: str
 
 
@@ -110,10 +109,10 @@ def recognised(header: Sequence[str], units: Mapping[str, str] = MappingProxyTyp
         units: units by name, if stated separately in the file, such as in a row of units.
     """
     found = [_recognised(column, units.get(column, "")) for column in header]
-    stated = [r.signal for r in found if r.sureness in ("contract", "stated")]
+    stated = [r.signal for r in found if r.certainty in ("contract", "stated")]
     return [
-        r._replace(sureness="unsure", open=f"{stated.count(r.signal)} columns say the same; which is it?")
-        if r.sureness == "stated" and stated.count(r.signal) > 1
+        r._replace(certainty="unsure", open=f"{stated.count(r.signal)} columns state the same signal; which is right?")
+        if r.certainty == "stated" and stated.count(r.signal) > 1
         else r
         for r in found
     ]
@@ -128,20 +127,22 @@ def _recognised(column: str, apart: str) -> Recognised:
         known = unit_of(apart)
         doubt = "" if known else f"unit {apart!r} is not known"
         if unit and known and UNITS[unit] != UNITS[known]:
-            doubt = f"the name says {unit}, and the row of units {known}"
+            doubt = f"the name has {unit}, and the row of units {known}"
         bracketed = BRACKETS.match(column)
         label, unit = bracketed["label"] if bracketed else label, "" if doubt else known or ""
     quantity, qualifiers = _words(label)
     signal, left_open = _signal(quantity, qualifiers)
     if not quantity:
-        candidate = _only_signal(UNITS[unit].quantity) if unit else ""
-        what = doubt or ("the unit is known, the name is not" if unit else "the name says nothing that is known")
+        # The unit alone gives a candidate if only one signal has its quantity.
+        candidates = [name for name in (TIME, *READABLE) if unit and quantity_of(name) == UNITS[unit].quantity]
+        candidate = candidates[0] if len(candidates) == 1 else ""
+        what = doubt or ("the unit is known, the name is not" if unit else "no word of the name is known")
         return Recognised(column, candidate, unit, "unsure" if unit or doubt else "unknown", what)
     if doubt or not unit:
-        return Recognised(column, signal, "", "unsure", "; ".join(filter(None, (doubt or "no unit is said", left_open))))
+        return Recognised(column, signal, "", "unsure", "; ".join(filter(None, (doubt or "no unit is given", left_open))))
     if UNITS[unit].quantity in ELECTRICAL:
         return Recognised(
-            column, signal, unit, "unsure", f"what the signal is at two values in {unit}, by the data sheet: range and means"
+            column, signal, unit, "unsure", f"needs the signal at two values in {unit}, by the data sheet: range and means"
         )
     if quantity_of(signal) != UNITS[unit].quantity:
         what = f"{unit} is a unit of {UNITS[unit].quantity}, which the name contradicts"
@@ -198,7 +199,7 @@ def _words(label: str) -> tuple[str, set[str]]:
             quantities.append(known)
         elif piece.lower() in QUALIFIERS:
             qualifiers.add(QUALIFIERS[piece.lower()])
-        elif piece.lower() not in _SILENT:
+        elif piece.lower() not in _IGNORED:
             qualifiers.add("unknown")
     distinct = set(quantities)
     if distinct == {"command", "reference"} or len(distinct) != 1:
@@ -206,7 +207,7 @@ def _words(label: str) -> tuple[str, set[str]]:
     return distinct.pop(), qualifiers
 
 
-_SILENT = (
+_IGNORED = (
     "sensor",
     "signal",
     "measured",
@@ -234,9 +235,9 @@ def _signal(quantity: str, qualifiers: set[str]) -> tuple[str, str]:
         if of == quantity and rest == {qualifier}:
             return signal, doubt
     if quantity == "temperature":
-        return _plain(quantity), doubt or "of the oil?"
+        return _BY_QUANTITY.get(quantity, ""), doubt or "of the oil?"
     free = quantity in ("command", "spool") and rest <= {"valve"}
-    return _plain(quantity), doubt or ("" if free or not rest else "which one?")
+    return _BY_QUANTITY.get(quantity, ""), doubt or ("" if free or not rest else "which one?")
 
 
 _DOUBTS: Mapping[str, str] = {
@@ -292,13 +293,3 @@ _BY_QUANTITY: Mapping[str, str] = {
     "torque": "torque_n_m",
     "command": "valve_command_m",
 }
-
-
-def _plain(quantity: str) -> str:
-    return _BY_QUANTITY.get(quantity, "")
-
-
-def _only_signal(quantity: str) -> str:
-    """Return the only signal of a quantity; empty if there are several."""
-    signals = [name for name in (TIME, *READABLE) if quantity_of(name) == quantity]
-    return signals[0] if len(signals) == 1 else ""

@@ -1,4 +1,4 @@
-"""Resampling of the tables of one recording, each with its own rate and time stamps, to one clock.
+"""Resampling of the tables of one recording, each with a rate and time stamps, to one clock.
 
 A faster signal is interpolated linearly and averaged over each period of that clock, centred so that it keeps its phase. A
 slower one is interpolated by a cubic spline, which adds no content; its rate and noise are kept for later judgement. A held
@@ -19,20 +19,20 @@ from ehls_ros.trajectory import Own, Preparation, Trajectory
 
 Signal = NDArray[np.float64]
 
-FASTEST = 4e-4
+MIN_PERIOD = 4e-4
 """Shortest period of an automatically chosen clock [s]: faster tables are averaged."""
 
 SAME_RATE = 0.02
 """Relative difference of periods up to which a table counts as neither faster nor slower than the clock."""
 
-LONGEST_GAP = 3.5
+MAX_GAP = 3.5
 """Gap between two samples above which the signal in between is unknown, in periods of the table. For averages over a period of
 the clock, gaps up to that period do not matter."""
 
-LEAST_COMMON = 0.5
+MIN_COMMON = 0.5
 """Minimum fraction of the shortest table that all tables must have in common."""
 
-FEWEST = 4
+MIN_SAMPLES = 4
 """Minimum number of samples for interpolation."""
 
 HELD = ("valve_command_m",)
@@ -59,8 +59,8 @@ def join(tables: Mapping[str, Trajectory], base: str, where: str) -> Trajectory:
         BadInput: a table is too short, two have the same signal, or they do not overlap.
     """
     for name, table in tables.items():
-        if len(table) < FEWEST:
-            raise BadInput(f"it has {len(table)} samples", f"{where}, {name}", f"at least {FEWEST}")
+        if len(table) < MIN_SAMPLES:
+            raise BadInput(f"it has {len(table)} samples", f"{where}, {name}", f"at least {MIN_SAMPLES}")
     periods = {name: float(np.median(np.diff(table.time_s))) for name, table in tables.items()}
     chosen = base or _base(periods)
     begin, end = _common(tables, where)
@@ -81,14 +81,14 @@ def join(tables: Mapping[str, Trajectory], base: str, where: str) -> Trajectory:
             else:
                 signals[signal] = _at(clock, table.time_s, values, periods[name], ratio, signal in HELD)
             if ratio > 1.0 + SAME_RATE:
-                interpolated[signal] = Own(periods[name], _noise(values))
+                interpolated[signal] = Own(periods[name], noise_between_moves(values[np.isfinite(values)]))
         if name != chosen:
-            remarks.append(f"{', '.join(table.signals)}: {_said(ratio, periods[name])}")
+            remarks.append(f"{', '.join(table.signals)}: {_resampling(ratio, periods[name])}")
     return Trajectory(clock.time, signals, preparation=Preparation(tuple(remarks), interpolated))
 
 
 def _base(periods: Mapping[str, float]) -> str:
-    slow_enough = {name: period for name, period in periods.items() if period >= FASTEST}
+    slow_enough = {name: period for name, period in periods.items() if period >= MIN_PERIOD}
     # The first of equally fast ones, in the order given.
     return min(slow_enough, key=slow_enough.__getitem__) if slow_enough else max(periods, key=periods.__getitem__)
 
@@ -96,30 +96,26 @@ def _base(periods: Mapping[str, float]) -> str:
 def _common(tables: Mapping[str, Trajectory], where: str) -> tuple[float, float]:
     spans = {name: (float(table.time_s[0]), float(table.time_s[-1])) for name, table in tables.items()}
     begin, end = max(b for b, _ in spans.values()), min(e for _, e in spans.values())
-    if end - begin < LEAST_COMMON * min(e - b for b, e in spans.values()):
+    if end - begin < MIN_COMMON * min(e - b for b, e in spans.values()):
         shown = ", ".join(f"{name} {b:.6g} to {e:.6g} s" for name, (b, e) in spans.items())
         expected = "tables of the same time; 'tables: {file: {name: ..., offset: ...}}' in the map shifts a clock, in s"
         raise BadInput(f"the tables hardly overlap ({shown})", where, expected)
     return begin, end
 
 
-def _noise(values: Signal) -> float:
-    return noise_between_moves(values[np.isfinite(values)])
-
-
-def _said(ratio: float, period: float) -> str:
+def _resampling(ratio: float, period: float) -> str:
     rate = f"{1.0 / period:.4g} Hz"
     if ratio > 1.0 + SAME_RATE:
         return f"interpolated from {rate} by a cubic spline"
-    return f"averaged from {rate}" if ratio < 1.0 - SAME_RATE else f"moved from their own times, {rate}"
+    return f"averaged from {rate}" if ratio < 1.0 - SAME_RATE else f"shifted from other times, {rate}"
 
 
 def _at(clock: _Clock, time: Signal, values: Signal, period: float, ratio: float, held: bool) -> Signal:
     """Return a signal at the times of a clock, NaN where unknown."""
     # A spline or an average would spread an outlier over its neighbours.
-    right = np.isfinite(values) if held or len(values) < 2 * FEWEST else inliers(values)
+    right = np.isfinite(values) if held or len(values) < 2 * MIN_SAMPLES else inliers(values)
     t, known = time[right], values[right]
-    if len(t) < FEWEST:
+    if len(t) < MIN_SAMPLES:
         return np.full(len(clock.time), np.nan)
     faster = ratio < 1.0 - SAME_RATE
     if held:
@@ -133,7 +129,7 @@ def _at(clock: _Clock, time: Signal, values: Signal, period: float, ratio: float
     else:
         out = scipy.interpolate.CubicSpline(t, known)(clock.time)
     after = np.clip(np.searchsorted(t, clock.time), 1, len(t) - 1)
-    longest = max(LONGEST_GAP * period, clock.period) if faster else LONGEST_GAP * period
+    longest = max(MAX_GAP * period, clock.period) if faster else MAX_GAP * period
     unknown = (t[after] - t[after - 1] > longest) & (t[after] != clock.time) & (t[after - 1] != clock.time)
     outside = (clock.time < t[0]) | (clock.time > t[-1])
     return np.where((unknown & ~np.bool_(held)) | outside, np.nan, out)

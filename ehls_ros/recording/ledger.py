@@ -17,23 +17,28 @@ from zlib import error as CompressionError  # noqa: N812 - an exception, and zli
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.recording.piecewise import first_match
 from ehls_ros.recording.provenance import checksum_of, checksum_sum, message_checksum, message_digest
 from ehls_ros.schema import from_json, quantity
 
-MOST_PARTS = 255
+PIECE = 1 << 20
+"""Bytes searched in one call."""
+
+
+MAX_PARTS = 255
 """Maximum number of blocks of a bag's provenance."""
 
 MARK = b"\x9dLEDGER\x1a"
+
 _MARK = re.compile(re.escape(MARK))
 
 ROOM = 4000
 """Maximum size of a block [B]: fits a SQLite page of 4096 B with its overhead."""
 
-LONGEST_HEAD, LONGEST_TEXT = 1 << 17, 1 << 24
+MAX_HEAD, MAX_TEXT = 1 << 17, 1 << 24
 """Maximum expanded sizes of the head of a block and of a bag's provenance [B]."""
 
 ENTRY = Struct("<BQ8s")
+
 ENTRIES = np.dtype([("topic", "u1"), ("stamp_ns", "<u8"), ("checksum", "<u8")])
 
 MESSAGES, PROVENANCE = 0, 1
@@ -41,7 +46,27 @@ MESSAGES, PROVENANCE = 0, 1
 _Number = Annotated[int, quantity("1", "number of a topic or of messages", minimum=0, maximum=1 << 53)]
 
 _FRAME = Struct("<8sQBHH")
+
 _FRAMED = Struct("<BHH")
+
+
+def first_match(
+    pattern: re.Pattern[bytes], content: bytes | mmap, start: int, end: int, longest: int
+) -> re.Match[bytes] | None:
+    """Return the first match of a pattern, searching in pieces so that Ctrl-C is handled.
+
+    Args:
+        pattern: the pattern.
+        content: content of the file.
+        start: offset to begin at.
+        end: offset behind the last byte that may belong to the match.
+        longest: length of the longest match.
+    """
+    for begin in range(start, end, PIECE):
+        match = pattern.search(content, begin, min(begin + PIECE + longest, end))
+        if match is not None:
+            return match
+    return None
 
 
 class Tally(NamedTuple):
@@ -136,7 +161,7 @@ def provenance_blocks(text: str) -> list[bytes]:
     packed = compress(text.encode(), 9)
     size = ROOM - _FRAME.size
     parts = [packed[start : start + size] for start in range(0, len(packed), size)]
-    if len(parts) > MOST_PARTS:
+    if len(parts) > MAX_PARTS:
         return []
     blocks = [_block(PROVENANCE, len(parts) << 8 | number, part, b"") for number, part in enumerate(parts)]
     return 2 * blocks  # twice, in case a block is damaged
@@ -278,8 +303,8 @@ class Ledger:
         for number, path in self.names.items():
             chosen = self._sound & (self._entries["topic"] == number)
             order = np.argsort(self._entries["stamp_ns"][chosen], kind="stable")
-            stamps, gone = self._entries["stamp_ns"][chosen][order], missing[chosen][order]
-            edges = np.flatnonzero(np.diff(np.concatenate(([False], gone, [False])).astype(np.int8)))
+            stamps, lost = self._entries["stamp_ns"][chosen][order], missing[chosen][order]
+            edges = np.flatnonzero(np.diff(np.concatenate(([False], lost, [False])).astype(np.int8)))
             runs = [
                 Range(last - first, int(stamps[first]), int(stamps[last - 1])) for first, last in edges.reshape(-1, 2).tolist()
             ]
@@ -298,7 +323,7 @@ class Ledger:
 def _parsed_head(head: bytes) -> Mapping[str, tuple[int, int]] | None:
     """Return each topic's number and the count of its earlier messages, by full name, from the head of a block."""
     try:
-        text = _expanded(head, LONGEST_HEAD)
+        text = _expanded(head, MAX_HEAD)
         return cast(Mapping[str, tuple[int, int]], from_json(Mapping[str, tuple[_Number, _Number]], text))
     except (CompressionError, ValueError):
         return None
@@ -309,7 +334,7 @@ def _joined(parts: Mapping[tuple[int, int], bytes]) -> str | None:
     if not total or len(parts) < total:
         return None
     try:
-        return _expanded(b"".join(part for _, part in sorted(parts.items())), LONGEST_TEXT).decode()
+        return _expanded(b"".join(part for _, part in sorted(parts.items())), MAX_TEXT).decode()
     except (CompressionError, UnicodeDecodeError):
         return None
 

@@ -1,8 +1,12 @@
-"""Limits of all readers.
+"""Limits of all readers, and the deadline that follows from them.
 
 Recordings of a rig stay far below them; files above them are rejected before they cost memory or time. An hour of ten columns
 at 1 kHz has 3.6e7 values and takes 0.7 GB as CSV.
 """
+
+import time
+
+from ehls_ros.errors import BadInput
 
 TEXT = 4 * 2**20
 """Longest YAML file, bag metadata or reference file [characters]; a load spectrum of 10^5 points is shorter."""
@@ -65,5 +69,37 @@ COPIES = 4
 SECONDS = 60.0
 """Reading time allowed for any file [s]."""
 
-SLOWEST = 1e6
+MIN_RATE = 1e6
 """Slowest reading rate of a larger file [B/s]; even a busy computer is ten times as fast."""
+
+
+class Deadline:
+    """Deadline for reading a file."""
+
+    def __init__(self, size: int, where: str) -> None:
+        """Start the clock.
+
+        Args:
+            size: size of the file [B].
+            where: the file, for the error.
+        """
+        self.seconds = SECONDS + size / MIN_RATE
+        self._where = where
+        self._end = time.monotonic() + self.seconds
+
+    def passed(self) -> bool:
+        """Return whether the deadline has passed."""
+        return time.monotonic() > self._end
+
+    def check(self) -> None:
+        """Raise if the deadline has passed.
+
+        Raises:
+            BadInput: the deadline has passed.
+        """
+        if self.passed():
+            raise self.error()
+
+    def error(self) -> BadInput:
+        """Return the error for a passed deadline."""
+        return BadInput(f"reading it takes more than {self.seconds:.0f} s", self._where, "the recording in smaller files")

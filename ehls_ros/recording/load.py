@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES, read_bag
@@ -18,6 +19,8 @@ from ehls_ros.recording.storage_file import METADATA_FILE
 from ehls_ros.recording.table import Pick, RawTable, no_names, sources, trajectory_of
 from ehls_ros.recording.tdms_file import read_tdms
 from ehls_ros.trajectory import SIGNALS, Trajectory
+
+Answer = TypeVar("Answer")
 
 READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc"), read_csv),
@@ -83,7 +86,7 @@ def is_table(path: Path) -> bool:
         BadInput: it is a file of another format.
     """
     suffix = path.suffix.lower()
-    if suffix not in READERS and suffix not in STORAGE_SUFFIXES and _is_file(path):
+    if suffix not in READERS and suffix not in STORAGE_SUFFIXES and _known(path.is_file, otherwise=False):
         expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *READERS))}"
         raise BadInput("its format is unknown", str(path), expected)
     return suffix in READERS
@@ -114,25 +117,18 @@ def _read(path: Path, columns: Columns) -> Trajectory:
 
 def _tables(path: Path, given: ColumnMap) -> list[Path]:
     """Return the tables that form one recording; none if the path itself is a recording."""
-    folder = path if _is_folder(path) else path.parent
+    folder = path if _known(path.is_dir, otherwise=False) else path.parent
     if given.tables and not any(map(is_topic, given.tables)):
         if folder != path and path.name not in given.tables:
             expected = f"one of its tables {', '.join(given.tables)}, or their folder"
             raise BadInput(f"it is not among the tables of the map ({', '.join(given.tables)})", str(path), expected)
         return [folder / name for name in given.tables]
-    files = _files(path) if folder == path else []
+    files = _known(lambda: sorted(path.iterdir()), otherwise=list[Path]()) if folder == path else []
     return (
         []
         if any(file.name == METADATA_FILE for file in files)
         else [f for f in files if f.suffix.lower() in READERS.keys() - set(OTHERS_HAVE)]
     )
-
-
-def _files(folder: Path) -> list[Path]:
-    try:
-        return sorted(folder.iterdir())
-    except OSError:
-        return []  # reading it as a bag reports the reason
 
 
 def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
@@ -175,15 +171,9 @@ def _columns_of(table: str, names: Mapping[str, Sequence[str]], given: ColumnMap
     return out
 
 
-def _is_file(path: Path) -> bool:
+def _known(ask: Callable[[], Answer], otherwise: Answer) -> Answer:
+    """Return an answer of the file system, or a substitute if it fails: reading the path reports the reason."""
     try:
-        return path.is_file()
+        return ask()
     except OSError:
-        return False  # reading it reports the reason
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError:
-        return False
+        return otherwise

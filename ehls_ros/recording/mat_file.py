@@ -10,17 +10,15 @@ import scipy
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.contained import contained
-from ehls_ros.recording.library import check_library
-from ehls_ros.recording.reason import reason
+from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.table import Pick, RawTable, check_length
 
 EXPECTED_FILE = "a MAT file as written by MATLAB's save"
 
-DEEPEST = 20
+MAX_DEPTH = 20
 """Deepest nesting of structures in version 7.3, whose links can form cycles [1]."""
 
-MOST_VARIABLES = 10_000
+MAX_VARIABLES = 10_000
 """Maximum number of variables of a file of version 7.3 [1]."""
 
 
@@ -43,23 +41,14 @@ def read_mat(path: Path, pick: Pick | None = None) -> RawTable:
 def read_here(path: Path, pick: Pick | None) -> RawTable:
     """Read a MAT file in this process, without a memory limit; see :func:`read_mat`."""
     where = str(path)
-    try:
-        with path.open("rb") as stream:
-            newest = scipy.io.matlab.matfile_version(stream)[0] == 2
-            if newest:
-                check_library("h5py", "h5py", path)
-                with import_module("h5py").File(path, "r") as file:
-                    return _table(dict(_datasets(file)), pick, where)
-            stream.seek(0)
-            return _table(dict(_flatten(scipy.io.loadmat(stream, simplify_cells=True))), pick, where)
-    except BadInput:
-        raise
-    except FileNotFoundError as error:
-        raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
-    except MemoryError:
-        raise
-    except Exception as error:  # noqa: BLE001 - scipy raises any exception on a damaged file
-        raise BadInput(f"it is not a MAT file ({reason(error)})", where, EXPECTED_FILE) from None
+    with library_errors("a MAT file", where, EXPECTED_FILE), path.open("rb") as stream:
+        newest = scipy.io.matlab.matfile_version(stream)[0] == 2
+        if newest:
+            check_library("h5py", "h5py", path)
+            with import_module("h5py").File(path, "r") as file:
+                return _table(dict(_datasets(file)), pick, where)
+        stream.seek(0)
+        return _table(dict(_flatten(scipy.io.loadmat(stream, simplify_cells=True))), pick, where)
 
 
 def _table(variables: Mapping[str, Any], pick: Pick | None, where: str) -> RawTable:
@@ -94,9 +83,9 @@ def _flatten(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
 def _datasets(group: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
     """Yield the variables of version 7.3; links to other files are skipped."""
     h5py: Any = import_module("h5py")
-    if depth > DEEPEST or len(group) > MOST_VARIABLES:
+    if depth > MAX_DEPTH or len(group) > MAX_VARIABLES:
         what = f"its structures are nested {depth} deep with {len(group)} fields"
-        raise BadInput(what, group.file.filename, f"at most {DEEPEST} and {MOST_VARIABLES}")
+        raise BadInput(what, group.file.filename, f"at most {MAX_DEPTH} and {MAX_VARIABLES}")
     for name in group:
         if name.startswith("#") or not isinstance(group.get(name, getlink=True), h5py.HardLink):
             continue

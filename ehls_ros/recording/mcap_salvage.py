@@ -12,16 +12,15 @@ from mmap import mmap
 from typing import NamedTuple
 from zlib import crc32
 
-from ehls_ros.recording.ledger import Ledger
-from ehls_ros.recording.piecewise import first_match
-from ehls_ros.recording.salvage import LONGEST_NAME, Budget, Found, Loss, Names
+from ehls_ros.recording.ledger import Ledger, first_match
+from ehls_ros.recording.salvage import MAX_NAME, Budget, Found, Loss, Names
 from ehls_ros.recording.storage_file import MCAP_MESSAGE, MCAP_RECORD
 
 CHUNK_HEAD = struct.Struct("<BQQQQII")
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 CHANNEL_HEAD = struct.Struct("<BQHHI")
 
-LONGEST_COMPRESSION = 8
+MAX_COMPRESSION_NAME = 8
 """Longest compression name [characters]."""
 
 # A record's kind and a length below 16 MiB; the rest is checked in code.
@@ -47,7 +46,7 @@ def names_in_mcap(content: mmap) -> dict[int, str]:
     while (match := first_match(_CHANNEL, content, offset, len(content), CHANNEL_HEAD.size)) is not None:
         offset = match.end()
         _, length, channel, _, size = CHANNEL_HEAD.unpack_from(content, match.start())
-        if size < length and size <= LONGEST_NAME:
+        if size < length and size <= MAX_NAME:
             path = content[match.end() : match.end() + size]
             if path.startswith(b"/") and path.isascii():
                 names.setdefault(channel, path.decode())
@@ -84,7 +83,7 @@ def _next_chunk(content: mmap, behind: int) -> _Chunk | None:
         _, length, _, _, expanded, checksum, name = CHUNK_HEAD.unpack_from(content, start)
         records = start + CHUNK_HEAD.size + name + 8
         end = start + MCAP_RECORD.size + length
-        if name > LONGEST_COMPRESSION or end > len(content) or end < records:
+        if name > MAX_COMPRESSION_NAME or end > len(content) or end < records:
             continue
         (size,) = struct.unpack_from("<Q", content, records - 8)
         if records + size == end and (name or size == expanded):

@@ -1,4 +1,4 @@
-"""Reading of the topics of a bag that a map of columns names, each as a table with its own rate and time stamps."""
+"""Reading of the topics of a bag that a map of columns names, each as a table with separate rate and time stamps."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -16,15 +16,15 @@ from ehls_ros.recording.bag_reader import OpenBag, damage_reported, opened
 from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.cdr import CdrError, Field, flatten
 from ehls_ros.recording.columns import TIME, Column, ColumnMap, is_topic
-from ehls_ros.recording.even_times import sent_evenly
 from ehls_ros.recording.table import assemble
+from ehls_ros.recording.times import sent_evenly
 from ehls_ros.recording.typestore import typestore_of
 from ehls_ros.trajectory import Preparation, Trajectory
 
 STAMP, RECEIVED = "header.stamp", "received"
 """Sources of a topic's times: the stamp in the header, or the time of reception by the recorder."""
 
-LEAST_DISTINCT = 0.5
+MIN_DISTINCT = 0.5
 """Minimum fraction of a topic's messages with distinct times; below it, the stamps are not set."""
 
 SHOWN = 16
@@ -153,7 +153,7 @@ def _by_topic(given: ColumnMap, where: str) -> dict[str, dict[str, Column]]:
     for name, column in given.columns.items():
         if name == TIME:
             expected = f"under 'tables', for each topic: '/topic: {{name: {RECEIVED}}}' or a field; {STAMP} needs no entry"
-            raise BadInput(f"{TIME} is mapped, but each topic of a bag has times of its own", where, expected)
+            raise BadInput(f"{TIME} is mapped, but each topic of a bag has separate times", where, expected)
         if not is_topic(column.table):
             raise BadInput(f"no topic is named for {name}", where, "'table: /topic' beside its name in the map")
         if column.expression:
@@ -209,23 +209,25 @@ class _Topic:
         """Return the topic's signals in the order of their times."""
         own = self._time.name not in (STAMP, RECEIVED)
         time = self._values(read, TIME, self._time) if own else stamps
-        names, said = " and ".join(self._columns), list[str]()
+        names, remarks = " and ".join(self._columns), list[str]()
         even = sent_evenly(time) if self._time.name == RECEIVED else None
         if even is not None:
-            said.append(f"{names}: sent evenly, received with delays that differ by {1e3 * float(np.std(time - even)):.2g} ms")
+            remarks.append(
+                f"{names}: sent evenly, received with delays that differ by {1e3 * float(np.std(time - even)):.2g} ms"
+            )
             time = even
         order = np.argsort(time, kind="stable")
         order = order[np.diff(time[order], prepend=-np.inf) > 0.0]
         repeated = len(time) - len(order)
-        if len(order) < LEAST_DISTINCT * len(time):
+        if len(order) < MIN_DISTINCT * len(time):
             what = f"its {len(time)} messages have only {len(order)} different times ({self._time.name})"
             raise BadInput(what, self.where, f"another time under 'tables' in the map, such as {{name: {RECEIVED}}}")
         if repeated:
-            said.append(f"{repeated} messages of {names} repeat a time and are left out")
+            remarks.append(f"{repeated} messages of {names} repeat a time and are left out")
         values = {signal: self._values(read, signal, column)[order] for signal, column in self._columns.items()}
         chosen = {TIME: self._time, **self._columns}
         out = assemble({TIME: time[order], **values}, chosen, self.where, lambda row: f"message {order[row] + 1}")
-        return Trajectory(out.time_s, out.signals, preparation=Preparation(tuple(said)))
+        return Trajectory(out.time_s, out.signals, preparation=Preparation(tuple(remarks)))
 
     def _values(self, read: MessageColumns, signal: str, column: Column) -> NDArray[np.float64]:
         match = ENTRY.match(column.name)

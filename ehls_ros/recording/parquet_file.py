@@ -1,15 +1,11 @@
 """Reading of Parquet files with pyarrow: one column per signal."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.contained import contained
-from ehls_ros.recording.library import check_library
-from ehls_ros.recording.reason import reason
+from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.times import seconds_of_moments
 
@@ -42,8 +38,11 @@ def read_parquet(path: Path, pick: Pick | None = None) -> RawTable:
 
 def read_here(path: Path, pick: Pick | None) -> RawTable:
     """Read a Parquet file in this process, without a memory limit; see :func:`read_parquet`."""
-    arrow, where = _arrow(path), str(path)
-    with _open(path) as file:
+    arrow, where = import_module("pyarrow"), str(path)
+    if tuple(int(part) for part in arrow.__version__.split(".")[:3]) < OLDEST:
+        what = f"pyarrow is {arrow.__version__}, which may run code from a file"
+        raise BadInput(what, where, f"pyarrow {'.'.join(map(str, OLDEST))} or later")
+    with library_errors("a Parquet file", where, EXPECTED_FILE), import_module(LIBRARY).ParquetFile(path) as file:
         schema = file.schema_arrow
         wanted = list(schema.names if pick is None else pick(schema.names))
         numeric = [name for name in wanted if schema.names.count(name) == 1 and _is_number(arrow, schema.field(name).type)]
@@ -54,26 +53,6 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
         name: seconds_of_moments(found) for name, found in values.items() if found is not None and found.dtype.kind in "mM"
     }
     return RawTable(tuple(schema.names), {**values, **times}, units=dict.fromkeys(times, "s"))
-
-
-def _arrow(path: Path) -> Any:
-    arrow = import_module("pyarrow")
-    if tuple(int(part) for part in arrow.__version__.split(".")[:3]) < OLDEST:
-        oldest = ".".join(map(str, OLDEST))
-        what = f"pyarrow is {arrow.__version__}, which may run code from a file"
-        raise BadInput(what, str(path), f"pyarrow {oldest} or later")
-    return arrow
-
-
-@contextmanager
-def _open(path: Path) -> Iterator[Any]:
-    try:
-        with import_module(LIBRARY).ParquetFile(path) as file:
-            yield file
-    except BadInput:
-        raise
-    except (OSError, ValueError) as error:
-        raise BadInput(f"it is not a Parquet file ({reason(error)})", str(path), EXPECTED_FILE) from None
 
 
 def _is_number(arrow: Any, kind: Any) -> bool:

@@ -10,16 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.diagnosis.record import COMMAND, SPOOL
-from ehls_ros.diagnosis.stage_results import NEEDED_SIGNALS
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, formable
+from ehls_ros.diagnosis.verdict import NEEDED_SIGNALS
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import TABLES, TIME, is_topic
+from ehls_ros.recording.columns import ELECTRICAL, TABLES, TIME, is_topic, unit_of
 from ehls_ros.recording.conversion import given_by
 from ehls_ros.recording.headers import Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
-from ehls_ros.recording.table import RawTable
-from ehls_ros.recording.units import ELECTRICAL, unit_of
 from ehls_ros.units import UNITS
 
 UNITS_OF_FIELDS: Mapping[str, str] = {
@@ -123,12 +121,12 @@ def with_valve(tables: Sequence[Table], valve: Valve) -> list[Table]:
 
     def known(column: Seen) -> Seen:
         header = column.header
-        moved = header.sureness == "unsure" and header.signal in (COMMAND, SPOOL) and header.unit
+        moved = header.certainty == "unsure" and header.signal in (COMMAND, SPOOL) and header.unit
         if not moved or UNITS[header.unit].quantity != UNITS[valve.unit].quantity:
             return column
         factor = UNITS[valve.unit].scale / UNITS[header.unit].scale
         low, high = (float(f"{factor * end:.12g}") for end in valve.ends)
-        stated = header._replace(sureness="stated", open=f"by the valve's data: {low:g} to {high:g} {header.unit}")
+        stated = header._replace(certainty="stated", open=f"by the valve's data: {low:g} to {high:g} {header.unit}")
         return column._replace(
             header=stated, entry=f", range: [{low!r}, {high!r}], means: [{-valve.stroke!r}, {valve.stroke!r}]"
         )
@@ -148,48 +146,45 @@ def look(path: Path) -> list[Table]:
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
     headers = recognised(table.names, table.units)
-    seen = tuple(_seen(header, table.values[header.column])._replace(wrong=_wrong(table, header.column)) for header in headers)
+    seen = tuple(
+        _seen(header, values)._replace(wrong=table.wrong.get(header.column, "") if values is None else "no cell has a value")
+        for header in headers
+        for values in [table.values[header.column]]
+    )
     if not any(column.numeric for column in seen):
         raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
-    sure = [h for h in headers if h.signal == TIME and h.sureness in ("contract", "stated")]
-    times = _seconds(sure[0], table.values[sure[0].column]) if sure else None
+    time_headers = [h for h in headers if h.signal == TIME and h.certainty in ("contract", "stated")]
+    times = table.values[time_headers[0].column] if time_headers else None
+    if times is not None and time_headers[0].unit:
+        times = times * UNITS[time_headers[0].unit].scale
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
     backwards = np.flatnonzero(np.diff(times) <= 0.0) if times is not None else np.empty(0)
-    said = (
+    remarks = (
         [f"times that do not increase: {len(backwards)}, the first in {table.place(int(backwards[0]) + 1)}"]
         if len(backwards)
         else []
     )
-    return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *said))]
+    return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *remarks))]
 
 
 def _topic(name: str, found: Found) -> Table:
     """Interpret a topic by its name and by the unit that its type implies."""
     last = name.rpartition("/")[2]
     labels = [last if field in PLAIN else f"{last}_{field}" for field in found.fields]
-    units = [_unit(f"{found.type}.{field}") for field in found.fields]
+    units = [
+        next((unit for ending, unit in UNITS_OF_FIELDS.items() if f"{found.type}.{field}".endswith(ending)), "")
+        for field in found.fields
+    ]
     headers = recognised([f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)])
     named = [header._replace(column=field) for header, field in zip(headers, found.fields, strict=True)]
     seen = tuple(_seen(header, values) for header, values in zip(named, found.fields.values(), strict=True))
     return Table(name, seen, len(found.time), *_rate(found.time))
 
 
-def _unit(field: str) -> str:
-    return next((unit for ending, unit in UNITS_OF_FIELDS.items() if field.endswith(ending)), "")
-
-
 def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
     finite = values[np.isfinite(values)] if values is not None else np.empty(0)
     smallest, largest = (float(np.min(finite)), float(np.max(finite))) if finite.size else (np.nan, np.nan)
     return Seen(header, smallest, largest, 1.0 - finite.size / max(1, values.size) if values is not None else 1.0)
-
-
-def _wrong(table: RawTable, name: str) -> str:
-    return table.wrong.get(name, "") if table.values[name] is None else "no cell has a value"
-
-
-def _seconds(header: Recognised, values: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    return None if values is None else values * (UNITS[header.unit].scale if header.unit else 1.0)
 
 
 def _rate(times: NDArray[np.float64] | None) -> tuple[float, float]:
@@ -231,7 +226,7 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
         lines.append(f"{TABLES}:")
         for table in tables:
             time = next(
-                (_entry(c.header) for c in table.columns if c.header.signal == TIME and c.header.sureness == "stated"), ""
+                (_entry(c.header) for c in table.columns if c.header.signal == TIME and c.header.certainty == "stated"), ""
             )
             lines.append(f"  {json.dumps(table.name, ensure_ascii=False)}: {time or '{name: time_s}'}")
     taken: dict[str, str] = {}
@@ -240,9 +235,9 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
             lines.append(f"# --- {table.name}")
         lines += _lines(table, several, taken)
     headers = [column.header for table in tables for column in table.columns if column.numeric]
-    damaged = [c for table in tables for c in table.columns if not c.numeric and c.header.sureness in ("contract", "stated")]
-    ready = [header for header in headers if header.sureness == "contract"]
-    times = [header for header in headers if header.sureness == "stated" and header.signal == TIME]
+    damaged = [c for table in tables for c in table.columns if not c.numeric and c.header.certainty in ("contract", "stated")]
+    ready = [header for header in headers if header.certainty == "contract"]
+    times = [header for header in headers if header.certainty == "stated" and header.signal == TIME]
     timed = [TIME] if several and (times or any(is_topic(table.name) for table in tables)) else []
     signals = frozenset({*taken, *timed, *(header.signal for header in ready)})
     certain = len(ready) + len(taken) + (len(times) if several else 0)
@@ -256,11 +251,11 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
         if not column.numeric:
             yield f"# {name} is not a column of numbers{f': {column.wrong}' if column.wrong else ''}"
             continue
-        if header.sureness == "contract" or (several and header.signal == TIME and header.sureness == "stated"):
+        if header.certainty == "contract" or (several and header.signal == TIME and header.certainty == "stated"):
             continue
         of = f", table: {json.dumps(table.name, ensure_ascii=False)}" if several else ""
         span = f"{column.smallest:.4g} to {column.largest:.4g}"
-        if header.sureness == "stated" and header.signal not in taken:
+        if header.certainty == "stated" and header.signal not in taken:
             taken[header.signal] = table.name
             hint = "; if it sits between piston and load: load_cell_n" if header.signal == "force_n" else ""
             yield f"{header.signal}: {_entry(header)[:-1]}{column.entry}{of}}}  # {span}{hint}"
@@ -272,7 +267,7 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
 def _entry(header: Recognised) -> str:
     name = json.dumps(header.column, ensure_ascii=False)
     if not header.unit:
-        return f'{{name: {name}, unit: "?"}}' if header.sureness != "contract" else f"{{name: {name}}}"
-    known = header.sureness == "stated" or UNITS[header.unit].quantity not in ELECTRICAL
+        return f'{{name: {name}, unit: "?"}}' if header.certainty != "contract" else f"{{name: {name}}}"
+    known = header.certainty == "stated" or UNITS[header.unit].quantity not in ELECTRICAL
     gain = "" if known else ', range: ["?", "?"], means: ["?", "?"]'
     return f"{{name: {name}, unit: {json.dumps(header.unit, ensure_ascii=False)}{gain}}}"

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.provenance import checksum_of
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.schema import from_json, quantity
 
@@ -21,7 +20,7 @@ NOTE = "being_recorded.json"
 
 AS_WRITTEN = "an unaltered note of the recorder"
 
-LARGEST = 1 << 20
+MAX_SIZE = 1 << 20
 """Largest note [B]."""
 
 
@@ -79,7 +78,7 @@ def read_note(folder: Path) -> Mapping[str, Flushed]:
     check_regular(path, sys.maxsize, AS_WRITTEN, "the note")
     try:
         with path.open("rb") as stream:
-            note: _Note = from_json(_Note, stream.read(LARGEST))
+            note: _Note = from_json(_Note, stream.read(MAX_SIZE))
     except OSError as error:
         raise BadInput(f"the note cannot be read ({reason(error)})", str(path), AS_WRITTEN) from None
     except ValueError:

@@ -14,24 +14,34 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+import numpy as np
+import scipy
+from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import NEW_FOLDER, BagWriter
+from ehls_ros.recording.cdr import decode, flatten
 from ehls_ros.recording.damaged_bag import RECOVERABLE, DamagedBag, damaged_bag, storage_file
 from ehls_ros.recording.ledger import Ledger, Range, Tally
-from ehls_ros.recording.message_check import timely, well_formed
 from ehls_ros.recording.provenance import checksum_sum, message_checksum
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.salvage import Found, Loss
-from ehls_ros.recording.topics import LOADER_STATE, Topic, known_topic
+from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, Topic, known_topic
+from ehls_ros.recording.typestore import typestore
 
 BLOCK = 4096
 """Messages processed together."""
 
-LATEST_NS = (1 << 63) - 1
+MAX_NS = (1 << 63) - 1
 """Latest time that a bag can represent [ns]."""
+
+
+NEIGHBOURS = 17
+"""Width of the median filter of the times of sending [messages]."""
+
+OUTLYING_NS = 10 * 10**9
+"""Largest plausible deviation from the median [ns]."""
 
 
 class TopicRecovery(NamedTuple):
@@ -144,7 +154,8 @@ def _recover(
     )
     loss, counts, done = Loss(), {path: _Counts() for path in topics}, 0
     try:
-        for block in _blocks(bag.messages(ledger, loss)):
+        messages = bag.messages(ledger, loss)
+        while block := list(islice(messages, BLOCK)):
             for found in _plausible(block, topics, counts, loss, verified_only=verified_only):
                 writer.write(topics[found.topic].name, found.stamp_ns, found.serialized)
                 counts[found.topic].add(found)
@@ -194,16 +205,14 @@ class _Counts:
         self.unverified += not found.verified
 
 
-def _blocks(messages: Iterator[Found]) -> Iterator[list[Found]]:
-    while block := list(islice(messages, BLOCK)):
-        yield block
-
-
 def _plausible(
     block: Sequence[Found], topics: Mapping[str, Topic], counts: Mapping[str, _Counts], loss: Loss, *, verified_only: bool
 ) -> list[Found]:
     """Return the verified and the plausible messages, in the same order, and count the rest."""
-    in_time = timely([found.stamp_ns for found in block])
+    # A message without a checksum must be sent at about the time of its neighbours; a lasting step of the clock is plausible.
+    stamps = np.array([found.stamp_ns for found in block], np.float64)
+    usual: NDArray[np.float64] = scipy.ndimage.median_filter(stamps, NEIGHBOURS, mode="nearest")
+    in_time = np.abs(stamps - usual) <= OUTLYING_NS
     by_topic: dict[str, list[int]] = defaultdict(list)
     for index, found in enumerate(block):
         if found.topic not in topics:
@@ -214,11 +223,11 @@ def _plausible(
             loss.count(found.topic)
     kept: list[int] = []
     for path, indices in by_topic.items():
-        formed = well_formed(topics[path], [block[index].serialized for index in indices])
+        formed = _well_formed(topics[path], [block[index].serialized for index in indices])
         good = [
             index
             for index, decodes in zip(indices, formed, strict=True)
-            if decodes and block[index].stamp_ns <= LATEST_NS and (block[index].verified or in_time[index])
+            if decodes and block[index].stamp_ns <= MAX_NS and (block[index].verified or in_time[index])
         ]
         counts[path].malformed += len(indices) - len(good)
         kept += good
@@ -267,3 +276,21 @@ def _read_back(bag: Path, written: Mapping[str, Tally]) -> None:
         if (counts[path], checksum_sum([checksums[path]])) != (tally.messages, tally.checksum):
             what = f"messages on {path} differ from what was written"
             raise BadInput(what, str(bag), "a disk without faults")
+
+
+def _well_formed(topic: Topic, messages: Sequence[bytes]) -> list[bool]:
+    """Return for each message whether it decodes as the topic's type."""
+    fields = flatten(typestore().fielddefs, topic.type) if topic in CYCLE_TOPICS else None
+
+    def decodes(some: Sequence[bytes]) -> bool:
+        try:
+            if fields is not None:
+                decode(some, fields, ())
+            else:
+                for message in some:
+                    typestore().deserialize_cdr(message, topic.type)
+        except Exception:  # noqa: BLE001 - rosbags raises any exception on invalid bytes
+            return False
+        return True
+
+    return [True] * len(messages) if decodes(messages) else [decodes([message]) for message in messages]

@@ -4,8 +4,7 @@ import os
 import stat
 from pathlib import Path
 
-from ehls_ros.errors import BadInput
-from ehls_ros.recording.reason import reason
+from ehls_ros.errors import BadInput, reason
 
 KINDS = {
     stat.S_IFDIR: "a directory",

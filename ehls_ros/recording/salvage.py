@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from ehls_ros.recording.ledger import Ledger
 
-LONGEST_NAME = 1024
+MAX_NAME = 1024
 """Longest name of a topic [characters]; ROS 2 permits 255."""
 
-MOST_WORK = 16
+MAX_WORK = 16
 """Maximum number of bytes copied and compared with the ledger, relative to the size of the file.
 
 Each byte belongs to one message, so a damaged file needs about one. In a malicious file, messages that begin inside each other
@@ -57,13 +57,13 @@ class Budget:
     """Bound on the bytes copied and compared in the search for messages, by the size of the file."""
 
     def __init__(self, content: mmap, loss: Loss) -> None:
-        """Start with :data:`MOST_WORK` times the size of a file.
+        """Start with :data:`MAX_WORK` times the size of a file.
 
         Args:
             content: content of the file.
             loss: receives a remark when the budget is exhausted.
         """
-        self._left = MOST_WORK * len(content)
+        self._left = MAX_WORK * len(content)
         self._loss = loss
 
     def covers(self, size: int) -> bool:

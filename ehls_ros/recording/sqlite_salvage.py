@@ -10,15 +10,14 @@ from collections.abc import Iterator
 from mmap import mmap
 from typing import NamedTuple
 
-from ehls_ros.recording.ledger import Ledger
-from ehls_ros.recording.piecewise import first_match
-from ehls_ros.recording.salvage import LONGEST_NAME, Budget, Found, Loss, Names
+from ehls_ros.recording.ledger import Ledger, first_match
+from ehls_ros.recording.salvage import MAX_NAME, Budget, Found, Loss, Names
 
 DEFAULT_PAGE = 4096
 HEADER = 100
 """Size of the file header, at the start of the first page [B]."""
 
-LONGEST_ROW = 1 << 20
+MAX_ROW = 1 << 20
 """Largest row [B]; bounds the work on a damaged length."""
 
 LEAF = 0x0D
@@ -38,9 +37,9 @@ _ROW = re.compile(rb"[\x05-\x09]\x00" + _INTEGER + _INTEGER + _VARINT)
 _CELL = re.compile(rb"([\x80-\xff]{0,4}[\x00-\x7f])([\x80-\xff]{0,8}[\x00-\x7f])" + _ROW.pattern)
 # A topic: its id, then name, type and the serialization format, which is a text of three letters.
 _TOPIC = re.compile(
-    rb"([\x01-\x7f])[\x05-\x0c]\x00" + _VARINT + _VARINT + rb"\x13[\x00-\xff]{0,6}?(/[ -~]{1,%d}cdr)" % (2 * LONGEST_NAME)
+    rb"([\x01-\x7f])[\x05-\x0c]\x00" + _VARINT + _VARINT + rb"\x13[\x00-\xff]{0,6}?(/[ -~]{1,%d}cdr)" % (2 * MAX_NAME)
 )
-_LONGEST_TOPIC = 3 + 5 + 5 + 1 + 6 + 1 + 2 * LONGEST_NAME + 3
+_LONGEST_TOPIC = 3 + 5 + 5 + 1 + 6 + 1 + 2 * MAX_NAME + 3
 
 
 class _Row(NamedTuple):
@@ -102,7 +101,7 @@ def _row(page: bytes, cell: int, content: mmap, size: int, budget: Budget) -> _R
     if match is None:
         return None
     length = _varint(match[1])
-    if length > LONGEST_ROW or not budget.covers(length):
+    if length > MAX_ROW or not budget.covers(length):
         return None
     head = match.start(3) - 2
     here = _stored_in_page(length, size)

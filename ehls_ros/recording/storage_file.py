@@ -11,10 +11,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
-from ehls_ros.recording.deadline import Deadline
-from ehls_ros.recording.reason import reason
+from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.topics import CYCLE_TOPICS
 from ehls_ros.recording.yaml_text import parse_yaml
 

@@ -76,7 +76,7 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
     for name, source in ((name, source) for name, column in chosen.items() for source in column.sources):
         if source not in count:
             what = f"column '{source}' for {name} is missing (found: {found})"
-            raise BadInput(what, where, f"a column of that name{_alike(source, available)}")
+            raise BadInput(what, where, f"a column of that name{_suggestion(source, available)}")
         if count[source] > 1:
             raise BadInput(f"column '{source}' occurs more than once", where, "one column of that name")
     if TIME not in chosen:
@@ -89,9 +89,9 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
     return chosen
 
 
-def _alike(name: str, names: Sequence[str]) -> str:
-    alike = get_close_matches(name, names, n=1)
-    return f"; did you mean {alike[0]!r}?" if alike else ""
+def _suggestion(name: str, names: Sequence[str]) -> str:
+    matches = get_close_matches(name, names, n=1)
+    return f"; did you mean {matches[0]!r}?" if matches else ""
 
 
 def _how_to_map(where: str) -> str:

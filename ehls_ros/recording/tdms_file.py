@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.contained import contained
-from ehls_ros.recording.library import check_library
-from ehls_ros.recording.reason import reason
+from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.times import seconds_of_moments
 
@@ -50,15 +48,8 @@ def read_tdms(path: Path, pick: Pick | None = None) -> RawTable:
 def read_here(path: Path, pick: Pick | None) -> RawTable:
     """Read a TDMS file in this process, without a memory limit; see :func:`read_tdms`."""
     where = str(path)
-    try:
-        with import_module(LIBRARY).TdmsFile.open(path) as file:
-            return _table([channel for group in file.groups() for channel in group.channels()], pick, where)
-    except BadInput:
-        raise
-    except MemoryError:
-        raise
-    except Exception as error:  # noqa: BLE001 - npTDMS raises any exception on a damaged file
-        raise BadInput(f"it is not a TDMS file ({reason(error)})", where, EXPECTED_FILE) from None
+    with library_errors("a TDMS file", where, EXPECTED_FILE), import_module(LIBRARY).TdmsFile.open(path) as file:
+        return _table([channel for group in file.groups() for channel in group.channels()], pick, where)
 
 
 def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
@@ -74,14 +65,14 @@ def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
     check_length(max((len(by_name[name]) for name in wanted if name in by_name), default=0), len(wanted), where)
     values = {name: _values(by_name[name], pick is None) for name in wanted if name in by_name}
     times = {name: "s" for name, c in by_name.items() if c.dtype.kind in "mM"}
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     if even:
         step = steps.pop()
-        said = (f"{WAVEFORM_TIME} is counted from the channels' {INCREMENT} of {step:g} s",)
+        remarks = (f"{WAVEFORM_TIME} is counted from the channels' {INCREMENT} of {step:g} s",)
         times[WAVEFORM_TIME] = "s"
         values[WAVEFORM_TIME] = np.arange(lengths.pop()) * step
     units = {name: str(c.properties[key]) for name, c in by_name.items() for key in reversed(UNIT_KEYS) if key in c.properties}
-    return RawTable(names, values, "sample", units={**units, **times}, remarks=said)
+    return RawTable(names, values, "sample", units={**units, **times}, remarks=remarks)
 
 
 def _values(channel: Any, lenient: bool) -> NDArray[Any] | None:

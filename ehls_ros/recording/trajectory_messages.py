@@ -11,7 +11,7 @@ from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_FRAME, LOADER_STATE, 
 from ehls_ros.recording.typestore import typestore
 from ehls_ros.trajectory import Trajectory
 
-LATEST_STAMP_NS = 2**31 * 10**9
+MAX_STAMP_NS = 2**31 * 10**9
 """End of the range of a ROS time stamp [ns]."""
 
 
@@ -52,7 +52,7 @@ def _stamps_ns(time_s: NDArray[np.float64], where: str) -> NDArray[np.int64]:
     exact = np.rint(time_s * 1e9)
     if not len(exact):
         raise BadInput("the trajectory has no samples", where, "one sample or more")
-    if not (exact[0] >= 0 and exact[-1] < LATEST_STAMP_NS and (np.diff(exact) > 0).all()):
+    if not (exact[0] >= 0 and exact[-1] < MAX_STAMP_NS and (np.diff(exact) > 0).all()):
         what = f"time_s goes from {time_s[0]} to {time_s[-1]}"
         raise BadInput(what, where, "times from 0 s that increase by at least 1 ns per sample")
     return exact.astype(np.int64)
@@ -104,7 +104,7 @@ def _check_flags(signal: str, values: NDArray[np.float64], rows: NDArray[np.intp
 
 
 def _response_ns(response_s: NDArray[np.float64], rows: NDArray[np.intp], where: str) -> NDArray[np.int64]:
-    wrong = np.flatnonzero(~((response_s >= 0) & (response_s < LATEST_STAMP_NS / 1e9)))
+    wrong = np.flatnonzero(~((response_s >= 0) & (response_s < MAX_STAMP_NS / 1e9)))
     if len(wrong):
         what = f"{RESPONSE} is {response_s[wrong[0]]} at sample {rows[wrong[0]]}"
         raise BadInput(what, where, "0 s or more for every valve command")

@@ -1,7 +1,7 @@
 """Sections of a diagnosis report on causes: named ones with their rivals, an unknown one, or insufficient data."""
 
 from ehls_ros.diagnosis.result import Cause, Diagnosis
-from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS
+from ehls_ros.diagnosis.verdict import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import diagnosis_findings as findings
 from ehls_ros.report import page

@@ -9,7 +9,7 @@ import pytest
 
 from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.excitation import mass_shows
+from ehls_ros.diagnosis.excitation import mass_observable
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
@@ -99,7 +99,7 @@ def test_operating_points_never_seen_are_said_and_raise_no_alarm(run, rig):
     assert found.verdict in ("consistent", "insufficient")
     beyond = {item.signal: item.beyond for item in found.baseline.coverage}
     assert beyond["velocity_m_s"] > 0.1
-    assert any("outside what the baseline covers" in remark and "velocity_m_s" in remark for remark in found.remarks)
+    assert any("outside the baseline's range" in remark and "velocity_m_s" in remark for remark in found.remarks)
 
 
 @pytest.mark.long
@@ -150,7 +150,7 @@ def seal(rig, level, seed, pressure=3e5, drift=0.0):
 def test_a_piston_pushed_slowly_does_not_show_its_mass(seal_rig, healthy, rig):
     def shown(recording, of):
         record = prepare(recording, of, "recording")
-        return mass_shows(gather(record, of, stages.setup(record, of), seed=0))
+        return mass_observable(gather(record, of, stages.setup(record, of), seed=0))
 
     assert not shown(seal(seal_rig, 5.0, 1), seal_rig)
     assert shown(healthy, rig)

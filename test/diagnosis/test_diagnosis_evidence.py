@@ -79,7 +79,7 @@ def test_a_diverged_model_has_large_finite_residuals():
     raw = {"force": np.array([1.0, np.nan, np.inf, -np.inf, -1e9, 7.0])}
     mask = {"force": np.array([True, True, True, True, True, False])}
     e = whitened(raw, mask, {"force": np.full(5, 0.5)})["force"]
-    far = rules.FARTHEST
+    far = rules.MAX_RESIDUAL
     np.testing.assert_array_equal(e, [2.0, far, far, -far, -far])
 
 
@@ -178,7 +178,7 @@ def test_averaging_noise_saves_its_loss_and_passing_it_on_saves_nothing():
     assert evidence.averaged_noise(passes, None, own, ("force",))["force"] == 0.0
 
 
-@pytest.mark.parametrize(("remains", "factor"), [(0.1, 1.0), (0.6, 1.44), (0.7, 1.96), (3.0, rules.MOST_NOISE_SCALE)])
+@pytest.mark.parametrize(("remains", "factor"), [(0.1, 1.0), (0.6, 1.44), (0.7, 1.96), (3.0, rules.MAX_NOISE_SCALE)])
 def test_where_the_noise_is_larger_than_estimated_more_of_it_is_averaged(remains, factor):
     noise = np.random.default_rng(1).uniform(-1.0, 1.0, 4000)
     evidence = evidence_of({"force": np.zeros(4000)}, {"force": noise})

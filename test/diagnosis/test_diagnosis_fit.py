@@ -10,8 +10,7 @@ from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.held_out import assess
 from ehls_ros.diagnosis.hypotheses import candidates, extended
-from ehls_ros.diagnosis.least_squares import gauss_newton, linear_loss, products
-from ehls_ros.diagnosis.loss import loss
+from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss, products
 from ehls_ros.diagnosis.pool import Pool
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import Comparison

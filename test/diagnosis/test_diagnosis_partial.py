@@ -12,9 +12,8 @@ from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.held_out import Assessment, HeldOut
 from ehls_ros.diagnosis.loss import closed, power
-from ehls_ros.diagnosis.partial import worthwhile
+from ehls_ros.diagnosis.partial import corrects_value, worthwhile, wrong
 from ehls_ros.diagnosis.remainder import remainder_as_noise
-from ehls_ros.diagnosis.rig_values import corrects_value, wrong
 from ehls_ros.diagnosis.search import Place, Searched, inflations
 
 WINDOWS = 4000

@@ -158,7 +158,7 @@ def test_what_cannot_be_read_is_refused(rig, spoil):
 def test_of_a_long_recording_stretches_are_taken(rig):
     t, signals = plain(40_000, period=0.01)
     r = prepare(Trajectory(t, signals), rig, "it")
-    assert len(r.time) * r.period == pytest.approx(rules.LONGEST_RECORDING, rel=0.02)
+    assert len(r.time) * r.period == pytest.approx(rules.MAX_RECORDING, rel=0.02)
     assert np.sum(r.fresh) == rules.STRETCHES
     assert r.duration == pytest.approx(400.0, rel=0.01)
     begins = np.flatnonzero(r.fresh)

@@ -10,7 +10,7 @@ from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis import search as searching
-from ehls_ros.diagnosis.acceptance import accepted, corrects_form, earned, is_new, mostly_in, recurs, relevance, shows
+from ehls_ros.diagnosis.acceptance import accepted, corrects_form, gain_ratio, is_new, mostly_in, recurs, relevance, shows
 from ehls_ros.diagnosis.diagnose import remarks_on_baselines
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.fit import Fit
@@ -18,8 +18,7 @@ from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended
 from ehls_ros.diagnosis.pool import Pool, informative_blocks
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.search import Place, simpler
-from ehls_ros.diagnosis.spectrum import spectral_lines
-from ehls_ros.diagnosis.starts import combined, main_channel
+from ehls_ros.diagnosis.starts import combined, main_channel, spectral_lines
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.trajectory import Trajectory
@@ -82,7 +81,7 @@ def test_only_effects_with_a_frequency_start_at_other_lines(noisy, rig):
 
 def test_a_line_is_sought_only_where_the_windows_can_show_it(noisy, rig):
     highest = {c.name: c.upper[c.free.index("frequency")] for c in candidates(noisy, rig, (5.0,))[0] if "frequency" in c.free}
-    assert highest["periodic_disturbance"] == rules.FASTEST_LINE / rules.WINDOW
+    assert highest["periodic_disturbance"] == rules.MAX_LINE_PERIODS / rules.WINDOW
     assert highest["flexible_mode"] > highest["periodic_disturbance"]
 
 
@@ -198,11 +197,11 @@ def test_a_fitted_change_earns_all_it_could_and_reshuffled_noise_little():
     rng = np.random.default_rng(8)
     column, noise = rng.standard_normal((720, 1)), 0.3 * rng.standard_normal(720)
     evidence = evidence_of({"force": noise + 0.5 * column[:, 0]})
-    assert earned(evidence, linear_fit(evidence, (VISCOUS,), column), nothing(evidence)) == pytest.approx(1.0)
+    assert gain_ratio(evidence, linear_fit(evidence, (VISCOUS,), column), nothing(evidence)) == pytest.approx(1.0)
     noisy = evidence_of({"force": 5.0 * noise})
     moved = assessed((MASS,), {"force": 5.0 * np.roll(noise, 1)}, [1.0])
-    assert abs(earned(noisy, moved, nothing(noisy))) < rules.MIN_GAIN_RATIO
-    assert earned(noisy, nothing(noisy), nothing(noisy)) == 0.0
+    assert abs(gain_ratio(noisy, moved, nothing(noisy))) < rules.MIN_GAIN_RATIO
+    assert gain_ratio(noisy, nothing(noisy), nothing(noisy)) == 0.0
 
 
 @pytest.mark.parametrize(("seen", "new"), [(True, True), (False, False)])
@@ -347,7 +346,7 @@ def test_an_unsure_cause_gives_way_to_a_sure_one_and_not_to_nothing(monkeypatch)
 
 
 def test_places_are_those_of_the_hypothesis_when_the_rounds_are_used_up(monkeypatch):
-    monkeypatch.setattr(rules, "MOST_EXCHANGES", 1)
+    monkeypatch.setattr(rules, "MAX_EXCHANGES", 1)
     one = scored((VISCOUS,), 1000.0)
     alone = Place(scored((), 0.0), (one,))
     best, places = exchanged(monkeypatch, scored((VISCOUS, MASS), 990.0), alone, dropped=one)

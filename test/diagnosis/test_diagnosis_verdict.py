@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.causes import causes, estimate
 from ehls_ros.diagnosis.dependence import depends_on, explained_fraction
 from ehls_ros.diagnosis.excitation import Sliding, excited, sensitivities, smallest_detectable
 from ehls_ros.diagnosis.gain import closed_fraction, gain
-from ehls_ros.diagnosis.probability import probabilities
+from ehls_ros.diagnosis.held_out import probabilities
 from ehls_ros.diagnosis.remainder import (
     Blocks,
     Relevance,
@@ -24,8 +24,7 @@ from ehls_ros.diagnosis.remainder import (
 )
 from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.search import Place, Searched
-from ehls_ros.diagnosis.stage_results import NEEDED_MOTION, NEEDED_SIGNALS, Nrmse, stage_result
-from ehls_ros.diagnosis.verdict import Decision, Finding, decide
+from ehls_ros.diagnosis.verdict import NEEDED_MOTION, NEEDED_SIGNALS, Decision, Finding, Nrmse, decide, stage_result
 
 FORCE = {"force": 1.0}
 
@@ -369,7 +368,7 @@ TRAVEL = {"slides": 1.01, "sticks": 0.99}
 def test_a_stage_is_excited_if_its_key_parameter_is_detectable(stage, key, limit, travel, expected):
     presliding, coulomb = 2e-5, 300.0
     nominal = coulomb if stage == "force_balance" else 1.0
-    sizes = [Sensitivity(*key, limit * rules.TELLING * nominal, "1")]
+    sizes = [Sensitivity(*key, limit * rules.MAX_UNDETECTED * nominal, "1")]
     slid = Sliding(TRAVEL[travel] * rules.SLIDING * presliding, presliding, coulomb)
     assert excited(stage, sizes, slid) is expected
 

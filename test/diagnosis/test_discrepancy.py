@@ -179,7 +179,7 @@ def test_of_a_change_along_what_varies_without_fault_all_is_closed():
 
 def test_windows_that_err_together_tell_less_but_are_no_larger():
     remains = np.full(600, 3.0)
-    allowance = Allowance(np.zeros(600), np.zeros((600, 1)), remains, alike=12.0)
+    allowance = Allowance(np.zeros(600), np.zeros((600, 1)), remains, correlated=12.0)
     judged = allowing(evidence_of({"force": np.zeros(600)}), {"force": allowance}, lambda evidence: evidence)
     np.testing.assert_allclose(judged.floor["force"], 2.0)
     assert judged.correlation["force"] == pytest.approx((1.0 + 12.0 * 3.0) / 4.0)

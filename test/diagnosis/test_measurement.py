@@ -19,7 +19,7 @@ SHAPE = np.sin(np.arange(WINDOWS) / 30.0)
 UNIT = SHAPE / np.linalg.norm(SHAPE)
 
 
-def allowance(size=40.0, most=rules.MOST_ALLOWED):
+def allowance(size=40.0, most=rules.MAX_ALLOWED):
     """Return an allowance of a size along one direction, in units of the noise."""
     return Allowance(np.zeros(WINDOWS), size * UNIT[:, None], np.zeros(WINDOWS), most=most)
 
@@ -46,7 +46,7 @@ def test_what_the_whitening_takes_off_is_found_again(size):
 def test_independent_allowances_add_their_variances_and_are_bounded_only_together():
     both = together([allowance(30.0), allowance(40.0)])
     np.testing.assert_allclose(both.whitening(np.ones(WINDOWS)).deviations, [math.hypot(50.0, 1.0)], rtol=1e-9)
-    assert both.most == rules.MOST_ALLOWED
+    assert both.most == rules.MAX_ALLOWED
     assert together([allowance(), allowance(most=math.inf)]).most == math.inf
 
 

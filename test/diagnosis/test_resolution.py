@@ -167,7 +167,7 @@ def test_an_interpolated_signal_keeps_the_power_of_its_noise_and_its_own_windows
     assert record.sampled("position_m", "load_pressure_pa") == 0.01
     assert record.sampled("load_pressure_pa") == pytest.approx(1e-3)
     used = stages.setup(record, rig)
-    assert used.window.weights.size == rules.LEAST_WINDOW * 10 + 1
+    assert used.window.weights.size == rules.MIN_WINDOW * 10 + 1
     assert used.fit == 41
 
 

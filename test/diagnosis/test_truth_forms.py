@@ -10,7 +10,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from truth_generator import EXPERIMENTS, Day, FormErrors, draw_day, draw_forms, kernel, record
 from truth_generator.calibration import Scale, largest_terms
 from truth_generator.forms import KINDS, LARGEST, SMALLEST, STAGES, draw_shapes
-from truth_generator.visibility import background, leftovers, standing
+from truth_generator.visibility import background, model_residuals, prominence
 
 RIG = yaml.safe_load((Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml").read_text(encoding="utf-8"))
 PLANT, FRICTION = RIG["plant"], RIG["friction"]
@@ -124,7 +124,7 @@ def test_the_rig_files_coefficients_describe_none_of_it(scale):
         shape = kind.shape(np.random.default_rng([4, *name.encode()]), scale.signals)
         forms = FormErrors({kind.amplitude: kind.first, **shape})
         r = record(RIG, {}, "rich", forms=forms, **RUN)
-        left = leftovers(RIG, r)[kind.stage][kind.row] - scale.without[kind.stage][kind.row]
+        left = model_residuals(RIG, r)[kind.stage][kind.row] - scale.without[kind.stage][kind.row]
         columns = [sosfiltfilt(low, a)[100:-100] if kind.stage != "valve" else a[100:-100] for a in terms]
         matrix = np.stack(columns, axis=1)
         rest = left - matrix @ np.linalg.lstsq(matrix, left, rcond=None)[0]
@@ -142,7 +142,7 @@ def test_a_share_is_the_part_of_the_power_that_is_due_to_the_effect():
     form, effect = 20.0 * floor * np.sin(10.0 * t), 60.0 * floor * np.cos(10.0 * t)
     healthy, changed = with_flow(form), with_flow(form + effect)
     rest = [(1.0, {s: [a - b for a, b in zip(healthy[s], without.left[s], strict=True)] for s in STAGES})]
-    found = standing(without, rest, healthy, changed)
+    found = prominence(without, rest, healthy, changed)
     assert found.share == pytest.approx(0.9, abs=0.02)
     assert found.visibility["flow"] == pytest.approx(3.0, rel=0.03)
     assert found.visibility["valve"] == 0.0

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp, trapezoid
 from truth_generator import experiments, kernel, record
 from truth_generator.effects import EFFECTS
 from truth_generator.recording import nominal_sizes
-from truth_generator.visibility import leftovers
+from truth_generator.visibility import model_residuals
 
 CONFIG = Path(__file__).parents[2] / "config"
 RIG = yaml.safe_load((CONFIG / "rig_paper_measured.yaml").read_text(encoding="utf-8"))
@@ -192,5 +192,5 @@ def test_work_done_is_stored_or_lost_and_friction_gives_none(model):
 
 
 def test_the_command_is_followed_as_equation_4_has_it():
-    valve = leftovers(RIG, record(RIG, {}, "rich", seed=3, duration=10, noise=0))["valve"][0]
+    valve = model_residuals(RIG, record(RIG, {}, "rich", seed=3, duration=10, noise=0))["valve"][0]
     assert np.abs(valve).max() < 1e-11

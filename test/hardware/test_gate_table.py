@@ -105,7 +105,7 @@ def cycle_with(bench, elapsed=1e-3, **sample):
 
 
 def silent(bench):
-    bench.gate.hear(2.0)
+    bench.gate.set_service_silence(2.0)
     bench.turn()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ehls_ros.hardware.packet import LARGEST, MOST_VALUES, REASONS, Codec, Kind, Packet, Status
+from ehls_ros.hardware.packet import MAX_SIZE, MAX_VALUES, REASONS, Codec, Kind, Packet, Status
 
 MEASUREMENT = Packet(Kind.MEASUREMENT, 7, 9, 41, 40, -5, 0, Status.WATCHDOG, (1.5, -2.25, 0.0))
 COMMAND = Packet(Kind.COMMAND, 9, 7, 12, 41, 123, 10_000, 0, (-4.75,))
@@ -48,12 +48,12 @@ def test_bytes_are_those_documented():
 
 @pytest.mark.parametrize("key", [b"", KEY])
 @pytest.mark.parametrize(
-    "packet", [MEASUREMENT, COMMAND, HELLO, MEASUREMENT._replace(values=tuple(map(float, range(MOST_VALUES))))]
+    "packet", [MEASUREMENT, COMMAND, HELLO, MEASUREMENT._replace(values=tuple(map(float, range(MAX_VALUES))))]
 )
 def test_round_trip(packet, key):
     codec = Codec(key)
     data = codec.pack(packet)
-    assert len(data) == 64 + 8 * len(packet.values) <= LARGEST
+    assert len(data) == 64 + 8 * len(packet.values) <= MAX_SIZE
     assert Codec(key).parse(data) == packet
     assert not any(codec.refused.values())
 
@@ -62,7 +62,7 @@ nan, inf = float("nan"), float("inf")
 DAMAGED = {
     "empty": (b"", "length"),
     "cut in the header": (documented()[:50], "length"),
-    "over-long": (documented() + bytes(LARGEST), "length"),
+    "over-long": (documented() + bytes(MAX_SIZE), "length"),
     "a byte too many": (documented() + b"\0", "count"),
     "a value missing": (documented()[:-16] + documented()[-8:], "count"),
     "other magic": (documented(magic=b"EHLT"), "magic"),

@@ -319,13 +319,13 @@ def test_a_device_that_closed_the_valve_itself_trips_the_gate_and_keeps_it_close
 
 def test_silent_services_trip_the_gate():
     bench = Bench().run(1e-3)
-    bench.gate.hear(0.99)
+    bench.gate.set_service_silence(0.99)
     assert bench.turn(1e-3) == 1e-3
-    bench.gate.hear(1.01)
+    bench.gate.set_service_silence(1.01)
     assert bench.turn(1e-3) == 0.0
     assert bench.causes_named() == ["services_silent"]
     assert bench.gate.reset() == "services_silent persists"
-    bench.gate.hear(0.0)
+    bench.gate.set_service_silence(0.0)
     assert bench.gate.reset() is None
 
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from safety_gate_bench import PERIOD, Bench
 
-from ehls_ros.hardware.free_running import free_running_time
 from ehls_ros.hardware.safety_gate import ACTIVE, CUT
-from ehls_ros.hardware.sample_clock import MAX_DRIFT, SampleClock
+from ehls_ros.hardware.sample_clock import MAX_DRIFT, SampleClock, free_running_time
 
 TIMEOUT = 0.02
 

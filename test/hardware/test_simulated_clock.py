@@ -3,7 +3,7 @@
 import pytest
 
 from ehls_ros.hardware.pace import WINDOW
-from ehls_ros.hardware.simulated_clock import CATCH_UP, HOPE, SPARE, SimulatedClock
+from ehls_ros.hardware.simulated_clock import CATCH_UP, IDLE_RATIO, MAX_WAIT, SimulatedClock
 
 PERIOD = 1e-3
 LATE = 5e-6
@@ -59,7 +59,7 @@ def test_the_first_answers_are_awaited():
 
 
 def test_the_start_is_held_up_once_if_nobody_answers():
-    assert Rig().run(100, None) == pytest.approx(0.1 + HOPE, abs=0.01)
+    assert Rig().run(100, None) == pytest.approx(0.1 + MAX_WAIT, abs=0.01)
 
 
 @pytest.mark.parametrize("period", [1e-3, 2.5e-4])
@@ -92,7 +92,7 @@ def test_a_single_late_answer_costs_no_time(rig):
 def test_time_waits_for_a_slow_computer_and_reports_it_within_a_second(rig, takes):
     took = rig.run(1000, takes)
     assert rig.clock.missed == 2
-    assert took == pytest.approx(1000 * takes * (1.0 + SPARE), rel=0.02)
+    assert took == pytest.approx(1000 * takes * (1.0 + IDLE_RATIO), rel=0.02)
     assert rig.clock.slipped == pytest.approx(took - 1.0, abs=0.01)
     assert rig.reported[0][0] < 1.0
     assert rig.reported[0][1].startswith("too slow: ")
@@ -110,10 +110,10 @@ def test_time_stops_waiting_once_the_computer_keeps_up_again(rig):
 
 def test_a_missing_controller_is_waited_for_once(rig):
     rig.run(100, 0.4e-3)
-    assert rig.run(1000, None) == pytest.approx(1.0 + HOPE, abs=0.01)
+    assert rig.run(1000, None) == pytest.approx(1.0 + MAX_WAIT, abs=0.01)
     assert rig.reported == []
     rig.run(100, 0.4e-3)
-    assert rig.run(100, None) == pytest.approx(0.1 + HOPE, abs=0.01)
+    assert rig.run(100, None) == pytest.approx(0.1 + MAX_WAIT, abs=0.01)
 
 
 def test_after_a_suspension_time_continues_without_catching_up(rig):
@@ -129,7 +129,7 @@ def test_a_controller_that_left_the_graph_is_not_waited_for(rig):
     rig.run(2, None)
     assert rig.clock.waiting
     rig.now += PERIOD
-    assert rig.clock.remaining(rig.now, answered=False) == pytest.approx(HOPE, abs=PERIOD)
+    assert rig.clock.remaining(rig.now, answered=False) == pytest.approx(MAX_WAIT, abs=PERIOD)
     assert rig.clock.remaining(rig.now, answered=False, present=False) == 0.0
 
 

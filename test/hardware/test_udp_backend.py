@@ -150,7 +150,7 @@ def test_shared_key_is_accepted():
 
 
 def test_flood_does_not_block_the_reader(end, device, monkeypatch):
-    monkeypatch.setattr(UDP, "MOST_AT_ONCE", 10)
+    monkeypatch.setattr(UDP, "MAX_AT_ONCE", 10)
     for _ in range(50):
         end.socket.sendto(b"noise", address_of(end))
     for taken in (10, 20, 30, 40, 50):

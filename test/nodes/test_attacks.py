@@ -25,7 +25,7 @@ from ehls_msgs.msg import LoaderState
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.hardware.gate_parameters import Parameters as Gate
 from ehls_ros.hardware.packet import Codec, Kind, Packet
-from ehls_ros.hardware.safety_gate import DEAF, STOP_TIME
+from ehls_ros.hardware.safety_gate import MAX_SILENCE, STOP_TIME
 from ehls_ros.nodes.transport import control_qos
 
 
@@ -115,7 +115,7 @@ def test_services_that_hang_close_the_valve(rig, graph):
     sabotage(running, SetBool.Request(data=False))
     running.participant.until(lambda: "hangs" in graph.log(BRIDGE))
     hung = graph.journal.note("deaf", BRIDGE)
-    running.live(DEAF + 1.5)
+    running.live(MAX_SILENCE + 1.5)
     judge("services hang", running.finish(), hung, "services_silent")
     assert graph.processes[BRIDGE].poll() is None
 

@@ -23,7 +23,7 @@ TURNS = 20
 @pytest.fixture
 def plant(spec_file, ros_domain_id, monkeypatch):
     # However slow the machine, an answer is awaited; the loop polls often enough for a short test.
-    monkeypatch.setattr(simulated_clock, "HOPE", 1e9)
+    monkeypatch.setattr(simulated_clock, "MAX_WAIT", 1e9)
     monkeypatch.setattr(plant_sim_node, "WAIT", 0.01)
     rclpy.init(args=["--ros-args", "-p", f"spec:={spec_file()}"], signal_handler_options=SignalHandlerOptions.NO)
     node = plant_sim_node.PlantSimNode()

@@ -16,7 +16,7 @@ from patience import PATIENCE
 from test_priorities import PRIORITY, needs_permission, priorities
 
 from ehls_msgs.msg import LoaderState, ValveCommand
-from ehls_ros.hardware.realtime import LOWEST, Part, memory
+from ehls_ros.hardware.realtime import MIN_PRIORITY, Part, memory
 
 OVERLOADED = Path(__file__).resolve().parents[2] / "benchmarks" / "realtime_citizens.py"
 
@@ -41,7 +41,7 @@ def test_a_background_node_locks_only_the_memory_it_uses_and_only_its_loop_has_l
     assert not any(key.startswith("not_permitted") for key in values)
     found = priorities(process.pid)
     assert found["middleware"] == {(os.SCHED_FIFO, PRIORITY)}
-    assert found["loop"] == {(os.SCHED_FIFO, LOWEST)}
+    assert found["loop"] == {(os.SCHED_FIFO, MIN_PRIORITY)}
 
 
 @needs_permission
@@ -63,7 +63,9 @@ def test_the_memory_of_a_process_is_all_there():
 
 def test_frugality_does_not_keep_threads_from_working():
     deep = "t = threading.Thread(target=lambda: json.loads('[' * 900 + ']' * 900)); t.start(); t.join(); print('done')"
-    script = f"import json, threading; from ehls_ros.hardware.realtime import be_frugal; be_frugal(); {deep}"
+    script = (
+        f"import json, threading; from ehls_ros.hardware.realtime import limit_reserved_memory; limit_reserved_memory(); {deep}"
+    )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert done.stdout == "done\n"
 

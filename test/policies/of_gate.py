@@ -9,7 +9,18 @@ from ehls_ros.hardware.detectors import SPEED_TIME, SPREAD
 from ehls_ros.hardware.gate_bounds import bounds_of
 from ehls_ros.hardware.gate_parameters import Change
 from ehls_ros.hardware.packet import Status
-from ehls_ros.hardware.safety_gate import ACTIVE, CUT, DEAF, DISABLED, DRIVING, HOLDING, RAMPING, REACH, STOP_TIME, STOPPED
+from ehls_ros.hardware.safety_gate import (
+    ACTIVE,
+    CUT,
+    DISABLED,
+    DRIVING,
+    HOLDING,
+    MAX_PERIODS,
+    MAX_SILENCE,
+    RAMPING,
+    STOP_TIME,
+    STOPPED,
+)
 from policies.policy import Policy
 from policies.temporal import NOTHING, Condition, During, Flags, Margins, Quantity, always, constant, each
 from policies.trace import ROUNDING, Call, Spans, Trace, name_of_stop
@@ -97,7 +108,7 @@ def _reach(trace: Trace) -> Array:
     sent = np.diff(trace.sequence, prepend=trace.sequence[:1])
     # A new session counts from the beginning.
     sent = np.where(sent < 0.0, trace.sequence, sent)
-    return REACH * trace.setup.period * trace.parameter("command_rate") * sent + trace.setup.resolution
+    return MAX_PERIODS * trace.setup.period * trace.parameter("command_rate") * sent + trace.setup.resolution
 
 
 def _accepted_age(trace: Trace) -> Array:
@@ -135,7 +146,7 @@ def _ramp_of_opening(trace: Trace) -> Array:
     """
     first, number = _first_open(trace), _opening_number(trace)
     wanted = np.array([_largest_commanded(trace, row) for row in first] or [0.0])
-    late = REACH * trace.setup.period + trace.parameter("command_timeout")
+    late = MAX_PERIODS * trace.setup.period + trace.parameter("command_timeout")
     blended = (trace.since(trace.time[first]) + late) / trace.parameter("enable_time", least=True)
     return np.minimum(1.0, blended) * wanted[number] + trace.setup.resolution
 
@@ -222,7 +233,7 @@ def _cut_short(spans: Spans, ends: Iterable[float]) -> Spans:
     return Spans(spans.begins, np.minimum(spans.ends, known[np.searchsorted(known[:-1], spans.begins, side="right")]))
 
 
-UNHEARD = constant(f"{DEAF:g} s + a second", "s", lambda trace: DEAF + 1.0)
+UNHEARD = constant(f"{MAX_SILENCE:g} s + a second", "s", lambda trace: MAX_SILENCE + 1.0)
 
 
 # Inputs
@@ -657,7 +668,7 @@ POLICIES = (
         always(
             ARRIVED,
             Quantity("opening since the last cycle", "m", _opened_by)
-            <= Quantity(f"command_rate * {REACH} periods * commands sent", "m", _reach),
+            <= Quantity(f"command_rate * {MAX_PERIODS} periods * commands sent", "m", _reach),
         ),
         RIG,
         "no further than in three periods",

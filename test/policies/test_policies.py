@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.control.programme.motion import State
-from ehls_ros.hardware.safety_gate import DEAF, REACH, STOP_TIME
+from ehls_ros.hardware.safety_gate import MAX_PERIODS, MAX_SILENCE, STOP_TIME
 from policies.monitor import POLICIES, check, judge, listed
 from policies.of_gate import LYING, WITHIN
 from policies.of_graph import EXACT, HANDOVER, REFUSED_WITHIN
@@ -81,7 +81,7 @@ def parameter(row, name, value):
 
 def opens_gradually(excess):
     row = OPENED + 20
-    blended = (20 * PERIOD + REACH * PERIOD + GATE.command_timeout) / GATE.enable_time
+    blended = (20 * PERIOD + MAX_PERIODS * PERIOD + GATE.command_timeout) / GATE.enable_time
     return trace(with_row(row, blended * AMPLITUDE + 2e-7 + excess))
 
 
@@ -276,7 +276,7 @@ MORE, ROW = 1e-9 + 1e-12, PERIOD
 
 CASES = {
     "spool_limit": (lambda e: trace(with_row(EVENT, RIG.limits.spool + e)), 1e-8),
-    "command_rate": (lambda e: trace(with_row(EVENT, AMPLITUDE + REACH * PERIOD * GATE.command_rate + 2e-7 + e)), 1e-8),
+    "command_rate": (lambda e: trace(with_row(EVENT, AMPLITUDE + MAX_PERIODS * PERIOD * GATE.command_rate + 2e-7 + e)), 1e-8),
     "opens_gradually": (opens_gradually, 1e-8),
     "obeys_who_drives": (obeys, 1e-8),
     "fresh_command": (fresh, ROW),
@@ -290,7 +290,7 @@ CASES = {
     "end_of_process": (closes(0.0, happenings=[happening("ended", EVENT)]), ROW),
     "killed": (closes(0.0, happenings=[happening("killed", EVENT)]), ROW),
     "gap": (closes(0.0, happenings=[happening("frozen", EVENT - 50), happening("woken", EVENT)]), ROW),
-    "services_silent": (closes(DEAF + 1.0, happenings=[happening("deaf", EVENT)]), ROW),
+    "services_silent": (closes(MAX_SILENCE + 1.0, happenings=[happening("deaf", EVENT)]), ROW),
     "device_null": (device_null, ROW),
     "latched": (closes(0.0, reports=[report("cut", EVENT)]), ROW),
     "ramped": (closes(RAMPED, reports=[report("ramping", EVENT)]), ROW),

@@ -77,7 +77,7 @@ def test_units_gains_tables_and_areas_are_read(tmp_path: Path):
         ),
         (
             "force_n: {name: F, fit_to: load_pressure_pa}\nload_pressure_pa: {name: p, fit_to: force_n}",
-            ", force_n: fit_to is 'load_pressure_pa', which has no scale of its own; expected that signal",
+            ", force_n: fit_to is 'load_pressure_pa', which has no scale; expected that signal",
         ),
         ("tables: fast.csv", ", tables: it is 'fast.csv'; expected a list of files, or a mapping"),
         ("tables: [a.csv, a.csv]", ", tables: it is ['a.csv', 'a.csv']; expected each file once"),

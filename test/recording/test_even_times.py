@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ehls_ros.recording.even_times import sent_evenly
+from ehls_ros.recording.times import sent_evenly
 
 PERIOD = 1e-3
 

@@ -7,7 +7,7 @@ import pytest
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import read_columns
-from ehls_ros.recording.expression import LONGEST, expression
+from ehls_ros.recording.expression import MAX_LENGTH, expression
 from ehls_ros.recording.load import load
 
 A, B = np.array([3.0, -2.0]), np.array([1.0, 4.0])
@@ -51,7 +51,7 @@ def test_arithmetic_of_columns(text: str, values: np.ndarray):
         "[pA for pB in pA]",
         "f'{pA}'",
         "(" * 150 + "pA" + ")" * 150 + "(",
-        "pA" + "+1" * LONGEST,
+        "pA" + "+1" * MAX_LENGTH,
         "pA + 1e999",
         "pA \x00",
         "`pA",

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from ehls_ros.recording.columns import read_columns
+from ehls_ros.recording.columns import read_columns, unit_of
 from ehls_ros.recording.headers import recognised
 from ehls_ros.recording.load import load
 from ehls_ros.recording.proposal import look, proposed_map
-from ehls_ros.recording.units import unit_of
 from ehls_ros.units import QUANTITIES, SPELLINGS, UNITS
 
 STATED = {
@@ -68,12 +67,12 @@ LEFT_OPEN = {
     "Weg [furlong]": "is not known",
     "[mm]": "the name is not",
     "qm [mm]": "the name is not",
-    "s_foo_mm": "the name says nothing",
+    "s_foo_mm": "no word of the name",
     "x_3 [mm]": "a word of the name",
-    "qm": "the name says nothing",
-    "vir": "the name says nothing",
-    "PG_1": "the name says nothing",
-    "": "the name says nothing",
+    "qm": "no word of the name",
+    "vir": "no word of the name",
+    "PG_1": "no word of the name",
+    "": "no word of the name",
 }
 """Headers that leave a part open, with that part."""
 
@@ -83,27 +82,27 @@ def test_a_header_that_says_quantity_and_unit_is_taken(header: str):
     [said] = recognised([header])
     expected = STATED[header]
     if expected is None:
-        assert said.sureness != "stated", said
+        assert said.certainty != "stated", said
         return
-    assert (said.signal, said.unit, said.sureness) == (*expected, "stated"), said
+    assert (said.signal, said.unit, said.certainty) == (*expected, "stated"), said
 
 
 @pytest.mark.parametrize("header", LEFT_OPEN)
 def test_nothing_is_guessed(header: str):
     [said] = recognised([header])
-    assert said.sureness in ("unsure", "unknown"), said
+    assert said.certainty in ("unsure", "unknown"), said
     assert LEFT_OPEN[header] in said.open, said
 
 
 def test_names_of_the_data_contract_need_no_map():
-    assert [said.sureness for said in recognised(["time_s", "force_n", "pressure_a_pa"])] == ["contract"] * 3
+    assert [said.certainty for said in recognised(["time_s", "force_n", "pressure_a_pa"])] == ["contract"] * 3
 
 
 def test_two_columns_that_say_the_same_are_both_left_open():
     first, second, other = recognised(["x1 [mm]", "Weg [mm]", "position [mm]"])
-    assert first.sureness == "unsure"
-    assert (second.sureness, other.sureness) == ("unsure", "unsure")
-    assert "2 columns say the same" in second.open
+    assert first.certainty == "unsure"
+    assert (second.certainty, other.certainty) == ("unsure", "unsure")
+    assert "2 columns state the same signal" in second.open
 
 
 @pytest.mark.parametrize(

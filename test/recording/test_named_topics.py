@@ -131,7 +131,7 @@ def test_messages_out_of_order_are_sorted_by_their_stamps_and_repeated_ones_left
         ("position_m: {table: /joint_states, name: position}", "position[0], velocity[0], effort[0]); expected"),
         ("position_m: {table: /joint_states, name: 'position[2]'}", "have at most 2 entries; expected a number from 0 on"),
         ("velocity_m_s: {table: /joint_states, name: 'velocity[0]'}", "its messages have at most 0 entries"),
-        ("time_s: {name: t}\nforce_n: {table: /cell, name: wrench.force.z}", "each topic of a bag has times of its own"),
+        ("time_s: {name: t}\nforce_n: {table: /cell, name: wrench.force.z}", "each topic of a bag has separate times"),
         ("cylinder: {area_a: 1.0, area_b: 1.0}", "the map names no column; expected an entry like 'force_n: {table: /topic,"),
         (
             "tables: {/pressure_bar: {name: header.stamp}}\nforce_n: {table: /pressure_bar, name: data}",

@@ -16,7 +16,7 @@ from ehls_ros.recording import ledger
 from ehls_ros.recording.damaged_bag import JOURNAL_MAGIC, damaged_bag
 from ehls_ros.recording.mcap_salvage import MESSAGE_HEAD
 from ehls_ros.recording.recovery import recover
-from ehls_ros.recording.salvage import MOST_WORK, SPENT
+from ehls_ros.recording.salvage import MAX_WORK, SPENT
 
 PAGE = 4096
 
@@ -81,7 +81,7 @@ def test_messages_that_begin_inside_each_other_cost_no_more_than_some_times_the_
     file.write_bytes(file.read_bytes() + b"".join(nested))
     recovery = recover(bag, tmp_path / "whole")
     assert (recovery.recovered, recovery.lost) == (600, 0)
-    assert sum(compared) < (MOST_WORK + 2) * file.stat().st_size
+    assert sum(compared) < (MAX_WORK + 2) * file.stat().st_size
     assert any(SPENT in remark for remark in recovery.remarks)
 
 
@@ -112,7 +112,7 @@ def test_rows_listed_again_and_again_cost_no_more_than_some_times_the_file(tmp_p
     file.write_bytes(content + leaf.ljust(PAGE, b"\0") + overflow)
     recovery = recover(bag, tmp_path / "whole")
     assert (recovery.recovered, recovery.lost) == (600, 0)
-    assert sum(compared) < (MOST_WORK + 2) * file.stat().st_size
+    assert sum(compared) < (MAX_WORK + 2) * file.stat().st_size
     assert any(SPENT in remark for remark in recovery.remarks)
 
 

@@ -12,11 +12,10 @@ from rich.markup import escape
 from rich.table import Table as Printed
 
 from ehls_ros.diagnosis.stages import STAGES
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.columns import TIME
 from ehls_ros.recording.load import READERS
 from ehls_ros.recording.proposal import Proposal, Table, look, proposed_map, valve_data, with_valve
-from ehls_ros.recording.reason import reason
 
 CERTAINTY = {"contract": "certain: by its name", "stated": "certain", "unsure": "to be checked", "unknown": "unknown"}
 """Wording of the certainty of a column."""
@@ -85,8 +84,8 @@ def _print(table: Table, console: Console) -> None:
         header = column.header
         span = (f"{column.smallest:.5g}", f"{column.largest:.5g}") if column.numeric else ("–", "–")
         gaps = [f"{100 * column.missing:.2g} % missing"] if column.numeric and column.missing > 0.0 else []
-        unit = header.unit or ("SI" if header.sureness == "contract" else "?")
-        sure = CERTAINTY[header.sureness] if column.numeric else "not of numbers"
+        unit = header.unit or ("SI" if header.certainty == "contract" else "?")
+        sure = CERTAINTY[header.certainty] if column.numeric else "not of numbers"
         left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else column.wrong
         printed.add_row(escape(header.column), *span, unit, header.signal or "?", sure, escape(left_open))
     console.print(printed)

@@ -5,10 +5,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from ehls_ros.cli.arguments import add_json
-from ehls_ros.errors import WorkFailed
+from ehls_ros.errors import WorkFailed, reason
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.ledger import Range
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.recovery import Recovery, recover
 
 HELP = "Restore a bag that is damaged or whose recorder was killed: intact messages are kept, lost ones are listed."

@@ -11,10 +11,9 @@ from contextlib import AbstractContextManager, contextmanager
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.errors import BadInput, WorkFailed, reason
 from ehls_ros.experiments.campaign.work import Row, code_version, run_chunk
 from ehls_ros.extras import library, missing
-from ehls_ros.recording.reason import reason
 
 CONNECTING_S, JOINING_S = 10.0, 60.0
 """Time limits for a scheduler to answer, and for its first worker to join [s]."""

@@ -12,12 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.errors import BadInput, WorkFailed, reason
 from ehls_ros.experiments.campaign.plan import Column, Run
 from ehls_ros.experiments.campaign.work import METRICS, Row
 from ehls_ros.experiments.state_files.access import FolderLock
 from ehls_ros.extras import library
-from ehls_ros.recording.reason import reason
 
 COUNTS = ("cycles", "missed_cycles")
 """Metrics that are integers."""

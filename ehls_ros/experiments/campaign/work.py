@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from ehls_ros import __version__
-from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.errors import BadInput, WorkFailed, reason
 from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate_errors
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
-from ehls_ros.recording.reason import reason
 from ehls_ros.sources import sources_digest
 from ehls_ros.trajectory import Trajectory
 

@@ -9,8 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from ehls_ros.errors import BadInput, WorkFailed
-from ehls_ros.recording.reason import reason
+from ehls_ros.errors import BadInput, WorkFailed, reason
 from ehls_ros.recording.regular_file import KINDS, check_regular
 
 TRIAL = 1 << 16

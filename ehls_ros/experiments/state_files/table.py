@@ -10,10 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.errors import BadInput
+from ehls_ros.errors import BadInput, reason
 from ehls_ros.experiments.state_files import access
 from ehls_ros.recording import limits
-from ehls_ros.recording.reason import reason
 from ehls_ros.recording.regular_file import check_regular
 
 MAX_LINE_LENGTH = 4096

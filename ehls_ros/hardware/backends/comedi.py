@@ -12,8 +12,8 @@ from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.hardware.backends.base import Channel, Reading, Wiring, permitted
-from ehls_ros.hardware.free_running import free_running_time
 from ehls_ros.hardware.realtime import sleep_until
+from ehls_ros.hardware.sample_clock import free_running_time
 from ehls_ros.schema import quantity, text
 
 UNIT_VOLT = 0

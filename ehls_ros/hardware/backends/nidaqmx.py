@@ -13,13 +13,13 @@ import numpy as np
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.extras import library
 from ehls_ros.hardware.backends.base import Reading, Wiring, permitted
-from ehls_ros.hardware.free_running import free_running_time
+from ehls_ros.hardware.sample_clock import free_running_time
 from ehls_ros.schema import quantity, text
 
 NOT_YET = -200284
 """NI-DAQmx's error code for a read timeout."""
 
-MOST_AT_ONCE = 100
+MAX_AT_ONCE = 100
 """Maximum number of samples read from the card's buffer at once."""
 
 
@@ -85,7 +85,7 @@ class NidaqmxDevice:
         try:
             self._reader.read_one_sample(self._one, timeout)
             taken, newest = 1, self._one
-            while (waiting := min(self._inputs.in_stream.avail_samp_per_chan, MOST_AT_ONCE)) > 0:
+            while (waiting := min(self._inputs.in_stream.avail_samp_per_chan, MAX_AT_ONCE)) > 0:
                 some = np.empty((len(self._one), waiting))  # the reader requires an array of exactly this size
                 self._reader.read_many_sample(some, waiting, timeout)
                 taken, newest = taken + waiting, some[:, -1]

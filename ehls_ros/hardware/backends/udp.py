@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.hardware.backends.base import Reading, Wiring, permitted
-from ehls_ros.hardware.packet import LARGEST, LONGEST_KEY, MOST_AT_ONCE, Codec, Kind, Packet, Status, random_session
+from ehls_ros.hardware.packet import MAX_AT_ONCE, MAX_KEY, MAX_SIZE, Codec, Kind, Packet, Status, random_session
 from ehls_ros.schema import quantity, text
 
 WHERE = "backend: udp"
@@ -46,8 +46,8 @@ def codec(parameters: Parameters) -> Codec:
         BadInput: the key is too long.
     """
     key = parameters.key.encode()
-    if len(key) > LONGEST_KEY:
-        raise BadInput(f"key has {len(key)} bytes", WHERE, f"at most {LONGEST_KEY}")
+    if len(key) > MAX_KEY:
+        raise BadInput(f"key has {len(key)} bytes", WHERE, f"at most {MAX_KEY}")
     return Codec(key)
 
 
@@ -148,9 +148,9 @@ class UdpDevice:
 
     def _newest(self) -> Reading | None:
         newest = None
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(MAX_AT_ONCE):
             try:
-                data, sender = self._socket.recvfrom(LARGEST + 1)
+                data, sender = self._socket.recvfrom(MAX_SIZE + 1)
             except BlockingIOError:
                 break
             except OSError as error:

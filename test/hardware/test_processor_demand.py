@@ -1,4 +1,4 @@
-"""A loop that demands a processor continuously gives SCHED_FIFO back; one that rests keeps it."""
+"""A loop that demands a processor continuously gives SCHED_FIFO back; one that sleeps keeps it."""
 
 import os
 import threading
@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from ehls_ros.hardware.courtesy import REST, WINDOW, Courtesy, statistics_of
+from ehls_ros.hardware.processor_demand import PAUSE, WINDOW, ProcessorDemand, statistics_of
 
 RESOLUTION = 0.02
 """The system updates a running thread's statistics at its clock ticks, of up to 10 ms [s]."""
@@ -33,12 +33,12 @@ def thread(tmp_path):
     return Thread(tmp_path / "schedstat")
 
 
-def changes(courtesy: Courtesy, thread: Thread, seconds: float, turn: tuple[float, float, float]) -> list[float]:
+def changes(demand: ProcessorDemand, thread: Thread, seconds: float, turn: tuple[float, float, float]) -> list[float]:
     """Return the times at which the complaint changed, for turns of running, queueing and sleeping time."""
     start = thread.now
     found = []
     while thread.now - start < seconds:
-        if courtesy.look(thread.spend(*turn)):
+        if demand.look(thread.spend(*turn)):
             found.append(thread.now - start)
     return found
 
@@ -46,12 +46,12 @@ def changes(courtesy: Courtesy, thread: Thread, seconds: float, turn: tuple[floa
 # Alone on a processor; one of three such loops on two processors; one of five on one.
 @pytest.mark.parametrize("turn", [(0.01, 0.0, 0.0), (0.006, 0.004, 0.0), (0.002, 0.008, 0.0), (0.0095, 0.0, 0.0005)])
 def test_a_loop_that_never_rests_yields_within_two_windows(thread, turn):
-    courtesy = Courtesy(0.9, thread.file)
-    [yielded] = changes(courtesy, thread, 1.0, turn)
+    demand = ProcessorDemand(0.9, thread.file)
+    [yielded] = changes(demand, thread, 1.0, turn)
     assert yielded < 2 * WINDOW
-    assert "processor_share is 90 %" in courtesy.complaint
-    assert courtesy.given_back == 1
-    courtesy.close()
+    assert "processor_share is 90 %" in demand.complaint
+    assert demand.given_back == 1
+    demand.close()
 
 
 @pytest.mark.parametrize(
@@ -59,37 +59,37 @@ def test_a_loop_that_never_rests_yields_within_two_windows(thread, turn):
     [(0.9, (0.0004, 0.0001, 0.0005)), (0.9, (0.0085, 0.0, 0.0015)), (0.9, (0.0005, 0.0095, 0.0)), (1.0, (0.01, 0.0, 0.0))],
 )
 def test_a_loop_that_rests_or_has_no_limit_keeps_its_priority(thread, share, turn):
-    courtesy = Courtesy(share, thread.file)
-    assert changes(courtesy, thread, 5 * WINDOW, turn) == []
-    assert courtesy.figures()["priority_given_back"] == 0
-    courtesy.close()
+    demand = ProcessorDemand(share, thread.file)
+    assert changes(demand, thread, 5 * WINDOW, turn) == []
+    assert demand.figures()["priority_given_back"] == 0
+    demand.close()
 
 
 def test_priority_is_requested_again_after_a_rest_and_given_back_if_nothing_has_changed(thread):
-    courtesy = Courtesy(0.9, thread.file)
-    changes(courtesy, thread, 2 * WINDOW, (0.01, 0.0, 0.0))
-    [resumed, yielded] = changes(courtesy, thread, REST + 2 * WINDOW, (0.01, 0.0, 0.0))
-    assert REST - 2 * WINDOW < resumed <= REST + WINDOW
+    demand = ProcessorDemand(0.9, thread.file)
+    changes(demand, thread, 2 * WINDOW, (0.01, 0.0, 0.0))
+    [resumed, yielded] = changes(demand, thread, PAUSE + 2 * WINDOW, (0.01, 0.0, 0.0))
+    assert PAUSE - 2 * WINDOW < resumed <= PAUSE + WINDOW
     assert yielded - resumed < 2 * WINDOW
-    assert courtesy.given_back == 2
-    courtesy.close()
+    assert demand.given_back == 2
+    demand.close()
 
 
 def test_the_systems_statistics_distinguish_a_busy_thread_from_a_sleeping_one():
     # The thread's sleeping and working times are known, however often others preempt it.
     def demand(turn):
-        """Return the seconds that a thread wanted, worked, and did not sleep, over turns that return their sleeping time."""
-        courtesy = Courtesy(1.0, statistics_of(threading.get_native_id()))
+        """Return the seconds that a thread demand, worked, and did not sleep, over turns that return their sleeping time."""
+        demand = ProcessorDemand(1.0, statistics_of(threading.get_native_id()))
         began = now = time.monotonic()
-        courtesy.look(began)
+        demand.look(began)
         used, slept, worked = time.thread_time(), 0.0, 0.0
-        while not courtesy.wanted:
+        while not demand.demand:
             worked = time.thread_time() - used
             slept += turn()
             now = time.monotonic()
-            courtesy.look(now)
-        courtesy.close()
-        return courtesy.wanted * (now - began), worked, time.monotonic() - began - slept
+            demand.look(now)
+        demand.close()
+        return demand.demand * (now - began), worked, time.monotonic() - began - slept
 
     def nap():
         time.sleep(0.05)
@@ -98,12 +98,12 @@ def test_the_systems_statistics_distinguish_a_busy_thread_from_a_sleeping_one():
     with ThreadPoolExecutor(1) as other:
         sleeper = other.submit(demand, nap).result()
     busy = demand(lambda: 0.0)
-    for wanted, worked, awake in (sleeper, busy):
-        assert worked - RESOLUTION <= wanted <= awake + RESOLUTION
+    for demand, worked, awake in (sleeper, busy):
+        assert worked - RESOLUTION <= demand <= awake + RESOLUTION
     assert busy[1] > RESOLUTION
 
 
 def test_missing_statistics_are_an_error(tmp_path):
     with pytest.raises(FileNotFoundError):
-        Courtesy(0.9, tmp_path / "nothing")
+        ProcessorDemand(0.9, tmp_path / "nothing")
     assert statistics_of(os.getpid()).exists()

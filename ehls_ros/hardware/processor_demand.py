@@ -1,4 +1,4 @@
-"""Prevents realtime loops from starving the machine: a loop in constant demand of a processor gives up SCHED_FIFO temporarily.
+"""Limit on a realtime loop's demand for processor time, above which it gives up SCHED_FIFO for a while.
 
 Demand is the running time of the loop plus its time in the run queue. This catches several loops that block one another as
 well as one that occupies a processor alone. A loop that hardly runs disturbs no other, however long it queues.
@@ -13,18 +13,18 @@ from ehls_ros.hardware.realtime import drop_priority, restore_priority
 WINDOW = 0.3
 """Time over which the demand is averaged [s]."""
 
-LEAST = 0.1
+MIN_RUNNING = 0.1
 """Fraction of a processor below which a loop disturbs no other."""
 
-REST = 10.0
+PAUSE = 10.0
 """Time after which SCHED_FIFO is requested again [s]."""
 
 
-class Courtesy:
+class ProcessorDemand:
     """Measures a loop's demand for processor time from inside the loop.
 
     Attributes:
-        wanted: demand over the last window, as a fraction of a processor.
+        demand: demand over the last window, as a fraction of a processor.
         given_back: number of times SCHED_FIFO was given up.
         complaint: reason for giving up SCHED_FIFO; empty while it is not given up.
     """
@@ -44,7 +44,7 @@ class Courtesy:
         self._start: tuple[float, float, float] | None = None
         self._had: Mapping[int, int] = {}
         self._until = 0.0
-        self.wanted = 0.0
+        self.demand = 0.0
         self.given_back = 0
         self.complaint = ""
 
@@ -65,35 +65,31 @@ class Courtesy:
             return False
         ran, waited = self._so_far()
         had = (ran - self._start[1]) / elapsed
-        self.wanted = had + (waited - self._start[2]) / elapsed
+        self.demand = had + (waited - self._start[2]) / elapsed
         self._start = now, ran, waited
-        if self.complaint:
-            return now >= self._until and self._resume()
-        return self._share < 1.0 and self.wanted > self._share and had > LEAST and self._yield(now)
+        if self.complaint and now >= self._until:
+            restore_priority(self._had)
+            self._had, self.complaint = {}, ""
+            return True
+        if self.complaint or self._share >= 1.0 or self.demand <= self._share or had <= MIN_RUNNING:
+            return False
+        self._had = drop_priority()
+        self._until = now + PAUSE
+        self.given_back += 1
+        self.complaint = (
+            f"the loop needs {100 * self.demand:.0f} % of a processor, processor_share is {100 * self._share:.0f} %: "
+            f"SCHED_FIFO is given back for {PAUSE:.0f} s; run fewer nodes here, or choose a longer control_period"
+        )
+        return True
 
     def _so_far(self) -> tuple[float, float]:
         """Return the running time of the loop's thread and its queueing time for a processor [s]."""
         ran, waited = os.pread(self._statistics, 100, 0).split()[:2]
         return 1e-9 * int(ran), 1e-9 * int(waited)
 
-    def _yield(self, now: float) -> bool:
-        self._had = drop_priority()
-        self._until = now + REST
-        self.given_back += 1
-        self.complaint = (
-            f"the loop needs {100 * self.wanted:.0f} % of a processor, processor_share is {100 * self._share:.0f} %: "
-            f"SCHED_FIFO is given back for {REST:.0f} s; run fewer nodes here, or choose a longer control_period"
-        )
-        return True
-
-    def _resume(self) -> bool:
-        restore_priority(self._had)
-        self._had, self.complaint = {}, ""
-        return True
-
     def figures(self) -> dict[str, float]:
         """Return figures for diagnostics."""
-        return {"processor_wanted": self.wanted, "priority_given_back": self.given_back}
+        return {"processor_wanted": self.demand, "priority_given_back": self.given_back}
 
     def close(self) -> None:
         """Close the statistics."""
