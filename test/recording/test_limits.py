@@ -200,7 +200,7 @@ def test_a_pipe_beside_the_files_of_a_bag(tmp_path: Path):
 def test_a_file_that_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str):
     path = as_table(tmp_path, f".{form}") if form in {"csv", "mat"} else as_bag(tmp_path, form, 2000)
     monkeypatch.setattr(limits, "SECONDS", 0.0)
-    monkeypatch.setattr(limits, "SLOWEST", float("inf"))
+    monkeypatch.setattr(limits, "MIN_RATE", float("inf"))
     with pytest.raises(BadInput, match="reading it takes more than 0 s; expected the recording in smaller files"):
         load(path)
 
