@@ -4,10 +4,10 @@ from typing import Any
 
 from ehls_ros.arrays import Array, direct
 from ehls_ros.control.composition import observer_kernel
+from ehls_ros.control.friction_support import check_friction_support
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS
 from ehls_ros.control.rig_scale import tuned_for
-from ehls_ros.control.serving import check_serves
 from ehls_ros.physics.rig import Rig
 
 
@@ -26,7 +26,7 @@ class FrictionEstimator:
         Raises:
             BadInput: the observer does not support the rig's friction model.
         """
-        check_serves(OBSERVERS, name, rig, "friction estimator")
+        check_friction_support(OBSERVERS, name, rig, "friction estimator")
         self._observer = OBSERVERS.load(name)
         self._update = observer_kernel(name, rig.friction_model).update
         self._rig = rig

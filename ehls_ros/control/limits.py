@@ -47,6 +47,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.controllers.base import MIN_DROP
 from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
 from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import EffectiveRig, Rig
@@ -59,9 +60,6 @@ READINGS = (("position", X), ("velocity", V), ("load_pressure", F), ("force", F)
 
 ORDERS = (1, 2)
 """Derivatives of d that are modelled as a random walk."""
-
-LEAST_DROP = 0.01
-"""Lower bound of the pressure drop over the valve, as a fraction of the supply pressure."""
 
 EXACT = 1e-3
 """Deviation of a perfect sensor's reading, in the scale of the state [N]; it represents rounding."""
@@ -203,7 +201,7 @@ def flow_pressure(spool: Array, load_pressure: Array, plant: Plant) -> float:
         load_pressure: pL [Pa], shape (n,).
         plant: the rig's coefficients.
     """
-    drop = np.maximum(plant.supply_pressure - np.sign(spool) * load_pressure, LEAST_DROP * plant.supply_pressure)
+    drop = np.maximum(plant.supply_pressure - np.sign(spool) * load_pressure, MIN_DROP * plant.supply_pressure)
     per_root = plant.discharge_coefficient * plant.valve_area_gradient / (2.0 * math.sqrt(plant.oil_density))
     return float(np.mean(per_root * np.abs(spool) / np.sqrt(drop)))  # (1)
 

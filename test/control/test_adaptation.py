@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from ehls_ros.control.adaptation.hand_over import SCALED
+from ehls_ros.control.adaptation.correction import SCALED
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Setting
 from ehls_ros.control.controllers import CONTROLLERS

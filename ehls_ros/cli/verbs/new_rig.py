@@ -135,12 +135,12 @@ def _content(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
 
 
 def _told(values: Mapping[str, Mapping[str, Source]]) -> dict[str, dict[str, str]]:
-    return {section: {key: f"{s.origin}: {s.told}" for key, s in own.items()} for section, own in values.items()}
+    return {section: {key: f"{s.origin}: {s.basis}" for key, s in own.items()} for section, own in values.items()}
 
 
 def _document(values: Mapping[str, Mapping[str, Source]], content: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        f"{section}.{key}": {"value": content[section][key], "origin": source.origin, "from": source.told}
+        f"{section}.{key}": {"value": content[section][key], "origin": source.origin, "from": source.basis}
         for section, own in values.items()
         for key, source in own.items()
     }
@@ -167,6 +167,6 @@ def _print(values: Mapping[str, Mapping[str, Source]], path: Path) -> None:
         for key, source in own.items():
             if source.origin == "assumed":
                 value = source.value[0] if isinstance(source.value, list) else source.value
-                table.add_row(f"{section}.{key}", f"{value:.4g}", escape(source.told))
+                table.add_row(f"{section}.{key}", f"{value:.4g}", escape(source.basis))
     Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140).print(table)
     print(f"  rig     {path}")

@@ -48,6 +48,9 @@ ELEMENTS_FORCE, VISCOUS_FORCE = 0, 1
 """Indices of the two forces in a friction estimate."""
 
 
+MIN_DROP = 0.01
+"""Lower bound of the pressure drop over the valve in the laws' equations, as a fraction of the nominal supply pressure."""
+
 FORESEEN = 3
 """Index in a law's row of the foreseen external force, followed by its two derivatives."""
 

@@ -19,7 +19,7 @@ WORSE = 1.05
 TRANSIENT = 0.5
 """Ratio of a load cycle's squared error to that of the previous one below which the previous one contained a transient."""
 
-WAIT, LONGEST_WAIT = 4, 64
+WAIT, MAX_WAIT = 4, 64
 """Load cycles for which a harmful correction is withdrawn, the first time and at most."""
 
 
@@ -57,7 +57,7 @@ class Withdrawal:
         """
         return squares > float(self.bare[min(samples, len(self.bare)) - 1] + MARGIN * self.bare[-1])
 
-    def did_harm(self, error: Array) -> bool:
+    def is_worse(self, error: Array) -> bool:
         """Return whether a load cycle with correction has a larger error than those without; count a smaller one as good.
 
         Args:
@@ -73,4 +73,4 @@ class Withdrawal:
     def withdraw(self) -> None:
         """Withdraw the correction for a number of load cycles."""
         self._count, self._good = self._count + 1, 0
-        self.waiting = min(WAIT * 2 ** (self._count - 1), LONGEST_WAIT)
+        self.waiting = min(WAIT * 2 ** (self._count - 1), MAX_WAIT)
