@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,16 +12,30 @@ from ehls_ros.control.adaptation.transition import NO_SIZES, WHERE, Transition, 
 from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
-from ehls_ros.control.composition import controller_kernel
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, Model
+from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, ControllerLaw, Model
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.composition import compiled
 
 BUMP_TIME = 0.02
 """Time constant of the transition of the command from the old tuning or controller to the new one [s]."""
 
 ADAPTATION_LIMITS = adaptation.adaptation_limits(adaptation.Parameters())
 """Bounds and rate of the model's transition to an accepted rig, equal to those of adaptation."""
+
+
+def controller_kernel(name: str) -> ModuleType:
+    """Return a module with the compiled law of one controller as ``step``, and its ``follow`` if it has one."""
+    law = CONTROLLERS.load(name)
+    entries = {"step": "m, r, f, p, model, memory, status"}
+    if hasattr(law, "follow"):
+        entries["follow"] = "command, own, memory"
+    return compiled(law_itself, entries, {"law": law})
+
+
+def law_itself(law: ControllerLaw) -> ControllerLaw:
+    """Return a controller's file unchanged, as its functions need no building."""
+    return law
 
 
 class Outlook(NamedTuple):
@@ -61,9 +76,9 @@ class Controller:
             companions: companions of the controller; None for none.
         """
         self._law = CONTROLLERS.load(name)
-        compiled = controller_kernel(name)
-        self._step = compiled.step
-        self._follow: Callable[[float, float, Array], float] | None = getattr(compiled, "follow", None)
+        entries = controller_kernel(name)
+        self._step = entries.step
+        self._follow: Callable[[float, float, Array], float] | None = getattr(entries, "follow", None)
         self.parameters = parameters
         self.model = self._original = model
         self._transition: Transition | None = None

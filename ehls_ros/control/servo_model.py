@@ -12,6 +12,7 @@ force's impulse, not by its value at the sample.
 
 import math
 from collections.abc import Callable
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ from ehls_ros.control.state_estimator import (
     rates,
     switch,
 )
+from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import PL, V, X
 from ehls_ros.physics.servo import servo_command
 
@@ -191,3 +193,8 @@ def build() -> Motion:
             row[FORESEEN + 2] = curvature
 
     return Motion(foresee)
+
+
+def servo_kernel() -> ModuleType:
+    """Return a module with ``foresee``, the compiled preview of the motion of a position servo and the loader."""
+    return compiled(build, {"foresee": "rows, commands, both"})

@@ -17,8 +17,8 @@ from ehls_ros.control.companions.base import Setting
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.friction_support import check_friction_support
 from ehls_ros.control.observers import OBSERVERS, default_observer
+from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.errors import BadInput, one_of

@@ -218,7 +218,7 @@ def fit_declared(
     determined = _determined(far, everything, SHARP if small else MAX_STD)
     free = tuple(name for name in coordinates.names if name not in determined.free)
     if not small:
-        remark = "No presliding is recorded: parameters that sliding does not tell are the rig file's."
+        remark = "No presliding is recorded: parameters not identified from sliding keep the rig file's values."
         fit = joint.with_doubt(joint.fit(far, determined), far)
         return DeclaredFit(joint.placed(fit, wide, motions), (remark,) if free and not rigid else ())
     report("presliding")

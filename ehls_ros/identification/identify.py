@@ -210,7 +210,7 @@ def _explained(lacking: Missing) -> Iterator[None]:
         if not lacking.descriptions:
             raise
         what = f"{error.what}: there are no {', no '.join(lacking.descriptions)}"
-        expected = f"{lacking.requested}; what valve, oil and inertia show is identified with --whole-rig all the same"
+        expected = f"{lacking.requested}; valve, oil and inertia can still be identified with --whole-rig"
         raise MissingStrokes(what, error.where, expected, lacking) from None
 
 
@@ -236,5 +236,7 @@ def _remarks(motions: Sequence[Motion], lacking: Missing) -> list[str]:
         if m.outliers > SOME_OUTLIERS
     ]
     if lacking.descriptions:
-        remarks.append(f"missing: {', '.join(lacking.descriptions)}; {lacking.requested} would tell the friction more surely.")
+        remarks.append(
+            f"missing: {', '.join(lacking.descriptions)}; {lacking.requested} would identify the friction more reliably."
+        )
     return remarks

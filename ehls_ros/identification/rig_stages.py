@@ -128,7 +128,7 @@ def without_signals(records: Sequence[Record], stack: Stack, known: Collection[s
         "velocity": SENSORS[2:],
     }
     out = {
-        path: f"it takes {NEEDED[channel]}"
+        path: f"it requires {NEEDED[channel]}"
         for channel, paths in groups.items()
         if channel not in stack.channels
         for path in paths

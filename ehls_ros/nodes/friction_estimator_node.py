@@ -6,8 +6,8 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 
 from ehls_msgs.msg import FrictionEstimate, LoaderState
 from ehls_ros.control.friction_estimator import FrictionEstimator
-from ehls_ros.control.friction_support import check_friction_support
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.nodes.control import OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare, values_of

@@ -231,7 +231,7 @@ def _plant(sheet: DataSheet) -> dict[str, Source]:
         leaking = Source(sheet.leakage * size("l/min") / pressure.value, "computed", "leakage / supply_pressure")
     lag = "" if sheet.bandwidth_at == "-3 dB" else f" / (2 · {DAMPING:g}), as late as a second-order valve"
     bandwidth = _figure(sheet, "bandwidth")
-    measured = f"; the spool's response to a chirp tells it, or {fitted}" if sheet.bandwidth is None else ""
+    measured = f"; the spool's response to a chirp shows it, or {fitted}" if sheet.bandwidth is None else ""
     gravity = {"level": 0.0, "up": GRAVITY, "down": -GRAVITY}[sheet.rod_points]
     opening = (
         f": {travel:g} m at {sheet.rated_input}, of which the gain in a map of columns follows" if sheet.rated_input else ""

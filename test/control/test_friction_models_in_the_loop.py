@@ -6,8 +6,8 @@ import pytest
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.friction_estimator import FrictionEstimator
-from ehls_ros.control.friction_support import check_friction_support
 from ehls_ros.control.observers import OBSERVERS, default_observer
+from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ehls_ros.control.learning.withdrawal import MARGIN, MAX_WAIT, WAIT, WORSE, Withdrawal
+from ehls_ros.control.learning.learnt_block import MAX_ERROR_RATIO, MAX_WAIT, WAIT, WITHDRAWAL_MARGIN, Withdrawal
 
 SIZE = 100
 ERROR = 10.0 * np.sin(2.0 * np.pi * np.arange(SIZE) / SIZE)
@@ -25,14 +25,14 @@ def test_nothing_is_withdrawn_before_the_error_without_correction_is_known():
 def test_a_load_cycle_may_run_ahead_of_those_without_correction_by_the_margin():
     withdrawal, squares = known(), np.cumsum(ERROR**2)
     for samples in (1, 30, SIZE):
-        allowed = squares[samples - 1] + MARGIN * squares[-1]
+        allowed = squares[samples - 1] + WITHDRAWAL_MARGIN * squares[-1]
         assert not withdrawal.exceeds(0.99 * allowed, samples)
         assert withdrawal.exceeds(1.01 * allowed, samples)
 
 
 def test_a_load_cycle_with_a_larger_error_did_harm_and_one_with_a_smaller_did_not():
     withdrawal = known()
-    assert withdrawal.is_worse(1.01 * WORSE * ERROR)
+    assert withdrawal.is_worse(1.01 * MAX_ERROR_RATIO * ERROR)
     assert not withdrawal.is_worse(0.99 * ERROR)
 
 

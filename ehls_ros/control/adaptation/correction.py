@@ -133,9 +133,9 @@ class Correction:
             how = (
                 ""
                 if latest is None or not math.isfinite(latest.std)
-                else f" better than ± {self._amount(latest.std / self._relative(latest.value))}"
+                else f" to better than ± {self._amount(latest.std / self._relative(latest.value))}"
             )
-            return f"{name}: this run does not tell it{how}; the rig file's is used"
+            return f"{name}: not identified{how}; the rig file's value is used"
         about = latest.meaning or f"the rig file's {name}"
         std = self._amount(latest.std / self._relative(latest.value) ** 2)
         off = latest.value - self._nominal

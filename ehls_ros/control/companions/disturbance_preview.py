@@ -12,10 +12,9 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions.base import Companion, Setting, Upcoming
-from ehls_ros.control.composition import servo_kernel
 from ehls_ros.control.controllers.base import FORESEEN, ROW, Model
 from ehls_ros.control.disturbances.position_servo import MovingMass, PositionGain, SupplyPressure, servo_plant
-from ehls_ros.control.servo_model import pair
+from ehls_ros.control.servo_model import pair, servo_kernel
 from ehls_ros.errors import BadInput
 
 ACTUATOR = True

@@ -13,12 +13,11 @@ from ehls_ros.arrays import Array
 from ehls_ros.control.companions.base import Companion, Kept, Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.learning import repetition
-from ehls_ros.control.learning.bumpless import Bumpless
 from ehls_ros.control.learning.corrector import Harmonics, Learner, Waveform
 from ehls_ros.control.learning.force_prediction import MAX_CHANGE, ForcePrediction
 from ehls_ros.control.learning.learnt_arrays import check_block, force_bounds, largest_correction, out_of_bounds
 from ehls_ros.control.learning.learnt_block import CHECK_INTERVAL, Errors, Learners, LearntBlock, errors_of, recent_errors
-from ehls_ros.control.learning.peak_valley import FADE, PeakValley
+from ehls_ros.control.learning.peak_valley import FADE, Bumpless, PeakValley
 from ehls_ros.control.learning.repetition import LoadCycle, Places, Recorder, Turn
 from ehls_ros.control.learning.robustness import Design, design, force_loop
 from ehls_ros.control.learning.smoothing import PreviewLaw, Smoother

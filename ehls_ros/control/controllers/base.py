@@ -160,10 +160,10 @@ def model_of(rig: Rig, period: float) -> Model:
 
 def noise_of(sensors: Mapping[str, Sensor]) -> Noise:
     """Return the noise of a rig's sensors."""
-    return Noise(*(_deviation(sensors.get(signal, Sensor())) for signal in Noise._fields))
+    return Noise(*(reading_std(sensors.get(signal, Sensor())) for signal in Noise._fields))
 
 
-def _deviation(sensor: Sensor) -> float:
+def reading_std(sensor: Sensor) -> float:
     """Return the standard deviation of a reading, including its rounding."""
     return math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0))
 
