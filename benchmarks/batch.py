@@ -27,7 +27,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.common import EXPERIMENTS, RIG, in_turns, parser_of, quartiles
 from benchmarks.kernel_vs_c import PERIOD, CKernel, Motion, NumbaKernel, at_rest, motions
-from ehls_ros.arrays import Array, lean
+from ehls_ros.arrays import Array, kernel_no_refcount
 from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
@@ -130,11 +130,11 @@ class Lanes:
 def _lanes_kernel(rows: LaneRows, inputs: int, known: int) -> Callable[..., None]:
     """Return the compiled run of a block."""
 
-    @lean
+    @kernel_no_refcount
     def same(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
         return value
 
-    @lean
+    @kernel_no_refcount
     def none(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
         return
 
@@ -142,7 +142,7 @@ def _lanes_kernel(rows: LaneRows, inputs: int, known: int) -> Callable[..., None
     evaluate, switch = system(gms, ELEMENTS, Chains(**hooks))
     inputs_of, nothing = column(INPUTS), column(0)
 
-    @lean
+    @kernel_no_refcount
     def coefficients(block: Array, like: Known, lane: int) -> Coefficients:
         c, w = numbers(like, block, known, lane), inputs_of(block, inputs, lane)
         return Coefficients(c.plant, c.friction, w, nothing(block, inputs, lane), w[U])

@@ -124,7 +124,7 @@ class Run:
 
     def keep_learnt(self) -> None:
         """Write the learnt file."""
-        learnt_files.keep(self.controller.company, self._spec)
+        learnt_files.keep(self.controller.companions, self._spec)
 
     def soften(self, share: float) -> None:
         """Reduce the stiffness of the coupling by a share."""

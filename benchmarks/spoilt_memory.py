@@ -40,10 +40,10 @@ from numpy.typing import NDArray
 
 from benchmarks.common import parser_of
 from benchmarks.fuzz import Hang, spoilt
+from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
-from ehls_ros.control.company import Company
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, model_of
-from ehls_ros.control.learning.foresight import Foresight
+from ehls_ros.control.learning.force_prediction import ForcePrediction
 from ehls_ros.control.programme.counting import Counter as LoadCycleCounter
 from ehls_ros.control.programme.counting import Sample
 from ehls_ros.control.programme.declaration import Parameters
@@ -137,12 +137,12 @@ def learning_spec(folder: Path, method: str, law: str) -> Spec:
     return spec_from_mapping(data, "spoilt", folder)
 
 
-def learning_company(spec: Spec) -> Company:
+def learning_company(spec: Spec) -> CompanionChain:
     """Return the experiment's companion."""
     return company_of(spec, model_of(spec.controller_rig, PERIOD), "spoilt")
 
 
-def learn(company: Company, cycles: int = 6) -> None:
+def learn(company: CompanionChain, cycles: int = 6) -> None:
     """Train the companion on a repeating error."""
     companion, nowhere, rest = company.members["learning"], np.full((1, PLACE), np.nan), np.zeros(1)
     draw = np.random.default_rng(1)
@@ -172,7 +172,7 @@ def _learnt(method: str, law: str) -> bytes:
 
 def forged(content: bytes, law: str) -> bytes:
     """Return a learnt file as a predictive law leaves it."""
-    force = Foresight(SIZE, SIZE * PERIOD, 80.0, 0.02)
+    force = ForcePrediction(SIZE, SIZE * PERIOD, 80.0, 0.02)
     pull = 500.0 * np.sin(2.0 * math.pi * np.arange(SIZE) / SIZE)
     for noise in np.random.default_rng(2).standard_normal((4, SIZE)):
         force.observe(pull + noise)
@@ -205,7 +205,7 @@ def use_learnt(folder: Path, method: str, law: str) -> str:
     return TAKEN
 
 
-def check_commands(company: Company) -> None:
+def check_commands(company: CompanionChain) -> None:
     """Check that the correction of the reference is finite and a fraction of it."""
     companion, nowhere = company.members["learning"], np.full((1, PLACE), np.nan)
     for cycle in range(0, SIZE, 10):

@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 from benchmarks.batch import equations, rig_constants
 from benchmarks.common import ROOT, in_turns, parser_of
 from benchmarks.physics_accuracy import errors, rig_of
-from ehls_ros.arrays import Array, in_python, lean
+from ehls_ros.arrays import Array, in_python, kernel_no_refcount
 from ehls_ros.physics import simulator
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import FRICTION, Chains, Coefficients, U, hold
@@ -68,13 +68,13 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Equation
     plant = simulator.build(friction, elements, states, chains)
     evaluate, switch = plant.evaluate, plant.switch
 
-    @lean
+    @kernel_no_refcount
     def evaluated(t: float, y: Array, constants: Constants, state: State, rate: Array) -> float:
         c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, state.inputs[U])
         value: float = evaluate(t, y, state.mode, c, rate)
         return value
 
-    @lean
+    @kernel_no_refcount
     def switched(t: float, y: Array, constants: Constants, state: State) -> None:
         c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, state.inputs[U])
         switch(t, y, state.mode, c)

@@ -28,7 +28,7 @@ def kernel(function: _Function, python: Callable[..., Any] | None = None) -> _Fu
     return cast(_Function, inlined(function, python=python))
 
 
-def lean(function: _Function) -> _Function:
+def kernel_no_refcount(function: _Function) -> _Function:
     """Compile like :func:`kernel`, but without reference counting of arrays; the function must not allocate any.
 
     In a function that passes many array views, counting their references would take ten times as long as the computation.
@@ -46,7 +46,7 @@ def copy(source: Array, target: Array) -> None:
         target[i] = source[i]
 
 
-def apart(function: _Function) -> _Function:
+def separate_kernel(function: _Function) -> _Function:
     """Compile a function for compiled callers as a separate numba function, without wrappers for Python or C."""
     compile_with: Any = numba.njit
     return cast(_Function, compile_with(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function))
@@ -69,7 +69,7 @@ def direct(compiled: _Function, *arguments: Any) -> _Function:
     return cast(_Function, compiled.compile(tuple(type_of(argument) for argument in arguments)))
 
 
-def plain(array: Array) -> Array:
+def contiguous(array: Array) -> Array:
     """Return an array as contiguous floats, as a :func:`direct` entry point requires; the array itself if it already is."""
     return np.ascontiguousarray(array, dtype=np.float64)
 

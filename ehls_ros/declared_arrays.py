@@ -17,15 +17,15 @@ class Entry(NamedTuple):
     Attributes:
         kind: numpy's name of the type: ``float64``, ``float32``, ``complex128`` or ``int64``.
         shape: lengths; a name denotes one length shared by all arrays of a group.
-        least, most: range of the values, or of their magnitudes if complex.
+        minimum, maximum: range of the values, or of their magnitudes if complex.
         infinite: whether values may be infinite, such as an unknown variance.
         missing: whether values may be NaN, such as missing samples of a signal.
     """
 
     kind: str = "float64"
     shape: tuple[int | str, ...] = ()
-    least: float = -math.inf
-    most: float = math.inf
+    minimum: float = -math.inf
+    maximum: float = math.inf
     infinite: bool = False
     missing: bool = False
 
@@ -72,5 +72,5 @@ def _check(name: str, array: NDArray[Any], entry: Entry, lengths: dict[str, int]
         raise ValueError(f"{name!r} has an infinite value")
     size = np.abs(array) if np.iscomplexobj(array) else array
     # NaN passes both comparisons; it is rejected above unless permitted.
-    if (size < entry.least).any() or (size > entry.most).any():
-        raise ValueError(f"{name!r} has a value out of {entry.least:g} to {entry.most:g}")
+    if (size < entry.minimum).any() or (size > entry.maximum).any():
+        raise ValueError(f"{name!r} has a value out of {entry.minimum:g} to {entry.maximum:g}")

@@ -43,8 +43,8 @@ def one_of(given: object, names: Iterable[str]) -> str:
         names: the names that are accepted.
     """
     known = list(names)
-    alike = get_close_matches(str(given), known, n=1)
-    return f"one of {', '.join(known)}{f'; did you mean {alike[0]!r}?' if alike else ''}" if known else "no such key"
+    similar = get_close_matches(str(given), known, n=1)
+    return f"one of {', '.join(known)}{f'; did you mean {similar[0]!r}?' if similar else ''}" if known else "no such key"
 
 
 def _readable(text: str) -> str:

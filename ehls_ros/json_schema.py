@@ -20,8 +20,8 @@ def schema_of(kind: Any) -> Schema:
     """
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Annotated:
-        own, *told = arguments
-        return _with_note(schema_of(own), next((note for note in told if isinstance(note, Note)), Note()))
+        own, *others = arguments
+        return _with_note(schema_of(own), next((note for note in others if isinstance(note, Note)), Note()))
     if kind is Any or kind in _PLAIN:
         return {"type": _PLAIN[kind]} if kind in _PLAIN else {}
     if origin in {Union, UnionType}:
@@ -64,9 +64,9 @@ def mapping_of(properties: Mapping[str, Schema], required: Sequence[str] = ()) -
 
 
 def _with_note(schema: Schema, note: Note) -> Schema:
-    told = {"minimum": note.minimum, "exclusiveMinimum": note.above, "maximum": note.maximum}
+    bounds = {"minimum": note.minimum, "exclusiveMinimum": note.above, "maximum": note.maximum}
     own = next((one for one in schema.get("anyOf", ()) if one.get("type") != "null"), schema)
-    own |= {word: bound for word, bound in told.items() if bound is not None}
+    own |= {word: bound for word, bound in bounds.items() if bound is not None}
     if note.choices:
         own["enum"] = list(note.choices)
     if note.description:

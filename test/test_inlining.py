@@ -14,7 +14,7 @@ import pytest
 from numba import njit, types
 
 from ehls_ros import inlining
-from ehls_ros.arrays import copy, in_python, kernel, lean
+from ehls_ros.arrays import copy, in_python, kernel, kernel_no_refcount
 from ehls_ros.inlining import swiftly
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,7 +33,7 @@ def summed(values):
     return total
 
 
-@lean
+@kernel_no_refcount
 def running(values, out):
     for i in range(values.size):
         out[i] = summed(values[: i + 1])

@@ -14,9 +14,9 @@ from ehls_ros.control import bounds
 from ehls_ros.control.controllers import fasmc
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import load_rig, load_spec
+from ehls_ros.physics.equations import load_flow
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
-from ehls_ros.physics.valve import load_flow
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "paper.md"

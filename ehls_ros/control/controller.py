@@ -2,25 +2,40 @@
 
 import math
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array, direct, plain
-from ehls_ros.control.adaptation.acceptance import NO_SIZES, WHERE, Transition, with_own_sensors
+from ehls_ros.arrays import Array, contiguous, direct
+from ehls_ros.control.adaptation.transition import NO_SIZES, WHERE, Transition, with_own_sensors
+from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
-from ehls_ros.control.company import Company
-from ehls_ros.control.composition import controller_kernel
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, Model
+from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, ControllerLaw, Model
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.composition import compiled
 
 BUMP_TIME = 0.02
 """Time constant of the transition of the command from the old tuning or controller to the new one [s]."""
 
-CAUTION = adaptation.caution_of(adaptation.Parameters())
+ADAPTATION_LIMITS = adaptation.adaptation_limits(adaptation.Parameters())
 """Bounds and rate of the model's transition to an accepted rig, equal to those of adaptation."""
+
+
+def controller_kernel(name: str) -> ModuleType:
+    """Return a module with the compiled law of one controller as ``step``, and its ``follow`` if it has one."""
+    law = CONTROLLERS.load(name)
+    entries = {"step": "m, r, f, p, model, memory, status"}
+    if hasattr(law, "follow"):
+        entries["follow"] = "command, own, memory"
+    return compiled(law_itself, entries, {"law": law})
+
+
+def law_itself(law: ControllerLaw) -> ControllerLaw:
+    """Return a controller's file unchanged, as its functions need no building."""
+    return law
 
 
 class Outlook(NamedTuple):
@@ -47,27 +62,27 @@ class Controller:
     Attributes:
         parameters: the tuning in force.
         model: its present model of the rig.
-        company: its companions.
+        companions: its companions.
         status: status of the law after the last step, by the indices of ``controllers.base``.
     """
 
-    def __init__(self, name: str, parameters: Any, model: Model, company: Company | None = None) -> None:
+    def __init__(self, name: str, parameters: Any, model: Model, companions: CompanionChain | None = None) -> None:
         """Prepare the law and its companions, compiling or loading their code.
 
         Args:
             name: file name of the controller.
             parameters: tuning of the controller.
             model: the controller's model of the rig.
-            company: companions of the controller; None for none.
+            companions: companions of the controller; None for none.
         """
         self._law = CONTROLLERS.load(name)
-        compiled = controller_kernel(name)
-        self._step = compiled.step
-        self._follow: Callable[[float, float, Array], float] | None = getattr(compiled, "follow", None)
+        entries = controller_kernel(name)
+        self._step = entries.step
+        self._follow: Callable[[float, float, Array], float] | None = getattr(entries, "follow", None)
         self.parameters = parameters
         self.model = self._original = model
         self._transition: Transition | None = None
-        self.company = Company({}) if company is None else company
+        self.companions = CompanionChain({}) if companions is None else companions
         self.uses_friction = self._law.FRICTION
         self.status = np.zeros(STATUS_SIZE)
         self._bump = 0.0
@@ -81,7 +96,7 @@ class Controller:
         self._direct(np.zeros(7), np.zeros(ROW), np.zeros(2), parameters, model, self._memory, self.status)
         if self._follow is not None:
             self._follow(0.0, 0.0, self._memory)
-        self.company.prepare()
+        self.companions.prepare()
         self.reset()
 
     def _bind(self) -> None:
@@ -96,7 +111,7 @@ class Controller:
         self._own = math.nan
         self._previous = None
         self.status[:] = 0.0
-        self.company.interrupt()
+        self.companions.interrupt()
 
     def retune(self, parameters: Any) -> None:
         """Apply another tuning from the next step on.
@@ -122,11 +137,11 @@ class Controller:
             BadInput: the rig is of another kind, or differs from the one that the controller was started with by more than
                 adaptation may change; or a companion corrects the model already. The model then remains unchanged.
         """
-        if self.company.corrects:
+        if self.companions.corrects:
             expected = "a controller without it: both would move the same coefficients"
             raise BadInput("a companion corrects the model", WHERE, expected)
         wanted = with_own_sensors(self._original, model)
-        self._transition = Transition(self._original, self.model, wanted, CAUTION, sizes)
+        self._transition = Transition(self._original, self.model, wanted, ADAPTATION_LIMITS, sizes)
         return self._transition.duration
 
     def step(
@@ -147,7 +162,7 @@ class Controller:
             outlook: information for companions.
         """
         command = self._answer(measured, reference, friction, elapsed, outlook)
-        if self.company:
+        if self.companions:
             past = Past(
                 first=outlook.cycle,
                 rows=self._row[np.newaxis],
@@ -157,7 +172,7 @@ class Controller:
                 command=np.array([command]),
                 status=self.status[np.newaxis],
             )
-            self.model = self.company.done(past, self.model)
+            self.model = self.companions.done(past, self.model)
         return command
 
     def _place(self, outlook: Outlook) -> Array:
@@ -166,12 +181,12 @@ class Controller:
     def _answer(self, measured: Array, reference: Array, friction: Array, elapsed: int, outlook: Outlook) -> float:
         """Return the command [m] for the reference as changed by the companions."""
         self._row[:FORESEEN] = reference
-        if self.company:
+        if self.companions:
             self._row[FORESEEN:] = np.nan
             known = self._unknown if outlook.actuator is None else outlook.actuator
             place = self._place(outlook)
-            self.company.ahead(Upcoming(outlook.cycle, self._row[np.newaxis], place[np.newaxis], known[np.newaxis]))
-        return self._step_alone(plain(measured), plain(friction), elapsed)
+            self.companions.ahead(Upcoming(outlook.cycle, self._row[np.newaxis], place[np.newaxis], known[np.newaxis]))
+        return self._step_alone(contiguous(measured), contiguous(friction), elapsed)
 
     def _step_alone(self, measured: Array, friction: Array, elapsed: int) -> float:
         """Return the law's command [m] for the prepared row, without a bump after a change of tuning."""

@@ -1,14 +1,34 @@
 """Run a friction estimator: its compiled observer and its state."""
 
-from typing import Any
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array, direct
-from ehls_ros.control.composition import observer_kernel
 from ehls_ros.control.observers import OBSERVERS
-from ehls_ros.control.observers.base import ELEMENTS
+from ehls_ros.control.observers.base import ELEMENTS, FrictionObserver, check_friction_support
 from ehls_ros.control.rig_scale import tuned_for
-from ehls_ros.control.serving import check_serves
+from ehls_ros.physics.composition import compiled
+from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.friction.base import FrictionModel
 from ehls_ros.physics.rig import Rig
+
+
+class Compiled(NamedTuple):
+    """The compiled ``update`` of a friction observer, see :mod:`ehls_ros.control.observers.base`."""
+
+    update: Callable[..., None]
+
+
+def build(observer: FrictionObserver, friction: FrictionModel) -> Compiled:
+    """Build an observer for a friction model."""
+    return Compiled(observer.updater(friction))
+
+
+def observer_kernel(name: str, model: str) -> ModuleType:
+    """Return a module with the compiled ``update`` of one friction observer, for one friction model."""
+    members = {"observer": OBSERVERS.load(name), "friction": FRICTION_MODELS.load(model)}
+    return compiled(build, {"update": "velocity, period, friction, p, state"}, members)
 
 
 class FrictionEstimator:
@@ -26,7 +46,7 @@ class FrictionEstimator:
         Raises:
             BadInput: the observer does not support the rig's friction model.
         """
-        check_serves(OBSERVERS, name, rig, "friction estimator")
+        check_friction_support(OBSERVERS, name, rig, "friction estimator")
         self._observer = OBSERVERS.load(name)
         self._update = observer_kernel(name, rig.friction_model).update
         self._rig = rig

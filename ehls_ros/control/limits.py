@@ -47,6 +47,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.controllers.base import MIN_DROP, reading_std
 from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
 from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import EffectiveRig, Rig
@@ -59,9 +60,6 @@ READINGS = (("position", X), ("velocity", V), ("load_pressure", F), ("force", F)
 
 ORDERS = (1, 2)
 """Derivatives of d that are modelled as a random walk."""
-
-LEAST_DROP = 0.01
-"""Lower bound of the pressure drop over the valve, as a fraction of the supply pressure."""
 
 EXACT = 1e-3
 """Deviation of a perfect sensor's reading, in the scale of the state [N]; it represents rounding."""
@@ -203,7 +201,7 @@ def flow_pressure(spool: Array, load_pressure: Array, plant: Plant) -> float:
         load_pressure: pL [Pa], shape (n,).
         plant: the rig's coefficients.
     """
-    drop = np.maximum(plant.supply_pressure - np.sign(spool) * load_pressure, LEAST_DROP * plant.supply_pressure)
+    drop = np.maximum(plant.supply_pressure - np.sign(spool) * load_pressure, MIN_DROP * plant.supply_pressure)
     per_root = plant.discharge_coefficient * plant.valve_area_gradient / (2.0 * math.sqrt(plant.oil_density))
     return float(np.mean(per_root * np.abs(spool) / np.sqrt(drop)))  # (1)
 
@@ -263,7 +261,7 @@ def _surroundings(rig: EffectiveRig) -> tuple[float, float, float]:
 def _noise(rig: EffectiveRig, name: str) -> float:
     """Return the standard deviation of a reading including its rounding, in the reading's unit."""
     sensor = rig.sensors.get(name, Sensor())
-    return math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0)) / sensor.gain
+    return reading_std(sensor) / sensor.gain
 
 
 def _dynamics(rig: EffectiveRig, period: float, stiffness: float, damping: float, flow_pressure: float) -> Array:

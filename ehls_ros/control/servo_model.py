@@ -12,16 +12,17 @@ force's impulse, not by its value at the sample.
 
 import math
 from collections.abc import Callable
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array, kernel, lean
+from ehls_ros.arrays import Array, kernel, kernel_no_refcount
 from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.state_estimator import (
     EXTERNAL,
     FLOW_ERROR,
-    MOST_ELEMENTS,
+    MAX_ELEMENTS,
     ROUNDING,
     STATES,
     STEP,
@@ -30,12 +31,13 @@ from ehls_ros.control.state_estimator import (
     rates,
     switch,
 )
+from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import PL, V, X
 from ehls_ros.physics.servo import servo_command
 
-LENGTH = STATES + MOST_ELEMENTS
+LENGTH = STATES + MAX_ELEMENTS
 
-LEAST_AHEAD = 2
+MIN_AHEAD = 2
 """Fewest cycles of prediction, as required for a parabola."""
 
 
@@ -84,7 +86,7 @@ class Motion(NamedTuple):
 def piston(model: Model, stiffness: float, damping: float) -> Piston:
     """Return a piston at rest at 0, held by a spring [N/m] and a damper [N s/m]."""
     held = Assumptions(stiffness, damping, *([0.0] * (len(Assumptions._fields) - 2)))
-    return Piston(model, held, np.zeros(LENGTH), np.zeros(MOST_ELEMENTS), np.zeros((5, LENGTH)))
+    return Piston(model, held, np.zeros(LENGTH), np.zeros(MAX_ELEMENTS), np.zeros((5, LENGTH)))
 
 
 def pair(servo: Model, loader: Model, position_gain: float) -> Pair:
@@ -97,14 +99,14 @@ def pair(servo: Model, loader: Model, position_gain: float) -> Pair:
     """
     as_wanted = loader._replace(plant=loader.plant._replace(bulk_modulus=0.0))
     loading = piston(as_wanted, loader.coupling_stiffness, loader.coupling_damping)
-    cycles = max(LEAST_AHEAD, math.ceil(loader.command_delay / loader.period - ROUNDING) + 1)
+    cycles = max(MIN_AHEAD, math.ceil(loader.command_delay / loader.period - ROUNDING) + 1)
     return Pair(piston(servo, 0.0, 0.0), loading, position_gain, np.zeros(1), np.zeros(cycles + 1))
 
 
 def build() -> Motion:
     """Build the compiled model."""
 
-    @lean
+    @kernel_no_refcount
     def evaluate(stage: int, spool: float, x: Array, y: Array, both: Pair) -> float:
         """Write the rates of a stage at states of servo and loader; return the external force of the loader [N]."""
         servo, loader, beam = both.servo, both.loader, both.loader.surroundings
@@ -115,14 +117,14 @@ def build() -> Motion:
         rates(y, loader.mode, 0.0, supply, loader.model, beam, loader.work[stage])
         return -far
 
-    @lean
+    @kernel_no_refcount
     def go(piston: Piston, stage: int, step: float) -> None:
         """Write the state after a step at the rates of a stage to the first row of the work array."""
         work = piston.work
         for i in range(STATES + elements(piston.model.friction)):
             work[0, i] = piston.y[i] + step * work[stage, i]
 
-    @lean
+    @kernel_no_refcount
     def end(piston: Piston, step: float) -> None:
         """Advance a piston by a step at the weighted mean of all stages' rates."""
         work = piston.work
@@ -130,7 +132,7 @@ def build() -> Motion:
             piston.y[i] += step / 6.0 * (work[1, i] + 2.0 * work[2, i] + 2.0 * work[3, i] + work[4, i])
         switch(piston.y, piston.mode, piston.model.friction)
 
-    @lean
+    @kernel_no_refcount
     def move(spool: float, step: float, both: Pair) -> float:
         """Advance both by a step of the classical Runge-Kutta method; return the mean external force of the loader [N]."""
         servo, loader = both.servo, both.loader
@@ -144,7 +146,7 @@ def build() -> Motion:
         end(loader, step)
         return force / 6.0
 
-    @lean
+    @kernel_no_refcount
     def mean_after(ahead: float, row: Array, command: Array, both: Pair) -> float:
         servo, loader, period = both.servo, both.loader, both.servo.model.period
         plant, area = servo.model.plant, loader.model.plant.piston_area
@@ -191,3 +193,8 @@ def build() -> Motion:
             row[FORESEEN + 2] = curvature
 
     return Motion(foresee)
+
+
+def servo_kernel() -> ModuleType:
+    """Return a module with ``foresee``, the compiled preview of the motion of a position servo and the loader."""
+    return compiled(build, {"foresee": "rows, commands, both"})

@@ -24,17 +24,15 @@ Systems, 1997, section 3.2.
 import math
 from typing import Annotated, NamedTuple
 
-from ehls_ros.arrays import Array, apart, copy, kernel
-from ehls_ros.control.controllers.base import Model
+from ehls_ros.arrays import Array, copy, kernel, separate_kernel
+from ehls_ros.control.controllers.base import MIN_DROP, Model
 from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_PRESSURE, PAPER_SPEED, largest_force, largest_speed
 from ehls_ros.physics import sensors
-from ehls_ros.physics.beam import applied_force
-from ehls_ros.physics.cylinder import load_pressure_rate
+from ehls_ros.physics.equations import applied_force, load_flow, load_pressure_rate, spool_rate
 from ehls_ros.physics.friction.base import sign
 from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.friction.gms import level as sliding_level
 from ehls_ros.physics.plant import PL, XV, V, X
-from ehls_ros.physics.valve import load_flow, spool_rate
 from ehls_ros.schema import quantity
 
 FRICTION_MODEL = "gms"
@@ -43,7 +41,7 @@ FRICTION_MODEL = "gms"
 EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, DISCHARGE, FLOW_ERROR, CELL_OFFSET, STATES = range(4, 12)
 """Indices in the mean of d with its two rates, b, c, q and o, after the plant's x, v, pL and xv; and their number."""
 
-MOST_ELEMENTS = 16
+MAX_ELEMENTS = 16
 """Most friction elements that are modelled; the force of further ones counts as external force."""
 
 SENT = 64
@@ -61,13 +59,10 @@ ROUNDING = 1e-9
 GAIN_MEMORY = 10.0
 """Time constant of the decay of errors of the valve gain and the discharge coefficient while they are not observed, tau [s]."""
 
-LEAST_DROP = 0.01
-"""Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
-
-_LENGTH = STATES + MOST_ELEMENTS
+_LENGTH = STATES + MAX_ELEMENTS
 _MATRIX = STATES * STATES
 _EXPECTED = 4
-MEMORY_SIZE = 1 + 2 * (_LENGTH + MOST_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * SENT + _EXPECTED
+MEMORY_SIZE = 1 + 2 * (_LENGTH + MAX_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * SENT + _EXPECTED
 
 
 MotionNoise = Annotated[
@@ -186,8 +181,8 @@ class State(NamedTuple):
 def state_of(memory: Array) -> State:
     """Return the parts of a memory, shape (:data:`MEMORY_SIZE`,); all zero before the first measurement."""
     mean = 1
-    foreseen = mean + _LENGTH + MOST_ELEMENTS
-    covariance = foreseen + _LENGTH + MOST_ELEMENTS
+    foreseen = mean + _LENGTH + MAX_ELEMENTS
+    covariance = foreseen + _LENGTH + MAX_ELEMENTS
     commands = covariance + _MATRIX
     work = commands + 2 * SENT
     matrices = work + 5 * _LENGTH
@@ -211,7 +206,7 @@ def state_of(memory: Array) -> State:
 @kernel
 def elements(friction: Friction) -> int:
     """Return the number of friction elements that are modelled."""
-    return min(len(friction.element_stiffness), MOST_ELEMENTS)
+    return min(len(friction.element_stiffness), MAX_ELEMENTS)
 
 
 @kernel
@@ -263,7 +258,7 @@ def switch(y: Array, mode: Array, friction: Friction) -> None:
             mode[i] = 0.0
 
 
-@apart
+@separate_kernel
 def move(
     y: Array, mode: Array, command: float, supply: float, duration: float, model: Model, p: Assumptions, work: Array
 ) -> None:
@@ -310,7 +305,7 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
             stiffness += friction.element_stiffness[i]
     hydraulic = 4.0 * plant.bulk_modulus / plant.total_volume
     side = 1.0 if y[XV] >= 0.0 else -1.0
-    drop = max(supply - side * y[PL], LEAST_DROP * plant.supply_pressure)
+    drop = max(supply - side * y[PL], MIN_DROP * plant.supply_pressure)
     nominal_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
     flow_gain = (1.0 + y[DISCHARGE]) * nominal_gain
     jacobian[:] = 0.0
@@ -343,7 +338,7 @@ def multiply(a: Array, b: Array, product: Array) -> None:
                 product[i, j] += a[i, k] * b[k, j]
 
 
-@apart
+@separate_kernel
 def spread(state: State, command: float, supply: float, duration: float, model: Model, p: Assumptions) -> None:
     """Advance the covariance by ``duration`` [s], at most :data:`PIECE`."""
     covariance, jacobian, transition, product = state.covariance, state.matrices[0], state.matrices[1], state.matrices[2]
@@ -375,7 +370,7 @@ def spread(state: State, command: float, supply: float, duration: float, model: 
     covariance[CELL_OFFSET, CELL_OFFSET] += p.offset_noise**2 * duration
 
 
-@apart
+@separate_kernel
 def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
     """Advance mean and covariance by a period under the commands that arrived in it."""
     for i in range(SENT):
@@ -389,7 +384,7 @@ def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
         t += duration
 
 
-@apart
+@separate_kernel
 def correct(reading: float, signal: int, scale: float, offset: float, noise: float, state: State) -> None:
     """Correct by one reading: ``scale`` times the mean at ``signal`` plus ``offset`` times o, with noise ``noise``.
 
@@ -421,7 +416,7 @@ FIRST_GAIN, FIRST_DISCHARGE, FIRST_FLOW, FIRST_OFFSET = 0.1, 0.1, 1e7, 100.0
 pressure, and of the load cell [N], scaled with its force."""
 
 
-@apart
+@separate_kernel
 def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
     """Start at rest from the first measurement, with the external force in balance."""
     plant, y, covariance = model.plant, state.mean, state.covariance
@@ -483,7 +478,7 @@ def expect(foreseen: Array, period: float, state: State) -> None:
         expected[i] = foreseen[i] if known else 0.0
 
 
-@apart
+@separate_kernel
 def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, state: State) -> bool:
     """Process one more measurement, a period after the last.
 
@@ -518,7 +513,7 @@ def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, stat
     return True
 
 
-@apart
+@separate_kernel
 def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
     """Predict the mean, under the commands in transit, to the time when one sent now acts; into ``state.foreseen``."""
     copy(state.mean, state.foreseen)

@@ -38,11 +38,11 @@ from ehls_ros.diagnosis.record import (
 from ehls_ros.diagnosis.resolution import command_seen, friction_known, presliding_travel
 from ehls_ros.diagnosis.windows import Window, integral, local_row, local_slope, smooth_window
 from ehls_ros.duals import linear, value_of, values_of
-from ehls_ros.physics.along import PARTS, run_part
-from ehls_ros.physics.along.base import ModelRun, Motion
-from ehls_ros.physics.along.friction import FrictionInputs
-from ehls_ros.physics.along.load import Piston
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.imposed_motion import PARTS, run_part
+from ehls_ros.physics.imposed_motion.base import ModelRun, Motion
+from ehls_ros.physics.imposed_motion.friction import FrictionInputs
+from ehls_ros.physics.imposed_motion.load import Piston
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig, unknown_keys
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, earlier_commands

@@ -12,9 +12,8 @@ vectors of the processor. The last tangent is that by the length of the present 
 :func:`length_to_event`.
 """
 
-from ehls_ros.duals import rules as _rules  # noqa: F401 - registers the rules
-from ehls_ros.duals.events import alike, length_to_event, varies
-from ehls_ros.duals.in_python import (
+from ehls_ros.duals.events import as_element, length_to_event, varies
+from ehls_ros.duals.interpreted import (
     Dual,
     exp,
     joined,
@@ -28,15 +27,15 @@ from ehls_ros.duals.in_python import (
     values_of,
 )
 from ehls_ros.duals.kinds import DualArrayType, DualRecordType, DualType, width_of
-from ehls_ros.duals.known import sloped, value_alone
 from ehls_ros.duals.memory import constant, dual_array, dual_record
+from ehls_ros.duals.rules import sloped, value_alone
 
 __all__ = [
     "Dual",
     "DualArrayType",
     "DualRecordType",
     "DualType",
-    "alike",
+    "as_element",
     "constant",
     "dual_array",
     "dual_record",

@@ -86,11 +86,11 @@ def length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c:
     return length
 
 
-_LEAN: Any = {"_nrt": False, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Options of :func:`~ehls_ros.arrays.lean`."""
+_NO_REFCOUNT: Any = {"_nrt": False, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of :func:`~ehls_ros.arrays.kernel_no_refcount`."""
 
 
-@overload(length_to_event, strict=False, jit_options=_LEAN)
+@overload(length_to_event, strict=False, jit_options=_NO_REFCOUNT)
 def _length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c: Any, length: Any, work: Any) -> Any:
     if not isinstance(y, DualArrayType):
         return lambda take_step, evaluate, t, y, mode, c, length, work: length
@@ -107,17 +107,17 @@ def _length_to_event(take_step: Any, evaluate: Any, t: Any, y: Any, mode: Any, c
     return differentiated
 
 
-def alike(array: Any, number: Any) -> Any:
+def as_element(array: Any, number: Any) -> Any:
     """Return a number in the type of the elements of an array: a dual for duals, otherwise unchanged."""
     return number
 
 
-@type_callable(alike)
-def _alike(context: Any) -> Any:
+@type_callable(as_element)
+def _as_element(context: Any) -> Any:
     return lambda array, number: array.dtype if isinstance(array, DualArrayType) else number
 
 
-@lower_builtin(alike, types.Any, types.Any)
+@lower_builtin(as_element, types.Any, types.Any)
 def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return context.cast(builder, args[1], sig.args[1], sig.return_type)
 

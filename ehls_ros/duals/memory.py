@@ -27,14 +27,14 @@ def _load(context: Any, builder: Any, kind: DualType, data: Any, index: Any) -> 
     return written(context, builder, kind, CodeDual(value, tangents))
 
 
-LEAST = 1e-290
+MIN_TANGENT = 1e-290
 """Least tangent that is kept: the influence of an initial state decays to subnormal numbers, which are slow to process."""
 
 
-def _without_dust(builder: Any, tangents: Any) -> Any:
+def _without_subnormal(builder: Any, tangents: Any) -> Any:
     """Return a vector of tangents with negligible ones set to zero."""
     kind = tangents.type
-    above, below = (ir.Constant(kind, [sign * LEAST] * kind.count) for sign in (1.0, -1.0))
+    above, below = (ir.Constant(kind, [sign * MIN_TANGENT] * kind.count) for sign in (1.0, -1.0))
     # Unordered comparison, so that NaN is kept.
     kept = builder.or_(builder.fcmp_unordered(">=", tangents, above), builder.fcmp_unordered("<=", tangents, below))
     return builder.select(kept, tangents, zeros(kind.count))
@@ -43,7 +43,7 @@ def _without_dust(builder: Any, tangents: Any) -> Any:
 def _store(context: Any, builder: Any, kind: DualType, data: Any, index: Any, dual: CodeDual) -> None:
     place = _row(context, builder, kind, data, index)
     for i, lanes in enumerate(kind.lanes):
-        vector = zeros(lanes) if dual.tangents is None else _without_dust(builder, dual.tangents[i])
+        vector = zeros(lanes) if dual.tangents is None else _without_subnormal(builder, dual.tangents[i])
         if i == 0:
             vector = builder.insert_element(vector, dual.value, ir.Constant(ir.IntType(32), 0))
         part = builder.gep(place, [context.get_constant(types.intp, i * LANES)])
@@ -229,7 +229,7 @@ def dual_array(typingctx: Any, array: Any, width: Any) -> Any:
 
 @intrinsic(prefer_literal=True)
 def dual_record(typingctx: Any, array: Any, width: Any, like: Any) -> Any:
-    """Return the duals in an array of floats, shape (n, width), as written by :func:`~ehls_ros.duals.in_python.record_rows`.
+    """Return the duals in an array of floats, shape (n, width), as written by :func:`~ehls_ros.duals.interpreted.record_rows`.
 
     Their names are those of the named tuple ``like``, whose values are ignored. Empty lists in it stand for any length.
     """

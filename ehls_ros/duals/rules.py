@@ -1,4 +1,4 @@
-"""Functions that accept duals, with the derivative of each."""
+"""Rules of differentiation: functions that accept duals, and explicit derivatives in place of the chain rule."""
 
 import math
 import operator
@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin, lower_cast, overload
+from numba.extending import lower_builtin, lower_cast, overload, type_callable
 
 from ehls_ros.duals.code import (
     MINUS,
@@ -26,7 +26,48 @@ from ehls_ros.duals.code import (
     zeros,
 )
 from ehls_ros.duals.kinds import DualType
-from ehls_ros.duals.known import value_alone
+
+
+def value_alone(number: Any) -> Any:
+    """Return a number without its derivatives."""
+    return number
+
+
+@type_callable(value_alone)
+def _value_alone_of(context: Any) -> Any:
+    return lambda number: types.float64 if isinstance(number, DualType) else number
+
+
+@lower_builtin(value_alone, types.Any)
+def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    [kind], [number] = sig.args, args
+    return read(context, builder, kind, number).value if isinstance(kind, DualType) else number
+
+
+def sloped(value: Any, slope: float, number: Any) -> Any:
+    """Return a value with the derivatives due to a number.
+
+    Args:
+        value: result computed from the number's value alone; it may have the derivatives by other numbers.
+        slope: its partial derivative by the number.
+        number: the number; for a float, the value is returned unchanged, at no cost.
+    """
+    return value
+
+
+@type_callable(sloped)
+def _sloped_by(context: Any) -> Any:
+    return lambda value, slope, number: number if isinstance(number, DualType) else value
+
+
+@lower_builtin(sloped, types.Any, types.Any, types.Any)
+def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    if not isinstance(sig.args[2], DualType):
+        return args[0]
+    whole, factor, varying = (read(context, builder, kind, arg) for kind, arg in zip(sig.args, args, strict=True))
+    tangents = chain(builder, (ONE, whole), (factor.value, varying))
+    return written(context, builder, sig.return_type, CodeDual(whole.value, tangents))
+
 
 _Rule = Callable[..., CodeDual | tuple[ir.Value, list[tuple[Any, CodeDual]]]]
 """``rule(builder, plain, *duals)`` returns the dual, or its value and the partial derivatives, each with its argument."""

@@ -9,7 +9,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.adaptation.hand_over import corrected_rig
+from ehls_ros.control.adaptation.correction import corrected_rig
 from ehls_ros.control.companions.adaptation import STRIDE, Adaptation
 from ehls_ros.control.companions.base import PLACE, Past
 from ehls_ros.control.controllers.base import ROW, STATUS_SIZE, model_of
@@ -60,11 +60,11 @@ def adapted(spec: Spec, trajectory: Trajectory) -> Adapted | None:
     model = original
     for past in _stretches(trajectory, original.period):
         model = adaptation.done(past, model)
-    search = adaptation.search
-    search.solve()
-    sentences = tuple(str(value) for value in search.report().values() if isinstance(value, str))
-    rig = corrected_rig(spec.controller_rig, original, search.values()) if search.changed() else None
-    return Adapted(sentences, search.at_bounds(), rig)
+    estimation = adaptation.estimation
+    estimation.solve()
+    sentences = tuple(str(value) for value in estimation.report().values() if isinstance(value, str))
+    rig = corrected_rig(spec.controller_rig, original, estimation.values()) if estimation.changed() else None
+    return Adapted(sentences, estimation.at_bounds(), rig)
 
 
 def _stretches(trajectory: Trajectory, period: float) -> list[Past]:

@@ -15,8 +15,8 @@ from ehls_ros.experiments.controller_benefit import runs
 from ehls_ros.experiments.loop import ClosedLoop, loop_kernel
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Progress, Task, Workers
-from ehls_ros.physics.along import PARTS, compile_part, part_kernel
 from ehls_ros.physics.composition import is_compiled
+from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 

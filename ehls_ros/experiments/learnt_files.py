@@ -6,8 +6,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.companions.base import Companion, Kept
-from ehls_ros.control.company import Company
 from ehls_ros.declared_arrays import Arrays
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.experiments.state_files.access import NotWritten
@@ -15,7 +15,7 @@ from ehls_ros.experiments.state_files.kinds import LEARNT, LearntAbout
 from ehls_ros.experiments.state_files.state_file import Origin, StateFile
 
 
-def recall(company: Company, spec: Spec) -> None:
+def recall(company: CompanionChain, spec: Spec) -> None:
     """Restore companions from their files, and check that the files can be written.
 
     Args:
@@ -43,7 +43,7 @@ def recall(company: Company, spec: Spec) -> None:
             raise file.refusal(str(error)) from None
 
 
-def keep(company: Company, spec: Spec) -> None:
+def keep(company: CompanionChain, spec: Spec) -> None:
     """Write the learnt arrays of companions to their files; without learnt arrays a file is left unchanged.
 
     Args:
@@ -68,7 +68,7 @@ def keep(company: Company, spec: Spec) -> None:
         raise NotWritten(f"learnt arrays are lost: {'; '.join(failures)}")
 
 
-def _files(company: Company, spec: Spec) -> Iterator[tuple[str, Companion, StateFile]]:
+def _files(company: CompanionChain, spec: Spec) -> Iterator[tuple[str, Companion, StateFile]]:
     """Yield name and file of each companion that has one."""
     origin = Origin.of(spec.controller_rig, spec.settings.control_period)
     for use in spec.companions:

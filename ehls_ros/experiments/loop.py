@@ -16,13 +16,13 @@ from numpy.random import Generator
 
 from ehls_ros import __version__
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.at_bounds import bounds_of
 from ehls_ros.control.companions.base import Past, Upcoming
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, STATUS_SIZE, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW
+from ehls_ros.control.estimate_bounds import bounds_of
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.programme.motion import point_signals

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
-from ehls_ros.arrays import Array, lean
+from ehls_ros.arrays import Array, kernel_no_refcount
 from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.controllers.base import STATUS_SIZE, Model
 from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
@@ -198,7 +198,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
     MIDDLE, FARTHEST, IMPOSSIBLE = rows.middle, rows.farthest, rows.impossible
     given_size, record_size = SIGNALS + FOLLOWED + DISTURBED, rows.last - rows.measured
 
-    @lean
+    @kernel_no_refcount
     def coefficients(block: Array, like: Known, lane: int) -> Coefficients:
         known = numbers(like, block, KNOWN, lane)
         w = inputs_of(block, INPUTS, lane)
@@ -206,7 +206,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
 
     integrate = lanes_integrator(plant.evaluate, plant.switch, coefficients, rows.plant, size, modes, order=simulator.ORDER)
 
-    @lean
+    @kernel_no_refcount
     def read_sensors(k: int, block: Array, like: Known, timing: Timing) -> None:
         for lane in range(LANES):
             c, y = coefficients(block, like, lane), states(block, rows.plant.y, lane)
@@ -216,7 +216,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
             truth, measured = signals(block, rows.truth, lane), signals(block, rows.measured, lane)
             sense(k, constants, State(y, y, c.inputs, no_work(), kept, truth, measured), signals(block, GIVEN, lane))
 
-    @lean
+    @kernel_no_refcount
     def command_valves(k: int, block: Array, like: Known, timing: Timing) -> None:
         for lane in range(LANES):
             known = numbers(like, block, KNOWN, lane)
@@ -229,7 +229,7 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
             start = k * timing.period
             hold(inputs_of(block, INPUTS, lane), start, u, d[FORCE], d[FORCE_RATE], d[DISPLACEMENT], d[VELOCITY])
 
-    @lean
+    @kernel_no_refcount
     def check(block: Array) -> None:
         for place in range(SIGNALS + 1):
             for lane in range(LANES):
@@ -237,13 +237,13 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
                 possible = away <= block[(FARTHEST + place) * LANES + lane]
                 block[IMPOSSIBLE * LANES + lane] = block[IMPOSSIBLE * LANES + lane] if possible else 1.0
 
-    @lean
+    @kernel_no_refcount
     def warm(block: Array, like: Known, timing: Timing) -> None:
         for lane in range(LANES):
             warming = numbers(like, block, KNOWN, lane).warming
             block[(INPUTS + TEMPERATURE) * LANES + lane] += warming * timing.period
 
-    @lean
+    @kernel_no_refcount
     def run(
         first: int, timing: Timing, block: Array, like: Known, given: Array, record: Array, work: Array, forces_work: Array
     ) -> int:
@@ -288,7 +288,7 @@ def _observation(observer: Any, believed: Any, rows: LoopRows, sizes: Sizes) -> 
     forces_of, last_of, estimate_of, no_work = column(size), column(2), column(ELEMENTS + 2 * size), stack(1, 1)
     SPEED = rows.measured + sensors.VELOCITY
 
-    @lean
+    @kernel_no_refcount
     def observed(block: Array, lane: int, work: Array) -> ObserverState:
         forces, mode = forces_of(block, rows.elements.y, lane), forces_of(block, rows.elements.mode, lane)
         return ObserverState(forces, mode, last_of(block, rows.last, lane), work, estimate_of(block, rows.estimate, lane))
@@ -296,7 +296,7 @@ def _observation(observer: Any, believed: Any, rows: LoopRows, sizes: Sizes) -> 
     if not hasattr(observer, "driven"):
         update = observer.updater(believed)
 
-        @lean
+        @kernel_no_refcount
         def observe(block: Array, like: Known, timing: Timing, work: Array) -> None:
             for lane in range(LANES):
                 known, state = numbers(like, block, rows.known, lane), observed(block, lane, no_work())
@@ -309,7 +309,7 @@ def _observation(observer: Any, believed: Any, rows: LoopRows, sizes: Sizes) -> 
     evaluate, switch = observer.driven(believed)
     STARTED, RATE, STEPS = rows.motion, rows.motion + 1, rows.motion + 2
 
-    @lean
+    @kernel_no_refcount
     def motion(block: Array, like: Known, lane: int) -> Motion:
         known = numbers(like, block, rows.known, lane)
         return Motion(known.believed, block[STARTED * LANES + lane], block[RATE * LANES + lane])
@@ -323,7 +323,7 @@ def _observation(observer: Any, believed: Any, rows: LoopRows, sizes: Sizes) -> 
         if steps > 0:
             alone(0.0, state.forces, state.mode, motion(block, like, lane), timing.period / steps, steps, work)
 
-    @lean
+    @kernel_no_refcount
     def observe_together(block: Array, like: Known, timing: Timing, work: Array) -> None:
         for lane in range(LANES):
             known, state = numbers(like, block, rows.known, lane), observed(block, lane, no_work())

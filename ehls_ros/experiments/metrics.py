@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ehls_ros.control.at_bounds import Bound, bounds_of, sentence
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.estimate_bounds import Bound, bounds_of, sentence
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.plausibility import LIMIT_UNITS, WARNING_FACTOR, beyond

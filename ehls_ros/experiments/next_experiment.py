@@ -32,11 +32,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.composition import controller_kernel, observer_kernel
+from ehls_ros.control.controller import controller_kernel
 from ehls_ros.control.controllers import fasmc, pid
 from ehls_ros.control.controllers.base import STATUS_SIZE, Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import FORCE as LOAD
+from ehls_ros.control.friction_estimator import observer_kernel
 from ehls_ros.control.observers import ANY_MODEL, rig_model
 from ehls_ros.control.observers.base import ObserverState
 from ehls_ros.control.rig_scale import tuned_for

@@ -12,9 +12,8 @@ from ehls_ros.control.programme.expansion import Programme, Segment
 from ehls_ros.control.programme.expansion import Sequence as Parts
 from ehls_ros.errors import BadInput
 from ehls_ros.extras import library
-from ehls_ros.physics.cylinder import load_pressure_rate
+from ehls_ros.physics.equations import load_flow, load_pressure_rate
 from ehls_ros.physics.rig import Rig
-from ehls_ros.physics.valve import load_flow
 from ehls_ros.trajectory import Trajectory
 
 MAX_SAMPLES = 200_000

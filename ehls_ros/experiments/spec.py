@@ -11,16 +11,16 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.companions.base import Setting
-from ehls_ros.control.company import Company
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS, default_observer
+from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.rig_scale import defaults_for
-from ehls_ros.control.serving import check_serves
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.reference_files import programme_values, read_points
@@ -196,7 +196,7 @@ def check_law(spec: Spec, law: str, where: str) -> None:
     Raises:
         BadInput: it does not support the rig's friction model, or follows another quantity than the reference.
     """
-    check_serves(CONTROLLERS, law, spec.controller_rig, where)
+    check_friction_support(CONTROLLERS, law, spec.controller_rig, where)
     follows, meant_for = (CONTROLLERS.load(name).FOLLOWS for name in (law, spec.controller.name))
     if meant_for != follows:
         raise BadInput(
@@ -273,8 +273,8 @@ def check_spec(spec: Spec, where: str) -> None:
         raise BadInput(f"duration is {settings.duration:g}", where, expected)
     for section in ("rig", "controller_rig"):
         check_rig(getattr(spec, section), f"{where}: {section}")
-    check_serves(OBSERVERS, spec.compensation.name, spec.controller_rig, f"{where}: compensation")
-    check_serves(CONTROLLERS, spec.controller.name, spec.controller_rig, f"{where}: controller")
+    check_friction_support(OBSERVERS, spec.compensation.name, spec.controller_rig, f"{where}: compensation")
+    check_friction_support(CONTROLLERS, spec.controller.name, spec.controller_rig, f"{where}: controller")
     _check_companions(spec, where, _setting(spec, model_of(spec.controller_rig, period), where))
     # The disturbance may have a separate cylinder.
     check_ranges(spec.disturbance.parameters, "plant", f"{where}: disturbance")
@@ -365,7 +365,7 @@ def _companions(data: Any, where: str, folder: Path, rig: Rig) -> tuple[Use, ...
     return uses
 
 
-def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> Company:
+def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> CompanionChain:
     """Return an experiment's companions, without the content of their files (:mod:`ehls_ros.experiments.learnt_files`).
 
     Args:
@@ -381,7 +381,7 @@ def company_of(spec: Spec, model: Model, where: str, law: str | None = None, tun
     setting = _setting(spec, model, where, law, tuning)
     _check_companions(spec, where, setting)
     with _placed(where):
-        return Company({use.name: COMPANIONS.load(use.name).build(use.parameters, setting) for use in spec.companions})
+        return CompanionChain({use.name: COMPANIONS.load(use.name).build(use.parameters, setting) for use in spec.companions})
 
 
 def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tuning: Any = None) -> Setting:

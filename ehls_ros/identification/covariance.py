@@ -7,13 +7,13 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.samples import Mask
 
-DOUBT = 2.0
+PRIOR_STD = 2.0
 """Standard deviation of a searched coordinate without any data; for a logarithm, a factor of e^2.
 
 It prevents coordinates on which the data have no bearing from degrading the others.
 """
 
-MOST_LAGS = 200
+MAX_LAGS = 200
 """Longest lag of the residuals' autocorrelation [blocks]."""
 
 
@@ -23,7 +23,7 @@ def normal_covariance(rows: Array, searched: int) -> Array:
     Args:
         rows: derivatives of the residuals, shape (n, coefficients).
         searched: number of leading coefficients that are searched coordinates, with a prior standard deviation of
-            :data:`DOUBT`.
+            :data:`PRIOR_STD`.
 
     Returns:
         Array of shape (coefficients, coefficients).
@@ -69,7 +69,7 @@ def clustered_covariance(rows: Array, residuals: Array, clusters: Array, searche
 
 def _prior(size: int, searched: int) -> Array:
     """Return the prior information matrix."""
-    return np.diag(np.where(np.arange(size) < searched, 1.0 / DOUBT**2, 0.0))
+    return np.diag(np.where(np.arange(size) < searched, 1.0 / PRIOR_STD**2, 0.0))
 
 
 def _inverse(information: Array) -> Array:
@@ -99,8 +99,8 @@ def correlation_time(residuals: Array, mask: Mask) -> float:
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Return the sums of products of values up to :data:`MOST_LAGS` apart."""
+    """Return the sums of products of values up to :data:`MAX_LAGS` apart."""
     size = 1 << (2 * len(values) - 1).bit_length()
     spectrum = np.fft.rfft(values, size)
-    products: Array = np.fft.irfft(spectrum * np.conj(spectrum), size)[:MOST_LAGS]
+    products: Array = np.fft.irfft(spectrum * np.conj(spectrum), size)[:MAX_LAGS]
     return products

@@ -11,11 +11,11 @@ from ehls_ros.arrays import Array
 from ehls_ros.duals import exp, value_of
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import joint
-from ehls_ros.identification.along import force_along, slopes_along
 from ehls_ros.identification.balance import Recorded
+from ehls_ros.identification.friction_run import force_along, slopes_along
 from ehls_ros.identification.joint import REACH, JointFit, Problem, Start
 from ehls_ros.identification.motion import Motion, slides
-from ehls_ros.identification.static import LEAST_BLOCKS, StaticFit
+from ehls_ros.identification.static import MIN_BLOCKS, StaticFit
 from ehls_ros.identification.uncertainty import SHARP
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.rig import Rig
@@ -30,13 +30,13 @@ SAMPLES, STARTS = 64, 3
 WIDTH = math.log(10.0)
 """Half width of the range of the samples about the start, in coordinates."""
 
-NOTHING = 1.0
+MAX_STD = 1.0
 """Standard deviation of a coordinate above which the data hold no information on it."""
 
-FORGET = 3.0
+FORGETTING = 3.0
 """Travel after a reversal, in lengths of break-away, after which the contact no longer depends on it."""
 
-LEAST_FORGET = 3e-3
+MIN_FORGETTING = 3e-3
 """Least travel after a reversal after which the contact no longer depends on it [m]."""
 
 RISE = 1e-3
@@ -172,7 +172,7 @@ class DeclaredFit(NamedTuple):
 
 
 def fit_declared(
-    recorded: Recorded, rig: Rig, start: Any, steady: StaticFit | None, tell: Callable[[str], None]
+    recorded: Recorded, rig: Rig, start: Any, steady: StaticFit | None, report: Callable[[str], None]
 ) -> DeclaredFit:
     """Fit the parameters of any friction model.
 
@@ -183,7 +183,7 @@ def fit_declared(
         rig: the rig as known so far.
         start: friction to start from, including the results of a static fit.
         steady: the static fit; None without steady sliding.
-        tell: called with the name of each step that begins.
+        report: called with the name of each step that begins.
 
     Returns:
         The fit.
@@ -196,14 +196,14 @@ def fit_declared(
     motions = recorded.motions
     # A rigid contact has no presliding.
     rigid = not math.isfinite(law.stiffness(start))
-    small = [] if rigid else [i for i, m in enumerate(motions) if m.small and recorded.usable[i].sum() >= LEAST_BLOCKS]
+    small = [] if rigid else [i for i, m in enumerate(motions) if m.small and recorded.usable[i].sum() >= MIN_BLOCKS]
     wide = [i for i, m in enumerate(motions) if not m.small]
     far = recorded.chosen(wide)
-    forget = max(FORGET * law.break_away(start), LEAST_FORGET)
+    forget = max(FORGETTING * law.break_away(start), MIN_FORGETTING)
     settle = 0.0 if steady is None else steady.settle_time
     sliding = tuple(u & slides(m, forget, settle) for m, u in zip(far.motions, far.usable, strict=True))
     far = far._replace(usable=sliding)
-    if steady is None or sum(int(u.sum()) for u in sliding) < LEAST_BLOCKS:
+    if steady is None or sum(int(u.sum()) for u in sliding) < MIN_BLOCKS:
         wide = []
     if not small and not wide:
         names = ", ".join(m.name for m in motions)
@@ -211,33 +211,33 @@ def fit_declared(
         raise BadInput(what, names, f"strokes at constant velocities both ways{'' if rigid else ', or a small sine'}")
     near, everything = recorded.chosen(small), Start(coordinates, start, coordinates.names)
     if not wide:
-        tell("presliding")
+        report("presliding")
         remark = "Nothing slides steadily for long enough: all parameters are fitted to presliding."
         return DeclaredFit(joint.placed(_best_fit(near, everything), small, motions), (remark,))
-    tell("sliding")
-    told = _told(far, everything, SHARP if small else NOTHING)
-    free = tuple(name for name in coordinates.names if name not in told.free)
+    report("sliding")
+    determined = _determined(far, everything, SHARP if small else MAX_STD)
+    free = tuple(name for name in coordinates.names if name not in determined.free)
     if not small:
-        remark = "No presliding is recorded: parameters that sliding does not tell are the rig file's."
-        fit = joint.with_doubt(joint.fit(far, told), far)
+        remark = "No presliding is recorded: parameters not identified from sliding keep the rig file's values."
+        fit = joint.with_doubt(joint.fit(far, determined), far)
         return DeclaredFit(joint.placed(fit, wide, motions), (remark,) if free and not rigid else ())
-    tell("presliding")
-    begin = _best_fit(near, told._replace(free=free)).friction if free else told.friction
+    report("presliding")
+    begin = _best_fit(near, determined._replace(free=free)).friction if free else determined.friction
     both = sorted([*small, *wide])
     usable = dict(zip([*wide, *small], [*far.usable, *near.usable], strict=True))
     all_of_them = recorded.chosen(both)._replace(usable=tuple(usable[i] for i in both))
     return DeclaredFit(joint.placed(joint.fit(all_of_them, everything._replace(friction=begin)), both, motions), ())
 
 
-def _told(recorded: Recorded, start: Start, doubt: float) -> Start:
+def _determined(recorded: Recorded, start: Start, doubt: float) -> Start:
     """Return a start with only the coordinates free whose standard error is below a limit; with all free if there are none."""
     fit = joint.fit(recorded, start, rounds=1)
     std = np.sqrt(np.diag(fit.covariance))[: len(fit.free)]
-    told = tuple(name for name, own in zip(fit.free, std, strict=True) if own <= doubt and name not in fit.limited)
-    if not told:
+    determined = tuple(name for name, own in zip(fit.free, std, strict=True) if own <= doubt and name not in fit.limited)
+    if not determined:
         return start
-    z = np.where([name in told for name in start.coordinates.names], fit.z, start.coordinates.pack(start.friction))
-    return Start(start.coordinates, start.coordinates.unpack(z), told)
+    z = np.where([name in determined for name in start.coordinates.names], fit.z, start.coordinates.pack(start.friction))
+    return Start(start.coordinates, start.coordinates.unpack(z), determined)
 
 
 def _best_fit(recorded: Recorded, start: Start) -> JointFit:

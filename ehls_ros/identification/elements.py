@@ -12,11 +12,11 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.identification import joint, presliding
-from ehls_ros.identification.along import MOST_PARTS, force_along, slopes_along
 from ehls_ros.identification.balance import Recorded, check_unit, linear_columns
+from ehls_ros.identification.friction_run import MAX_PARTS, force_along, slopes_along
 from ehls_ros.identification.joint import REACH, Coordinates, JointFit, Start
 from ehls_ros.identification.motion import Motion, slides
-from ehls_ros.identification.static import LEAST_BLOCKS, StaticFit
+from ehls_ros.identification.static import MIN_BLOCKS, StaticFit
 from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
 
@@ -29,7 +29,7 @@ EXPONENTS = (0.1, 4.0)
 STATIC = ("coulomb_force", "static_rise", "stribeck_velocity", "stribeck_exponent")
 """Coordinates of the Stribeck curve."""
 
-MOST_ELEMENTS = 4
+MAX_ELEMENTS = 4
 """Largest number of elements tried."""
 
 EVIDENCE = 100.0
@@ -111,7 +111,7 @@ class ElementCoordinates(NamedTuple):
         low[exponent] = max(low[exponent], math.log(EXPONENTS[0]))
         high[exponent] = min(high[exponent], math.log(EXPONENTS[1]))
         # Rates too fast for a block to resolve and for its integration to follow are indistinguishable.
-        fastest = math.log(MOST_PARTS / period) + z[self.names.index("coulomb_force")]
+        fastest = math.log(MAX_PARTS / period) + z[self.names.index("coulomb_force")]
         high[rate] = min(high[rate], fastest)
         low[rate] = min(low[rate], fastest - REACH)
         return low, high
@@ -153,7 +153,7 @@ def understated(names: Iterable[str]) -> dict[str, float]:
 
 
 def fit_elements(
-    recorded: Recorded, rig: Rig, start: Friction, steady: StaticFit | None, elements: int | None, tell: Callable[[str], None]
+    recorded: Recorded, rig: Rig, start: Friction, steady: StaticFit | None, elements: int | None, report: Callable[[str], None]
 ) -> ElementsFit:
     """Determine the number of friction elements and fit the friction.
 
@@ -163,7 +163,7 @@ def fit_elements(
         start: friction to start from, with the Stribeck curve of ``steady``.
         steady: the static fit; None without steady sliding.
         elements: number of elements; None: as many as the data show.
-        tell: called with the name of each step that begins.
+        report: called with the name of each step that begins.
 
     Returns:
         The fit.
@@ -173,7 +173,7 @@ def fit_elements(
     """
     small = [i for i, m in enumerate(recorded.motions) if m.small]
     wide = [i for i in range(len(recorded.motions)) if i not in small]
-    tell("hysteresis loop")
+    report("hysteresis loop")
     near = recorded.chosen(small)
     rest = [_without_elements(m, start, steady) for m in near.motions]
     branch = presliding.mean_branch(near.motions, near.usable, rest) if small else None
@@ -195,10 +195,10 @@ def fit_elements(
         u if i in small else u & slides(m, slip, settle)
         for i, (m, u) in enumerate(zip(recorded.motions, recorded.usable, strict=True))
     )
-    tell("joint fit")
+    report("joint fit")
     recorded = recorded._replace(usable=counted)
     names = ", ".join(m.name for m in recorded.motions)
-    settles = sum(int(counted[i].sum()) for i in wide) >= LEAST_BLOCKS
+    settles = sum(int(counted[i].sum()) for i in wide) >= MIN_BLOCKS
     if not settles and branch is None:
         raise BadInput(f"no stroke slides on for the {settle:.2g} s in which friction settles", names, "longer strokes")
     slid = wide if steady is not None and settles else []
@@ -236,7 +236,7 @@ def _number_of_elements(
     """
     criteria: dict[int, float] = {}
     best = start
-    for number in range(1, MOST_ELEMENTS + 1) if elements is None else [elements]:
+    for number in range(1, MAX_ELEMENTS + 1) if elements is None else [elements]:
         first = _best_rate(near, _with_elements(start, *presliding.merged(*ramps, number)))
         coordinates = ElementCoordinates(number)
         free = (*(name for name in coordinates.names if name not in STATIC), *also)

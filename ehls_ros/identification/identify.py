@@ -84,7 +84,7 @@ def identify(
     began = clock.perf_counter()
     steps = itertools.count()
 
-    def tell(what: str) -> None:
+    def report(what: str) -> None:
         if progress is not None:
             progress(what, STEPS if what == DONE else next(steps), STEPS)
 
@@ -93,7 +93,7 @@ def identify(
     if elements is not None and rig.friction_model != MODEL:
         what = f"{elements} friction elements are asked for, friction model {rig.friction_model!r} has none"
         raise BadInput(what, "identification", f"no number of elements, or a rig whose friction model is {MODEL}")
-    tell("reading the motion")
+    report("reading the motion")
     names = ", ".join(recordings)
     check_known(rig, "identification", NEEDED)
     doubts = [f"{name}: {doubt}" for name, recording in recordings.items() for doubt in check_suits(recording, rig, name)]
@@ -103,7 +103,7 @@ def identify(
         raise BadInput("no stretch of any recording can be used", names, "longer recordings without gaps")
     linear = fitted_linear(motions, rig)
 
-    tell("static fit")
+    report("static fit")
     chosen = parameters if parameters is not None else OPTIMISERS.load(optimiser).Parameters()
     # Steady sliding has hardly any inertia force, so the mass of the rig file is used.
     straight = tuple(name for name in linear if name not in {"viscous", "mass"})
@@ -121,24 +121,23 @@ def identify(
     recorded = Recorded(tuple(without_known(m, linear, rig) for m in motions), usable, linear)
     start = start_of(rig, steady)
     with _explained(lacking):
-        by_elements = fit_elements(recorded, rig, start, steady, elements, tell) if rig.friction_model == MODEL else None
-        result = by_elements or fit_declared(recorded._replace(usable=slow), rig, start, steady, tell)
+        by_elements = fit_elements(recorded, rig, start, steady, elements, report) if rig.friction_model == MODEL else None
+        result = by_elements or fit_declared(recorded._replace(usable=slow), rig, start, steady, report)
     found = estimates(result.fit, rig)
     too_small = understated(found.by_name) if by_elements else {}
-    tell(DONE)
+    report(DONE)
     return Identification(
         rig=found.rig,
         estimates=found.by_name,
         correlations=found.correlations,
         not_identifiable=found.not_identifiable,
         remarks=(
-            *_readings(recordings),
+            *(f"{name}: {remark}" for name, read in recordings.items() for remark in read.preparation.remarks),
             *doubts,
-            *_remarks(motions),
-            *_said(lacking),
+            *_remarks(motions, lacking),
             *result.remarks,
             *found.remarks,
-            *_too_small(too_small),
+            *_understated_remark(too_small),
         ),
         static=steady,
         branch=by_elements.branch if by_elements else None,
@@ -208,15 +207,11 @@ def _explained(lacking: Missing) -> Iterator[None]:
     try:
         yield
     except BadInput as error:
-        if not lacking.told:
+        if not lacking.descriptions:
             raise
-        what = f"{error.what}: there are no {', no '.join(lacking.told)}"
-        expected = f"{lacking.asked_for}; what valve, oil and inertia show is identified with --whole-rig all the same"
+        what = f"{error.what}: there are no {', no '.join(lacking.descriptions)}"
+        expected = f"{lacking.requested}; valve, oil and inertia can still be identified with --whole-rig"
         raise MissingStrokes(what, error.where, expected, lacking) from None
-
-
-def _readings(recordings: Mapping[str, Trajectory]) -> list[str]:
-    return [f"{name}: {remark}" for name, read in recordings.items() for remark in read.preparation.remarks]
 
 
 def _disturbance(recordings: Mapping[str, Trajectory]) -> float:
@@ -225,15 +220,7 @@ def _disturbance(recordings: Mapping[str, Trajectory]) -> float:
     return max((float(np.nanstd(force)) for force in acting if np.any(np.isfinite(force))), default=0.0)
 
 
-def _said(lacking: Missing) -> list[str]:
-    return (
-        [f"missing: {', '.join(lacking.told)}; {lacking.asked_for} would tell the friction more surely."]
-        if lacking.told
-        else []
-    )
-
-
-def _too_small(factors: Mapping[str, float]) -> list[str]:
+def _understated_remark(factors: Mapping[str, float]) -> list[str]:
     """Return a remark on understated standard errors, if there are any."""
     if not factors:
         return []
@@ -241,9 +228,15 @@ def _too_small(factors: Mapping[str, float]) -> list[str]:
     return [f"Errors may exceed their standard errors where a loop moves the piston by less than its sensor resolves: {named}."]
 
 
-def _remarks(motions: Sequence[Motion]) -> list[str]:
-    return [
+def _remarks(motions: Sequence[Motion], lacking: Missing) -> list[str]:
+    """Return remarks on omitted samples and missing strokes."""
+    remarks = [
         f"{m.name}: {100.0 * m.outliers:.1f} % of the samples were outliers or missing and left out."
         for m in motions
         if m.outliers > SOME_OUTLIERS
     ]
+    if lacking.descriptions:
+        remarks.append(
+            f"missing: {', '.join(lacking.descriptions)}; {lacking.requested} would identify the friction more reliably."
+        )
+    return remarks

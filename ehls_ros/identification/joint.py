@@ -14,9 +14,9 @@ import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.duals import Dual
-from ehls_ros.identification.along import MOST_TANGENTS
 from ehls_ros.identification.balance import Recorded, linear_columns
-from ehls_ros.identification.covariance import DOUBT, clustered_covariance, correlation_time, normal_covariance
+from ehls_ros.identification.covariance import PRIOR_STD, clustered_covariance, correlation_time, normal_covariance
+from ehls_ros.identification.friction_run import MAX_TANGENTS
 from ehls_ros.identification.motion import Motion
 from ehls_ros.samples import GAUSS
 
@@ -175,8 +175,8 @@ class Problem:
         """Return the derivatives of :meth:`unexplained`, shape (n, free coordinates)."""
         z, columns = self.complete(free).tolist(), list[Array]()
         searched = np.flatnonzero(self._searched)
-        for first in range(0, len(free), MOST_TANGENTS):
-            varied = searched[first : first + MOST_TANGENTS]
+        for first in range(0, len(free), MAX_TANGENTS):
+            varied = searched[first : first + MAX_TANGENTS]
             lanes = {int(place): lane for lane, place in enumerate(varied)}
             duals = [Dual(value, {lanes[i]: 1.0} if i in lanes else {}) for i, value in enumerate(z)]
             friction = self._coordinates.unpack(np.array(duals, dtype=np.object_))
@@ -306,7 +306,7 @@ def with_doubt(fit: JointFit, recorded: Recorded) -> JointFit:
         recorded: its recordings.
     """
     moved = moved_with_held(fit, recorded)
-    return fit._replace(covariance=fit.covariance + DOUBT**2 * moved @ moved.T)
+    return fit._replace(covariance=fit.covariance + PRIOR_STD**2 * moved @ moved.T)
 
 
 def _finite(recorded: Recorded) -> Recorded:

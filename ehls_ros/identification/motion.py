@@ -26,7 +26,7 @@ BRANCH_BLOCKS, LONGEST_FINE = 80, 0.02
 SLOW, CLEAR = 0.1, 0.01
 """Quantile of the speeds that counts as slow, and noise of a block's velocity as a fraction of it below which it is clear."""
 
-LAST_FRACTION, LEAST_SETTLED = 0.4, 0.85
+LAST_FRACTION, MIN_SETTLED = 0.4, 0.85
 """Fraction at the end of a short stroke that is used, and fraction of the settling time that must have passed by then."""
 
 WINDOW = 9
@@ -38,7 +38,7 @@ SMALL_TRAVEL = 0.02
 ORDER = 3
 """Order of the local polynomial."""
 
-MOST_OUTLIERS = 0.25
+MAX_OUTLIERS = 0.25
 """Largest fraction of outliers in a signal; with more, the valid samples cannot be determined."""
 
 STUCK_TIME, STUCK_TRAVEL = 1.0, 1e-3
@@ -249,9 +249,9 @@ def _signal(trajectory: Trajectory, signal: str, name: str) -> Array:
 def _inliers(values: Array, signal: str, name: str) -> Mask:
     """Return the samples that are finite and consistent with their neighbours."""
     finite, good = np.isfinite(values), inliers(values)
-    if np.mean(finite) > 0.0 and np.mean(good[finite]) < 1.0 - MOST_OUTLIERS:
+    if np.mean(finite) > 0.0 and np.mean(good[finite]) < 1.0 - MAX_OUTLIERS:
         raise BadInput(
-            f"{100 * np.mean(~good):.0f} % of signal '{signal}' are outliers", name, f"at most {100 * MOST_OUTLIERS:.0f} %"
+            f"{100 * np.mean(~good):.0f} % of signal '{signal}' are outliers", name, f"at most {100 * MAX_OUTLIERS:.0f} %"
         )
     return good
 
@@ -336,7 +336,7 @@ def slides(motion: Motion, travel: float, time: float) -> Mask:
     travel_since = np.abs(motion.position - motion.position[start])
     lasts = np.bincount(stroke) * motion.period
     # The end of a stroke shorter than that time is used too, unless it is still settling.
-    needed = np.clip((1.0 - LAST_FRACTION) * lasts, LEAST_SETTLED * time, time)[stroke]
+    needed = np.clip((1.0 - LAST_FRACTION) * lasts, MIN_SETTLED * time, time)[stroke]
     moves = np.abs(motion.velocity) > 5.0 * motion.velocity_noise
     sliding: Mask = moves & (travel_since >= travel) & (time_since >= needed)
     return sliding

@@ -23,10 +23,10 @@ RAMPS = 60
 POINTS = 200
 """Number of points of the mean branch."""
 
-STICKING, LEAST_STICKING = 0.8, 3
+STICKING, MIN_STICKING = 0.8, 3
 """Used fraction of the travel after a reversal on which all elements stick, and the fewest blocks in it."""
 
-LEAST_BRANCHES = 3
+MIN_BRANCHES = 3
 """Fewest branches for a mean."""
 
 
@@ -78,7 +78,7 @@ def mean_branch(motions: Sequence[Motion], usable: Sequence[Mask], rest: Sequenc
             way = np.abs(motion.position[start:end] - _turning_point(motion.position, start))
             gained = np.abs(friction[start:end] - _turning_point(friction, start))
             pieces.append((way, gained))
-    if len(pieces) < LEAST_BRANCHES:
+    if len(pieces) < MIN_BRANCHES:
         return None
     longest = float(np.median([way[-1] for way, _ in pieces]))
     grid = np.linspace(0.0, longest, POINTS)
@@ -111,7 +111,7 @@ def corrected_turns(motion: Motion, left: Array, friction: Friction) -> Motion:
             continue  # oscillation in place
         sticks = left[turn:end][way < STICKING * shortest]
         sticks = sticks[np.isfinite(sticks)]
-        if len(sticks) < LEAST_STICKING:
+        if len(sticks) < MIN_STICKING:
             continue
         direction = np.sign(motion.velocity[turn - 1])
         missed = float(np.clip(-direction * np.median(sticks) / stiffness, -motion.turn_doubt, motion.turn_doubt))

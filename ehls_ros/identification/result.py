@@ -67,7 +67,7 @@ def to_json(found: Identification) -> dict[str, Any]:
         "correlations": {"names": list(found.estimates), "matrix": found.correlations.tolist()},
         "not_identifiable": list(found.not_identifiable),
         "remarks": list(found.remarks),
-        "missing": list(found.lacking.told),
+        "missing": list(found.lacking.descriptions),
         "elements": found.elements,
         "criteria": {str(number): value for number, value in found.criteria.items()},
         "method": found.method,

@@ -51,7 +51,7 @@ RANGE = math.log(30.0)
 LARGEST_RATIO = math.log(10.0)
 """Largest ratio of static to Coulomb friction, as a logarithm."""
 
-LEAST_COULOMB = 1e-4
+MIN_COULOMB = 1e-4
 """Least Coulomb friction at which a search starts, as a fraction of the rig's largest force."""
 
 SMALL_LEAKAGE, SMALL_VISCOUS = 1e-3, 1e-2
@@ -209,17 +209,14 @@ def _coefficient(path: str, rig: Rig, sizes: Sizes) -> Coefficient:
     neutral = None if path.startswith(("plant.", "friction.")) else float(declared.default)
     if path in scales:
         scale = max(scales[path], abs(value) if neutral is None else 0.0)
-        return Coefficient(path, _signal_unit(path, unit), scale, low / scale, high / scale, neutral=neutral)
+        unit = {"sensors.force.bias": "N", "sensors.velocity.bias": "m/s"}.get(path, unit)
+        return Coefficient(path, unit, scale, low / scale, high / scale, neutral=neutral)
     if path == COULOMB:
-        value = max(value, LEAST_COULOMB * limits.force)
+        value = max(value, MIN_COULOMB * limits.force)
     middle = math.log(value) if value > 0.0 else 0.0
     bottom = math.log(low) if low > 0.0 else -math.inf
     top = math.log(high) if 0.0 < high < math.inf else math.inf
     return Coefficient(path, unit, 0.0, max(middle - RANGE, bottom), min(middle + RANGE, top), neutral=neutral)
-
-
-def _signal_unit(path: str, unit: str) -> str:
-    return {"sensors.force.bias": "N", "sensors.velocity.bias": "m/s"}.get(path, unit)
 
 
 def values_at(rig: Rig, chosen: Sequence[Coefficient], z: Iterable[Any]) -> dict[str, Any]:

@@ -119,7 +119,7 @@ class RigFit(NamedTuple):
         jacobian: derivatives of ``e`` by the coordinates, shape (n, p).
         scales: of these rows, shape (n,).
         loss: of ``e`` [nats].
-        settled: whether the fit has converged.
+        converged: whether the fit has converged.
     """
 
     chosen: tuple[Coefficient, ...]
@@ -130,7 +130,7 @@ class RigFit(NamedTuple):
     jacobian: Array
     scales: Array
     loss: float
-    settled: bool
+    converged: bool
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -180,11 +180,11 @@ def fit(
     residuals = stack.residuals(model(z))
     whole = stack.joined(residuals)
     scales = stack.scales(whole, freedoms)[rows]
-    settled = not chosen
+    converged = not chosen
     for iteration in range(iterations + 1):
         e = whole[rows] / scales
         jacobian = slopes(z) / scales[:, np.newaxis]
-        if settled or iteration == iterations:
+        if converged or iteration == iterations:
             break
         # The first guess counts as a measurement with a standard deviation of 1; it decides if the data do not.
         with_guess, directions = np.concatenate([e, z - guess]), np.vstack([jacobian, np.eye(len(chosen))])
@@ -204,7 +204,7 @@ def fit(
                 taken = trial, new, joined, after
                 break
         if taken is None:
-            settled = True
+            converged = True
             if iteration:
                 break
             continue
@@ -212,6 +212,6 @@ def fit(
         now = stack.scales(whole, freedoms)[rows]
         steady = bool(np.all(np.abs(now / scales - 1.0) < STEADY_SCALE))
         scales = now
-        settled = steady and before - after < CONVERGED + CONVERGED_FRACTION * before
+        converged = steady and before - after < CONVERGED + CONVERGED_FRACTION * before
     e = whole[rows] / scales
-    return RigFit(tuple(chosen), z, model(z), rows, e, jacobian, scales, float(np.sum(loss(e))), settled)
+    return RigFit(tuple(chosen), z, model(z), rows, e, jacobian, scales, float(np.sum(loss(e))), converged)

@@ -20,7 +20,7 @@ from ehls_ros.identification.rig_coefficients import (
     read,
 )
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
-from ehls_ros.identification.rig_told import estimated
+from ehls_ros.identification.rig_identifiability import estimated
 from ehls_ros.physics.rig import Rig
 
 BANDWIDTH, GAIN, NULL = "plant.valve_bandwidth", "plant.valve_gain", "effects.valve_null_bias.command"
@@ -128,7 +128,7 @@ def without_signals(records: Sequence[Record], stack: Stack, known: Collection[s
         "velocity": SENSORS[2:],
     }
     out = {
-        path: f"it takes {NEEDED[channel]}"
+        path: f"it requires {NEEDED[channel]}"
         for channel, paths in groups.items()
         if channel not in stack.channels
         for path in paths
@@ -177,11 +177,11 @@ def stage_by_stage(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], reco
 
 def _valve(stack: Stack, rig: Rig, free: Mapping[str, Coefficient]) -> Rig:
     chosen = [free[path] for path in VALVE if path in free]
-    plain = fit(stack, rig, chosen, OF_VALVE)
+    basic = fit(stack, rig, chosen, OF_VALVE)
     if DELAY not in free:
-        return plain.rig
+        return basic.rig
     starts = [placed(rig, {DELAY: delay}) for delay in DELAYS]
-    return _better(stack, plain, _best(stack, starts, [*chosen, free[DELAY]], OF_VALVE), (DELAY,))
+    return _better(stack, basic, _best(stack, starts, [*chosen, free[DELAY]], OF_VALVE), (DELAY,))
 
 
 def _flow(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], records: Sequence[Record]) -> Rig:
@@ -193,12 +193,12 @@ def _flow(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], records: Sequ
     starts = [placed(rig, {SUPPLY_PRESSURE: start}) for start in recorded[:1] or sorted(set(given))]
     if SUPPLY_PRESSURE in free:
         rig = min((fit(stack, start, linear, OF_FLOW[:1], TRIED) for start in starts), key=lambda f: f.comparable).rig
-    plain = fit(stack, rig, chosen, OF_FLOW)
+    basic = fit(stack, rig, chosen, OF_FLOW)
     if not set(DEAD_ZONE) <= set(free):
-        return plain.rig
+        return basic.rig
     spool = free[DEAD_ZONE[0]].scale
-    laps = [placed(plain.rig, dict.fromkeys(DEAD_ZONE, lap * spool)) for lap in LAPS]
-    return _better(stack, plain, _best(stack, laps, [*chosen, *(free[path] for path in DEAD_ZONE)], OF_FLOW), DEAD_ZONE)
+    laps = [placed(basic.rig, dict.fromkeys(DEAD_ZONE, lap * spool)) for lap in LAPS]
+    return _better(stack, basic, _best(stack, laps, [*chosen, *(free[path] for path in DEAD_ZONE)], OF_FLOW), DEAD_ZONE)
 
 
 def _force(stack: Stack, rig: Rig, free: Mapping[str, Coefficient]) -> Start:
@@ -212,8 +212,10 @@ def _force(stack: Stack, rig: Rig, free: Mapping[str, Coefficient]) -> Start:
     trials = [fit(stack, start, chosen, OF_BALANCE, SEARCHED) for start in starts]
     best = min(trials, key=lambda f: f.comparable)
     near = [f for f in trials if f.comparable <= best.comparable + NEAR * len(best.e)]
-    apart = np.max([np.abs(f.z - best.z) for f in near], axis=0)
-    spread = {path: 0.5 * float(d) for path, d in zip(best.paths, apart, strict=True) if path in friction and path not in SHARP}
+    distances = np.max([np.abs(f.z - best.z) for f in near], axis=0)
+    spread = {
+        path: 0.5 * float(d) for path, d in zip(best.paths, distances, strict=True) if path in friction and path not in SHARP
+    }
     return Start(best.rig, spread)
 
 
@@ -222,8 +224,8 @@ def _best(stack: Stack, starts: Sequence[Rig], chosen: Sequence[Coefficient], ch
     return fit(stack, min(trials, key=lambda f: f.comparable).rig, chosen, channels)
 
 
-def _better(stack: Stack, plain: RigFit, other: RigFit, more: Sequence[str]) -> Rig:
-    """Return the rig with additional coefficients if they gain enough and one is significant, else the plain rig."""
+def _better(stack: Stack, basic: RigFit, other: RigFit, more: Sequence[str]) -> Rig:
+    """Return the rig with additional coefficients if they gain enough and one is significant, else the basic rig."""
     found = estimated(stack, other).by_path
-    sure = any(found[path].value > MIN_SIGMAS * found[path].std for path in more)
-    return other.rig if sure and plain.comparable - other.comparable > NEEDED_GAIN else plain.rig
+    significant = any(found[path].value > MIN_SIGMAS * found[path].std for path in more)
+    return other.rig if significant and basic.comparable - other.comparable > NEEDED_GAIN else basic.rig

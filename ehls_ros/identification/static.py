@@ -23,7 +23,7 @@ SETTLE_TIMES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
 CLASSES = 400
 """Maximum number of velocity classes in the fit."""
 
-LEAST_TRAVEL = 0.004
+MIN_TRAVEL = 0.004
 """Travel since a reversal above which the piston slides, as a fraction of the recording's travel."""
 
 FEW = 3
@@ -32,10 +32,10 @@ FEW = 3
 FAR = 6.0
 """Residual, in standard deviations of the classes' scatter, beyond which a class is left out."""
 
-LEAST_BLOCKS = 20
+MIN_BLOCKS = 20
 """Fewest blocks of steady sliding for a static fit."""
 
-LEAST_RATIO = 1.2
+MIN_RATIO = 1.2
 """Least ratio of fast to slow sliding, 90th to 10th percentile of the speed, for a static fit."""
 
 BOTH_WAYS = 0.02
@@ -139,10 +139,10 @@ def steady_fit(recorded: Recorded, viscous_damping: float, how: Search) -> Stati
     if not recorded.motions:
         return None
     blocks = sliding(recorded)
-    if len(blocks.velocity) < LEAST_BLOCKS:
+    if len(blocks.velocity) < MIN_BLOCKS:
         return None
     slow, fast = np.quantile(np.abs(blocks.velocity), [0.1, 0.9])
-    if fast < LEAST_RATIO * slow:
+    if fast < MIN_RATIO * slow:
         return None
     forward = float(np.mean(blocks.velocity > 0.0))
     if not BOTH_WAYS < forward < 1.0 - BOTH_WAYS:
@@ -193,7 +193,7 @@ def sliding(recorded: Recorded) -> Blocks:
         since: Array = np.asarray((np.arange(len(begins)) - start) * motion.period, dtype=np.float64)
         # Right after a reversal the piston only deflects the contact.
         travel = np.abs(motion.position - motion.position[start])
-        moves &= travel >= LEAST_TRAVEL * float(np.ptp(motion.position[good]) if np.any(good) else 0.0)
+        moves &= travel >= MIN_TRAVEL * float(np.ptp(motion.position[good]) if np.any(good) else 0.0)
         noise = np.full(len(moves), max(motion.force_noise, 1e-9))
         blocks = Blocks(motion.velocity, since, motion.force, linear_columns(motion, recorded.linear), noise)
         parts.append(blocks.chosen(moves))
@@ -225,9 +225,9 @@ def settle_time(blocks: Blocks) -> float:
     for shorter, longer in itertools.pairwise(SETTLE_TIMES):
         early = (blocks.since >= shorter) & (blocks.since < longer)
         late = blocks.since >= longer
-        if late.sum() < LEAST_BLOCKS:
+        if late.sum() < MIN_BLOCKS:
             return shorter
-        if early.sum() < LEAST_BLOCKS:
+        if early.sum() < MIN_BLOCKS:
             continue
         settled = blocks.chosen(late)
         friction = (blocks.force - blocks.columns @ linear_part(settled)) * np.sign(blocks.velocity)

@@ -19,16 +19,16 @@ SLOW, FAST = 2.0, 5.0
 SWEPT = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Velocities of the requested strokes, in Stribeck velocities."""
 
-FEWEST = 20
+MIN_BLOCKS = 20
 """Fewest blocks of steady sliding that identify the friction in a range of velocities."""
 
-EVEN = 0.3
+STEADY_TIME = 0.3
 """Time for which a stroke has to keep an about constant velocity, so that friction settles [s]."""
 
 DISTURBED = 0.1
 """Disturbance force, as a fraction of sliding friction, above which the balance, which lacks it, is invalid."""
 
-TURNED, SMALLEST = 1.7, 2e-4
+SINE_TRAVELS, MIN_AMPLITUDE = 1.7, 2e-4
 """Amplitude of the small sine in break-away travels, and its minimum [m]."""
 
 
@@ -36,17 +36,17 @@ class Missing(NamedTuple):
     """Motion missing in recordings.
 
     Attributes:
-        told: the missing parts in words, such as ``strokes slower than 4.1 mm/s backwards``.
+        descriptions: the missing parts in words, such as ``strokes slower than 4.1 mm/s backwards``.
         velocities: of the strokes that would supply them [m/s]; empty if no strokes are missing.
         sine: amplitude [m] and frequency [Hz] of the small sine that would show presliding; None if that was recorded.
     """
 
-    told: tuple[str, ...]
+    descriptions: tuple[str, ...]
     velocities: tuple[float, ...] = ()
     sine: tuple[float, float] | None = None
 
     @property
-    def asked_for(self) -> str:
+    def requested(self) -> str:
         """The motion that would supply them, in words."""
         parts = []
         if self.velocities:
@@ -72,7 +72,7 @@ def missing_strokes(motions: Sequence[Motion], steady: Sequence[Mask], rig: Rig,
     fastest = 0.5 * rig.limits.velocity if math.isfinite(rig.limits.velocity) else math.inf
     if not math.isfinite(stribeck):
         stribeck = fastest / max(SWEPT) if math.isfinite(fastest) else 5e-3
-    told = []
+    descriptions = []
     for way, name in ((1.0, "forwards"), (-1.0, "backwards")):
         for what, count in (
             (
@@ -81,22 +81,22 @@ def missing_strokes(motions: Sequence[Motion], steady: Sequence[Mask], rig: Rig,
             ),
             (f"strokes faster than {1e3 * FAST * stribeck:.2g} mm/s", np.count_nonzero(way * v > FAST * stribeck)),
         ):
-            if count < FEWEST:
-                told.append(f"{what} {name}")
+            if count < MIN_BLOCKS:
+                descriptions.append(f"{what} {name}")
     if disturbance > DISTURBED * rig.friction_level(math.inf):
-        told.append("strokes without a disturbance force")
-    velocities = tuple(float(f"{s * stribeck:.3g}") for s in SWEPT if s * stribeck < fastest) if told else ()
+        descriptions.append("strokes without a disturbance force")
+    velocities = tuple(float(f"{s * stribeck:.3g}") for s in SWEPT if s * stribeck < fastest) if descriptions else ()
     travel = float(rig.friction_law.break_away(rig.friction))
     sine = None
     if travel > 0.0 and not any(m.small for m in motions):
-        told.append("presliding, a motion to and fro that hardly leaves its place")
-        amplitude = max(TURNED * travel, SMALLEST)
+        descriptions.append("presliding, a motion to and fro that hardly leaves its place")
+        amplitude = max(SINE_TRAVELS * travel, MIN_AMPLITUDE)
         sine = (float(f"{amplitude:.2g}"), float(f"{stribeck / (2.0 * math.pi * amplitude):.2g}"))
-    return Missing(tuple(told), velocities, sine)
+    return Missing(tuple(descriptions), velocities, sine)
 
 
 def _even(motion: Motion) -> Mask:
     """Return the blocks with a velocity clear of noise and nearly constant."""
     speed = np.abs(motion.velocity)
-    even: Mask = (speed > 5.0 * motion.velocity_noise) & (EVEN * np.abs(motion.acceleration) < speed)
+    even: Mask = (speed > 5.0 * motion.velocity_noise) & (STEADY_TIME * np.abs(motion.acceleration) < speed)
     return even

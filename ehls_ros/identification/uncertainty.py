@@ -11,16 +11,16 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.covariance import DOUBT
+from ehls_ros.identification.covariance import PRIOR_STD
 from ehls_ros.identification.joint import JointFit
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import declarations
 
-VAGUE = 0.25
+MAX_STD = 0.25
 """Standard error, as a fraction of the value, above which a coefficient is not identifiable."""
 
-TANGLED = 0.999
+MAX_CORRELATION = 0.999
 """Correlation above which two coefficients cannot be separated, unless one is well determined."""
 
 SHARP = 0.02
@@ -91,13 +91,13 @@ def estimates(fit: JointFit, rig: Rig) -> Estimates:
         name for name in values if name not in moved and (np.any(changes[name]) or (name != _base(name, rig) and not numbered))
     ]
     # A coordinate that was not searched for has its prior uncertainty.
-    covariance = np.diag(np.where(free, 0.0, DOUBT**2))
+    covariance = np.diag(np.where(free, 0.0, PRIOR_STD**2))
     covariance[np.ix_(free, free)] = fit.covariance
     found = propagated({name: values[name] for name in values if name in moved}, changes, covariance)
     vague, remarks = doubts(found)
     limited = np.array([name in fit.limited for name in fit.coordinates.names] + [False] * len(fit.linear))
     for name, value in zip(found.names, found.values, strict=True):
-        if name not in vague and np.any(np.abs(changes[name][limited]) > VAGUE * abs(value)):
+        if name not in vague and np.any(np.abs(changes[name][limited]) > MAX_STD * abs(value)):
             vague.add(name)
             remarks.append(f"{name} ended at a limit of its search.")
     fixed = []
@@ -139,7 +139,7 @@ def propagated(values: Mapping[str, float], changes: Mapping[str, Array], covari
 def doubts(found: Propagated) -> tuple[set[str], list[str]]:
     """Return the names of the coefficients that are not identifiable, or not separable, and a sentence for each reason."""
     relative = found.relative
-    vague = {name for name, share in zip(found.names, relative, strict=True) if share > VAGUE and name != "gravity"}
+    vague = {name for name, share in zip(found.names, relative, strict=True) if share > MAX_STD and name != "gravity"}
     remarks = [
         f"{name} has a standard error of {100 * share:.0f} %."
         for name, share in zip(found.names, relative, strict=True)
@@ -149,7 +149,7 @@ def doubts(found: Propagated) -> tuple[set[str], list[str]]:
         for j in range(i):
             correlation = found.correlations[i, j]
             both = {first, found.names[j]}
-            if abs(correlation) > TANGLED and min(relative[i], relative[j]) > SHARP and not both <= vague:
+            if abs(correlation) > MAX_CORRELATION and min(relative[i], relative[j]) > SHARP and not both <= vague:
                 vague |= both
                 remarks.append(f"{found.names[j]} and {first} cannot be told apart (correlation {correlation:+.4f}).")
     return vague, remarks

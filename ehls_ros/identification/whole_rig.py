@@ -29,14 +29,14 @@ from ehls_ros.identification.rig_coefficients import (
     with_ratio,
 )
 from ehls_ros.identification.rig_fit import Stack, fit
+from ehls_ros.identification.rig_identifiability import estimated, unidentifiable
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
 from ehls_ros.identification.rig_stages import BANDWIDTH, MIN_SIGMAS, sizes, stage_by_stage, without_signals
-from ehls_ros.identification.rig_told import estimated, untold
 from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.trajectory import Trajectory
 
 OF_SENSORS: tuple[Channel, ...] = ("cell", "velocity")
-"""Residuals of two sensors of one quantity; they need no model and are fitted apart from its errors."""
+"""Residuals of two sensors of one quantity; they need no model and are fitted beside from its errors."""
 
 CONTRADICTS = 20.0
 """Increase of the loss above which a given value of a coefficient contradicts the data [nats]."""
@@ -46,7 +46,7 @@ CONTRADICTED = "the given value contradicts the data, and one that fits is kept"
 MOVING = (SPOOL, PRESSURE, POSITION, VELOCITY, FORCE)
 """Signals that are never constant throughout a recording if their sensor works."""
 
-OFF = 2.0
+GUESS_FACTOR = 2.0
 """Factor by which a first guess may be off."""
 
 ROUNDS = 5
@@ -138,7 +138,8 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
     progress("all stages together", 2, STEPS)
     # The noise floor depends on the model, and the first guess was far off.
     stack = _stack(records, model, seed)
-    chosen = [c for path, c in free.items() if path not in SENSORS and not _is_off(c, model)]
+    absent = {c.path for c in free.values() if c.path in OPTIONAL and read(model, c.path) == c.neutral}
+    chosen = [c for path, c in free.items() if path not in SENSORS and path not in absent]
     others = tuple(c for c in stack.channels if c not in OF_SENSORS)
     whole = _fitted(stack, rig, model, chosen, others, least, spread)
 
@@ -150,17 +151,17 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
         covariance=covariance,
         correlations=np.clip(covariance / np.outer(std, std), -1.0, 1.0),
         absent={**whole.absent, **sensors.absent},
-        not_identifiable={**missing, **whole.untold, **sensors.untold, **KEPT},
+        not_identifiable={**missing, **whole.not_identifiable, **sensors.not_identifiable, **KEPT},
         channels=_channels(stack, rig, whole.rig),
         recordings=(),
-        remarks=() if whole.settled else ("the fit had not settled after its last step",),
+        remarks=() if whole.converged else ("the fit had not converged after its last step",),
         wall_s=0.0,
     )
 
 
 def _stack(records: Sequence[Record], rig: Rig, seed: int) -> Stack:
     # With too high a guess of the bandwidth, the command would seem to be sampled too slowly.
-    slow = placed(rig, {BANDWIDTH: read(rig, BANDWIDTH) / OFF})
+    slow = placed(rig, {BANDWIDTH: read(rig, BANDWIDTH) / GUESS_FACTOR})
     setups = [(record, setup(record, slow)) for record in records]
     return Stack([gather(record, rig, compared, seed) for record, compared in setups if compared.channels])
 
@@ -179,11 +180,6 @@ def _least(records: Sequence[Record]) -> dict[str, float]:
     }
 
 
-def _is_off(coefficient: Coefficient, rig: Rig) -> bool:
-    """Return whether an optional dead zone or delay is absent from a rig."""
-    return coefficient.path in OPTIONAL and read(rig, coefficient.path) == coefficient.neutral
-
-
 class _Fitted(NamedTuple):
     """Result of a fit of some coefficients.
 
@@ -191,17 +187,17 @@ class _Fitted(NamedTuple):
         rig: the rig with them.
         estimates: the identified coefficients.
         covariance: of these, shape (n, n).
-        untold: the coefficients that are not identifiable, with the reason.
+        not_identifiable: the coefficients that are not identifiable, with the reason.
         absent: those not significantly different from none.
-        settled: whether the fit has converged.
+        converged: whether the fit has converged.
     """
 
     rig: Rig
     estimates: Mapping[str, Estimate]
     covariance: Array
-    untold: Mapping[str, str]
+    not_identifiable: Mapping[str, str]
     absent: Mapping[str, Estimate]
-    settled: bool
+    converged: bool
 
 
 def _fitted(
@@ -224,47 +220,51 @@ def _fitted(
         least: least relevant biases, by path.
         spread: further standard errors of coordinates, by path.
     """
-    told, absent = list(chosen), dict[str, Estimate]()
-    now = fit(stack, start, told, channels)
+    fitted, absent = list(chosen), dict[str, Estimate]()
+    now = fit(stack, start, fitted, channels)
     reasons, doubtful = dict[str, str](), list[Coefficient]()
     for _ in range(ROUNDS):
-        whole = fit(stack, now.rig, [*doubtful, *told], channels, iterations=0)
+        whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
         found = estimated(stack, whole, len(doubtful), spread)
-        none = {c.path: c.neutral for c in told if c.neutral is not None and _is_none(c, found.by_path[c.path], given, least)}
+        none = {
+            c.path: c.neutral
+            for c in fitted
+            if c.neutral is not None and _is_insignificant(c, found.by_path[c.path], given, least)
+        }
         if none:
             absent |= {path: found.by_path[path] for path in none}
-            told = [c for c in told if c.path not in none]
-            now = fit(stack, placed(now.rig, none), told, channels)
+            fitted = [c for c in fitted if c.path not in none]
+            now = fit(stack, placed(now.rig, none), fitted, channels)
             continue
-        doubts = () if doubtful else untold(stack, now, {c.path: i for i, c in enumerate(chosen)})
-        if not doubts:
+        found_unidentifiable = () if doubtful else unidentifiable(stack, now, {c.path: i for i, c in enumerate(chosen)})
+        if not found_unidentifiable:
             break
-        reasons = {d.path: d.reason for d in doubts}
-        doubtful = [c for c in told if c.path in reasons]
-        told = [c for c in told if c.path not in reasons]
-        again = fit(stack, _given_again(now.rig, given, list(reasons)), told, channels)
+        reasons = {d.path: d.reason for d in found_unidentifiable}
+        doubtful = [c for c in fitted if c.path in reasons]
+        fitted = [c for c in fitted if c.path not in reasons]
+        again = fit(stack, _restored(now.rig, given, list(reasons)), fitted, channels)
         if again.comparable > now.comparable + CONTRADICTS:
             # Restore the coefficients without influence on the residuals; of a combination, keep the values that fit.
-            unseen = [d.path for d in doubts if not d.excited]
-            again = fit(stack, _given_again(now.rig, given, unseen), told, channels)
-            reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in doubts if d.excited}
+            unseen = [d.path for d in found_unidentifiable if not d.excited]
+            again = fit(stack, _restored(now.rig, given, unseen), fitted, channels)
+            reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in found_unidentifiable if d.excited}
         now = again
-    vague = [c.path for c in told if c.path in found.vague]
+    vague = [c.path for c in fitted if c.path in found.vague]
     because = f" as long as {', '.join(reasons)} are not" if reasons else ""
     reasons |= dict.fromkeys(vague, f"its standard error is large{because}; the value that fits is kept")
     kept = [i for i, c in enumerate(whole.chosen) if c.path not in reasons]
     estimates = {whole.paths[i]: found.by_path[whole.paths[i]] for i in kept}
-    return _Fitted(now.rig, estimates, found.covariance[np.ix_(kept, kept)], reasons, absent, now.settled)
+    return _Fitted(now.rig, estimates, found.covariance[np.ix_(kept, kept)], reasons, absent, now.converged)
 
 
-def _is_none(c: Coefficient, found: Estimate, given: Rig, least: Mapping[str, float]) -> bool:
+def _is_insignificant(c: Coefficient, found: Estimate, given: Rig, least: Mapping[str, float]) -> bool:
     """Return whether an optional coefficient is insignificant and absent from the given rig."""
     if c.neutral is None or read(given, c.path) != c.neutral:
         return False
     return abs(found.value - c.neutral) < max(MIN_SIGMAS * found.std, least.get(c.path, 0.0))
 
 
-def _given_again(rig: Rig, given: Rig, paths: Sequence[str]) -> Rig:
+def _restored(rig: Rig, given: Rig, paths: Sequence[str]) -> Rig:
     """Return a rig with the given values of some coefficients restored; static friction keeps its ratio to Coulomb friction."""
     values = {path: read(given, path) for path in paths}
     if STATIC in values and COULOMB not in values:

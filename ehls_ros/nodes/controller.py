@@ -17,11 +17,11 @@ from std_msgs.msg import String
 
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.control.adaptation.reach import sizes
-from ehls_ros.control.at_bounds import Bound, bounds_of, sentence
 from ehls_ros.control.controller import NOTHING_KNOWN, Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.cycles import KEPT, Cycles, Ready
+from ehls_ros.control.estimate_bounds import Bound, bounds_of, sentence
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.errors import BadInput

@@ -7,8 +7,8 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 from ehls_msgs.msg import FrictionEstimate, LoaderState
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
+from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.control.rig_scale import defaults_for
-from ehls_ros.control.serving import check_serves
 from ehls_ros.nodes.control import OK, WARN, ControlNode, run_node
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
@@ -31,7 +31,7 @@ class FrictionEstimatorNode(ControlNode):
         declare(self, Parameters, live=False)
         given = self.spec.compensation
         self.model = self.text_parameter("model") or given.name
-        check_serves(OBSERVERS, self.model, self.spec.controller_rig, f"{self.get_name()}: model")
+        check_friction_support(OBSERVERS, self.model, self.spec.controller_rig, f"{self.get_name()}: model")
         observer = OBSERVERS.load(self.model)
         same = given.name == self.model
         values = given.parameters._asdict() if same else defaults_for(observer.Parameters, self.spec.controller_rig)

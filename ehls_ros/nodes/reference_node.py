@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple, NoReturn
 
 from ehls_msgs.msg import LoaderState
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.references._blend import eased_in
+from ehls_ros.control.references._signals import eased_in
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.nodes.ahead import AheadNode
 from ehls_ros.nodes.control import run_node

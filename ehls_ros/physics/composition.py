@@ -233,7 +233,7 @@ def compiled(
         f'"""{build.__module__}.{build.__name__}, generated."""',
         "from math import inf",
         "from numba import njit",
-        "from ehls_ros.arrays import lean",
+        "from ehls_ros.arrays import kernel_no_refcount",
         "from ehls_ros.physics.plant import Chains",
         import_line(module, "builder"),
         *(_import(member, keyword) for keyword, member in members.items()),
@@ -290,9 +290,9 @@ def _chains(effects: Effects) -> list[str]:
         first += count
     at_rest = [f"    for i in range({states}):", "        dz[i] = 0.0"] if effects.switched else []
     for hook, calls in chains.items():
-        lines += ["@lean", f"def {hook}(value, t, y, w, z, p, plant):", *calls, "    return value"]
-    lines += ["@lean", "def jump(t, w, p):", "    value = inf", *jumps, "    return value"]
-    lines += ["@lean", "def rates(value, t, y, w, z, p, plant, dz):", *at_rest, *rates[:needed], "    return"]
+        lines += ["@kernel_no_refcount", f"def {hook}(value, t, y, w, z, p, plant):", *calls, "    return value"]
+    lines += ["@kernel_no_refcount", "def jump(t, w, p):", "    value = inf", *jumps, "    return value"]
+    lines += ["@kernel_no_refcount", "def rates(value, t, y, w, z, p, plant, dz):", *at_rest, *rates[:needed], "    return"]
     unused = () if jumps else ("received", "jump")
     keywords = (f"{name}={None if name in unused else name}" for name in (*chains, "jump", "rates"))
     return [*lines, f"chains = Chains({', '.join(keywords)})"]

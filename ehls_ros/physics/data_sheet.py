@@ -104,12 +104,12 @@ class Source(NamedTuple):
     Attributes:
         value: the value in the SI unit of the rig file.
         origin: a data sheet figure, computed from such figures, or assumed.
-        told: the figure or the relation; for an assumption, also the measurement that replaces it.
+        basis: the figure or the relation; for an assumption, also the measurement that replaces it.
     """
 
     value: Any
     origin: Origin
-    told: str
+    basis: str
 
 
 def mean_area(bore: float, rod: float, rods: str) -> float:
@@ -231,7 +231,7 @@ def _plant(sheet: DataSheet) -> dict[str, Source]:
         leaking = Source(sheet.leakage * size("l/min") / pressure.value, "computed", "leakage / supply_pressure")
     lag = "" if sheet.bandwidth_at == "-3 dB" else f" / (2 · {DAMPING:g}), as late as a second-order valve"
     bandwidth = _figure(sheet, "bandwidth")
-    measured = f"; the spool's response to a chirp tells it, or {fitted}" if sheet.bandwidth is None else ""
+    measured = f"; the spool's response to a chirp shows it, or {fitted}" if sheet.bandwidth is None else ""
     gravity = {"level": 0.0, "up": GRAVITY, "down": -GRAVITY}[sheet.rod_points]
     opening = (
         f": {travel:g} m at {sheet.rated_input}, of which the gain in a map of columns follows" if sheet.rated_input else ""
@@ -262,7 +262,7 @@ def _plant(sheet: DataSheet) -> dict[str, Source]:
         "valve_bandwidth": bandwidth._replace(
             value=lag_bandwidth(bandwidth.value / size("Hz"), sheet.bandwidth_at),
             origin="assumed" if sheet.bandwidth is None else "computed",
-            told=f"2 π · {bandwidth.told}{lag}{measured}",
+            basis=f"2 π · {bandwidth.basis}{lag}{measured}",
         ),
         "valve_gain": Source(1.0, "computed", f"the command is a spool displacement{opening}"),
         "gravity": Source(gravity, "given", f"the rod moves {sheet.rod_points} while the position grows"),
@@ -287,7 +287,7 @@ def _friction(sheet: DataSheet, largest: float, fastest: float) -> dict[str, Sou
     }
     return {
         "coulomb_force": coulomb,
-        **{key: Source(value, "assumed", f"{told}; {replaced}") for key, (value, told) in assumed.items()},
+        **{key: Source(value, "assumed", f"{basis}; {replaced}") for key, (value, basis) in assumed.items()},
     }
 
 
@@ -301,8 +301,10 @@ def _figure(sheet: DataSheet, name: str, replaced: str = "") -> Source:
     """
     note, figure = notes(DataSheet)[name], getattr(sheet, name)
     used = note.typical if figure is None else figure
-    told = f"{used:g} {note.unit}"
+    basis = f"{used:g} {note.unit}"
     value = used * size(note.unit)
     return (
-        Source(value, "assumed", "; ".join(filter(None, [told, replaced]))) if figure is None else Source(value, "given", told)
+        Source(value, "assumed", "; ".join(filter(None, [basis, replaced])))
+        if figure is None
+        else Source(value, "given", basis)
     )

@@ -13,8 +13,8 @@ through stick and slip. The evaluation that checks for an event at the end of a 
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
-from ehls_ros.arrays import Array, apart, lean
-from ehls_ros.duals import alike, length_to_event, varies
+from ehls_ros.arrays import Array, kernel_no_refcount, separate_kernel
+from ehls_ros.duals import as_element, length_to_event, varies
 
 STEP_ROWS = 8
 """Rows of workspace per step, each as long as the state."""
@@ -22,7 +22,7 @@ STEP_ROWS = 8
 WORK_ROWS = STEP_ROWS + 1
 """Rows of an integrator's workspace; the last row holds the state after an event that is not yet bracketed."""
 
-MOST_EVENTS = 16
+MAX_EVENTS = 16
 """Most events located within one step; further ones are not located."""
 
 EVENT_TOLERANCE = 1e-9
@@ -34,7 +34,7 @@ HALVINGS = 18
 SLOW = 3
 """Consecutive iterations that do not halve the bracket, after which it is bisected."""
 
-MOST_ITERATIONS = 128
+MAX_ITERATIONS = 128
 """Enough iterations to bisect a step down to the tolerance at every fourth one."""
 
 
@@ -57,12 +57,12 @@ def steps_of(
     evaluate: Callable[..., float],
     switch: Callable[..., None],
     size: int = 0,
-    most_events: int = MOST_EVENTS,
+    most_events: int = MAX_EVENTS,
     order: Literal[2, 4, 5] = 4,
 ) -> Steps:
     """Build the compiled steps of one system; the arguments are those of :func:`integrator`."""
 
-    @lean
+    @kernel_no_refcount
     def runge_kutta(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
         """Take one classical Runge-Kutta step from ``y``, with its rates in ``work[2]``; the result is in ``work[0]``."""
         n = size or y.size
@@ -79,7 +79,7 @@ def steps_of(
         for i in range(n):
             end[i] = y[i] + step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
 
-    @lean
+    @kernel_no_refcount
     def midpoint(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
         """Take one step of the midpoint rule; same arguments as ``runge_kutta``."""
         n = size or y.size
@@ -90,7 +90,7 @@ def steps_of(
         for i in range(n):
             end[i] = y[i] + step * k2[i]
 
-    @lean
+    @kernel_no_refcount
     def dormand_prince(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> None:
         """Take one step of the fifth-order formula of Dormand and Prince; same arguments as ``runge_kutta``."""
         n = size or y.size
@@ -119,7 +119,7 @@ def steps_of(
 
     take_step = {2: midpoint, 4: runge_kutta, 5: dormand_prince}[order]
 
-    @lean
+    @kernel_no_refcount
     def foresee(t: float, y: Array, mode: Array, c: Any, step: float, work: Array) -> float:
         """Predict the event in a step from the cubic interpolant of both end states and rates.
 
@@ -151,7 +151,7 @@ def steps_of(
                 early = s
         return late * step
 
-    @apart
+    @separate_kernel
     def locate(t: float, y: Array, mode: Array, c: Any, step: float, after: float, work: Array) -> float:
         """Locate the zero crossing of the event function in a step.
 
@@ -180,7 +180,7 @@ def steps_of(
         low, high = 0.0, step
         tolerance = EVENT_TOLERANCE * step
         side = slow = 0
-        for iteration in range(MOST_ITERATIONS):
+        for iteration in range(MAX_ITERATIONS):
             width = high - low
             if width <= tolerance:
                 break
@@ -210,7 +210,7 @@ def steps_of(
             end[i] = past[i]
         return length_to_event(take_step, evaluate, t, y, mode, c, high, work)
 
-    @lean
+    @kernel_no_refcount
     def located_step(t: float, y: Array, mode: Array, c: Any, step: float, changed: bool, work: Array) -> tuple[bool, int]:
         now, remaining = t, step
         located = dense = 0
@@ -240,7 +240,7 @@ def integrator(
     evaluate: Callable[..., float],
     switch: Callable[..., None],
     size: int = 0,
-    most_events: int = MOST_EVENTS,
+    most_events: int = MAX_EVENTS,
     order: Literal[2, 4, 5] = 4,
 ) -> Callable[..., int]:
     """Build the compiled integrator of one system.
@@ -258,7 +258,7 @@ def integrator(
     """
     located_step = steps_of(evaluate, switch, size, most_events, order).located
 
-    @lean
+    @kernel_no_refcount
     def advance(t: float, y: Array, mode: Array, c: Any, step: float, steps: int, work: Array) -> int:
         """Advance the system by a number of fixed steps.
 
@@ -275,7 +275,7 @@ def integrator(
             Number of steps with more events than were located, normally 0.
         """
         dense = 0
-        t, step = alike(y, t), alike(y, step)
+        t, step = as_element(y, t), as_element(y, step)
         # Inputs may have jumped since the last call. A constant would let numba compile a step for it as well.
         changed = steps > 0
         for index in range(steps):

@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple
 
 from numba import njit
 
-from ehls_ros.arrays import Array, lean
-from ehls_ros.physics.integration import MOST_EVENTS, STEP_ROWS, steps_of
+from ehls_ros.arrays import Array, kernel_no_refcount
+from ehls_ros.physics.integration import MAX_EVENTS, STEP_ROWS, steps_of
 from ehls_ros.physics.lane_memory import LANES, Rows, column, stack, wide_vectors
 
 RATE = 2
@@ -52,7 +52,7 @@ def lanes_integrator(
     rows: LaneRows,
     size: int,
     modes: int,
-    most_events: int = MOST_EVENTS,
+    most_events: int = MAX_EVENTS,
     order: Literal[2, 4, 5] = 4,
 ) -> Callable[..., int]:
     """Build the compiled integrator of a block of lanes.
@@ -78,12 +78,12 @@ def lanes_integrator(
     MODE, Y, RATE_ROW, CHANGED, END, END_RATE, AFTER = rows
     carried = 2 * size + 1
 
-    @lean
+    @kernel_no_refcount
     def copy(source: Array, target: Array) -> None:
         for i in range(size):
             target[i] = source[i]
 
-    @lean
+    @kernel_no_refcount
     def evaluate_all(t: float, block: Array, like: Any) -> None:
         """Evaluate all lanes at the start, as inputs may have jumped."""
         for lane in range(LANES):
@@ -92,7 +92,7 @@ def lanes_integrator(
             block[CHANGED * LANES + lane] = evaluate(t, y, mode, coefficients(block, like, lane), rate)
             copy(rate, states(block, RATE_ROW, lane))
 
-    @lean
+    @kernel_no_refcount
     def step_all(t: float, block: Array, like: Any, step: float) -> None:
         """Step all lanes without event location."""
         for lane in range(LANES):

@@ -7,18 +7,16 @@ Modes: sign of the valve opening, then those of the friction model.
 
 :func:`relations` builds the equations with the effects' hooks; :func:`system` builds the simulator's plant from these
 and a friction model. All functions are inlined, so unused effects cost nothing. The models that run along a recording
-(:mod:`ehls_ros.physics.along`) use the same relations.
+(:mod:`ehls_ros.physics.imposed_motion`) use the same relations.
 """
 
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import Array, kernel, lean
-from ehls_ros.physics.beam import applied_force
-from ehls_ros.physics.cylinder import load_pressure_rate
+from ehls_ros.arrays import Array, kernel, kernel_no_refcount
+from ehls_ros.physics.equations import applied_force, load_flow, load_pressure_rate, spool_rate
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.valve import load_flow, spool_rate
 
 X, V, PL, XV, FRICTION = 0, 1, 2, 3, 4
 """Indices of ``y``: position, velocity, load pressure, spool displacement; first friction force."""
@@ -28,6 +26,20 @@ U, FD, FD_RATE, XD, VD, TEMPERATURE, START, PERIOD, INPUTS = 0, 1, 2, 3, 4, 5, 6
 velocity [m/s] of the position servo, oil temperature [K], time of the inputs [s], control period [s]; and their number.
 If an effect needs past commands, they follow: ``w[INPUTS + i]`` was sent i + 1 cycles ago; it is zero before the first
 command."""
+
+
+@kernel
+def chamber_pressures(y: Array, plant: Plant) -> tuple[float, float]:
+    """Return the gauge pressures of both chambers, at least 0, for a matched, symmetric valve and the rig file's ps [Pa].
+
+    Args:
+        y: the plant's state.
+        plant: the rig's coefficients.
+
+    Returns:
+        (ps + pL)/2 for the chamber that drives +x, (ps - pL)/2 for the other.
+    """
+    return max(0.5 * (plant.supply_pressure + y[PL]), 0.0), max(0.5 * (plant.supply_pressure - y[PL]), 0.0)
 
 
 class Coefficients(NamedTuple):
@@ -158,11 +170,11 @@ def relations(chains: Chains) -> Relations:
     bulk_modulus, leakage = chains.bulk_modulus, chains.leakage
     force, rates = chains.force, chains.rates
 
-    @lean
+    @kernel_no_refcount
     def effective_opening(t: float, y: Array, z: Array, c: Coefficients) -> float:
         return opening(y[XV], t, y, c.inputs, z, c.effects, c.plant)
 
-    @lean
+    @kernel_no_refcount
     def volume(
         orifice: float, direction: float, t: float, y: Array, z: Array, c: Coefficients
     ) -> tuple[float, float, float, float]:
@@ -172,15 +184,15 @@ def relations(chains: Chains) -> Relations:
         modulus = bulk_modulus(c.plant.bulk_modulus, t, y, c.inputs, z, c.effects, c.plant)
         return flow, leak, modulus, supply
 
-    @lean
+    @kernel_no_refcount
     def spool(t: float, y: Array, z: Array, c: Coefficients) -> float:
         return spool_rate(y[XV], command(c.command, t, y, c.inputs, z, c.effects, c.plant), c.plant)  # (4)
 
-    @lean
+    @kernel_no_refcount
     def extra(t: float, y: Array, z: Array, c: Coefficients) -> float:
         return force(0.0, t, y, c.inputs, z, c.effects, c.plant)
 
-    @lean
+    @kernel_no_refcount
     def effect_rates(t: float, y: Array, z: Array, c: Coefficients, dz: Array) -> None:
         rates(c.command, t, y, c.inputs, z, c.effects, c.plant, dz)
 
@@ -200,7 +212,7 @@ def balance_with(friction: Any, chains: Chains) -> Callable[..., tuple[float, fl
     """
     sliding_level, friction_level = friction.level, chains.friction_level
 
-    @lean
+    @kernel_no_refcount
     def balance(extra: float, t: float, y: Array, z: Array, c: Coefficients) -> tuple[float, float]:
         level = friction_level(sliding_level(y[V], c.friction), t, y, c.inputs, z, c.effects, c.plant)  # (7)
         return level, applied_force(y[X], y[V], y[PL], disturbance_force(t, c.inputs), extra, c.plant)
@@ -226,7 +238,7 @@ def motion(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
     friction_event, friction_switch = friction.event, friction.switch
     balance = balance_with(friction, chains)
 
-    @lean
+    @kernel_no_refcount
     def evaluate(extra: float, t: float, y: Array, z: Array, mode: Array, c: Coefficients, rate: Array) -> float:
         level, applied = balance(extra, t, y, z, c)
         resisting = friction_force(y[V], applied, level, y[FRICTION:end], mode, c.friction)
@@ -235,7 +247,7 @@ def motion(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
         friction_rates(y[V], level, y[FRICTION:end], mode, c.friction, rate[FRICTION:end])  # (6), (8)
         return friction_event(y[V], applied, level, y[FRICTION:end], mode, c.friction)
 
-    @lean
+    @kernel_no_refcount
     def switch(extra: float, t: float, y: Array, z: Array, mode: Array, c: Coefficients) -> None:
         level, applied = balance(extra, t, y, z, c)
         y[V] = friction_switch(y[V], applied, level, y[FRICTION:end], mode, c.friction)
@@ -259,7 +271,7 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
     move, reverse = motion(friction, elements, chains)
     piston_velocity = chains.piston_velocity
 
-    @lean
+    @kernel_no_refcount
     def evaluate(t: float, y: Array, mode: Array, c: Coefficients, rate: Array) -> float:
         """Write dy/dt of (24) with the effects applied.
 
@@ -276,7 +288,7 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
         effect_rates(t, y, z, c, rate[end:])
         return max(-mode[0] * orifice, changed)
 
-    @lean
+    @kernel_no_refcount
     def switch(t: float, y: Array, mode: Array, c: Coefficients) -> None:
         """Change the modes at an event."""
         z = y[end:]
@@ -305,7 +317,7 @@ def cycle_stepper(run: Callable[..., int], chains: Chains, end: int) -> Callable
         ``step``.
     """
 
-    @lean
+    @kernel_no_refcount
     def step_cycle(t: float, y: Array, mode: Array, c: Any, step: float, steps: int, work: Array) -> int:
         return run(t, y, mode, c, c.inputs[U], step, steps, work)
 
@@ -313,7 +325,7 @@ def cycle_stepper(run: Callable[..., int], chains: Chains, end: int) -> Callable
         return step_cycle
     received, jump = chains.received, chains.jump
 
-    @lean
+    @kernel_no_refcount
     def step_delayed(t: float, y: Array, mode: Array, c: Any, step: float, steps: int, work: Array) -> int:
         dense, now, whole = 0, t, steps * step
         last, tolerance = t + whole, JUMP_TOLERANCE * step

@@ -236,22 +236,18 @@ def _units_of(parameters: Any) -> Mapping[str, str]:
     return MappingProxyType({declared.name: declared.unit for declared in declarations(parameters)})
 
 
-SIGNAL_RANGES: dict[tuple[str, str], tuple[Callable[[Rig], tuple[float, float]], float, str]] = {
-    ("reference", "force"): (
+SIGNAL_RANGES: dict[str, tuple[Callable[[Rig], tuple[float, float]], str]] = {
+    "force": (
         lambda rig: (-largest_force(rig), largest_force(rig)),
-        2.0,
         "plant.supply_pressure times plant.piston_area; is it in N?",
     ),
-    ("reference", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
-    ("disturbance", "force"): (
-        lambda rig: (-largest_force(rig), largest_force(rig)),
-        10.0,
-        "plant.supply_pressure times plant.piston_area; is it in N?",
-    ),
-    ("disturbance", "position"): (lambda rig: rig.limits.position, 2.0, "limits.position; is it in m?"),
+    "position": (lambda rig: rig.limits.position, "limits.position; is it in m?"),
 }
-"""By role and kind of a signal: function for the rig's range, largest plausible multiple of the range about its middle, and the
-range as text. A signal beyond the range but within the multiple only causes a warning."""
+"""By kind of a reference or disturbance: function for the rig's range, and the range as text."""
+
+RANGE_FACTOR, DISTURBANCE_FORCE_FACTOR = 2.0, 10.0
+"""Largest plausible multiple of that range about its middle, and of the range of a disturbance force. A signal beyond the range
+but within the multiple only causes a warning."""
 
 
 def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, where: str) -> None:
@@ -272,7 +268,8 @@ def check_signal(rows: Array, part: str, kind: str, rig: Rig, period: float, whe
     value, rate = rows[:, 0], rows[:, 1]
     if not np.all(np.isfinite(rows)):
         raise BadInput(f"the {part} is not always finite", where, "parameters that give finite numbers")
-    bounds, factor, of = SIGNAL_RANGES[part, kind]
+    bounds, of = SIGNAL_RANGES[kind]
+    factor = DISTURBANCE_FORCE_FACTOR if (part, kind) == ("disturbance", "force") else RANGE_FACTOR
     low, high = bounds(rig)
     away = np.abs(value - 0.5 * (low + high))
     farthest = float(value[np.argmax(away)])

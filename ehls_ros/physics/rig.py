@@ -1,14 +1,14 @@
 """The rig description shared by simulator, controller, identification and diagnosis."""
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from typing import Any, NamedTuple, get_type_hints
 
 from ehls_ros.arrays import in_python
 from ehls_ros.errors import BadInput, one_of
-from ehls_ros.physics.beam import piston_mass
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.equations import piston_mass
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel
 from ehls_ros.physics.parameters import Limits, Plant, Sensor
@@ -80,6 +80,19 @@ class Rig(NamedTuple):
         quiet = {signal: sensor._replace(noise_std=0.0, resolution=0.0) for signal, sensor in self.sensors.items()}
         return self._replace(sensors=quiet)
 
+    def with_plant(self, **values: Any) -> "Rig":
+        """Return the rig with other coefficients of its plant."""
+        return self._replace(plant=self.plant._replace(**values))
+
+    def with_friction(self, **values: Any) -> "Rig":
+        """Return the rig with other coefficients of its friction model; those that the model lacks are ignored."""
+        present = {key: value for key, value in values.items() if key in self.friction._fields}
+        return self._replace(friction=self.friction._replace(**present))
+
+    def with_sensors(self, signals: Iterable[str], change: Callable[[Sensor], Sensor]) -> "Rig":
+        """Return the rig with the sensors of some signals changed; a missing sensor starts as a perfect one."""
+        return self._replace(sensors={**self.sensors, **{name: change(self.sensors.get(name, Sensor())) for name in signals}})
+
     def with_effects(self, more: tuple[EffectUse, ...]) -> "Rig":
         """Return the rig with further effects appended."""
         return self._replace(effects=self.effects + more)
@@ -129,7 +142,7 @@ ABSENT: Mapping[type, Mapping[str, Any]] = {
 
 SECTIONS = ("plant", "friction", "effects", "sensors", "limits")
 
-MOST_EFFECTS = 64
+MAX_EFFECTS = 64
 """Most effects of a rig, including those of an experiment; the compile time of its equations grows more than linearly."""
 
 DEFAULT_FRICTION = "gms"
@@ -288,7 +301,7 @@ def effects_from_list(data: Any, where: str) -> tuple[EffectUse, ...]:
 
 
 def check_effect_count(count: int, where: str) -> None:
-    """Check that a rig does not have more effects than :data:`MOST_EFFECTS`.
+    """Check that a rig does not have more effects than :data:`MAX_EFFECTS`.
 
     Args:
         count: number of effects.
@@ -297,8 +310,8 @@ def check_effect_count(count: int, where: str) -> None:
     Raises:
         BadInput: there are more.
     """
-    if count > MOST_EFFECTS:
-        raise BadInput(f"{count} effects", where, f"at most {MOST_EFFECTS}, those of rig and experiment together")
+    if count > MAX_EFFECTS:
+        raise BadInput(f"{count} effects", where, f"at most {MAX_EFFECTS}, those of rig and experiment together")
 
 
 def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:

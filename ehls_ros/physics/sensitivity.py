@@ -29,7 +29,7 @@ from ehls_ros.physics.plant import PL, TEMPERATURE, XV, Chains, V, X, hold
 from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Constants, Simulated, State, at_rest, parts_of
 
-MOST_AT_ONCE = 22
+MAX_AT_ONCE = 22
 """Most coefficients in one run; more are divided among several. Both a run and a coefficient have a fixed cost."""
 
 STARTS = {"start.position": X, "start.velocity": V, "start.load_pressure": PL, "start.spool": XV}
@@ -99,7 +99,7 @@ def sensitivities(
     Raises:
         BadInput: a coefficient is unknown or given twice, or a named part has no derivative.
     """
-    at_once = max(1, math.ceil(len(coefficients) / MOST_AT_ONCE))
+    at_once = max(1, math.ceil(len(coefficients) / MAX_AT_ONCE))
     readings, derivatives, dense = np.empty(0), list[Array](), 0
     for group in np.array_split(np.arange(len(coefficients)), at_once):
         ready = prepared(rig, [coefficients[i] for i in group], inputs, period, step, start)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import Array, kernel, lean
+from ehls_ros.arrays import Array, kernel, kernel_no_refcount
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import FD, FRICTION, Chains, Coefficients, V, X, follow_servo, system
 from ehls_ros.physics.rig import Rig
@@ -62,13 +62,13 @@ class CoupledCoefficients(NamedTuple):
     servo: Coefficients
 
 
-@lean
+@kernel_no_refcount
 def _unchanged(value: Any, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> Any:
     """Return the model's value unchanged, in place of a hook."""
     return value
 
 
-@lean
+@kernel_no_refcount
 def _no_rates(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant, dz: Array) -> None:
     """Write nothing, as there are no states."""
 
@@ -123,21 +123,21 @@ def coupled_system(
     evaluate_servo, switch_servo = system(friction, elements, NO_EFFECTS)
     coupling_force = chains.coupling_force
 
-    @lean
+    @kernel_no_refcount
     def join(t: float, y: Array, c: CoupledCoefficients) -> None:
         """Update the coupling inputs of both pistons to the state at t."""
         follow_servo(c.inputs, t, y[size + X], y[size + V])
         loader = y[:size]
         c.servo.inputs[FD] = coupling_force(0.0, t, loader, c.inputs, y[end:size], c.effects, c.plant)
 
-    @lean
+    @kernel_no_refcount
     def evaluate(t: float, y: Array, mode: Array, c: CoupledCoefficients, rate: Array) -> float:
         join(t, y, c)
         loader = evaluate_loader(t, y[:size], mode[:modes], c, rate[:size])
         servo = evaluate_servo(t, y[size:], mode[modes:], c.servo, rate[size:])
         return max(loader, servo)
 
-    @lean
+    @kernel_no_refcount
     def switch(t: float, y: Array, mode: Array, c: CoupledCoefficients) -> None:
         join(t, y, c)
         switch_loader(t, y[:size], mode[:modes], c)

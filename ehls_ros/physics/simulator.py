@@ -10,12 +10,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array, direct, lean, plain
+from ehls_ros.arrays import Array, contiguous, direct, kernel_no_refcount
 from ehls_ros.physics import sensors
 from ehls_ros.physics.composition import Effects, compiled, effects_of, rig_elements
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.integration import MOST_EVENTS, WORK_ROWS, integrator
+from ehls_ros.physics.integration import MAX_EVENTS, WORK_ROWS, integrator
 from ehls_ros.physics.integration_step import steps_per_period
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import (
@@ -112,7 +112,7 @@ class Compiled(NamedTuple):
     cycle: Callable[..., int]
 
 
-def build(friction: Any, elements: int, states: int, chains: Chains, most_events: int = MOST_EVENTS) -> Compiled:
+def build(friction: Any, elements: int, states: int, chains: Chains, most_events: int = MAX_EVENTS) -> Compiled:
     """Build a plant from a friction model and effects.
 
     Args:
@@ -126,19 +126,19 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
     evaluate, switch = system(friction, elements, chains)
     run = integrator(evaluate, switch, size=end + states, most_events=most_events, order=ORDER)
 
-    @lean
+    @kernel_no_refcount
     def run_held(t: float, y: Array, mode: Array, c: Any, command: float, step: float, steps: int, work: Array) -> int:
         return run(t, y, mode, Coefficients(c.plant, c.friction, c.inputs, c.effects, command), step, steps, work)
 
     step_cycle = cycle_stepper(run_held, chains, end)
 
-    @lean
+    @kernel_no_refcount
     def advance(cycle: int, constants: Constants, state: State) -> int:
         c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, 0.0)
         t = cycle * constants.period
         return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
-    @lean
+    @kernel_no_refcount
     def cycle(number: int, constants: Constants, state: State, command: float, row: Array) -> int:
         hold(state.inputs, number * constants.period, command, row[0], row[1], row[2], row[3])
         return advance(number, constants, state)
@@ -153,14 +153,14 @@ def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> 
     evaluate, switch = coupled_system(friction, elements, states, chains)
     run = integrator(evaluate, switch, size=size + end, order=ORDER)
 
-    @lean
+    @kernel_no_refcount
     def run_held(t: float, y: Array, mode: Array, c: Any, command: float, step: float, steps: int, work: Array) -> int:
         held = CoupledCoefficients(c.plant, c.friction, c.inputs, c.effects, command, c.servo)
         return run(t, y, mode, held, step, steps, work)
 
     step_cycle = cycle_stepper(run_held, chains, end)
 
-    @lean
+    @kernel_no_refcount
     def advance(cycle: int, constants: Constants, state: State) -> int:
         given, own = constants.servo, state.inputs[-INPUTS:]
         servo = Coefficients(given.plant, given.friction, own, (), own[U])
@@ -168,7 +168,7 @@ def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> 
         t = cycle * constants.period
         return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
-    @lean
+    @kernel_no_refcount
     def cycle(number: int, constants: Constants, state: State, command: float, row: Array) -> int:
         servo, x, v, pressure = constants.servo, state.y[size + X], state.y[size + V], state.y[size + PL]
         own = state.inputs[-INPUTS:]
@@ -189,7 +189,7 @@ def sensing(chains: Chains, end: int) -> Callable[..., None]:
     """
     supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
 
-    @lean
+    @kernel_no_refcount
     def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
         t, plant, p = cycle * constants.period, constants.plant, constants.effects
         y, w, truth, z = state.y, state.inputs, state.truth, state.y[end:]
@@ -371,7 +371,7 @@ class Simulator:
         Returns:
             The readings in the order of ``SENSED``; every call reuses the same array.
         """
-        self._sense(self.cycle, self.constants, self.state, plain(noise))
+        self._sense(self.cycle, self.constants, self.state, contiguous(noise))
         return self.state.measured
 
     def trouble(self) -> str:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from ehls_ros.control.adaptation.hand_over import SCALED
+from ehls_ros.control.adaptation.correction import SCALED
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Setting
 from ehls_ros.control.controllers import CONTROLLERS
@@ -168,7 +168,7 @@ def test_without_a_spool_sensor_the_product_of_gain_and_discharge_coefficient_is
     assert str(told["discharge_coefficient_told"]).startswith(
         "the rig file's discharge coefficient times valve gain seems 10 % low"
     )
-    assert told["valve_gain_told"] == "valve gain: this run does not tell it; the rig file's is used"
+    assert told["valve_gain_told"] == "valve gain: not identified; the rig file's value is used"
 
 
 def test_at_rest_nothing_moves_and_nothing_is_claimed(run: Run) -> None:
@@ -179,7 +179,7 @@ def test_at_rest_nothing_moves_and_nothing_is_claimed(run: Run) -> None:
     measured = rng.standard_normal((4000, 7)) * noise + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 7e6, 313.0])
     assert all(later is model for later in fed(one, model, measured, np.zeros(4000)))
     told = [text for key, text in one.report().items() if key.endswith("_told")]
-    assert all("does not tell it" in str(text) for text in told)
+    assert all("not identified" in str(text) for text in told)
 
 
 def test_nothing_changes_in_the_first_second_and_later_at_most_at_the_rate(run: Run) -> None:

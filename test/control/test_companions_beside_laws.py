@@ -10,7 +10,7 @@ import pytest
 from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import model_of
-from ehls_ros.control.learning.smoothing import ForeseeingLaw
+from ehls_ros.control.learning.smoothing import PreviewLaw
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import Spec, company_of, spec_from_mapping
@@ -66,7 +66,7 @@ def test_a_law_with_a_filter_says_what_it_assumes_as_smoothers_ask(law: str):
     assumptions = getattr(CONTROLLERS.load(law), "assumptions", None)
     if assumptions is None:
         pytest.skip("it has no filter")
-    asked = list(inspect.signature(ForeseeingLaw.assumptions).parameters)[1:]
+    asked = list(inspect.signature(PreviewLaw.assumptions).parameters)[1:]
     assert list(inspect.signature(assumptions.py_func).parameters) == asked
 
 

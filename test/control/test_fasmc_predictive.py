@@ -10,7 +10,7 @@ import pytest
 from ehls_ros.control import state_estimator
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers.base import model_of
-from ehls_ros.control.unrest import MEAN_SQUARE
+from ehls_ros.control.process_noise import MEAN_SQUARE
 from ehls_ros.experiments.loop import run_in_process, sampled, simulator_of
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.spec import Spec, company_of, spec_from_mapping

@@ -7,7 +7,7 @@ import pytest
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS, default_observer
-from ehls_ros.control.serving import check_serves
+from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
@@ -71,9 +71,9 @@ def test_an_observer_that_does_not_serve_a_model_is_refused(make_spec, observer,
     with pytest.raises(BadInput) as caught:
         make_spec(model, compensation=observer)
     line = str(caught.value)
-    assert line.startswith(f"spec.yaml: compensation: friction observer '{observer}' does not serve friction model '{model}'")
+    assert line.startswith(f"spec.yaml: compensation: friction observer '{observer}' does not support friction model '{model}'")
     assert "rig_model" in line
-    with pytest.raises(BadInput, match=f"'{observer}' does not serve friction model '{model}'"):
+    with pytest.raises(BadInput, match=f"'{observer}' does not support friction model '{model}'"):
         FrictionEstimator(observer, make_spec(model).rig, 1e-3)
 
 
@@ -82,7 +82,7 @@ def test_a_controller_that_does_not_serve_a_model_is_refused(make_spec, controll
     with pytest.raises(BadInput) as caught:
         make_spec(model, controller=controller)
     line = str(caught.value)
-    assert line.startswith(f"spec.yaml: controller: controller '{controller}' does not serve friction model '{model}'")
+    assert line.startswith(f"spec.yaml: controller: controller '{controller}' does not support friction model '{model}'")
     assert "fasmc" in line.split("expected", 1)[1]
 
 
@@ -92,7 +92,7 @@ def test_one_that_serves_one_model_is_accepted_with_it(rig_mapping, family):
     assert pairs
     for name, model in pairs:
         rig = rig_from_mapping({**rig_mapping, "friction": {**rig_mapping["friction"], "model": model}}, "rig")
-        check_serves(family, name, rig, "spec.yaml")
+        check_friction_support(family, name, rig, "spec.yaml")
 
 
 def test_it_is_the_controllers_rig_that_counts(make_spec, rig_mapping):

@@ -12,11 +12,10 @@ from ehls_ros.control.companions import learning
 from ehls_ros.control.companions.base import PLACE, Kept, Past, Setting, Upcoming
 from ehls_ros.control.controllers import CONTROLLERS, fasmc_output_feedback
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, model_of
-from ehls_ros.control.learning.foresight import Foresight
-from ehls_ros.control.learning.harmonics import Harmonics
+from ehls_ros.control.learning.corrector import Harmonics, Waveform
+from ehls_ros.control.learning.force_prediction import ForcePrediction
 from ehls_ros.control.learning.robustness import MARGIN, Loop, design, remaining
 from ehls_ros.control.learning.smoothing import BLOCK, Smoother
-from ehls_ros.control.learning.waveform import Waveform
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
@@ -252,7 +251,7 @@ def test_a_force_that_repeats_is_foreseen_after_one_load_cycle_beside_it():
 def test_what_is_foreseen_is_the_part_that_repeats_and_has_its_derivatives():
     random, angle = np.random.default_rng(4), 2.0 * math.pi * TURN
     force = 500.0 * np.sin(angle) + 40.0 * np.cos(7.0 * angle)
-    known, wandering = (Foresight(SIZE, SIZE * PERIOD, 80.0, 0.02) for _ in range(2))
+    known, wandering = (ForcePrediction(SIZE, SIZE * PERIOD, 80.0, 0.02) for _ in range(2))
     for cycle in range(6):
         for learner, seen in ((known, force), (wandering, np.zeros(SIZE))):
             learner.observe(seen + 5.0 * random.standard_normal(SIZE), settled=cycle > 0)

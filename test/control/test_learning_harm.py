@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.learning_harm import CONFIG, FIRST, Case, simulate
 from ehls_ros.control.companions.learning import Parameters
-from ehls_ros.control.learning.foresight import MOST_CHANGE
+from ehls_ros.control.learning.force_prediction import MAX_CHANGE
 from ehls_ros.experiments.spec import Use, spec_from_mapping
 
 PERIOD, CYCLES = 4.0, 8
@@ -45,4 +45,4 @@ def test_a_force_out_of_step_is_recognised_and_hardly_costs_anything(size: float
     assert np.all(rms[0] < 1.2 * rms[1])
     assert np.abs(learnt.error[FIRST:]).max() < 25.0
     assert "not in step with the load cycle" in str(learnt.report["learning.state"])
-    assert float(learnt.report["learning.force_change"]) > MOST_CHANGE
+    assert float(learnt.report["learning.force_change"]) > MAX_CHANGE

@@ -13,8 +13,7 @@ from benchmarks.true_error import true_cycles
 from ehls_ros.control.companions import learning
 from ehls_ros.control.companions.base import PLACE, Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, model_of
-from ehls_ros.control.learning.bumpless import Bumpless
-from ehls_ros.control.learning.peak_valley import PeakValley
+from ehls_ros.control.learning.peak_valley import Bumpless, PeakValley
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import ClosedLoop, sampled
 from ehls_ros.experiments.spec import Spec, spec_from_mapping

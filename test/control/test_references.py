@@ -9,7 +9,7 @@ import pytest
 
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.references import REFERENCES, velocity_sweep
-from ehls_ros.control.references._blend import eased_in
+from ehls_ros.control.references._signals import eased_in
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import Spec, spec_from_mapping

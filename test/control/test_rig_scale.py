@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.scaled_rigs import case, similar
-from ehls_ros.control.at_bounds import bounds_of, sentence
 from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.controllers import CONTROLLERS, fasmc
 from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.control.estimate_bounds import bounds_of, sentence
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.rig_scale import PAPER_PLANT, PAPER_SENSORS, Ratios, defaults_for, ratios, tuned_for
 from ehls_ros.experiments.files import config_folder

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from test_controller import PERIOD, Bench, make, measure
 
-from ehls_ros.control.adaptation.acceptance import Transition, with_own_sensors
 from ehls_ros.control.adaptation.reach import sizes
-from ehls_ros.control.company import Company
-from ehls_ros.control.controller import CAUTION, Controller
+from ehls_ros.control.adaptation.transition import Transition, with_own_sensors
+from ehls_ros.control.companion_chain import CompanionChain
+from ehls_ros.control.controller import ADAPTATION_LIMITS, Controller
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import command_delay
@@ -35,7 +35,7 @@ def scaled(model, part, name, factor):
 
 
 def transition(original, wanted, present=None):
-    return Transition(original, present or original, with_own_sensors(original, wanted), CAUTION)
+    return Transition(original, present or original, with_own_sensors(original, wanted), ADAPTATION_LIMITS)
 
 
 def test_a_piston_area_of_ten_times_is_refused_by_name_and_changes_nothing(rig):
@@ -149,7 +149,7 @@ def test_beside_a_companion_that_corrects_the_model_no_rig_is_accepted(rig):
             pass
 
     law = make(rig, "sic")
-    law.company = Company({"any": Correcting()})
+    law.companions = CompanionChain({"any": Correcting()})
     with pytest.raises(BadInput, match="a companion corrects the model"):
         law.accept(model_of(rig, PERIOD))
 
@@ -178,4 +178,4 @@ def test_a_coefficient_that_may_be_about_zero_moves_by_a_share_of_its_size(rig):
     leaky = known(rig, leakage_coefficient=rig.plant.leakage_coefficient + 0.2 * size)
     with pytest.raises(BadInput, match="leakage_coefficient goes from"):
         make(rig, "sic").accept(leaky)
-    assert make(rig, "sic").accept(leaky, sizes(own, rig.limits)) == pytest.approx(0.2 / CAUTION.rate)
+    assert make(rig, "sic").accept(leaky, sizes(own, rig.limits)) == pytest.approx(0.2 / ADAPTATION_LIMITS.rate)

@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.preview import with_preview
 from benchmarks.true_error import true_cycles
+from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.companions.base import Past, Upcoming
-from ehls_ros.control.company import Company
 from ehls_ros.control.controllers.base import FORESEEN, ROW, Model
 from ehls_ros.control.disturbances.base import DISPLACEMENT, VELOCITY
 from ehls_ros.errors import BadInput
@@ -53,7 +53,7 @@ def lasting(spec: Spec, duration: float) -> Spec:
 def foreseen_and_true(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows' predicted force with its derivatives, and the true force of the servo's motion [N]."""
     loop, witness = ClosedLoop(spec), Witness()
-    loop.company = Company({**loop.company.members, "witness": witness})
+    loop.company = CompanionChain({**loop.company.members, "witness": witness})
     moved = np.concatenate([block.disturbance for block in loop.blocks()])
     return np.concatenate(witness.rows)[:, FORESEEN:], -(STIFFNESS * moved[:, DISPLACEMENT] + DAMPING * moved[:, VELOCITY])
 

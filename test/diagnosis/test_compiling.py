@@ -15,9 +15,9 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.compiling import Job, compile_in_parallel, consequences_jobs, diagnosis_jobs
 from ehls_ros.experiments.controller_benefit import controller_benefit
 from ehls_ros.parallel import Workers
-from ehls_ros.physics.along import PARTS, compile_part, part_kernel
 from ehls_ros.physics.composition import compiled, is_compiled
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.trajectory import Trajectory
 

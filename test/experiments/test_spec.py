@@ -15,7 +15,7 @@ from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import Spec, Use, load_rig, load_spec, spec_from_mapping, spec_to_mapping, undeclared_effects
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.rig import MOST_EFFECTS, SENSED, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import MAX_EFFECTS, SENSED, rig_from_mapping, rig_to_mapping
 
 REMOVED = object()
 
@@ -342,11 +342,11 @@ def test_the_controllers_rig_and_the_oil_survive_a_round_trip(rig_mapping):
 
 
 def test_the_effects_of_rig_and_experiment_are_counted_together(rig_mapping):
-    half = [{"name": "constant_load"}] * (MOST_EFFECTS // 2)
+    half = [{"name": "constant_load"}] * (MAX_EFFECTS // 2)
     plain = {"rig": {**rig_mapping, "effects": half}, "reference": "sine", "controller": "fasmc"}
-    assert len(spec_from_mapping({**plain, "effects": half}, "spec", Path()).rig.effects) == MOST_EFFECTS
+    assert len(spec_from_mapping({**plain, "effects": half}, "spec", Path()).rig.effects) == MAX_EFFECTS
     error = refusal(spec_from_mapping, {**plain, "effects": [*half, half[0]]}, "spec", Path())
-    assert (error.where, error.what) == ("spec: effects", f"{MOST_EFFECTS + 1} effects")
+    assert (error.where, error.what) == ("spec: effects", f"{MAX_EFFECTS + 1} effects")
 
 
 @pytest.mark.parametrize("given", [{}, {"controller_rig": None}])

@@ -208,7 +208,7 @@ def test_objects_and_lies_about_size_are_no_arrays(with_arrays):
     ],
 )
 def test_arrays_are_what_is_declared(arrays, said):
-    declared = {"x": Entry(shape=("n",), least=-1.0, most=1.0), "y": Entry(shape=("n",), infinite=True)}
+    declared = {"x": Entry(shape=("n",), minimum=-1.0, maximum=1.0), "y": Entry(shape=("n",), infinite=True)}
     with pytest.raises(ValueError, match=said):
         check_arrays(arrays, declared)
     assert check_arrays({"x": np.zeros(3), "y": np.full(3, np.inf)}, declared) == {"n": 3}

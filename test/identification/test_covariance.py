@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ehls_ros.identification.covariance import DOUBT, clustered_covariance, correlation_time, normal_covariance
+from ehls_ros.identification.covariance import PRIOR_STD, clustered_covariance, correlation_time, normal_covariance
 
 TRUTH = np.array([2.0, -1.0])
 
@@ -34,7 +34,7 @@ def test_independent_residuals_have_the_textbook_covariance():
 def test_a_coordinate_without_data_is_doubted_and_blurs_no_other():
     rows = np.column_stack([np.zeros(400), regression()])
     covariance = normal_covariance(rows, 1)
-    assert covariance[0, 0] == pytest.approx(DOUBT**2)
+    assert covariance[0, 0] == pytest.approx(PRIOR_STD**2)
     np.testing.assert_allclose(covariance[1:, 1:], np.linalg.inv(regression().T @ regression()), rtol=1e-10)
 
 
@@ -42,7 +42,7 @@ def test_a_coordinate_without_data_is_doubted_whatever_the_clusters():
     random = np.random.default_rng(0)
     rows = np.column_stack([np.zeros(400), regression()])
     covariance = clustered_covariance(rows, random.standard_normal(400), np.arange(400) // 10, 1)
-    assert covariance[0, 0] == pytest.approx(DOUBT**2)
+    assert covariance[0, 0] == pytest.approx(PRIOR_STD**2)
     np.testing.assert_allclose(covariance[0, 1:], 0.0, atol=1e-12)
 
 

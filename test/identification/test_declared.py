@@ -9,9 +9,9 @@ from made_motions import motion
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
-from ehls_ros.identification.along import force_along
 from ehls_ros.identification.balance import Recorded
 from ehls_ros.identification.declared import DeclaredCoordinates, fit_declared
+from ehls_ros.identification.friction_run import force_along
 from ehls_ros.identification.joint import REACH
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping

@@ -5,7 +5,6 @@ import pytest
 from made_motions import motion
 
 from ehls_ros.errors import BadInput
-from ehls_ros.identification.along import MOST_PARTS, force_along
 from ehls_ros.identification.balance import Recorded, check_unit, linear_columns
 from ehls_ros.identification.elements import (
     EXPONENTS,
@@ -13,6 +12,7 @@ from ehls_ros.identification.elements import (
     ElementCoordinates,
     ramps_of,
 )
+from ehls_ros.identification.friction_run import MAX_PARTS, force_along
 from ehls_ros.identification.motion import slides
 from ehls_ros.physics.friction.gms import Parameters as Friction
 
@@ -65,7 +65,7 @@ def test_bounds_hold_the_start_the_exponents_range_and_what_a_block_resolves():
     exponent, rate = coordinates.names.index("stribeck_exponent"), coordinates.names.index("attraction_rate")
     np.testing.assert_allclose(np.exp([low[exponent], high[exponent]]), EXPONENTS)
     _, slow = coordinates.bounds(z, 10.0)
-    assert np.exp(slow[rate]) == pytest.approx(MOST_PARTS / 10.0 * FRICTION.coulomb_force)
+    assert np.exp(slow[rate]) == pytest.approx(MAX_PARTS / 10.0 * FRICTION.coulomb_force)
     assert len(STATIC) + 1 + 3 + 2 == len(z)
 
 

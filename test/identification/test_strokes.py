@@ -44,13 +44,13 @@ def test_a_sweep_and_a_small_sine_lack_nothing(rig):
 def test_ranges_and_directions_that_are_missing_are_told(rig, velocities, told):
     wide = rig._replace(limits=rig.limits._replace(position=(-25.0, 25.0)))
     found = lacking([velocities, small_sine()], wide)
-    assert found.told == tuple(f"strokes {each}" for each in told)
+    assert found.descriptions == tuple(f"strokes {each}" for each in told)
     assert (found.velocities[0] < 2e-3, found.velocities[-1] > 0.02, found.sine) == (True, True, None)
 
 
 def test_a_disturbance_and_no_presliding_are_told(rig):
     found = lacking([SWEEP], rig, disturbance=500.0)
-    assert [told.split(",")[0] for told in found.told] == ["strokes without a disturbance force", "presliding"]
+    assert [told.split(",")[0] for told in found.descriptions] == ["strokes without a disturbance force", "presliding"]
     amplitude, frequency = found.sine
     assert 2.0 * np.pi * amplitude * frequency == pytest.approx(rig.friction.stribeck_velocity, rel=0.05)
 

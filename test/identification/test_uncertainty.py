@@ -170,7 +170,7 @@ def test_a_coefficient_at_the_limit_of_its_search_is_not_told(rig):
     assert "attraction_rate" not in found.by_name
     # Fs exceeds its rise.
     assert ("static_force" in found.by_name) == (
-        rig.friction.static_force - rig.friction.coulomb_force < uncertainty.VAGUE * rig.friction.static_force
+        rig.friction.static_force - rig.friction.coulomb_force < uncertainty.MAX_STD * rig.friction.static_force
     )
 
 

@@ -149,4 +149,4 @@ def test_a_node_that_does_not_serve_the_rigs_friction_model_ends_with_code_2(nod
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     [line] = done.stderr.strip().splitlines()
-    assert f"{named} does not serve friction model 'lugre'" in line
+    assert f"{named} does not support friction model 'lugre'" in line

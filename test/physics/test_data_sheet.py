@@ -7,8 +7,8 @@ import pytest
 from ehls_ros.arrays import in_python
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.data_sheet import DataSheet, lag_bandwidth, mean_area, rig_values, sheet_from_mapping
+from ehls_ros.physics.equations import load_flow
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.valve import load_flow
 from ehls_ros.schema import Misfit, notes
 from ehls_ros.units import in_unit
 
@@ -63,7 +63,7 @@ def test_each_value_says_where_it_came_from():
     assert values["plant"]["piston_area"].origin == "computed"
     for section, key in (("plant", "leakage_coefficient"), ("plant", "bulk_modulus"), ("friction", "coulomb_force")):
         assert values[section][key].origin == "assumed"
-        assert "ehls identify" in values[section][key].told
+        assert "ehls identify" in values[section][key].basis
     _, values = plant_of(friction="0.5 kN", leakage=0.2)
     assert values["friction"]["coulomb_force"] == (500.0, "given", "500 N")
     assert values["plant"]["leakage_coefficient"].value == pytest.approx(0.2 * LITRES_A_MINUTE / 210e5)

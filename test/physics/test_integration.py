@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.physics.composition import kernel_module
-from ehls_ros.physics.integration import MOST_EVENTS, WORK_ROWS
+from ehls_ros.physics.integration import MAX_EVENTS, WORK_ROWS
 
 # y0 runs at rate mode 0; where it passes c[i], mode i + 1 is set. The event function of the second is a million times steeper
 # than that of the first and hidden behind a flat one, as a force is behind a displacement.
@@ -86,5 +86,5 @@ def test_steps_with_events_too_dense_are_counted(ball):
     # Bounces of 0.5^n of the first: 16 of them fit into the step that holds the last.
     y = np.array([1.0, 0.0])
     dense = ball(0.0, y, np.zeros(1), np.array([10.0, 0.5]), 0.1, 20, np.empty((WORK_ROWS, 2)))
-    assert MOST_EVENTS < 20
+    assert MAX_EVENTS < 20
     assert 1 <= dense < 20

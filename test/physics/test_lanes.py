@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from ehls_ros.arrays import lean
+from ehls_ros.arrays import kernel_no_refcount
 from ehls_ros.physics.integration import WORK_ROWS, integrator
 from ehls_ros.physics.lane_memory import LANES, Rows, flat, numbers, numbers_in
 from ehls_ros.physics.lanes import LaneRows, lanes_integrator
@@ -22,14 +22,14 @@ class Ball(NamedTuple):
     drag: tuple[float, float]
 
 
-@lean
+@kernel_no_refcount
 def evaluate(t, y, mode, c, rate):
     rate[HEIGHT] = y[SPEED]
     rate[SPEED] = -c.gravity - (c.drag[0] - c.drag[1] * t) * y[SPEED]
     return -y[HEIGHT] if y[SPEED] < 0.0 else -1.0
 
 
-@lean
+@kernel_no_refcount
 def switch(t, y, mode, c):
     if y[HEIGHT] < 0.0 and y[SPEED] < 0.0:
         y[SPEED] *= -c.bounce
@@ -42,7 +42,7 @@ LIKE = Ball(9.81, 0.8, (0.1, 0.05))
 BALL = rows.take(numbers_in(LIKE))
 
 
-@lean
+@kernel_no_refcount
 def ball(block, like, lane):
     return numbers(like, block, BALL, lane)
 

@@ -14,15 +14,15 @@ import pytest
 from numba import njit
 from tiers import tiered
 
-from ehls_ros.arrays import lean
-from ehls_ros.physics.along import PARTS, run_part
-from ehls_ros.physics.along.base import ModelRun, Motion
-from ehls_ros.physics.along.friction import FrictionInputs
-from ehls_ros.physics.along.load import Piston
+from ehls_ros.arrays import kernel_no_refcount
 from ehls_ros.physics.composition import compiled, effects_with, rig_elements
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS, Peak, Quantile, Share
 from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.imposed_motion import PARTS, run_part
+from ehls_ros.physics.imposed_motion.base import ModelRun, Motion
+from ehls_ros.physics.imposed_motion.friction import FrictionInputs
+from ehls_ros.physics.imposed_motion.load import Piston
 from ehls_ros.physics.integration import WORK_ROWS, integrator
 from ehls_ros.physics.plant import (
     FRICTION,
@@ -81,13 +81,13 @@ def build(friction, elements, states, chains):
 
     run = integrator(evaluate, switch, size=end + states)
 
-    @lean
+    @kernel_no_refcount
     def run_held(t, y, mode, c, command, step, steps, work):
         return run(t, y, mode, Coefficients(c.plant, c.friction, c.inputs, c.effects, command), step, steps, work)
 
     step_cycle = cycle_stepper(run_held, chains, end)
 
-    @lean
+    @kernel_no_refcount
     def record(c, given, period, y, mode, work, piston, out):
         w, dense = c.inputs, 0
         for k in range(given.shape[0]):

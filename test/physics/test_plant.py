@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from rig_runs import PERIOD, run
 
-from ehls_ros.physics.cylinder import load_pressure_rate
+from ehls_ros.physics.equations import load_flow, load_pressure_rate
 from ehls_ros.physics.simulator import Simulator
-from ehls_ros.physics.valve import load_flow
 
 # A negligible contact, so that the remaining plant is linear.
 SLIPPERY = {

@@ -7,8 +7,8 @@ import pytest
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.friction.gms import MOST_ELEMENTS
-from ehls_ros.physics.rig import MOST_EFFECTS, EffectUse, check_known, rig_from_mapping, rig_to_mapping, unknown_keys
+from ehls_ros.physics.friction.gms import MAX_ELEMENTS
+from ehls_ros.physics.rig import MAX_EFFECTS, EffectUse, check_known, rig_from_mapping, rig_to_mapping, unknown_keys
 
 
 def refused(data):
@@ -131,7 +131,7 @@ def test_something_that_is_no_rig(data):
         (["valve_dead_zone"], ["effects[0]", "'valve_dead_zone'", "name"]),
         ({"name": "valve_dead_zone"}, ["effects", "a list"]),
         ([{"name": ["valve_dead_zone"]}], ["effects[0]", "unknown"]),
-        ([{"name": "valve_dead_zone"}] * (MOST_EFFECTS + 1), ["effects", f"{MOST_EFFECTS + 1} effects", "at most"]),
+        ([{"name": "valve_dead_zone"}] * (MAX_EFFECTS + 1), ["effects", f"{MAX_EFFECTS + 1} effects", "at most"]),
     ],
 )
 def test_effects_that_are_wrong(effects, said, rig_data):
@@ -141,15 +141,15 @@ def test_effects_that_are_wrong(effects, said, rig_data):
         assert part in line
 
 
-@pytest.mark.parametrize("count", [MOST_ELEMENTS, MOST_ELEMENTS + 1])
+@pytest.mark.parametrize("count", [MAX_ELEMENTS, MAX_ELEMENTS + 1])
 def test_elements_are_as_many_as_are_compiled_in_a_reasonable_time(count, rig_data):
     rig_data["friction"].update(element_stiffness=[1e5] * count, element_weight=[1.0 / count] * count)
-    if count == MOST_ELEMENTS:
+    if count == MAX_ELEMENTS:
         assert len(rig_from_mapping(rig_data, "rig.yaml").friction.element_stiffness) == count
     else:
         line = refused(rig_data)
         assert f"element_stiffness has {count} values" in line
-        assert f"at most {MOST_ELEMENTS}" in line
+        assert f"at most {MAX_ELEMENTS}" in line
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def run(options: Namespace) -> int:
     check_rig(rig, where)
     check_step(rig, SHORTEST_STEP, where)
     source = "answers on the terminal" if options.answers is None else options.answers.name
-    origins = {section: {key: f"{s.origin}: {s.told}" for key, s in own.items()} for section, own in values.items()}
+    origins = {section: {key: f"{s.origin}: {s.basis}" for key, s in own.items()} for section, own in values.items()}
     _write(options.out, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, origins)}")
     _print(values, options.out)
     if options.json:
@@ -136,7 +136,7 @@ def _content(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
 
 def _document(values: Mapping[str, Mapping[str, Source]], content: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        f"{section}.{key}": {"value": content[section][key], "origin": source.origin, "from": source.told}
+        f"{section}.{key}": {"value": content[section][key], "origin": source.origin, "from": source.basis}
         for section, own in values.items()
         for key, source in own.items()
     }
@@ -157,7 +157,7 @@ def _write(path: Path, text: str) -> None:
 
 def _print(values: Mapping[str, Mapping[str, Source]], path: Path) -> None:
     rows = [
-        (f"{section}.{key}", f"{(s.value[0] if isinstance(s.value, list) else s.value):.4g}", escape(s.told))
+        (f"{section}.{key}", f"{(s.value[0] if isinstance(s.value, list) else s.value):.4g}", escape(s.basis))
         for section, own in values.items()
         for key, s in own.items()
         if s.origin == "assumed"

@@ -111,7 +111,7 @@ def basis_of(model: Model, reach: float, forgetting: float) -> Basis:
     return Basis(plant, model.command_delay, bank, fading, float(bank.settled), way)
 
 
-def relined(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
+def with_bandwidth(basis: Basis, bandwidth: float, memory: Memory) -> Basis:
     """Return a basis with another bandwidth of the valve [rad/s], and discard the valve's accumulated data."""
     memory.valve[:] = memory.counts[VALVE] = memory.past[:] = 0.0
     memory.flags[SINCE] = 0.0

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.adaptation.least_squares import audible, gather, solve, whole
+from ehls_ros.control.adaptation.least_squares import above_noise, gather, solve, symmetric
 from ehls_ros.control.controllers.base import Model, Noise
 from ehls_ros.physics.parameters import Plant
 
@@ -26,7 +26,7 @@ BLOCK = 10
 MOTION, COMPRESSION, LEAKAGE, OFFSET, VALVE, ROW = range(6)
 """Volumes in a row [m^3]: motion, compression, leakage, offset, and flow through the valve; and their number."""
 
-LEAST_MOTION = 0.1
+MIN_MOTION = 0.1
 """Least plausible ratio of area to discharge coefficient, relative to the rig file's."""
 
 STARTED, THROUGH, LEAKED, LAST_FLOW, LAST_PRESSURE, FIRST_POSITION, FIRST_PRESSURE, OPEN = range(8)
@@ -35,13 +35,13 @@ STARTED, THROUGH, LEAKED, LAST_FLOW, LAST_PRESSURE, FIRST_POSITION, FIRST_PRESSU
 OFFSET_FLOW = 1e-6
 """Scale of the offset in the sums [m^3/s]."""
 
-LEAKAGE_KNOWN = 1.0
+LEAKAGE_PRIOR_STD = 1.0
 """Prior standard deviation of the leakage's relative error."""
 
 FLOW_FLOOR, COMPRESSION_FLOOR = 1e-3, 1e-2
 """Least standard errors of discharge coefficient and bulk modulus, due to the trapezoidal rule over a cycle."""
 
-LEAST_DROP = 0.01
+MIN_USABLE_DROP = 0.01
 """Least usable pressure drop over the valve, as a fraction of the supply pressure."""
 
 
@@ -63,7 +63,7 @@ class Found(NamedTuple):
 def valve_flow(spool: float, pressure: float, supply: float, plant: Plant) -> float:
     """Return the flow (1) [m^3/s]; NaN if the pressure drop is too small to determine it."""
     drop = supply - math.copysign(pressure, spool * pressure)
-    if drop < LEAST_DROP * plant.supply_pressure:
+    if drop < MIN_USABLE_DROP * plant.supply_pressure:
         return math.nan
     return plant.discharge_coefficient * plant.valve_area_gradient * spool * math.sqrt(drop / plant.oil_density)
 
@@ -124,9 +124,9 @@ def balance(
 
 def find(model: Model, sums: Array, count: float) -> Found | None:
     """Return the flow estimates from the blocks, relative to the rig file's ``model``; None if not determined."""
-    sums, noise = whole(sums), _noise(model.plant, model.noise)
+    sums, noise = symmetric(sums), _noise(model.plant, model.noise)
     unit = np.eye(ROW - 1)
-    free = audible(np.diag(sums)[:-1], count, noise)
+    free = above_noise(np.diag(sums)[:-1], count, noise)
     # A rig without leakage in its file gives no scale for it.
     free[LEAKAGE] = model.plant.leakage_coefficient > 0.0
     if not free[MOTION]:
@@ -137,9 +137,9 @@ def find(model: Model, sums: Array, count: float) -> Found | None:
     shift[:-1, -1] = -expected
     kept = np.flatnonzero(free)
     both = np.append(kept, ROW - 1)
-    prior = unit[LEAKAGE] / LEAKAGE_KNOWN
+    prior = unit[LEAKAGE] / LEAKAGE_PRIOR_STD
     fit = solve((shift.T @ sums @ shift)[np.ix_(both, both)], count, noise[kept], prior[kept])
-    if fit is None or fit.values[MOTION] <= LEAST_MOTION:
+    if fit is None or fit.values[MOTION] <= MIN_MOTION:
         return None
     motion = fit.values[MOTION]
     discharge_std = math.hypot(fit.std(unit[MOTION, kept]) / motion**2, FLOW_FLOOR)

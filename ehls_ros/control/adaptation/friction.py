@@ -38,19 +38,19 @@ SEEN, DIRECTION, FURTHEST, FURTHEST_AT, REVERSED_AT, TURNED_AT, TRACKED = range(
 """Indices of the track: number of contiguous cycles, direction of motion, furthest position [m] and its cycle; cycle of the
 last reversal, and cycle when the motion back was long enough; and the length of the track."""
 
-HIGHER_BY = 1.02
+LEVEL_STEP = 1.02
 """Ratio of the higher level to the trial level, to form the derivative of friction by the level."""
 
 BEFORE = 2000
 """Cycles before a window in which the elements follow the motion, to forget their initial forces."""
 
-LEAST_LEVEL, MOST_LEVEL = 0.4, 2.5
+MIN_LEVEL, MAX_LEVEL = 0.4, 2.5
 """Bounds of the trial level, relative to the rig file's."""
 
 STEPS, CONVERGED = 5, 2e-4
 """Most levels tried for a reversal, and the change below which the iteration stops."""
 
-MOST_HALF = 10
+MAX_HALF = 10
 """Longest half-width of the position average that yields the velocity, in cycles."""
 
 VELOCITY_NOISE = 0.15
@@ -62,7 +62,7 @@ BACK = 1.3
 AROUND = 0.8
 """Half-width of a window relative to the time from reversal to break-away."""
 
-SHORTEST = 12
+MIN_HALF_WIDTH = 12
 """Least half-width of a window, in cycles."""
 
 WIDTH = 6
@@ -71,7 +71,7 @@ WIDTH = 6
 DEGREES = (2, 3, 4)
 """Degrees of the polynomials tried for the external force."""
 
-KNOWN = 0.3
+PRIOR_STD = 0.3
 """Prior standard deviation of the relative errors of viscous coefficient and mass."""
 
 LEVEL, VISCOUS, MASS, SOUGHT = range(4)
@@ -80,7 +80,7 @@ LEVEL, VISCOUS, MASS, SOUGHT = range(4)
 POINTS = 60
 """Approximate number of points to which a window is decimated."""
 
-LEAST_LEFT = 0.05
+MIN_RESIDUAL = 0.05
 """Least residual force on the paper's rig, for the weights [N], scaled with the rig's force."""
 
 REVERSALS = 2
@@ -128,10 +128,10 @@ def travel(friction: gms.Parameters) -> float:
 
 def half_of(noise: float, period: float, friction: gms.Parameters) -> int:
     """Return the number of position readings on either side from which a velocity is formed, given their noise [m]."""
-    for half in range(1, MOST_HALF):
+    for half in range(1, MAX_HALF):
         if noise * math.sqrt(2.0 / half) <= VELOCITY_NOISE * friction.stribeck_velocity * (half + 1) * period:
             return half
-    return MOST_HALF
+    return MAX_HALF
 
 
 @kernel
@@ -224,22 +224,22 @@ class Reversals:
         if reversed_at <= self._taken or turned_at - reversed_at >= RING // 4:
             return
         back = ring[np.arange(reversed_at, turned_at + 1) % RING, POSITION]
-        gone = int(np.argmax(np.abs(back - back[0]) >= self._level * self._travel)) or turned_at - reversed_at
-        half = max(int(AROUND * gone), SHORTEST)
+        elapsed = int(np.argmax(np.abs(back - back[0]) >= self._level * self._travel)) or turned_at - reversed_at
+        half = max(int(AROUND * elapsed), MIN_HALF_WIDTH)
         # Wider windows are smoothed more, as their features are slower.
         width = max(half // (2 * WIDTH), 1) * 2 + 1
-        margin, centre = half + width, reversed_at + gone
-        if now < centre + margin + MOST_HALF + 1:
+        margin, centre = half + width, reversed_at + elapsed
+        if now < centre + margin + MAX_HALF + 1:
             return
-        begin = max(centre - margin - BEFORE, MOST_HALF)
-        if centre - margin < 2 * MOST_HALF or now - begin >= RING:
+        begin = max(centre - margin - BEFORE, MAX_HALF)
+        if centre - margin < 2 * MAX_HALF or now - begin >= RING:
             self._taken = reversed_at
             return
         rows = ring[np.arange(begin, centre + margin + 1) % RING]
         values, variance, weights = self._fit(rows, centre - margin - begin, width)
         level = float(np.average(values[:, LEVEL], weights=weights[:, 0]))
         self._tried += 1
-        change, self._level = abs(level - self._level), min(max(level, LEAST_LEVEL), MOST_LEVEL)
+        change, self._level = abs(level - self._level), min(max(level, MIN_LEVEL), MAX_LEVEL)
         if change < CONVERGED or self._tried == STEPS:
             self._taken, self._tried = reversed_at, 0
             self._add(values, variance, weights, 2.0 * half * self._model.period)
@@ -280,7 +280,7 @@ class Reversals:
         position, velocity = (
             scipy.signal.savgol_filter(rows[:, POSITION], 2 * self._half + 1, 2, deriv=d, delta=period) for d in (0, 1)
         )
-        sliding = [_slide(position, velocity, tried, period, friction) for tried in (level, HIGHER_BY * level)]
+        sliding = [_slide(position, velocity, tried, period, friction) for tried in (level, LEVEL_STEP * level)]
         window = np.column_stack((rows, *sliding))[before:]
         smooth = _twice_averaged(window, width)
         bent = window[2 * width :, POSITION] - 2.0 * window[width:-width, POSITION] + window[: -2 * width, POSITION]
@@ -299,12 +299,12 @@ class Reversals:
             - slid
             - viscous
         )
-        slope = (higher - slid) / ((HIGHER_BY - 1.0) * level)
+        slope = (higher - slid) / ((LEVEL_STEP - 1.0) * level)
         smoothly = legvander(np.linspace(-1.0, 1.0, len(missing)), DEGREES[-1])
         regressors = np.column_stack((slope, viscous, inertia, smoothly))
         coupled, long = around.stiffness > 0.0, len(window) >= 2 * LONG
         corners = _corners(len(window), width)[thin] if coupled and long else None
-        least = LEAST_LEFT * in_python(largest_force)(plant) / PAPER_FORCE
+        least = MIN_RESIDUAL * in_python(largest_force)(plant) / PAPER_FORCE
         fits = [_solved(regressors[:, : SOUGHT + degree + 1], missing, corners, least) for degree in DEGREES]
         # A degree that explains the window better has a larger weight.
         weights = np.array([1.0 / left**2 for *_, left in fits])
@@ -337,7 +337,7 @@ def _solved(regressors: Array, missing: Array, corners: Array | None, least: flo
     # The residual is as structured as the friction: all points together count as one.
     together = left * math.sqrt(len(missing))
     known = np.zeros((2, regressors.shape[1]))
-    known[0, VISCOUS] = known[1, MASS] = together / KNOWN
+    known[0, VISCOUS] = known[1, MASS] = together / PRIOR_STD
     inverse = np.linalg.pinv(np.vstack((regressors, known)))[:SOUGHT]
     return inverse[:, :-2] @ missing, together**2 * np.sum(inverse**2, axis=1), left
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, kernel
 
-LARGEST_NOISE = 0.5
+MAX_NOISE_SHARE = 0.5
 """Largest noise share of a regressor's mean square for which it is used."""
 
 
@@ -46,15 +46,15 @@ class Fit(NamedTuple):
         return math.sqrt(max(float(direction @ self.covariance @ direction), 0.0))
 
 
-def whole(sums: Array) -> Array:
+def symmetric(sums: Array) -> Array:
     """Return the symmetric sums from the lower triangle filled by :func:`gather`."""
     return np.tril(sums) + np.tril(sums, -1).T
 
 
-def audible(squares: Array, count: float, noise: Array) -> NDArray[np.bool_]:
+def above_noise(squares: Array, count: float, noise: Array) -> NDArray[np.bool_]:
     """Return a mask of the regressors whose sums of squares exceed their noise of variance ``noise``; shape (n,)."""
-    heard: NDArray[np.bool_] = count * noise <= LARGEST_NOISE * squares
-    return heard
+    above: NDArray[np.bool_] = count * noise <= MAX_NOISE_SHARE * squares
+    return above
 
 
 def solve(sums: Array, count: float, noise: Array, prior: Array) -> Fit | None:
@@ -72,7 +72,7 @@ def solve(sums: Array, count: float, noise: Array, prior: Array) -> Fit | None:
     """
     n = len(sums) - 1
     squares, products = sums[:n, :n], sums[:n, n]
-    if count < 4.0 * n or not np.all(audible(np.diag(squares), count, noise)):
+    if count < 4.0 * n or not np.all(above_noise(np.diag(squares), count, noise)):
         return None
     removed = count * noise
     # Scaled by the regressors' sizes, as they differ by many powers of ten.

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control.adaptation.least_squares import Fit, gather, solve, whole
+from ehls_ros.control.adaptation.least_squares import Fit, gather, solve, symmetric
 
 INITIAL_TIME_CONSTANTS = 10.0
 """Time constants of the valve after which its initial state is forgotten."""
@@ -32,7 +32,7 @@ OFFSET = 1e-4
 GAIN_FLOOR, BANDWIDTH_FLOOR, DELAY_FLOOR = 1e-3, 5e-3, 0.01
 """Least standard errors of gain and bandwidth, and of the delay in cycles, due to the linearity of the spool sensor."""
 
-BANDWIDTH_KNOWN = 0.3
+BANDWIDTH_PRIOR_STD = 0.3
 """Prior standard deviation of the bandwidth's relative error."""
 
 
@@ -121,7 +121,7 @@ def compare(spool: float, bank: Bank, past: Array, fading: float, row: Array, su
 
 def find(bank: Bank, sums: Array, count: float) -> Found | None:
     """Return the valve that fits the spool best; None if the commands do not determine it."""
-    sums = whole(sums)
+    sums = symmetric(sums)
     # Delays inside their pair take precedence; a delay beyond the bank is used only if there is none.
     candidates: list[tuple[bool, float, int, Fit]] = []
     for i in range(bank.delays - 1):
@@ -129,7 +129,7 @@ def find(bank: Bank, sums: Array, count: float) -> Found | None:
         pick[i, 0] = pick[i + 1, 1] = 1.0
         pick[bank.delays + i, 2] = pick[bank.delays + i + 1, 2] = 0.5
         pick[-2, 3] = pick[-1, 4] = 1.0
-        fit = solve(pick.T @ sums @ pick, count, np.zeros(4), np.array([0.0, 0.0, 1.0 / BANDWIDTH_KNOWN, 0.0]))
+        fit = solve(pick.T @ sums @ pick, count, np.zeros(4), np.array([0.0, 0.0, 1.0 / BANDWIDTH_PRIOR_STD, 0.0]))
         if fit is None or fit.values[0] + fit.values[1] <= 0.0:
             continue
         share = fit.values[1] / (fit.values[0] + fit.values[1])

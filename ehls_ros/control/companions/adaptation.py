@@ -10,10 +10,10 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.adaptation.correction import AdaptationLimits
+from ehls_ros.control.adaptation.estimation import Estimation
 from ehls_ros.control.adaptation.friction import Surroundings
-from ehls_ros.control.adaptation.hand_over import Caution
-from ehls_ros.control.adaptation.search import Search
-from ehls_ros.control.companions.base import Kept, Past, Setting, Upcoming
+from ehls_ros.control.companions.base import Companion, Past, Setting
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import quantity
@@ -44,13 +44,13 @@ class Parameters(NamedTuple):
     )
 
 
-def caution_of(p: Parameters) -> Caution:
+def adaptation_limits(p: Parameters) -> AdaptationLimits:
     """Return the conditions and bounds on the adaptation of a coefficient."""
-    return Caution(p.reach, p.rate, p.certain, p.significance)
+    return AdaptationLimits(p.reach, p.rate, p.certain, p.significance)
 
 
-class Adaptation:
-    """Adaptation of the controller's model as a companion."""
+class Adaptation(Companion):
+    """Adaptation of the controller's model as a companion; the corrected rig file is written to the run's folder."""
 
     corrects = True
 
@@ -59,53 +59,43 @@ class Adaptation:
         self._wait = p.wait
         self._next = 0
         self._started: int | None = None
-        self._search = Search(setting.model, caution_of(p), p.forgetting, _surroundings(setting))
+        self._estimation = Estimation(setting.model, adaptation_limits(p), p.forgetting, _surroundings(setting))
 
     @property
-    def search(self) -> Search:
-        """The search with its estimates."""
-        return self._search
+    def estimation(self) -> Estimation:
+        """Estimates from the cycles so far."""
+        return self._estimation
 
     def prepare(self) -> None:
         """Compile or load the accumulation of evidence by a call without cycles."""
-        self._search.take(np.empty((0, len(SENSED))), np.empty(0))
+        self._estimation.take(np.empty((0, len(SENSED))), np.empty(0))
 
     def room(self, first: int, place: Array) -> int:
         """Return the cycles until the model may change."""
         return min(STRIDE - first % STRIDE, len(place))
 
-    def ahead(self, upcoming: Upcoming) -> None:
-        """Leave the rows unchanged."""
-
     def done(self, past: Past, model: Model) -> Model:
         """Add the past cycles to the evidence; return the model as corrected so far."""
         if self._started is None or past.first != self._next:
             self._started = past.first if self._started is None else self._started
-            self._search.interrupt()
+            self._estimation.interrupt()
         self._next = past.first + len(past.command)
-        self._search.take(np.ascontiguousarray(past.measured), np.ascontiguousarray(past.command))
+        self._estimation.take(np.ascontiguousarray(past.measured), np.ascontiguousarray(past.command))
         if self._next % STRIDE or (self._next - self._started) * model.period < self._wait:
             return model
-        return self._search.corrected(model, STRIDE)
+        return self._estimation.corrected(model, STRIDE)
 
     def interrupt(self) -> None:
         """Discard incomplete data after an interruption."""
-        self._search.interrupt()
+        self._estimation.interrupt()
 
     def report(self) -> Mapping[str, float | str]:
         """Return the values handed over, relative to the rig file's, and a sentence for each coefficient."""
-        return self._search.report()
+        return self._estimation.report()
 
     def at_bounds(self) -> tuple[str, ...]:
         """Return a sentence for each coefficient whose estimate is out of reach."""
-        return self._search.at_bounds()
-
-    def kept(self) -> Kept:
-        """Keep nothing, as the corrected rig file is written to the run's folder."""
-        return Kept()
-
-    def recall(self, kept: Kept) -> None:
-        """Recall nothing, as nothing is kept."""
+        return self._estimation.at_bounds()
 
 
 def _surroundings(setting: Setting) -> Surroundings | None:

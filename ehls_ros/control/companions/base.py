@@ -89,36 +89,47 @@ class Past(NamedTuple):
 
 
 class Companion(Protocol):
-    """Companion at work; one that hands the law another model of the rig has ``corrects = True``."""
+    """Companion at work; one that hands the law another model of the rig has ``corrects = True``.
+
+    A subclass inherits a neutral version of each method, which changes, learns and reports nothing.
+    """
 
     def prepare(self) -> None:
         """Compile or load the code of :meth:`ahead` and :meth:`done`, so that no cycle waits for it; change no state."""
+        return
 
     def room(self, first: int, place: Array) -> int:
-        """Return the number of upcoming cycles, at least one, that may run before :meth:`done` is called.
+        """Return the number of upcoming cycles, at least one, that may run before :meth:`done` is called; by default all.
 
         Args:
             first: number of the first cycle.
             place: place in the programme, shape (n, :data:`PLACE`).
         """
+        return len(place)
 
     def ahead(self, upcoming: Upcoming) -> None:
         """Change the rows of the cycles that will run next; called once for each cycle, in order."""
+        return
 
     def done(self, past: Past, model: Model) -> Model:
-        """Process the record of past cycles; return the model for the law from now on."""
+        """Process the record of past cycles; return the model for the law from now on, by default unchanged."""
+        return model
 
     def interrupt(self) -> None:
         """Discard incomplete learning: the valve does not follow the controller, or the plant has restarted."""
+        return
 
     def report(self) -> Mapping[str, float | str]:
         """Return figures and sentences for diagnostics and run folders."""
+        return {}
 
     def at_bounds(self) -> Sequence[str]:
         """Return a sentence for each estimate at its bound, with the remedy."""
+        return ()
 
     def kept(self) -> Kept:
         """Return the learnt arrays, to be written to the file named by the parameter ``file``, if any."""
+        return Kept()
 
     def recall(self, kept: Kept) -> None:
         """Restore the learnt arrays of an earlier run; called before the first cycle.
@@ -129,6 +140,7 @@ class Companion(Protocol):
         Raises:
             ValueError: an array is missing, of another type or shape, not finite, or beyond the bounds of the rig.
         """
+        return
 
 
 class CompanionKind(Protocol):

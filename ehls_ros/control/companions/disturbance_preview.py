@@ -6,17 +6,15 @@ d = -(kc x + cc v). The model may be wrong: the law's filter estimates the error
 """
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.companions.base import Kept, Past, Setting, Upcoming
-from ehls_ros.control.composition import servo_kernel
+from ehls_ros.control.companions.base import Companion, Setting, Upcoming
 from ehls_ros.control.controllers.base import FORESEEN, ROW, Model
 from ehls_ros.control.disturbances.position_servo import MovingMass, PositionGain, SupplyPressure, servo_plant
-from ehls_ros.control.servo_model import pair
+from ehls_ros.control.servo_model import pair, servo_kernel
 from ehls_ros.errors import BadInput
 
 ACTUATOR = True
@@ -36,44 +34,15 @@ class Parameters(NamedTuple):
     position_gain: PositionGain = 30.0
 
 
-class ForceActuator:
+class ForceActuator(Companion):
     """Preview for a force actuator, whose force is its command."""
-
-    def prepare(self) -> None:
-        """Do nothing, as nothing is compiled."""
-
-    def room(self, first: int, place: Array) -> int:
-        """Return the number of these cycles, as nothing is learnt from them."""
-        return len(place)
 
     def ahead(self, upcoming: Upcoming) -> None:
         """Write the force and its derivatives into the rows."""
         upcoming.rows[:, FORESEEN:] = upcoming.actuator
 
-    def done(self, past: Past, model: Model) -> Model:
-        """Return the model unchanged."""
-        return model
 
-    def interrupt(self) -> None:
-        """Do nothing, as the actuator's command continues."""
-
-    def report(self) -> Mapping[str, float | str]:
-        """Return an empty report."""
-        return {}
-
-    def at_bounds(self) -> tuple[str, ...]:
-        """Return no sentence, as nothing is estimated."""
-        return ()
-
-    def kept(self) -> Kept:
-        """Keep nothing, as nothing is learnt."""
-        return Kept()
-
-    def recall(self, kept: Kept) -> None:
-        """Recall nothing, as nothing is kept."""
-
-
-class PositionServo(ForceActuator):
+class PositionServo(Companion):
     """Preview for a position servo, by simulating the force of its motion on the loader."""
 
     def __init__(self, p: Parameters, model: Model) -> None:
@@ -147,6 +116,6 @@ def check(p: Parameters, setting: Setting) -> None:
         raise BadInput("the controller does not know the coupling to the servo", "companion disturbance_preview", expected)
 
 
-def build(p: Parameters, setting: Setting) -> ForceActuator:
+def build(p: Parameters, setting: Setting) -> Companion:
     """Return a new preview companion."""
     return ForceActuator() if setting.actuator == "force" else PositionServo(p, setting.model)

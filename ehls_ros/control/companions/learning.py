@@ -10,20 +10,17 @@ from typing import Annotated, Literal, NamedTuple, cast
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.companions.base import Kept, Past, Setting, Upcoming
+from ehls_ros.control.companions.base import Companion, Kept, Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import FORESEEN, Model
 from ehls_ros.control.learning import repetition
-from ehls_ros.control.learning.base import Learner
-from ehls_ros.control.learning.bumpless import Bumpless
-from ehls_ros.control.learning.foresight import MOST_CHANGE, Foresight
-from ehls_ros.control.learning.harmonics import Harmonics
-from ehls_ros.control.learning.kept import bounds_of, check_block, largest_correction, out_of_bounds
-from ehls_ros.control.learning.lesson import LOOK, Errors, Learners, Lesson, errors_of, recent_errors
-from ehls_ros.control.learning.peak_valley import FADE, PeakValley
+from ehls_ros.control.learning.corrector import Harmonics, Learner, Waveform
+from ehls_ros.control.learning.force_prediction import MAX_CHANGE, ForcePrediction
+from ehls_ros.control.learning.learnt_arrays import check_block, force_bounds, largest_correction, out_of_bounds
+from ehls_ros.control.learning.learnt_block import CHECK_INTERVAL, Errors, Learners, LearntBlock, errors_of, recent_errors
+from ehls_ros.control.learning.peak_valley import FADE, Bumpless, PeakValley
 from ehls_ros.control.learning.repetition import LoadCycle, Places, Recorder, Turn
 from ehls_ros.control.learning.robustness import Design, design, force_loop
-from ehls_ros.control.learning.smoothing import ForeseeingLaw, Smoother
-from ehls_ros.control.learning.waveform import Waveform
+from ehls_ros.control.learning.smoothing import PreviewLaw, Smoother
 from ehls_ros.declared_arrays import Arrays
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import sensors
@@ -83,17 +80,17 @@ class Parameters(NamedTuple):
     file: Annotated[str, text("file to go on from, and to leave what is learnt in; empty: none")] = ""
 
 
-class Learning:
+class Learning(Companion):
     """Learning as a companion."""
 
     def __init__(self, p: Parameters, setting: Setting) -> None:
         """Set up learning from the parameters and the controller's setting."""
         model = setting.model
         self._p, self._period = p, model.period
-        self._bounds = bounds_of(setting)
+        self._bounds = force_bounds(setting)
         self._bumpless = Bumpless(model.period) if p.method == "peak_valley" else None
         foresees = p.method != "peak_valley" and getattr(setting.law, "PREVIEW", False) and hasattr(setting.law, "assumptions")
-        self._smoother = Smoother(cast(ForeseeingLaw, setting.law), setting.tuning, model) if foresees else None
+        self._smoother = Smoother(cast(PreviewLaw, setting.law), setting.tuning, model) if foresees else None
         self._loop = force_loop(setting.law, setting.tuning, model, p.uncertainty)
         self._about = {
             "controller": str(getattr(setting.law, "__name__", "")).rpartition(".")[2],
@@ -103,13 +100,13 @@ class Learning:
         }
         self._places = Places(_whole_cycles(p.period, model.period))
         self._recorder = Recorder()
-        self._lessons: dict[int, Lesson] = {}
+        self._blocks: dict[int, LearntBlock] = {}
         self._unproven: set[int] = set()
         self._foreign = False
         self._turn: Turn | None = None
         self._usual: Turn | None = None
         self._settling, self._interrupted = True, False
-        self._added = self._foretold = 0
+        self._added = self._predicted = 0
         self._squares = 0.0
         self._previewed = np.empty(0)
         self._why = "no load cycle is complete"
@@ -126,10 +123,10 @@ class Learning:
         """Return the cycles that may run before :meth:`done`: to the next check of the error or the end of the load cycle."""
         count = self._places.together(first, place)
         turn = self._places.turn(first, place[0])
-        lesson = None if turn is None else self._lessons.get(turn.block)
-        if lesson is None or not (lesson.applied or lesson.foresees):
+        learnt = None if turn is None else self._blocks.get(turn.block)
+        if learnt is None or not (learnt.applied or learnt.foresees):
             return count
-        return min(count, LOOK - (first % LOOK))
+        return min(count, CHECK_INTERVAL - (first % CHECK_INTERVAL))
 
     def ahead(self, upcoming: Upcoming) -> None:
         """Add the learnt correction to the rows, while the reference is the one it was learnt on."""
@@ -139,9 +136,9 @@ class Learning:
         bare = upcoming.rows[:, :FORESEEN].copy()
         self._add_to(upcoming)
         turn = self._turn
-        lesson = None if turn is None else self._lessons.get(turn.block)
-        source = None if turn is None or lesson is None else (turn.block, lesson.cycles)
-        length = 0 if lesson is None else math.ceil(FADE * lesson.period)
+        learnt = None if turn is None else self._blocks.get(turn.block)
+        source = None if turn is None or learnt is None else (turn.block, learnt.cycles)
+        length = 0 if learnt is None else math.ceil(FADE * learnt.period)
         self._bumpless.smooth(upcoming.first, upcoming.rows, bare, source, length)
 
     def _add_to(self, upcoming: Upcoming) -> None:
@@ -149,38 +146,38 @@ class Learning:
         if turn != self._turn:
             self._begin(turn)
         self._previewed = upcoming.rows[:, FORESEEN].copy()
-        lesson = None if turn is None else self._lessons.get(turn.block)
-        if turn is None or lesson is None or self._interrupted or not (lesson.applied or lesson.foresees):
+        learnt = None if turn is None else self._blocks.get(turn.block)
+        if turn is None or learnt is None or self._interrupted or not (learnt.applied or learnt.foresees):
             return
         rows = upcoming.rows
-        at = self._places.phases(upcoming.first, upcoming.place, turn) * lesson.size
+        at = self._places.phases(upcoming.first, upcoming.place, turn) * learnt.size
         if len(rows) == 1:
             # In a node, called for each cycle.
             low = int(at[0])
-            self._add(rows[0], lesson, turn, low, float(at[0]) - low)
+            self._add(rows[0], learnt, turn, low, float(at[0]) - low)
             return
         for row, low, part in zip(rows, at.astype(np.int64), at % 1.0, strict=True):
-            self._add(row, lesson, turn, int(low), float(part))
+            self._add(row, learnt, turn, int(low), float(part))
 
-    def _add(self, row: Array, lesson: Lesson, turn: Turn, low: int, part: float) -> None:
+    def _add(self, row: Array, learnt: LearntBlock, turn: Turn, low: int, part: float) -> None:
         """Add the learnt correction to one row, interpolated by ``part`` from sample ``low`` to the next."""
-        if not lesson.stale:
-            wanted = lesson.wanted[low] + part * (lesson.wanted[low + 1] - lesson.wanted[low])
-            if abs(row[0] - wanted) > lesson.tolerance:
-                lesson.stale = True
+        if not learnt.stale:
+            wanted = learnt.wanted[low] + part * (learnt.wanted[low + 1] - learnt.wanted[low])
+            if abs(row[0] - wanted) > learnt.tolerance:
+                learnt.stale = True
                 self._why = f"the reference of block {turn.block} is another one than was learnt"
                 self._refuse_file(turn.block)
-        table = lesson.table[low]
+        table = learnt.table[low]
         if part != 0.0:
-            table = table + part * (lesson.table[low + 1] - table)
-        if not lesson.stale:
+            table = table + part * (learnt.table[low + 1] - table)
+        if not learnt.stale:
             row[:FORESEEN] += table[:FORESEEN]
             self._added += 1
-        if lesson.foresees:
+        if learnt.foresees:
             if math.isnan(row[FORESEEN]):
                 row[FORESEEN:] = 0.0
             row[FORESEEN:] += table[FORESEEN:]
-            self._foretold += 1
+            self._predicted += 1
 
     def done(self, past: Past, model: Model) -> Model:
         """Record the past cycles; learn from a load cycle once it is complete."""
@@ -200,10 +197,10 @@ class Learning:
             rows[:, repetition.PREVIEWED] = self._previewed
             rows[:, repetition.SMOOTHED] = math.nan
             recorder.smoothed(forces.first, forces.smoothed)
-        lesson = self._lessons.get(turn.block)
+        learnt = self._blocks.get(turn.block)
         self._squares += float(rows[:, repetition.ERROR] @ rows[:, repetition.ERROR])
-        if lesson is not None and (lesson.applied or lesson.foresees) and (past.first + len(rows)) % LOOK == 0:
-            self._look(turn, lesson, int((float(rows[-1, repetition.PHASE]) % 1.0) * lesson.size) + 1)
+        if learnt is not None and (learnt.applied or learnt.foresees) and (past.first + len(rows)) % CHECK_INTERVAL == 0:
+            self._check_error(turn, learnt, int((float(rows[-1, repetition.PHASE]) % 1.0) * learnt.size) + 1)
         if recorder.full():
             self._end(turn)
         return model
@@ -213,37 +210,33 @@ class Learning:
         self._interrupted = self._turn is not None
         if self._bumpless is not None:
             self._bumpless.reset()
-        self._recorder.spoil()
+        self._recorder.invalidate()
         if self._smoother is not None:
             self._smoother.reset()
         self._settling, self._usual = True, None
 
     def report(self) -> Mapping[str, float | str]:
         """Return the state of learning in the present block, with the reason if nothing is corrected."""
-        lesson = None if self._turn is None else self._lessons.get(self._turn.block)
+        learnt = None if self._turn is None else self._blocks.get(self._turn.block)
         file: dict[str, float | str] = {"file": FOREIGN} if self._foreign else {}
-        if lesson is None:
+        if learnt is None:
             why = "nothing repeats: neither a period nor a place in a programme" if self._turn is None else self._why
             return {"repetitions": 0.0, "state": why, **file}
         return {
-            "repetitions": float(lesson.cycles),
-            "state": "; ".join(filter(None, ("correcting" if lesson.applied else self._why, _out_of_step(lesson)))),
-            "error_before_n": lesson.first_error,
-            "error_now_n": lesson.last_error,
-            "convergence": lesson.last_error / lesson.first_error if lesson.first_error > 0.0 else math.nan,
-            **lesson.learners.reference.report(),
-            **({} if lesson.learners.force is None else {"force_change": lesson.learners.force.change}),
+            "repetitions": float(learnt.cycles),
+            "state": "; ".join(filter(None, ("correcting" if learnt.applied else self._why, _out_of_step(learnt)))),
+            "error_before_n": learnt.first_error,
+            "error_now_n": learnt.last_error,
+            "convergence": learnt.last_error / learnt.first_error if learnt.first_error > 0.0 else math.nan,
+            **learnt.learners.reference.report(),
+            **({} if learnt.learners.force is None else {"force_change": learnt.learners.force.change}),
             **file,
         }
 
-    def at_bounds(self) -> tuple[str, ...]:
-        """Return no sentence, as the report contains the end of a correction."""
-        return ()
-
     def kept(self) -> Kept:
         """Return the learnt arrays by block; none if the file is from another programme."""
-        learnt = {} if self._foreign else {block: lesson.stored() for block, lesson in self._lessons.items() if lesson.active}
-        return Kept(self._about, learnt)
+        parts = {} if self._foreign else {block: learnt.stored() for block, learnt in self._blocks.items() if learnt.active}
+        return Kept(self._about, parts)
 
     def recall(self, kept: Kept) -> None:
         """Restore the learnt arrays of an earlier run.
@@ -257,30 +250,30 @@ class Learning:
 
     def _begin(self, turn: Turn | None) -> None:
         """Start a load cycle."""
-        before, self._turn, self._added, self._foretold, self._squares = self._turn, turn, 0, 0, 0.0
+        before, self._turn, self._added, self._predicted, self._squares = self._turn, turn, 0, 0, 0.0
         self._recorder.begin(follows=turn is not None and before == turn._replace(number=turn.number - 1))
-        if turn is not None and turn.block in self._lessons:
-            self._lessons[turn.block].turn_begins()
+        if turn is not None and turn.block in self._blocks:
+            self._blocks[turn.block].begin_cycle()
 
-    def _look(self, turn: Turn, lesson: Lesson, samples: int) -> None:
+    def _check_error(self, turn: Turn, learnt: LearntBlock, samples: int) -> None:
         """Stop correcting if the error has grown, in a load cycle that follows a usual one without a gap.
 
         Args:
             turn: the load cycle.
-            lesson: lesson of its block.
+            learnt: its block.
             samples: samples of the load cycle so far.
         """
         # A start from rest causes an additional error.
-        if not (lesson.stale or self._settling) and lesson.withdrawal.exceeds(self._squares, samples):
-            self._withdraw(lesson)
+        if not (learnt.stale or self._settling) and learnt.withdrawal.exceeds(self._squares, samples):
+            self._withdraw(learnt)
             return
-        recent = self._recorder.latest(LOOK)
+        recent = self._recorder.latest(CHECK_INTERVAL)
         if recent is None or self._usual != turn._replace(number=turn.number - 1):
             return
-        limits = (math.inf, lesson.limits[1]) if lesson.stale else lesson.limits
+        limits = (math.inf, learnt.limits[1]) if learnt.stale else learnt.limits
         grown = [rms > limit for rms, limit in zip(recent_errors(recent), limits, strict=True)]
         if any(grown):
-            lesson.paused = True
+            learnt.paused = True
             what = "the force error" if grown[0] else "the external force"
             self._why = f"{what} is no longer what it was in the load cycles before"
 
@@ -291,64 +284,64 @@ class Learning:
         if cycle is None:
             return
         self._settling = self._interrupted = False
-        lesson = self._lessons.get(turn.block)
-        if lesson is None or not lesson.is_of(cycle):
-            self._anew(turn, cycle)
-            self._lessons[turn.block].begin(errors_of(cycle))
+        learnt = self._blocks.get(turn.block)
+        if learnt is None or not learnt.matches(cycle):
+            self._restart(turn, cycle)
+            self._blocks[turn.block].observe_transition(errors_of(cycle))
             return
         self._unproven.discard(turn.block)
         if settling:
             return
         errors = errors_of(cycle)
-        if not lesson.applied and _rms(errors.force) > largest_correction(lesson.wanted, self._bounds):
-            self._anew(turn, cycle)
+        if not learnt.applied and math.sqrt(float(np.mean(errors.force**2))) > largest_correction(learnt.wanted, self._bounds):
+            self._restart(turn, cycle)
             self._why = "the force is lost: the error is larger than any correction may be"
             return
-        if self._added == 0 and self._foretold == 0:
-            lesson.withdrawal.observe(errors.force)
-        elif lesson.applied and lesson.withdrawal.did_harm(errors.force):
-            self._withdraw(lesson)
-        if lesson.stale or lesson.paused:
-            self._judge(lesson, turn, cycle, errors)
-        elif self._p.method == "peak_valley" and not lesson.withdrawal.repeats:
+        if self._added == 0 and self._predicted == 0:
+            learnt.withdrawal.observe(errors.force)
+        elif learnt.applied and learnt.withdrawal.is_worse(errors.force):
+            self._withdraw(learnt)
+        if learnt.stale or learnt.paused:
+            self._judge(learnt, turn, cycle, errors)
+        elif self._p.method == "peak_valley" and not learnt.withdrawal.repeats:
             # Three numbers cannot distinguish a transient from an error that repeats.
-            lesson.begin(errors)
-        elif self._added == (len(cycle.columns) if lesson.active else 0):
-            lesson.take(errors, self._p.freeze)
+            learnt.observe_transition(errors)
+        elif self._added == (len(cycle.columns) if learnt.active else 0):
+            learnt.learn(errors, self._p.freeze)
             self._why = "nothing that repeats stands out from the noise"
-            if reason := out_of_bounds(lesson, self._p.method, self._bounds):
+            if reason := out_of_bounds(learnt, self._p.method, self._bounds):
                 # Discard all of it, including the foreseen force.
-                del self._lessons[turn.block]
-                self._anew(turn, cycle)
+                del self._blocks[turn.block]
+                self._restart(turn, cycle)
                 self._why = reason
 
-    def _judge(self, lesson: Lesson, turn: Turn, cycle: LoadCycle, errors: Errors) -> None:
+    def _judge(self, learnt: LearntBlock, turn: Turn, cycle: LoadCycle, errors: Errors) -> None:
         """Resume a correction, or restart learning, after a load cycle without it."""
-        if self._added > 0 or self._foretold > 0 or lesson.withdrawal.waiting > 0:
+        if self._added > 0 or self._predicted > 0 or learnt.withdrawal.waiting > 0:
             return
-        if lesson.stale or lesson.still_holds(errors):
-            lesson.stale = lesson.paused = False
+        if learnt.stale or learnt.is_valid(errors):
+            learnt.stale = learnt.paused = False
         else:
-            self._anew(turn, cycle)
-            self._lessons[turn.block].withdrawal = lesson.withdrawal
+            self._restart(turn, cycle)
+            self._blocks[turn.block].withdrawal = learnt.withdrawal
 
-    def _withdraw(self, lesson: Lesson) -> None:
+    def _withdraw(self, learnt: LearntBlock) -> None:
         """Withdraw the correction, as the error is larger than without it."""
-        lesson.paused = True
-        lesson.withdrawal.withdraw()
+        learnt.paused = True
+        learnt.withdrawal.withdraw()
         self._why = "the force error is larger than without a correction"
 
-    def _anew(self, turn: Turn, cycle: LoadCycle) -> None:
+    def _restart(self, turn: Turn, cycle: LoadCycle) -> None:
         """Restart learning a block's load cycle. The one that shows the reference contains a transition and is not used."""
         self._refuse_file(turn.block)
-        size, before = len(cycle.columns), self._lessons.get(turn.block)
+        size, before = len(cycle.columns), self._blocks.get(turn.block)
         learners = self._learners(cycle.columns[:, repetition.WANTED], cycle.period * self._period)
-        lesson = Lesson(cycle, learners, self._period)
+        learnt = LearntBlock(cycle, learners, self._period)
         if before is not None and before.foresees and before.size == size and before.period == cycle.period:
             # The actuator under test continues its motion whatever the reference is.
-            lesson = Lesson(cycle, learners._replace(force=before.learners.force), self._period)
-            lesson.limits[1] = before.limits[1]
-        self._lessons[turn.block] = lesson
+            learnt = LearntBlock(cycle, learners._replace(force=before.learners.force), self._period)
+            learnt.limits[1] = before.limits[1]
+        self._blocks[turn.block] = learnt
         self._why = "the load cycle has not been seen often enough"
 
     def _refuse_file(self, block: int) -> None:
@@ -363,7 +356,7 @@ class Learning:
         reference = self._learner(design(self._loop, size, period, self._p.gain), size, period)
         if self._smoother is None:
             return Learners(reference, None)
-        return Learners(reference, Foresight(size, period, self._p.force_bandwidth, self._p.forgetting))
+        return Learners(reference, ForcePrediction(size, period, self._p.force_bandwidth, self._p.forgetting))
 
     def _learner(self, filters: Design, size: int, period: float) -> Learner:
         if self._p.method == "harmonics":
@@ -374,23 +367,19 @@ class Learning:
         wanted, period = stored["wanted"], float(stored["period"])
         columns = np.zeros((len(wanted), repetition.COLUMNS))
         columns[:, repetition.WANTED] = wanted
-        lesson = Lesson(LoadCycle(period, columns), self._learners(wanted, period * self._period), self._period)
-        if not lesson.restore(stored):
+        learnt = LearntBlock(LoadCycle(period, columns), self._learners(wanted, period * self._period), self._period)
+        if not learnt.restore(stored):
             raise ValueError(f"block {block} was learnt with other parameters")
-        if reason := out_of_bounds(lesson, self._p.method, self._bounds):
+        if reason := out_of_bounds(learnt, self._p.method, self._bounds):
             raise ValueError(f"block {block}: {reason}")
-        self._lessons[block] = lesson
+        self._blocks[block] = learnt
         self._unproven.add(block)
 
 
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(values**2)))
-
-
-def _out_of_step(lesson: Lesson) -> str:
+def _out_of_step(learnt: LearntBlock) -> str:
     """Return the message that the external force is not foreseen, as it does not repeat; empty if it repeats."""
-    force = lesson.learners.force
-    if force is None or force.change <= MOST_CHANGE:
+    force = learnt.learners.force
+    if force is None or force.change <= MAX_CHANGE:
         return ""
     share = 100.0 * force.change
     return f"the external force is not in step with the load cycle: it changes by {share:.0f} % from one to the next"
@@ -398,8 +387,8 @@ def _out_of_step(lesson: Lesson) -> str:
 
 def _whole_cycles(period: float, control_period: float) -> int:
     cycles = period / control_period
-    if abs(cycles - round(cycles)) > WHOLE * max(cycles, 1.0) or 0.0 < cycles < 8.0 or cycles > repetition.LONGEST:
-        expected = f"a multiple of the control_period, {control_period:g} s, of 8 to {repetition.LONGEST}"
+    if abs(cycles - round(cycles)) > WHOLE * max(cycles, 1.0) or 0.0 < cycles < 8.0 or cycles > repetition.MAX_SAMPLES:
+        expected = f"a multiple of the control_period, {control_period:g} s, of 8 to {repetition.MAX_SAMPLES}"
         raise BadInput(f"period is {period:g} s", "companion learning", f"{expected}, or 0")
     return round(cycles)
 

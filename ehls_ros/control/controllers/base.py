@@ -48,6 +48,9 @@ ELEMENTS_FORCE, VISCOUS_FORCE = 0, 1
 """Indices of the two forces in a friction estimate."""
 
 
+MIN_DROP = 0.01
+"""Lower bound of the pressure drop over the valve in the laws' equations, as a fraction of the nominal supply pressure."""
+
 FORESEEN = 3
 """Index in a law's row of the foreseen external force, followed by its two derivatives."""
 
@@ -157,10 +160,10 @@ def model_of(rig: Rig, period: float) -> Model:
 
 def noise_of(sensors: Mapping[str, Sensor]) -> Noise:
     """Return the noise of a rig's sensors."""
-    return Noise(*(_deviation(sensors.get(signal, Sensor())) for signal in Noise._fields))
+    return Noise(*(reading_std(sensors.get(signal, Sensor())) for signal in Noise._fields))
 
 
-def _deviation(sensor: Sensor) -> float:
+def reading_std(sensor: Sensor) -> float:
     """Return the standard deviation of a reading, including its rounding."""
     return math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0))
 

@@ -27,7 +27,7 @@ import numpy as np
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.bounds import pressure_error_bound_kernel
 from ehls_ros.control.controllers import base
-from ehls_ros.control.controllers.base import ELEMENTS_FORCE, VISCOUS_FORCE, Bounded, Model, saturate
+from ehls_ros.control.controllers.base import ELEMENTS_FORCE, MIN_DROP, VISCOUS_FORCE, Bounded, Model, saturate
 from ehls_ros.physics import sensors
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.vector_math import exp
@@ -36,9 +36,6 @@ from ehls_ros.schema import quantity
 FOLLOWS = "force"
 FRICTION = True
 NEEDS = ("position", "velocity", "load_pressure", "spool_position", "force", "supply_pressure")
-
-LEAST_DROP = 0.01
-"""Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
 
 
 class Parameters(NamedTuple):
@@ -191,7 +188,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
 
     side = 1.0 if x4 >= 0.0 else -1.0
     drop = supply - side * x3
-    least_drop = LEAST_DROP * plant.supply_pressure
+    least_drop = MIN_DROP * plant.supply_pressure
     root = math.sqrt(max(drop, least_drop))
     g1 = (-plant.spring_stiffness * x1 - plant.viscous_damping * x2 + area * x3) / m0 - plant.gravity
     g3 = e3 * root

@@ -3,7 +3,7 @@
 The sliding surface (26), (27) is the paper's. Its law (34) requires velocity, friction and disturbance without delay or noise.
 Here :mod:`ehls_ros.control.state_estimator` estimates them from position, load pressure, spool and force, for the moment the
 command acts: friction from its GMS elements, and the external force and its rates in place of the adapted D of (38).
-:mod:`ehls_ros.control.reaching` chooses the command for the whole cycle. The velocity reading is not used and may be NaN.
+:mod:`ehls_ros.control.reaching_law` chooses the command for the whole cycle. The velocity reading is not used and may be NaN.
 """
 
 from typing import Annotated, NamedTuple
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control import reaching, state_estimator
+from ehls_ros.control import reaching_law, state_estimator
 from ehls_ros.control.controllers.base import Model
-from ehls_ros.control.reaching import RateWeight, ReachingRate, Slope, Surface, answer
-from ehls_ros.control.reaching import tracking as surface_tracking
+from ehls_ros.control.reaching_law import RateWeight, ReachingRate, Slope, Surface, answer
+from ehls_ros.control.reaching_law import tracking as surface_tracking
 from ehls_ros.control.state_estimator import (
     Assumptions,
     DischargeNoise,
@@ -37,7 +37,7 @@ FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
 PREVIEW = True
 
-follow = reaching.follow
+follow = reaching_law.follow
 
 
 class Parameters(NamedTuple):
@@ -98,7 +98,7 @@ def tracking(omega: Array, p: Parameters, model: Model) -> NDArray[np.complex128
 
 
 @kernel
-def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> Assumptions:
+def assumptions(state: State, activity: Array, p: Parameters, model: Model) -> Assumptions:
     """Return the parameters of the filter."""
     return Assumptions(
         p.coupling_stiffness,

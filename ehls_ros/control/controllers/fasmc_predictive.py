@@ -1,15 +1,14 @@
 """Finite-time adaptive sliding mode force control that predicts friction and disturbance by rate and model.
 
 As in :mod:`~ehls_ros.control.controllers.fasmc_output_feedback`, a filter predicts the state to the time when the command acts,
-including friction elements, and the command is chosen for the whole cycle. There are three differences.
+including friction elements, and the command is chosen for the whole cycle. There are three differences:
 
-First, the law takes sensor noise, command delay and coupling to the actuator under test from the rig file. Second, the filter's
-bandwidth for the external force follows the unrest of that force (:mod:`ehls_ros.control.unrest`). No assumption is made on its
-size or period, so that one tuning serves quiet rigs and rough ones. A force foreseen by a companion is subtracted from the
-force to be estimated: the remainder is quieter, and so is the filter. Third, the steepness of the sliding surface follows the
-unrest
-too: a calm filter has little noise, so the surface may be steep and leave little error; a restless filter would pass its noise
-on to the force.
+* The law takes sensor noise, command delay and coupling to the actuator under test from the rig file.
+* The filter's bandwidth for the external force follows the activity of that force (:mod:`ehls_ros.control.process_noise`). No
+  size or period of the force is assumed, so one tuning serves quiet rigs and rough ones. A force foreseen by a companion is
+  subtracted from the force to be estimated. The filter of the quieter remainder is quieter.
+* The steepness of the sliding surface follows the activity too. A quiet filter has little noise, so the surface may be steep
+  and leave little error. A fast filter would pass its noise on to the force.
 """
 
 from typing import Annotated, NamedTuple
@@ -18,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.control import reaching, state_estimator, unrest
+from ehls_ros.control import process_noise, reaching_law, state_estimator
 from ehls_ros.control.controllers.base import Model
-from ehls_ros.control.reaching import RateWeight, ReachingRate, Slope, Surface, answer
-from ehls_ros.control.reaching import tracking as surface_tracking
+from ehls_ros.control.process_noise import ProcessNoise, external_noise
+from ehls_ros.control.reaching_law import RateWeight, ReachingRate, Slope, Surface, answer
+from ehls_ros.control.reaching_law import tracking as surface_tracking
 from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_PRESSURE, PAPER_SPOOL, largest_force
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
@@ -37,7 +37,6 @@ from ehls_ros.control.state_estimator import (
     ValveNoise,
     state_of,
 )
-from ehls_ros.control.unrest import Habits, external_noise
 from ehls_ros.physics.plant import V
 from ehls_ros.schema import quantity
 
@@ -48,9 +47,9 @@ NEEDS = ("position", "load_pressure", "spool_position", "force")
 PREVIEW = True
 KNOWS = ("command_delay", "coupling_stiffness")
 
-follow = reaching.follow
+follow = reaching_law.follow
 
-LEAST_POSITION_NOISE, LEAST_PRESSURE_NOISE, LEAST_SPOOL_NOISE, LEAST_FORCE_NOISE = 1e-9, 10.0, 1e-9, 0.03
+MIN_POSITION_NOISE, MIN_PRESSURE_NOISE, MIN_SPOOL_NOISE, MIN_FORCE_NOISE = 1e-9, 10.0, 1e-9, 0.03
 """Lower bounds of the sensors' standard deviations on the paper's rig [m, Pa, m, N], as no model is more accurate; those of
 pressure, spool and force are scaled with the rig's."""
 
@@ -111,29 +110,29 @@ class Parameters(NamedTuple):
 
 def memory(p: Parameters) -> Array:
     """Return the filter's memory before its first measurement, with an external force at rest."""
-    return np.zeros(state_estimator.MEMORY_SIZE + unrest.PARTS)
+    return np.zeros(state_estimator.MEMORY_SIZE + process_noise.SIZE)
 
 
 def tracking(omega: Array, p: Parameters, model: Model) -> NDArray[np.complex128]:
-    """Return the response of the force to the reference at some frequencies [rad/s], for the modelled rig with unrest."""
+    """Return the response of the force to the reference at frequencies [rad/s], for the modelled rig and an active force."""
     return surface_tracking(omega, Surface(p.k, p.g, p.xi, p.reaching_rate), model.period, model.command_delay)
 
 
 @kernel
-def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> Assumptions:
-    """Return the parameters of the filter for the next cycle, and update the unrest from the present estimate."""
-    habits = Habits(p.least_noise, p.rate_noise, p.unrest_memory, p.reversal_factor, p.reversal_travel)
+def assumptions(state: State, activity: Array, p: Parameters, model: Model) -> Assumptions:
+    """Return the parameters of the filter for the next cycle, and update the activity from the present estimate."""
+    relation = ProcessNoise(p.least_noise, p.rate_noise, p.unrest_memory, p.reversal_factor, p.reversal_travel)
     rate = state.mean[EXTERNAL_RATE] - state.expected[1]
-    noise = external_noise(rate, state.mean[V], model.period, habits, restless)
+    noise = external_noise(rate, state.mean[V], model.period, relation, activity)
     force, pressure = largest_force(model.plant) / PAPER_FORCE, model.plant.supply_pressure / PAPER_PRESSURE
     return Assumptions(
         model.coupling_stiffness,
         model.coupling_damping,
         model.command_delay,
-        max(model.noise.position, LEAST_POSITION_NOISE),
-        max(model.noise.load_pressure, LEAST_PRESSURE_NOISE * pressure),
-        max(model.noise.spool_position, LEAST_SPOOL_NOISE * (model.spool_limit / PAPER_SPOOL)),
-        max(model.noise.force, LEAST_FORCE_NOISE * force),
+        max(model.noise.position, MIN_POSITION_NOISE),
+        max(model.noise.load_pressure, MIN_PRESSURE_NOISE * pressure),
+        max(model.noise.spool_position, MIN_SPOOL_NOISE * (model.spool_limit / PAPER_SPOOL)),
+        max(model.noise.force, MIN_FORCE_NOISE * force),
         p.motion_noise,
         p.oil_noise,
         p.valve_noise,
@@ -150,6 +149,6 @@ def assumptions(state: State, restless: Array, p: Parameters, model: Model) -> A
 def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
     """Return the spool command [m]."""
     taken = assumptions(state_of(memory), memory[state_estimator.MEMORY_SIZE :], p, model)
-    restless = taken.external_noise**2 / (taken.external_noise**2 + p.calm_noise**2)
-    surface = Surface(p.k, p.calm_g + restless * (p.g - p.calm_g), p.xi, p.reaching_rate)
+    active = taken.external_noise**2 / (taken.external_noise**2 + p.calm_noise**2)
+    surface = Surface(p.k, p.calm_g + active * (p.g - p.calm_g), p.xi, p.reaching_rate)
     return answer(m, r, surface, model, taken, memory, status)

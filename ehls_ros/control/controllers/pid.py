@@ -12,16 +12,13 @@ import numpy as np
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.controllers import base
-from ehls_ros.control.controllers.base import Model, saturate
+from ehls_ros.control.controllers.base import MIN_DROP, Model, saturate
 from ehls_ros.physics import sensors
 from ehls_ros.schema import quantity
 
 FOLLOWS = "position"
 FRICTION = False
 NEEDS = ("position", "load_pressure", "supply_pressure")
-
-LEAST_DROP = 0.01
-"""Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
 
 
 class Parameters(NamedTuple):
@@ -57,7 +54,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     velocity = r[1] + correction
     supply, pressure = m[sensors.SUPPLY_PRESSURE], m[sensors.LOAD_PRESSURE]
     side = 1.0 if velocity >= 0.0 else -1.0
-    root = math.sqrt(max(supply - side * pressure, LEAST_DROP * plant.supply_pressure) / plant.oil_density)
+    root = math.sqrt(max(supply - side * pressure, MIN_DROP * plant.supply_pressure) / plant.oil_density)
     flow = plant.piston_area * (velocity + r[2] / plant.valve_bandwidth) + plant.leakage_coefficient * pressure
     wanted = flow / (plant.discharge_coefficient * plant.valve_area_gradient * root * plant.valve_gain)
     command = saturate(wanted, model.spool_limit)

@@ -11,16 +11,13 @@ import numpy as np
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.controllers import base
-from ehls_ros.control.controllers.base import Model, saturate
+from ehls_ros.control.controllers.base import MIN_DROP, Model, saturate
 from ehls_ros.physics import sensors
 from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
 FRICTION = False
 NEEDS = ("velocity", "load_pressure", "spool_position", "force", "supply_pressure")
-
-LEAST_DROP = 0.01
-"""Lower bound of the pressure drop over the valve, as a fraction of the nominal supply pressure."""
 
 WINDING_DROP = 0.1
 """Pressure drop, as a fraction of the supply pressure, below which the valve has no reserve and integration stops."""
@@ -55,7 +52,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     supply, pressure, spool = m[sensors.SUPPLY_PRESSURE], m[sensors.LOAD_PRESSURE], m[sensors.SPOOL]
     side = 1.0 if spool >= 0.0 else -1.0
     drop = supply - side * pressure
-    least_drop = LEAST_DROP * plant.supply_pressure
+    least_drop = MIN_DROP * plant.supply_pressure
     root = math.sqrt(max(drop, least_drop) / plant.oil_density)
     flow_gain = plant.discharge_coefficient * plant.valve_area_gradient * root * plant.valve_gain
     compliance = plant.total_volume / (4.0 * plant.bulk_modulus)

@@ -10,16 +10,16 @@ three errors are half their sum, half their difference, and tau. Each is control
 with m the mean of w and A half its range. An error x changes by G du with its number u, independently of the others, and G is
 near 1: for a linear loop and a sine the three are decoupled, and G = 1 for the delay. G is the mean of 1 and the secant, which
 is the observed effect of changes of the number. x is estimated by a Kalman filter over the load cycles, and
-du = -x / (G (1 + W^2)) with W = :data:`DOUBT`. This converges for every response of the loop between 0 and 2 (1 + W^2) times
-the G in use. A number is limited to its bound. It is reset to zero if the error does not respond, or responds with the wrong
-sign.
+du = -x / (G (1 + W^2)) with W = :data:`UNCERTAINTY`. This converges for every response of the loop between 0 and
+2 (1 + W^2) times the G in use. A number is limited to its bound. It is reset to zero if the error does not respond, or responds
+with the wrong sign.
 
-Source: the same filter as :mod:`ehls_ros.control.learning.base`; the secant with forgetting is recursive least squares of one
-coefficient, Åström, Wittenmark, Adaptive Control, 2nd edition, 1995, section 2.2.
+Source: the same filter as :mod:`ehls_ros.control.learning.corrector`. The secant with forgetting is recursive least squares of
+one coefficient, Åström, Wittenmark, Adaptive Control, 2nd edition, 1995, section 2.2.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,9 @@ import scipy
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.learning.corrector import Corrector
 from ehls_ros.control.learning.robustness import MARGIN
+from ehls_ros.control.references._signals import quintic
 from ehls_ros.errors import BadInput
 
 MEAN, AMPLITUDE, DELAY = range(3)
@@ -53,22 +55,22 @@ FADE = 0.1
 SETTLE = 0.25
 """Settling time of the force after a change before it is evaluated [s]; at least to the end of the fade."""
 
-DOUBT = 0.5
+UNCERTAINTY = 0.5
 """Relative uncertainty of the response."""
 
 REMEMBERED = 0.7
 """Fraction of the evidence on the response that is kept over a change."""
 
-BELIEVED, LARGEST = 0.5, 2.5
+SECANT_WEIGHT, MAX_SECANT = 0.5, 2.5
 """Weight of the secant relative to 1, as a loop may follow a change slowly at first, and the secant's upper bound."""
 
-LEAST_RESPONSE, CERTAIN = 0.2, 3
+MIN_RESPONSE, RESET_AFTER = 0.2, 3
 """Secant below which a number is reset, and the number of consecutive changes required for this."""
 
 REST = 50
 """Changes after which a reset number is tried again."""
 
-LEAST_WEIGHT = 0.3
+MIN_WEIGHT = 0.3
 """Least weight of a load cycle, as a loop may follow a change slowly, and a specimen drifts."""
 
 PACE = 0.3
@@ -83,16 +85,14 @@ MEDIAN_OF_SQUARES = 0.4549
 UNKNOWN = 1e6
 """Variance of an unknown error, relative to that of the noise."""
 
-LEAST_NOISE = 1e-12
+MIN_NOISE = 1e-12
 """Lower bound of the noise's variance, relative to the squared bound, as noise-free simulations repeat exactly."""
 
 
-class PeakValley:
+class PeakValley(Corrector):
     """Correction by mean, amplitude and delay.
 
     Attributes:
-        cycles: number of load cycles used.
-        table: correction and its two derivatives at the samples, the first again at the end, shape (size + 1, 3).
         numbers: added mean [N], amplitude [N] and delay [s].
     """
 
@@ -110,14 +110,11 @@ class PeakValley:
         Raises:
             BadInput: convergence is not guaranteed with this gain.
         """
-        if gain > 0.0 and abs(1.0 - gain) + gain * DOUBT > 1.0 - MARGIN:
-            expected = f"gain 0, or {MARGIN / (1.0 - DOUBT):.2g} to {(2.0 - MARGIN) / (1.0 + DOUBT):.2g}"
+        if gain > 0.0 and abs(1.0 - gain) + gain * UNCERTAINTY > 1.0 - MARGIN:
+            expected = f"gain 0, or {MARGIN / (1.0 - UNCERTAINTY):.2g} to {(2.0 - MARGIN) / (1.0 + UNCERTAINTY):.2g}"
             raise BadInput(f"gain {gain:g}: the errors of peak and valley need not fall", "companion learning", expected)
-        self._wanted, self._size, self._period = wanted, len(wanted), period
-        self._gain = gain
-        self._turning = 2j * math.pi / period * np.arange(self._size // 2 + 1)
-        # The highest harmonic of an even number of samples has no phase.
-        self._turning[-1] *= self._size % 2
+        super().__init__(len(wanted), period)
+        self._wanted, self._period, self._gain = wanted, period, gain
         self._mean = float(np.mean(wanted))
         self._shape = np.fft.rfft(wanted - self._mean)
         slope = self._delayed(0.0, 1)
@@ -130,10 +127,8 @@ class PeakValley:
         self._bounds = reach * (
             np.array([self._half, self._half, 1.0 / self._turn]) if self._swings else np.array([largest, 0.0, 0.0])
         )
-        self._least = LEAST_NOISE * np.maximum(self._bounds, LEAST_NOISE) ** 2
+        self._least = MIN_NOISE * np.maximum(self._bounds, MIN_NOISE) ** 2
         self._settling = max(math.ceil(SETTLE / period) - 1, 0)
-        self.cycles = 0
-        self.table = np.zeros((self._size + 1, 3))
         self.numbers = np.zeros(3)
         self._seen = np.zeros(3)
         self._estimate, self._variance = np.zeros(3), np.full(3, np.inf)
@@ -168,7 +163,7 @@ class PeakValley:
             # Differences between successive load cycles change sign more often than the lag of the estimate.
             opposed = math.pi * np.maximum(-missed * self._missed, 0.0)
             self._wander, self._missed = self._wander + PACE * (opposed - self._wander), missed
-            weight = np.maximum(self._variance / (self._variance + self._noise + self._wander), LEAST_WEIGHT)
+            weight = np.maximum(self._variance / (self._variance + self._noise + self._wander), MIN_WEIGHT)
             self._estimate = self._estimate + weight * missed
             self._variance = self._variance * (1.0 - weight)
         self._change = np.zeros(3)
@@ -177,7 +172,7 @@ class PeakValley:
         """Learn the response from the effect of the last change; the prior is weighted by its uncertainty over the noise."""
         change, changed = self._change, self._change != 0.0
         noise = 2.0 * (self._noise + self._wander)
-        prior = noise / DOUBT**2
+        prior = noise / UNCERTAINTY**2
         self._cross[changed] = (REMEMBERED * self._cross + change * (self._seen - self._before))[changed]
         self._power[changed] = (REMEMBERED * self._power + change**2)[changed]
         before = self._response
@@ -187,51 +182,49 @@ class PeakValley:
     @property
     def _response(self) -> Array:
         """Damped estimate of an error's change over the change of its number, shape (3,)."""
-        believed: Array = 1.0 + BELIEVED * (np.clip(self._secant, 0.0, LARGEST) - 1.0)
+        believed: Array = 1.0 + SECANT_WEIGHT * (np.clip(self._secant, 0.0, MAX_SECANT) - 1.0)
         return believed
 
     def correct(self) -> bool:
         """Update the numbers from the estimated errors; return whether there is any correction."""
         if not self._fresh:
             return bool(np.any(self.numbers))
-        self._take_back()
-        share = self._gain or 1.0 / (1.0 + DOUBT**2)
+        self._reset_unresponsive()
+        share = self._gain or 1.0 / (1.0 + UNCERTAINTY**2)
         change = -share * self._estimate / self._response
         numbers = np.where(self._rest > 0.0, 0.0, np.clip(self.numbers + change, -self._bounds, self._bounds))
         self._before, self._change = self._estimate, numbers - self.numbers
         effect = self._response * self._change
         self._estimate = self._estimate + effect
-        self._variance = self._variance + (DOUBT * effect) ** 2
+        self._variance = self._variance + (UNCERTAINTY * effect) ** 2
         self.numbers, self._wait = numbers, self._settling
-        self._tabulate()
+        self._apply()
         return bool(np.any(numbers))
 
-    def _take_back(self) -> None:
+    def _reset_unresponsive(self) -> None:
         """Reset a number to which its error does not respond, and retry one whose waiting time has passed."""
         tried = self._rest == 1.0
         self._rest = np.maximum(self._rest - 1.0, 0.0)
-        self._useless = np.where((self._secant < LEAST_RESPONSE) & (self._rest == 0.0), self._useless + 1.0, 0.0)
-        useless = self._useless >= CERTAIN
+        self._useless = np.where((self._secant < MIN_RESPONSE) & (self._rest == 0.0), self._useless + 1.0, 0.0)
+        useless = self._useless >= RESET_AFTER
         self._rest[useless] = REST
         begun = tried | useless
         self._secant[begun] = 1.0
         self._cross[begun] = self._power[begun] = 0.0
         self._variance[begun] = UNKNOWN * self._noise[begun]
 
-    def _tabulate(self) -> None:
+    def _apply(self) -> None:
         """Fill the table from the numbers."""
         mean, amplitude, delay = self.numbers
         scale = 1.0 + amplitude / self._half if self._swings else 1.0
-        spectrum = (scale * np.exp(-self._turning * delay) - 1.0) * self._shape
-        spectrum[0] = mean * self._size
-        for column in range(3):
-            self.table[:-1, column] = np.fft.irfft(self._turning**column * spectrum, self._size)
-        self.table[-1] = self.table[0]
+        spectrum = (scale * np.exp(-self._derivative * delay) - 1.0) * self._shape
+        spectrum[0] = mean * self.size
+        self._tabulate(spectrum)
 
     def _measured(self, error: Array) -> tuple[Array, Array]:
         """Return the three errors of a load cycle, and their variances due to its noise."""
         if not self._swings:
-            return np.array([np.mean(error), 0.0, 0.0]), np.maximum([_noise_of(error, self._size), 0.0, 0.0], self._least)
+            return np.array([np.mean(error), 0.0, 0.0]), np.maximum([_noise_of(error, self.size), 0.0, 0.0], self._least)
         lag = self._lag(error)
         delayed = self._mean + self._delayed(lag, 0)
         remaining = self._wanted + error - delayed
@@ -241,15 +234,15 @@ class PeakValley:
         peak = float(np.max(force[top]) - np.max(delayed[top]))
         valley = float(np.min(force[bottom]) - np.min(delayed[bottom]))
         noise = _noise_of(remaining, samples)
-        variances = [0.5 * noise, 0.5 * noise, noise * samples / (self._size * self._slope)]
+        variances = [0.5 * noise, 0.5 * noise, noise * samples / (self.size * self._slope)]
         return np.array([0.5 * (peak + valley), 0.5 * (peak - valley), lag]), np.maximum(variances, self._least)
 
     def _lag(self, error: Array) -> float:
         """Return the time by which the force lags its reference [s]."""
         force = np.fft.rfft(self._wanted + error)
-        correlation = np.fft.irfft(force * np.conj(self._shape), self._size)
-        step = self._period / self._size
-        farthest = min(max(math.ceil(QUARTER * 2.0 * math.pi / (self._turn * step)), 1), (self._size - 1) // 2 - 1)
+        correlation = np.fft.irfft(force * np.conj(self._shape), self.size)
+        step = self._period / self.size
+        farthest = min(max(math.ceil(QUARTER * 2.0 * math.pi / (self._turn * step)), 1), (self.size - 1) // 2 - 1)
         near = np.arange(-farthest - 1, farthest + 2)
         at = int(np.argmax(correlation[near[1:-1]]))
         left, middle, right = correlation[near[at : at + 3]]
@@ -257,18 +250,18 @@ class PeakValley:
         part = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
         lag = step * (float(near[at + 1]) + min(max(part, -0.5), 0.5))
         # The correlation includes part of the fade; refine with mean, size and lag of the samples after it.
-        after = math.ceil(FADE * self._size)
+        after = math.ceil(FADE * self.size)
         delayed, slope = self._delayed(lag, 0)[after:], self._delayed(lag, 1)[after:]
         columns = np.column_stack([np.full(len(delayed), self._half), delayed, -slope / self._turn])
         (_, scale, missed), *_ = np.linalg.lstsq(
             columns.T @ columns, columns.T @ (self._wanted + error)[after:], rcond=SINGULAR
         )
-        return lag + missed / (scale * self._turn) if scale > LEAST_RESPONSE and abs(missed) < scale else lag
+        return lag + missed / (scale * self._turn) if scale > MIN_RESPONSE and abs(missed) < scale else lag
 
     def _delayed(self, lag: float, derivative: int) -> Array:
         """Return the reference about its mean, or a derivative of it, delayed by a lag [s], shape (size,)."""
-        spectrum = self._turning**derivative * np.exp(-self._turning * lag) * self._shape
-        delayed: Array = np.fft.irfft(spectrum, self._size)
+        spectrum = self._derivative**derivative * np.exp(-self._derivative * lag) * self._shape
+        delayed: Array = np.fft.irfft(spectrum, self.size)
         return delayed
 
     def _near(self, values: Array, part: float) -> NDArray[np.bool_]:
@@ -278,7 +271,7 @@ class PeakValley:
 
     def _judged(self, extreme: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the samples at an extreme after the fade, if they are at least half of all."""
-        later = extreme & (np.arange(self._size) >= FADE * self._size)
+        later = extreme & (np.arange(self.size) >= FADE * self.size)
         return later if 2 * np.sum(later) >= np.sum(extreme) else extreme
 
     def start_over(self) -> None:
@@ -313,20 +306,13 @@ class PeakValley:
             **({"limits": "; ".join(limits)} if limits else {}),
         }
 
-    def stored(self) -> dict[str, NDArray[Any]]:
-        """Return the learnt arrays, by name."""
-        return {"cycles": np.array(self.cycles), **{name.strip("_"): getattr(self, name) for name in self.STORED}}
-
     def restore(self, stored: Mapping[str, NDArray[Any]]) -> bool:
         """Restore arrays returned by :meth:`stored`; return whether they fit."""
-        values = {name: stored.get(name.strip("_")) for name in self.STORED}
-        if any(value is None or value.shape != (3,) for value in values.values()):
+        if not super().restore(stored):
             return False
-        for name, value in values.items():
-            setattr(self, name, value)
         self.numbers = np.clip(self.numbers, -self._bounds, self._bounds)
-        self.cycles, self._anew = int(stored["cycles"]), False
-        self._tabulate()
+        self._anew = False
+        self._apply()
         return True
 
 
@@ -337,3 +323,57 @@ def _noise_of(values: Array, samples: int) -> float:
     means = values[: count * width].reshape(count, width).mean(axis=1)
     variance = float(np.median(np.diff(means, 2) ** 2)) / (6.0 * MEDIAN_OF_SQUARES)
     return variance * width / samples
+
+
+class Bumpless:
+    """Smooth transition from one correction to the next.
+
+    When the source of the correction changes, the old one is continued along a straight line and faded into the new one.
+    """
+
+    def __init__(self, period: float) -> None:
+        """Start without correction; ``period`` is the control period [s]."""
+        self._period = period
+        self.reset()
+
+    def reset(self) -> None:
+        """Reset to no correction."""
+        self._source: Hashable = None
+        self._cycle, self._value, self._rate = -1, 0.0, 0.0
+        self._began, self._length, self._usual = 0, 0, 0
+        self._apart, self._speed = 0.0, 0.0
+
+    def smooth(self, first: int, rows: Array, bare: Array, source: Hashable, length: int) -> None:
+        """Smooth the correction in some rows, as a continuation of that in previous rows.
+
+        Args:
+            first: number of their first control cycle.
+            rows: reference with its two derivatives, shape (n, 3 or more); changed in place.
+            bare: the reference without correction, shape (n, 3).
+            source: origin of the correction; rows without correction have the source None.
+            length: control cycles of a transition; a change to another source takes the longer of both.
+        """
+        if source is None and self._source is None and first - self._began >= self._length:
+            return
+        for i, (row, plain) in enumerate(zip(rows, bare, strict=True)):
+            cycle, added = first + i, row[:3] - plain
+            here = source if np.any(added) else None
+            if here != self._source:
+                passed = (cycle - self._cycle) * self._period
+                self._apart = self._value + self._rate * passed - added[0]
+                self._speed = self._rate - added[1]
+                self._source, self._began = here, cycle
+                self._length, self._usual = max(self._usual, length), length
+            if cycle - self._began < self._length:
+                added += self._rest(cycle - self._began)
+                row[:3] = plain + added
+            self._cycle, self._value, self._rate = cycle, float(added[0]), float(added[1])
+
+    def _rest(self, cycles: int) -> Array:
+        """Return the remainder of the old correction to add to the new one, with its two derivatives, shape (3,)."""
+        since = cycles * self._period
+        fade, rate, bend = (float(part[0]) for part in quintic(np.array([since]), self._length * self._period))
+        apart = self._apart + self._speed * since
+        return np.array(
+            [(1.0 - fade) * apart, (1.0 - fade) * self._speed - rate * apart, -2.0 * rate * self._speed - bend * apart]
+        )

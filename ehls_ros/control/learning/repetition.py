@@ -12,7 +12,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions.base import BLOCK, REPETITIONS
 
-LONGEST = 200_000
+MAX_SAMPLES = 200_000
 """Samples of the longest load cycle that is learnt."""
 
 ROUNDING = 1e-6
@@ -124,7 +124,7 @@ class Recorder:
         self._before, self._before_next = self._rows[: self._count if keep else 0].copy(), self._next
         self._count, self.whole = 0, True
 
-    def spoil(self) -> None:
+    def invalidate(self) -> None:
         """Mark this load cycle as incomplete."""
         self.whole = False
 
@@ -139,10 +139,10 @@ class Recorder:
             Shape (count, COLUMNS), a view.
         """
         if self._count > 0 and cycle != self._next:
-            self.spoil()
+            self.invalidate()
         self._next = cycle + count
-        if not self.whole or self._count + count > LONGEST:
-            self.spoil()
+        if not self.whole or self._count + count > MAX_SAMPLES:
+            self.invalidate()
             self._count = 0
         end = self._count + count
         if end > len(self._rows):
@@ -197,11 +197,11 @@ class Recorder:
             # Samples not yet known are taken from the previous load cycle.
             late &= (at >= before[0, PHASE]) & (at <= before[-1, PHASE])
             earlier = np.interp(at, before[:, PHASE], before[:, SMOOTHED])
-            columns[late, SMOOTHED] = earlier[late] + _led_over(columns[:, SMOOTHED] - earlier, late)
+            columns[late, SMOOTHED] = earlier[late] + _extrapolated(columns[:, SMOOTHED] - earlier, late)
         return LoadCycle(period, columns)
 
 
-def _led_over(difference: Array, late: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Array:
+def _extrapolated(difference: Array, late: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Array:
     """Return the transition from the end of a load cycle's known part to the load cycle before it.
 
     If the force differs between both, there would be a step, which a law with preview would follow. The previous load cycle

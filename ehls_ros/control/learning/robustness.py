@@ -36,7 +36,7 @@ ROLL_OFF = 1.5
 GRID = 512
 """Frequencies at which the condition is checked, besides those of the harmonics."""
 
-LEAST_RESPONSE = 0.2
+MIN_RESPONSE = 0.2
 """Smallest response that is inverted."""
 
 HOLD = 1.5
@@ -163,7 +163,7 @@ def design(loop_at: Callable[[Array], Loop], size: int, period: float, gain: flo
 
 def learning_filter(loop: Loop, gain: float) -> Spectrum:
     """Return L at each frequency; ``gain`` as in :func:`design`."""
-    inverse = np.conj(loop.response) / np.maximum(np.abs(loop.response) ** 2, LEAST_RESPONSE**2)
+    inverse = np.conj(loop.response) / np.maximum(np.abs(loop.response) ** 2, MIN_RESPONSE**2)
     if gain > 0.0:
         return gain * inverse
     return inverse / (1.0 + loop.uncertainty**2)

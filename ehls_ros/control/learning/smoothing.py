@@ -18,8 +18,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ehls_ros.arrays import Array, apart, copy, kernel
-from ehls_ros.control import state_estimator, unrest
+from ehls_ros.arrays import Array, copy, kernel, separate_kernel
+from ehls_ros.control import process_noise, state_estimator
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.state_estimator import (
     CELL_OFFSET,
@@ -62,10 +62,10 @@ INNOVATION = STATES
 """Index, after the gain, of a reading's innovation over its variance; NaN if there was no reading."""
 
 
-class ForeseeingLaw(Protocol):
+class PreviewLaw(Protocol):
     """Interface of a law with preview."""
 
-    def assumptions(self, state: State, restless: Array, p: Any, model: Model) -> Assumptions:
+    def assumptions(self, state: State, activity: Array, p: Any, model: Model) -> Assumptions:
         """Return the filter's assumptions for the next cycle."""
 
 
@@ -78,7 +78,7 @@ class History(NamedTuple):
         readings: gain and innovation of each reading, shape (n, READINGS, STATES + 1).
         forces: filtered external force, shape (n,) [N].
         rows: row of the external force in the covariance, shape (n, STATES).
-        memory: memory of the filter and the unrest.
+        memory: memory of the filter and the activity of the external force.
         work: scratch, shape (2, STATES, STATES).
     """
 
@@ -100,12 +100,12 @@ def history() -> History:
         np.zeros((steps, READINGS, STATES + 1)),
         np.zeros(steps),
         np.zeros((steps, STATES)),
-        np.zeros(state_estimator.MEMORY_SIZE + unrest.PARTS),
+        np.zeros(state_estimator.MEMORY_SIZE + process_noise.SIZE),
         np.zeros((2, STATES, STATES)),
     )
 
 
-@apart
+@separate_kernel
 def _advance(supply: float, model: Model, p: Assumptions, state: State, transition: Array, product: Array) -> None:
     """Advance the filter by a period as :func:`ehls_ros.control.state_estimator.advance` does, and write the transition."""
     transition[:] = 0.0
@@ -125,7 +125,7 @@ def _advance(supply: float, model: Model, p: Assumptions, state: State, transiti
         t += duration
 
 
-@apart
+@separate_kernel
 def _read(reading: float, signal: int, scale: float, offset: float, noise: float, state: State, kept: Array) -> None:
     """Process one reading as :func:`ehls_ros.control.state_estimator.correct` does, and write gain and innovation."""
     missed = reading - scale * state.mean[signal] - offset * state.mean[CELL_OFFSET]
@@ -151,7 +151,7 @@ def _back(signal: int, scale: float, offset: float, kept: Array, adjoint: Array)
     adjoint[CELL_OFFSET] -= offset * total
 
 
-@apart
+@separate_kernel
 def smooth(history: History, area: float, found: Array) -> None:
     """Write the smoothed force of the block, and drop the block.
 
@@ -199,7 +199,7 @@ class Compiled(NamedTuple):
     take: Callable[..., int]
 
 
-def build(law: ForeseeingLaw) -> Compiled:
+def build(law: PreviewLaw) -> Compiled:
     """Build the smoother of a law."""
     assumptions = law.assumptions
 
@@ -259,7 +259,7 @@ class Forces(NamedTuple):
 class Smoother:
     """Run filter and smoother."""
 
-    def __init__(self, law: ForeseeingLaw, tuning: Any, model: Model) -> None:
+    def __init__(self, law: PreviewLaw, tuning: Any, model: Model) -> None:
         """Prepare filter and smoother.
 
         Args:

@@ -13,7 +13,7 @@ from ehls_ros.schema import quantity
 DRIVING = 1e9
 """Force that drives the measured motion [N], above any friction."""
 
-MOST_STEPS = 1000
+MAX_STEPS = 1000
 """Largest number of integration steps between two measurements; no piston's velocity needs more."""
 
 
@@ -78,7 +78,7 @@ def around(model: FrictionModel) -> tuple[Callable[..., tuple[Motion, int]], Cal
         velocity = held(velocity, state)
         # At least one step for each time constant of the forces.
         needed = period * relaxation_rate(friction, max(abs(last), abs(velocity)))
-        steps = max(p.steps, math.ceil(min(needed, MOST_STEPS)))
+        steps = max(p.steps, math.ceil(min(needed, MAX_STEPS)))
         return Motion(friction, last, (velocity - last) / period), steps if started else 0
 
     @kernel

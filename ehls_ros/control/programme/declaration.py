@@ -13,10 +13,10 @@ from ehls_ros.control.programme.blocks import BLOCKS
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.schema import parse, quantity, text
 
-MOST = 10**15
+MAX_PASSES = 10**15
 """Most repeats."""
 
-DEEPEST = 16
+MAX_DEPTH = 16
 """Largest nesting depth of repeats."""
 
 
@@ -124,8 +124,8 @@ def _parts(
 ) -> tuple[Leaf | Repeat, ...]:
     if not isinstance(entries, list | tuple) or not entries:
         raise BadInput(f"blocks is {entries!r}", where, "a list of one block or more")
-    if depth > DEEPEST:
-        raise BadInput("the repeats are too deep", where, f"at most {DEEPEST} within each other")
+    if depth > MAX_DEPTH:
+        raise BadInput("the repeats are too deep", where, f"at most {MAX_DEPTH} within each other")
     return tuple(_part(entry, f"{where}: blocks[{i}]", limits, leaves, depth) for i, entry in enumerate(entries))
 
 
@@ -163,7 +163,7 @@ OF_ANY = ("block", "name", "limits")
 
 
 class _Times(NamedTuple):
-    repeat: Annotated[int, quantity("1", "number of passes", minimum=1, maximum=MOST)]
+    repeat: Annotated[int, quantity("1", "number of passes", minimum=1, maximum=MAX_PASSES)]
 
 
 class _Named(NamedTuple):

@@ -19,13 +19,13 @@ from ehls_ros.schema import notes
 Holds = Sequence[float | None]
 """Values held after a stop; None for the programme's value at the stop."""
 
-MOST_LEGS = 3
+MAX_LEGS = 3
 """Most legs of a motion: along the programme to a standstill, to another value, and along the programme again."""
 
-MOST_MOTIONS = 100
+MAX_MOTIONS = 100
 """Most motions: one for each request within the control cycles published ahead."""
 
-MOST_SKIPS = 10_000
+MAX_SKIPS = 10_000
 """Most skipped blocks."""
 
 SHORTEST_LEG, LONGEST_LEG = 1e-9, 1e6
@@ -65,8 +65,8 @@ def check_motions(
     """
     if not motions:
         raise ValueError("no motion holds")
-    if len(motions) > MOST_MOTIONS:
-        raise ValueError(f"{len(motions)} motions hold, at most {MOST_MOTIONS} can")
+    if len(motions) > MAX_MOTIONS:
+        raise ValueError(f"{len(motions)} motions hold, at most {MAX_MOTIONS} can")
     firsts = [motion.first for motion in motions]
     if firsts[0] < 0 or any(later <= earlier for earlier, later in pairwise(firsts)):
         raise ValueError(f"the motions begin in the control cycles {firsts}, not one after the other")
@@ -93,12 +93,12 @@ def _same(one: float, other: float) -> bool:
 def _check_motion(motion: Motion, programme: Programme, holds: Holds, low: float, high: float) -> None:
     # A stop near the end comes to rest beyond it, where the programme holds its value.
     latest = programme.duration + LONGEST_STOP
-    if len(motion.legs) > MOST_LEGS:
-        raise ValueError(f"a motion has {len(motion.legs)} legs, at most {MOST_LEGS}")
+    if len(motion.legs) > MAX_LEGS:
+        raise ValueError(f"a motion has {len(motion.legs)} legs, at most {MAX_LEGS}")
     for name, since in (("motion", motion.since), *(("leg", leg.since) for leg in motion.legs)):
         if not 0.0 <= since <= latest:
             raise ValueError(f"a {name} is {since:g} s along the programme, which takes {programme.duration:g} s")
-    if len(motion.skipped) > MOST_SKIPS or sum(skip.load_cycles for skip in motion.skipped) > programme.load_cycles:
+    if len(motion.skipped) > MAX_SKIPS or sum(skip.load_cycles for skip in motion.skipped) > programme.load_cycles:
         raise ValueError("more is skipped than the programme holds")
     if any(not 0.0 <= skip.to <= latest or skip.load_cycles < 0 for skip in motion.skipped):
         raise ValueError("a skipped block is not in the programme")

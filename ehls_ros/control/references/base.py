@@ -27,6 +27,17 @@ class ReferenceSignal(Protocol):
         """Return value, first and second derivative, shape (n, 3)."""
 
 
+def place_of(t: Array, frequency: float) -> Array:
+    """Return block 0 and the load cycles completed with their fraction, shape (n, 2); NaN if nothing repeats.
+
+    Args:
+        t: times, shape (n,) [s].
+        frequency: frequency of the load cycles [Hz].
+    """
+    cycles = t * frequency if frequency > 0.0 else np.full(t.shape, np.nan)
+    return np.column_stack([np.zeros(t.shape), cycles])
+
+
 class SampledReference:
     """A reference by cycle number, sampled in blocks."""
 

@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.references._place import place_of
+from ehls_ros.control.references.base import place_of
 from ehls_ros.schema import quantity
 
 VALLEY = 0.0

@@ -5,8 +5,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.references._blend import quintic
-from ehls_ros.control.references._harmonics import harmonics
+from ehls_ros.control.references._signals import harmonics, quintic, weighted
 from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity
 
@@ -39,11 +38,4 @@ def sample(t: Array, p: Parameters) -> Array:
     weight = 1.0 / frequency
     wave = harmonics(t, p.amplitude * weight / weight.sum(), frequency, phase)
     # A quintic step: value, first and second derivative start at zero and end at those of the wave.
-    fade, fade_rate, fade_acceleration = quintic(t, FADE)
-    return np.column_stack(
-        [
-            fade * wave[:, 0],
-            fade_rate * wave[:, 0] + fade * wave[:, 1],
-            fade_acceleration * wave[:, 0] + 2.0 * fade_rate * wave[:, 1] + fade * wave[:, 2],
-        ]
-    )
+    return weighted(quintic(t, FADE), wave)

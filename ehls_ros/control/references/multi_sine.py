@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.references._harmonics import harmonics
+from ehls_ros.control.references._signals import harmonics
 from ehls_ros.schema import quantity
 
 

@@ -6,16 +6,15 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.references._blend import quintic
-from ehls_ros.control.references._harmonics import harmonics
-from ehls_ros.control.references._place import place_of
+from ehls_ros.control.references._signals import harmonics, quintic, weighted
+from ehls_ros.control.references.base import place_of
 from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity
 
 FADE = 0.5
 """Duration of the fade-in from the mean to full size [s]."""
 
-MOST = 4096
+MAX_HARMONICS = 4096
 """Most harmonics, as each is computed for every sample."""
 
 
@@ -37,8 +36,8 @@ def _components(p: Parameters) -> tuple[Array, Array]:
     if last < first:
         what = f"no multiple of 1/period = {1.0 / p.period:g} Hz is in the band"
         raise BadInput(what, "random", "highest_frequency above lowest_frequency by 1/period, or a longer period")
-    if last - first >= MOST:
-        raise BadInput(f"the band has {last - first + 1} harmonics", "random", f"at most {MOST}: a shorter period")
+    if last - first >= MAX_HARMONICS:
+        raise BadInput(f"the band has {last - first + 1} harmonics", "random", f"at most {MAX_HARMONICS}: a shorter period")
     frequency = np.arange(first, last + 1) / p.period
     return frequency, np.random.default_rng(p.seed).uniform(0.0, 2.0 * np.pi, frequency.size)
 
@@ -67,14 +66,9 @@ def sample(t: Array, p: Parameters) -> Array:
     """
     wave = steady(t, p)
     wave[:, 0] -= p.offset
-    fade, rate, bend = quintic(t, FADE)
-    return np.column_stack(
-        [
-            p.offset + fade * wave[:, 0],
-            rate * wave[:, 0] + fade * wave[:, 1],
-            bend * wave[:, 0] + 2.0 * rate * wave[:, 1] + fade * wave[:, 2],
-        ]
-    )
+    rows = weighted(quintic(t, FADE), wave)
+    rows[:, 0] += p.offset
+    return rows
 
 
 def place(t: Array, p: Parameters) -> Array:

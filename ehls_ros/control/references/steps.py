@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.references._blend import quintic
+from ehls_ros.control.references._signals import quintic
 from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity, text
 

@@ -229,16 +229,16 @@ ROWS = 3
 """Rows of a block: score, information and share."""
 
 HEALTHY_ARRAYS: Mapping[str, Entry] = {
-    "rows": Entry(shape=(ROWS, "blocks", "quantities"), least=-MAX_SCORE, most=MAX_SCORE),
-    "lengths": Entry("int64", ("sections",), least=1, most=1 << 20),
-    "time": Entry(shape=("samples",), least=-LONGEST_TIME, most=LONGEST_TIME),
+    "rows": Entry(shape=(ROWS, "blocks", "quantities"), minimum=-MAX_SCORE, maximum=MAX_SCORE),
+    "lengths": Entry("int64", ("sections",), minimum=1, maximum=1 << 20),
+    "time": Entry(shape=("samples",), minimum=-LONGEST_TIME, maximum=LONGEST_TIME),
     "signals": Entry(shape=("names", "samples"), missing=True),
 }
 """Arrays beside :class:`HealthyRig`: healthy blocks, their number in each section, and the recording of the first minutes."""
 
 BLOCK_ARRAYS: Mapping[str, Entry] = {
-    "begins": Entry(shape=("blocks",), least=-LONGEST_TIME, most=LONGEST_TIME),
-    "rows": Entry("float32", (ROWS, "blocks", "quantities"), least=-MAX_SCORE, most=MAX_SCORE),
+    "begins": Entry(shape=("blocks",), minimum=-LONGEST_TIME, maximum=LONGEST_TIME),
+    "rows": Entry("float32", (ROWS, "blocks", "quantities"), minimum=-MAX_SCORE, maximum=MAX_SCORE),
 }
 """Arrays of the summed blocks."""
 

@@ -1,15 +1,18 @@
-"""Shifts of the coefficients of a rig's friction model."""
+"""Presence of friction coefficients, and the Stribeck level with its lower bound."""
 
-from typing import Any
-
+from ehls_ros.arrays import kernel
 from ehls_ros.physics.rig import Rig
+
+MIN_LEVEL = 1.0
+"""Lower bound of the Stribeck level [N]; the friction models divide by the level."""
+
+
+@kernel
+def shifted_level(level: float, offset: float) -> float:
+    """Return a Stribeck level plus an offset, at least :data:`MIN_LEVEL` [N]."""
+    return max(level + offset, MIN_LEVEL)
 
 
 def has(rig: Rig, *keys: str) -> bool:
     """Return whether a rig's friction model has at least one of the coefficients."""
     return bool(set(keys) & set(rig.friction._fields))
-
-
-def shifted(rig: Rig, **values: Any) -> Rig:
-    """Return a rig with new values of coefficients; those that its friction model lacks are ignored."""
-    return rig._replace(friction=rig.friction._replace(**{key: value for key, value in values.items() if has(rig, key)}))

@@ -3,8 +3,8 @@
 import math
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.beam import piston_mass
 from ehls_ros.physics.effects._play import ramp
+from ehls_ros.physics.equations import piston_mass
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL
 from ehls_ros.physics.rig import Rig
@@ -46,4 +46,4 @@ def piston_rates(joint_force: float, share: float, y: Array, speed: float, load_
 
 def without_piston(rig: Rig, share: float) -> Rig:
     """Return the rig with its moving mass reduced to the load's share."""
-    return rig._replace(plant=rig.plant._replace(moving_mass=(1.0 - share) * rig.plant.moving_mass))
+    return rig.with_plant(moving_mass=(1.0 - share) * rig.plant.moving_mass)

@@ -26,7 +26,7 @@ class Parameters(NamedTuple):
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the bulk modulus scaled."""
-    return rig._replace(plant=rig.plant._replace(bulk_modulus=parameters.factor * rig.plant.bulk_modulus))
+    return rig.with_plant(bulk_modulus=parameters.factor * rig.plant.bulk_modulus)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -2,8 +2,7 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects._friction import has, shifted
-from ehls_ros.physics.effects._level import MIN_LEVEL
+from ehls_ros.physics.effects._friction import MIN_LEVEL, has
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -32,7 +31,7 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
     coulomb = max(MIN_LEVEL, rig.friction.coulomb_force + parameters.offset)
     moved = coulomb - rig.friction.coulomb_force
     static = rig.friction.static_force + moved if has(rig, "static_force") else coulomb
-    return shifted(rig, coulomb_force=coulomb, static_force=static)
+    return rig.with_friction(coulomb_force=coulomb, static_force=static)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

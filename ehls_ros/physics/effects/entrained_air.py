@@ -7,10 +7,9 @@ volume that is compressed by |pL| alone.
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._chambers import ATMOSPHERE, chambers
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import PL
+from ehls_ros.physics.plant import PL, chamber_pressures
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
@@ -23,6 +22,9 @@ WORDS = Words(
     measure="bleed the cylinder and record again: the effect must get smaller",
     change="keep `entrained_air` under `effects` in the rig file only if bleeding does not remove it",
 )
+
+ATMOSPHERE = 101325.0
+"""Atmospheric pressure p0, at which gauges read zero [Pa]."""
 
 POLYTROPIC = 1.4
 """Polytropic exponent n of compression too fast for heat exchange."""
@@ -45,7 +47,7 @@ def compliance(gauge: float) -> float:
 @kernel
 def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add the compliance of the air to that of the oil."""
-    first, second = chambers(y, plant)
+    first, second = chamber_pressures(y, plant)
     air = p.chambers * 0.5 * (compliance(first) + compliance(second)) + p.load * compliance(abs(y[PL]))
     return value / (1.0 + value * air)
 

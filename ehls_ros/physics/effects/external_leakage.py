@@ -3,9 +3,9 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._chambers import chambers
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import chamber_pressures
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
@@ -31,7 +31,7 @@ class Parameters(NamedTuple):
 @kernel
 def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add half the difference of the two leakage flows, since (2) is half the sum of the chambers' balances."""
-    first, second = chambers(y, plant)
+    first, second = chamber_pressures(y, plant)
     return value + 0.5 * ((p.first + p.each) * first - (p.second + p.each) * second)
 
 

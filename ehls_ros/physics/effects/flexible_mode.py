@@ -34,10 +34,10 @@ WORDS = Words(
 STATES = 2
 PISTON = 0
 
-LEAST_MASS = 0.1
+MIN_MASS = 0.1
 """Mass below which the load it carries is reduced in proportion; otherwise its acceleration would be unbounded [kg]."""
 
-LEAST_FRACTION = 0.01
+MIN_FRACTION = 0.01
 """Fraction of the moving mass that always stays with the piston."""
 
 
@@ -59,8 +59,8 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig without the included fraction of the mass, or without the piston's mass."""
     if parameters.piston_share > 0.0:
         return without_piston(rig, parameters.piston_share)
-    mass = max(rig.plant.moving_mass - parameters.taken * parameters.mass, LEAST_FRACTION * rig.plant.moving_mass)
-    return rig._replace(plant=rig.plant._replace(moving_mass=mass))
+    mass = max(rig.plant.moving_mass - parameters.taken * parameters.mass, MIN_FRACTION * rig.plant.moving_mass)
+    return rig.with_plant(moving_mass=mass)
 
 
 def piston_share(parameters: Parameters) -> float:
@@ -88,7 +88,7 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
     """Add the spring force, restore the removed weight and remove the loads on the mass; or add the joint's force."""
     if p.piston_share > 0.0:
         return transmitted_force(value, joint_force(y, z, p, plant), p.piston_share, y, plant)
-    carried = p.loaded * min(1.0, p.mass / LEAST_MASS)
+    carried = p.loaded * min(1.0, p.mass / MIN_MASS)
     far = carried * (plant.spring_stiffness * y[X] + disturbance_force(t, w))
     return value + p.mass * (pull(y[V], z, p) - p.taken * plant.gravity) + far
 
@@ -113,7 +113,7 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
         return
     dz[0] = z[1] - y[V]
     load = p.loaded * (plant.spring_stiffness * (y[X] + z[0]) + disturbance_force(t, w))
-    dz[1] = -pull(y[V], z, p) - load / max(p.mass, LEAST_MASS)
+    dz[1] = -pull(y[V], z, p) - load / max(p.mass, MIN_MASS)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

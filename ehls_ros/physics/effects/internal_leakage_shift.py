@@ -27,7 +27,7 @@ class Parameters(NamedTuple):
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the leakage coefficient shifted."""
     leakage = max(rig.plant.leakage_coefficient + parameters.added, 0.0)
-    return rig._replace(plant=rig.plant._replace(leakage_coefficient=leakage))
+    return rig.with_plant(leakage_coefficient=leakage)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -26,7 +26,7 @@ class Parameters(NamedTuple):
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the mass scaled."""
-    return rig._replace(plant=rig.plant._replace(moving_mass=parameters.factor * rig.plant.moving_mass))
+    return rig.with_plant(moving_mass=parameters.factor * rig.plant.moving_mass)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

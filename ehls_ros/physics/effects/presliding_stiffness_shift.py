@@ -2,7 +2,7 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects._friction import has, shifted
+from ehls_ros.physics.effects._friction import has
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -29,8 +29,7 @@ class Parameters(NamedTuple):
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the stiffness scaled."""
     elements = getattr(rig.friction, "element_stiffness", ())
-    return shifted(
-        rig,
+    return rig.with_friction(
         element_stiffness=tuple(parameters.factor * value for value in elements),
         presliding_stiffness=parameters.factor * getattr(rig.friction, "presliding_stiffness", 0.0),
     )

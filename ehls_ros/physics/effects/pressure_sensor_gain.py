@@ -2,7 +2,6 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects._sensor import with_sensors
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -27,7 +26,7 @@ class Parameters(NamedTuple):
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the sensitivity scaled."""
-    return with_sensors(rig, ["load_pressure"], lambda sensor: sensor._replace(gain=parameters.gain * sensor.gain))
+    return rig.with_sensors(["load_pressure"], lambda sensor: sensor._replace(gain=parameters.gain * sensor.gain))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

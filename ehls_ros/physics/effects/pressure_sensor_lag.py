@@ -2,7 +2,6 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects._sensor import with_sensors
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig
@@ -34,7 +33,7 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
         total = parameters.time_constant + (1.0 / sensor.bandwidth if sensor.bandwidth > 0.0 else 0.0)
         return sensor._replace(bandwidth=1.0 / total if total > 0.0 else 0.0)
 
-    return with_sensors(rig, ["load_pressure"], lagging)
+    return rig.with_sensors(["load_pressure"], lagging)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects._sensor import with_sensors
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import SENSED, Rig
@@ -34,9 +33,9 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
     def later(by: float) -> Callable[[Sensor], Sensor]:
         return lambda sensor: sensor._replace(delay=sensor.delay + by)
 
-    rig = with_sensors(rig, SENSED, later(parameters.every))
-    rig = with_sensors(rig, ["position"], later(parameters.position))
-    return with_sensors(rig, ["load_pressure"], later(parameters.pressure))
+    rig = rig.with_sensors(SENSED, later(parameters.every))
+    rig = rig.with_sensors(["position"], later(parameters.position))
+    return rig.with_sensors(["load_pressure"], later(parameters.pressure))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -27,7 +27,7 @@ class Parameters(NamedTuple):
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the stiffness shifted."""
     stiffness = max(rig.plant.spring_stiffness + parameters.added, 0.0)
-    return rig._replace(plant=rig.plant._replace(spring_stiffness=stiffness))
+    return rig.with_plant(spring_stiffness=stiffness)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -2,7 +2,7 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects._friction import has, shifted
+from ehls_ros.physics.effects._friction import has
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -34,8 +34,7 @@ class Parameters(NamedTuple):
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the curve changed."""
     friction = rig.friction
-    return shifted(
-        rig,
+    return rig.with_friction(
         static_force=max(friction.static_force + parameters.static_offset, friction.coulomb_force),
         stribeck_velocity=parameters.velocity_factor * friction.stribeck_velocity,
         stribeck_exponent=min(parameters.exponent_factor * getattr(friction, "stribeck_exponent", STEEPEST), STEEPEST),

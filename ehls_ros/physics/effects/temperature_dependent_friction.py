@@ -4,7 +4,7 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._level import shifted_level
+from ehls_ros.physics.effects._friction import shifted_level
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import TEMPERATURE, V

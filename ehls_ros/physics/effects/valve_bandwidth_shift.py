@@ -26,7 +26,7 @@ class Parameters(NamedTuple):
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the bandwidth scaled."""
-    return rig._replace(plant=rig.plant._replace(valve_bandwidth=parameters.factor * rig.plant.valve_bandwidth))
+    return rig.with_plant(valve_bandwidth=parameters.factor * rig.plant.valve_bandwidth)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

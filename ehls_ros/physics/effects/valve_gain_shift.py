@@ -28,11 +28,9 @@ class Parameters(NamedTuple):
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with both gains scaled."""
     plant = rig.plant
-    return rig._replace(
-        plant=plant._replace(
-            valve_gain=parameters.gain * plant.valve_gain,
-            discharge_coefficient=parameters.flow_gain * plant.discharge_coefficient,
-        )
+    return rig.with_plant(
+        valve_gain=parameters.gain * plant.valve_gain,
+        discharge_coefficient=parameters.flow_gain * plant.discharge_coefficient,
     )
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects._friction import has, shifted
+from ehls_ros.physics.effects._friction import has
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -28,7 +28,7 @@ class Parameters(NamedTuple):
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the viscous coefficient shifted."""
-    return shifted(rig, viscous_coefficient=max(rig.friction.viscous_coefficient + parameters.added, 0.0))
+    return rig.with_friction(viscous_coefficient=max(rig.friction.viscous_coefficient + parameters.added, 0.0))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -45,7 +45,7 @@ class Parameters(NamedTuple):
 
 level = stribeck_level
 
-MOST_ELEMENTS = 64
+MAX_ELEMENTS = 64
 """Largest number of elements; the compile time of the equations grows with it."""
 
 
@@ -54,8 +54,8 @@ def check(p: Parameters, where: str) -> None:
     if not p.element_stiffness or len(p.element_stiffness) != len(p.element_weight):
         what = f"{len(p.element_stiffness)} element_stiffness and {len(p.element_weight)} element_weight"
         raise BadInput(what, where, "lists of the same length, with at least one element")
-    if len(p.element_stiffness) > MOST_ELEMENTS:
-        raise BadInput(f"element_stiffness has {len(p.element_stiffness)} values", where, f"at most {MOST_ELEMENTS}")
+    if len(p.element_stiffness) > MAX_ELEMENTS:
+        raise BadInput(f"element_stiffness has {len(p.element_stiffness)} values", where, f"at most {MAX_ELEMENTS}")
     for key, values in (("element_stiffness", p.element_stiffness), ("element_weight", p.element_weight)):
         if not all(0.0 < value < math.inf for value in values):
             raise BadInput(f"{key} is {list(values)}", where, "finite numbers above 0")

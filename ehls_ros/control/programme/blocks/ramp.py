@@ -32,14 +32,14 @@ def course(p: Parameters, start: float) -> Course:
     return Course(start, p.to, _time(p, start), 0.0, 0, 0.1 * _time(p, start))
 
 
-LEAST = 1e-3
+MIN_TIME = 1e-3
 """Duration of a ramp by rate between equal values [s]."""
 
 
 def _time(p: Parameters, start: float) -> float:
     if p.time is not None or p.rate is None:
-        return p.time or LEAST
-    return max(LEAST, abs(p.to - start) / (p.rate * (1.0 - p.rounding)))
+        return p.time or MIN_TIME
+    return max(MIN_TIME, abs(p.to - start) / (p.rate * (1.0 - p.rounding)))
 
 
 def sample(t: Array, p: Parameters, start: float) -> Array:

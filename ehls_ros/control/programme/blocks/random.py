@@ -3,9 +3,9 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.programme.blocks._faded import faded
 from ehls_ros.control.programme.blocks.base import Course
 from ehls_ros.control.references import random as reference
+from ehls_ros.control.references._signals import faded
 from ehls_ros.errors import BadInput
 from ehls_ros.schema import quantity
 
