@@ -434,7 +434,7 @@ class ControlNode(DeclaredParameters):
         try:
             self.stop()
             if self.announces:
-                self._leaving.tell(String(data=self.sender), self.sender)
+                self._leaving.publish(String(data=self.sender), self.sender)
                 if not self.hosted:
                     # A process that goes on sends the announcement anyway and must not wait.
                     self._leaving.publisher.wait_for_all_acked(Duration(seconds=FAREWELL))

@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.hardware.backends.base import Reading
+from ehls_ros.hardware.backends.base import Device, Reading
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.free_running import free_running_time
 from ehls_ros.hardware.pace import ADVICE, LEAST, Pace
@@ -64,6 +64,23 @@ class HardwareBridgeNode(PlantNode):
         fraction = float(self.get_parameter("answer_time").value)
         self.answer_time = LOCKSTEP_PATIENCE if self.lockstep else fraction * self.period
         self.sample_time = LOCKSTEP_PATIENCE if self.lockstep else SILENCE * self.period
+        # First cycle of the run: the first one answered, or before that, the one that the loop began with.
+        self.first = 0
+        self.has_answers = False
+        self.in_time = 0
+        # Made by `prepare`:
+        self.device: Device
+        self.samples: SampleClock
+        self.pace: Pace
+        self.cycle: int
+        self.sequence: int
+        self.session: int
+        self.saturated: tuple[str, ...]
+        self.at_null: bool
+        self.restarts: int
+        self.failure: str
+        self.elapsed: int
+        self.lockstep_time: float
 
     def measured(self) -> Collection[str]:
         """Read the bridge file and return the signals that have a channel."""
@@ -86,7 +103,7 @@ class HardwareBridgeNode(PlantNode):
         self.cycle = -1
         self.sequence = -1
         self.session = 0
-        self.saturated: tuple[str, ...] = ()
+        self.saturated = ()
         self.at_null = True
         self.restarts = 0
         self.failure = ""
@@ -106,7 +123,7 @@ class HardwareBridgeNode(PlantNode):
 
     def start(self) -> None:
         """Begin with the next sample, disabled."""
-        self.first = self.cycle + 1
+        self.first, self.has_answers = self.cycle + 1, False
         self.begin_stamps(self.first)
         self._reset_counts()
         self.gate.begin()
@@ -134,13 +151,15 @@ class HardwareBridgeNode(PlantNode):
             self.answer.wait(remaining)
             self.take_commands(self.cycle)
         if self.answered >= self.first:
+            if not self.has_answers:
+                self.first, self.has_answers = self.answered, True
             in_time = self.answered == self.cycle
             self.in_time += in_time
             # Lost samples count as unanswered.
-            self.missed += self.elapsed - in_time
+            self.statistics.missed += self.elapsed - in_time
             self._keep_pace()
         self._write(self.gate.step(self._time()))
-        self.tell_telemetry()
+        self.publish_telemetry()
         if self.cycles and self.cycle - self.first + 1 >= self.cycles:
             self.end_cycles()
 
@@ -217,7 +236,7 @@ class HardwareBridgeNode(PlantNode):
             self.device.write(self.calibration.command(spool), self.sequence)
         except WorkFailed as error:
             self.failure = str(error)
-        self.tell_driving(self.gate.driving)
+        self.announcements.publish_driving(self.gate.driving)
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
