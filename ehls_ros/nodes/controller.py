@@ -30,8 +30,9 @@ from ehls_ros.experiments.spec import check_law, company_of, untold
 from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.hardware.handover import ControllerHandover, ControllerState
 from ehls_ros.nodes.adjustments import Adjustments
-from ehls_ros.nodes.control import OK, PATIENCE, WARN, ControlNode
+from ehls_ros.nodes.control import PATIENCE, ControlNode
 from ehls_ros.nodes.controller_topics import TURN, ControllerTopics
+from ehls_ros.nodes.diagnostics import OK, WARN
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.transport import Waiter
@@ -60,7 +61,7 @@ class Parameters(NamedTuple):
         float,
         quantity("s", "in realtime, longest time a cycle waits for its friction estimate", minimum=0.0, maximum=60.0),
     ] = 0.005
-    accept_rig: Annotated[bool, text("know the rig as the monitor tells it once an operator has accepted a change")] = False
+    accept_rig: Annotated[bool, text("use the rig that the monitor publishes when an operator accepts a change")] = False
 
 
 @dataclass(slots=True)
@@ -182,7 +183,7 @@ class ControllerNode(ControlNode):
             self.get_logger().error(str(error))
             self.failures.fail_at_end()
 
-    def have_nothing_to_do(self) -> None:
+    def idle(self) -> None:
         """Publish the status of the last cycles if no further cycle follows soon."""
         if time.perf_counter() - self.answer.time > TURN:
             self.topics.status.flush()
@@ -371,8 +372,8 @@ class ControllerNode(ControlNode):
             return WARN, "no friction estimate arrives: the friction of steady sliding takes its place", figures
         if self.cycles.waited(time.perf_counter()) > PATIENCE:
             return WARN, f"no {self.kind.FOLLOWS} reference for the present cycle", figures
-        if self._active.is_set() and (standing := self._at_bounds()):
+        if self.is_active and (standing := self._at_bounds()):
             return WARN, "; ".join(standing), figures
-        if not self.answer.to_valve and self._active.is_set():
+        if not self.answer.to_valve and self.is_active:
             return OK, f"stands by: {self.handover.driver_of(self.cycles.answered)} drives", figures
-        return OK, "running" if self._active.is_set() else "inactive", figures
+        return OK, self.activity, figures

@@ -9,14 +9,16 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.hardware.backends.base import Device, Reading
-from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
+from ehls_ros.hardware.calibration import Calibration
 from ehls_ros.hardware.free_running import free_running_time
 from ehls_ros.hardware.pace import ADVICE, LEAST, Pace
 from ehls_ros.hardware.safety_gate import DISABLED
 from ehls_ros.hardware.sample_clock import SampleClock
-from ehls_ros.nodes.control import ERROR, OK, WARN, run_node
+from ehls_ros.nodes.diagnostics import ERROR, OK, WARN
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
+from ehls_ros.nodes.running import run_node
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import quantity, text
@@ -52,8 +54,6 @@ class HardwareBridgeNode(PlantNode):
         opened: whether the device was ever opened.
     """
 
-    opened = False
-
     def __init__(self) -> None:
         """Declare the parameters and read the bridge file.
 
@@ -64,6 +64,9 @@ class HardwareBridgeNode(PlantNode):
         fraction = float(self.get_parameter("answer_time").value)
         self.answer_time = LOCKSTEP_PATIENCE if self.lockstep else fraction * self.period
         self.sample_time = LOCKSTEP_PATIENCE if self.lockstep else SILENCE * self.period
+        self.bridge: Bridge
+        self.calibration: Calibration
+        self.opened = False
         # First cycle of the run: the first one answered, or before that, the one that the loop began with.
         self.first = 0
         self.has_answers = False
@@ -142,7 +145,7 @@ class HardwareBridgeNode(PlantNode):
             self.failure = str(error)
             reading = None
         if reading is None:
-            self._bear_silence()
+            self._step_without_sample()
             return
         self._open_cycle(reading)
         deadline = time.perf_counter() + self.answer_time
@@ -157,7 +160,7 @@ class HardwareBridgeNode(PlantNode):
             self.in_time += in_time
             # Lost samples count as unanswered.
             self.statistics.missed += self.elapsed - in_time
-            self._keep_pace()
+            self._check_pace()
         self._write(self.gate.step(self._time()))
         self.publish_telemetry()
         if self.cycles and self.cycle - self.first + 1 >= self.cycles:
@@ -167,7 +170,7 @@ class HardwareBridgeNode(PlantNode):
         self.pace = Pace(float(self.get_parameter("least_answered").value))
         self.in_time = 0
 
-    def _keep_pace(self) -> None:
+    def _check_pace(self) -> None:
         """Check whether samples are answered as fast as they arrive."""
         before = self.pace.complaint
         ended = not self.lockstep and self.pace.look(time.perf_counter(), self.cycle - self.first + 1, self.in_time)
@@ -191,7 +194,7 @@ class HardwareBridgeNode(PlantNode):
         wanted = f"control_period {self.period:g} s means {1.0 / self.period:.0f}"
         return f"the device samples {rate:.0f} times a second, {wanted}: set one of them to the other's"
 
-    def _straying_clock(self) -> str:
+    def _clock_drift(self) -> str:
         """Return the rate difference between the device's clock and the arrival of its samples; empty if they agree."""
         drift = self.samples.drift
         if self.lockstep or not self.samples.strays:
@@ -225,7 +228,7 @@ class HardwareBridgeNode(PlantNode):
         lag = 0.0 if self.lockstep else self.samples.lag
         self.publish(self.cycle, signals, elapsed=self.samples.elapsed, lag=lag, at_null=reading.at_null)
 
-    def _bear_silence(self) -> None:
+    def _step_without_sample(self) -> None:
         """Step the gate, which detects stale snapshots, and keep sending its command to the device."""
         self.elapsed = 1
         self.take_commands(self.cycle)
@@ -243,7 +246,7 @@ class HardwareBridgeNode(PlantNode):
         counted = {f"device_{name}": count for name, count in self.device.figures().items()}
         own = {"cycle": self.cycle, "device_began_anew": self.restarts, "device_at_null": self.at_null}
         clock = {"sample_lag_s": self.samples.lag, "device_clock_drift_ppm": -1e6 * self.samples.drift}
-        pace = self.pace.figures() if self._active.is_set() else {}
+        pace = self.pace.figures() if self.is_active else {}
         return {**super().figures(), **own, **clock, **counted, **pace}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
@@ -253,9 +256,9 @@ class HardwareBridgeNode(PlantNode):
             return ERROR, self.failure, figures
         if level == OK and self.at_null and self.gate.state != DISABLED:
             return WARN, "the device keeps the valve closed: commands do not reach it", figures
-        if level != ERROR and self._active.is_set():
+        if level != ERROR and self.is_active:
             slow = f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else ""
-            wrong = self._other_rate() or slow or self._straying_clock()
+            wrong = self._other_rate() or slow or self._clock_drift()
             if wrong:
                 return WARN, wrong, figures
         if level == OK and self.saturated:

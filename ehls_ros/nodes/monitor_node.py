@@ -50,9 +50,11 @@ from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.hardware.realtime import be_modest, tidy
 from ehls_ros.nodes.codec import Decoder
-from ehls_ros.nodes.control import NAMESPACE, OK, WARN, ControlNode, run_node
+from ehls_ros.nodes.control import NAMESPACE, ControlNode
+from ehls_ros.nodes.diagnostics import OK, WARN
 from ehls_ros.nodes.frames import loader_frame
 from ehls_ros.nodes.parameters import declare, values_of
+from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.telemetry import time_of
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
 from ehls_ros.physics.rig import rig_to_mapping
@@ -517,7 +519,7 @@ class MonitorNode(ControlNode):
                 "outside": told.outside,
                 "baseline": told.baseline,
             }
-        if not self._active.is_set():
+        if not self.is_active:
             return OK, "inactive", figures
         level = WARN if self.failure or self.word.level else OK
         return level, "; ".join(filter(None, (self.failure, self.word.sentence))), figures

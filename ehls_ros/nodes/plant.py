@@ -28,8 +28,10 @@ from ehls_ros.hardware.handover import PlantHandover, Succession
 from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
 from ehls_ros.hardware.stamps import Stamps
 from ehls_ros.nodes.codec import decode_text
-from ehls_ros.nodes.control import CLOCK_TOPIC, OK, PATIENCE, WAIT, WARN, ControlNode
+from ehls_ros.nodes.control import CLOCK_TOPIC, PATIENCE, ControlNode
+from ehls_ros.nodes.diagnostics import OK, WARN
 from ehls_ros.nodes.latency import Latency
+from ehls_ros.nodes.loop import WAIT
 from ehls_ros.nodes.parameters import declare, follow, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos
@@ -209,14 +211,14 @@ class PlantNode(ControlNode):
 
     def bring_up(self, stopping: Stopping) -> bool:
         """Configure; activate once the partners are active, so that the first cycle finds all who answer it."""
-        if not self.configure_itself():
+        if not self.lifecycle.configure():
             return False
         self.awaited = tuple(filter(None, self.text_parameter("partners").split(",")))
         states = {name: self.create_client(GetState, f"{name}/get_state") for name in self.awaited}
-        while self.awaited and not self._active.is_set() and not stopping.wait(WAIT):
+        while self.awaited and not self.is_active and not stopping.wait(WAIT):
             self.awaited = tuple(name for name in self.awaited if not self._is_active(states[name]))
         self.awaited = ()
-        return stopping.is_set() or self.activate_itself()
+        return stopping.is_set() or self.lifecycle.activate()
 
     def _is_active(self, client: Client) -> bool:
         """Query a node's state; repeat the request if the answer is late or lost."""
@@ -376,7 +378,7 @@ class PlantNode(ControlNode):
 
     def end_cycles(self) -> None:
         """Leave the active state from the service thread: the last cycle is done."""
-        self.finish()
+        self.loop.withdraw()
         self._ending.reset()
 
     def _leave(self) -> None:
@@ -388,7 +390,7 @@ class PlantNode(ControlNode):
             self.get_logger().warning(f"safety gate: {change}")
         self.report()
 
-    def unheard(self, silence: float) -> None:
+    def note_service_silence(self, silence: float) -> None:
         """Report to the gate how long an emergency stop could not be received; in lockstep the rig's time may stand still."""
         if not self.lockstep:
             self.gate.hear(silence)
@@ -457,7 +459,7 @@ class PlantNode(ControlNode):
         figures = {**self.figures(), **figures}
         if level:
             return bytes([level]), state, figures
-        if not self._active.is_set():
+        if not self.is_active:
             return (WARN, f"waiting for {', '.join(self.awaited)}", figures) if self.awaited else (OK, "inactive", figures)
         complaint = self._complaint()
         return (WARN, complaint, figures) if complaint else (OK, state, figures)

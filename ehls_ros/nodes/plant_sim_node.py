@@ -14,9 +14,11 @@ from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.hardware.simulated_clock import SimulatedClock
-from ehls_ros.nodes.control import ERROR, WAIT, WARN, run_node
+from ehls_ros.nodes.diagnostics import ERROR, WARN
+from ehls_ros.nodes.loop import WAIT
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
+from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import SENSED
@@ -142,7 +144,7 @@ class PlantSimNode(PlantNode):
         changed = self.time.end(time.perf_counter(), answered=complete, expected=self.answered >= 0, prompt=prompt)
         self.statistics.missed = self.time.missed
         self._advance()
-        if self.is_to_run:
+        if self.is_active:
             # The remaining work of a turn has time once the answer has arrived.
             self._await_inputs()
         if changed:
@@ -216,7 +218,7 @@ class PlantSimNode(PlantNode):
         level, message, figures = super().health()
         if trouble := self.simulator.trouble():
             return ERROR, trouble, figures
-        if level != ERROR and self._active.is_set() and self.time.pace.complaint:
+        if level != ERROR and self.is_active and self.time.pace.complaint:
             return WARN, f"{self.time.pace.complaint}, the simulated time runs slower than the wall's: {ADVICE}", figures
         return level, message, figures
 

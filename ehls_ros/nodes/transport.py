@@ -148,7 +148,7 @@ class Outbox:
         self._local.hand_over(message + self._sender)
         self._links.later(self._publish, self._encode, message, answers=self._answers)
 
-    def wait_until_heard(self, seconds: float) -> None:
+    def wait_until_received(self, seconds: float) -> None:
         """Wait until all readers have received the published messages, at most for a time [s]."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
