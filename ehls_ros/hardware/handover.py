@@ -28,8 +28,8 @@ RELAY_TIME = 0.5
 MESSAGES_KEPT = 100
 """Announcements, and commands of other controllers, that are kept: many more cycles than a controller may lag."""
 
-SAME = "·"
-"""No change of the state, in the tables."""
+SAME, IMPOSSIBLE = "·", "–"
+"""In the tables: no change of the state; the event cannot occur in the state."""
 
 State = TypeVar("State", bound=Enum)
 Event = TypeVar("Event", bound=Enum)
@@ -38,9 +38,9 @@ Event = TypeVar("Event", bound=Enum)
 def _table(states: type[State], rows: Mapping[Event, str]) -> Mapping[State, Mapping[Event, State]]:
     """Return the next state by state and event, from a row of words for each event, in the order of the states."""
     cells = {event: dict(zip(states, row.split(), strict=True)) for event, row in rows.items()}
-    return {
-        state: {event: state if row[state] == SAME else states(row[state]) for event, row in cells.items()} for state in states
-    }
+    for row in cells.values():
+        row.update({state: state.value for state, cell in row.items() if cell == SAME})
+    return {state: {event: states(row[state]) for event, row in cells.items() if row[state] != IMPOSSIBLE} for state in states}
 
 
 class PlantState(Enum):
@@ -357,7 +357,7 @@ CONTROLLER_TABLE = _table(ControllerState, {
     ControllerEvent.SELF:       "driving      driving    driving      driving      ·          driving    driving    driving",
     ControllerEvent.UNKNOWN:    "expecting    expecting  expecting    expecting    expecting  ·          expecting  expecting",
     ControllerEvent.OTHER:      "standby      standby    standby      standby      standby    standby    ·          standby",
-    ControllerEvent.RELAY:      "relayed      relayed    relayed      relayed      relayed    relayed    relayed    ·",
+    ControllerEvent.RELAY:      "–            relayed    relayed      relayed      relayed    relayed    relayed    ·",
     ControllerEvent.ANSWERED:   "·            claiming   ·            ·            ·          ·          ·          ·",
     ControllerEvent.UNDECIDED:  "·            ·          uncontested  ·            ·          ·          ·          ·",
     ControllerEvent.COMMAND:    "·            ·          ·            ·            ·          standby    ·          standby",
