@@ -40,12 +40,12 @@ NODES: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
 )
 """Nodes that can share a process, besides the controllers'."""
 
-GATHERED = 20
-"""Messages that gather before they are published, four cycles: published singly, each would wake up its readers. Not used
+BATCH = 20
+"""Messages that are published in one batch, those of four cycles: published singly, each would wake up its readers. Not used
 where a node of another process takes part in the cycles."""
 
-GATHERED_IN_LOCKSTEP = 100
-"""Messages that gather before they are published in lockstep."""
+LOCKSTEP_BATCH = 100
+"""The same in lockstep."""
 
 KEPT_IN_LOCKSTEP = 5 * DEPTH
 """History depth of a topic in lockstep: some thousand cycles may pass before a recorder on a busy machine reads."""
@@ -80,7 +80,7 @@ class Composition:
             node.be_hosted()
         # The plant starts last and stops first: the others are ready before its first request and may end after its last.
         self._beginning, self._ending = list(nodes), [self._host, *partners]
-        self._gathered = GATHERED_IN_LOCKSTEP if lockstep else GATHERED
+        self._batch = LOCKSTEP_BATCH if lockstep else BATCH
 
     def run(self, stopping: Stopping) -> None:
         """Run the loops of the active nodes until an event is set."""
@@ -97,7 +97,7 @@ class Composition:
                     if not self._links.open:
                         # A bridge has handed the command to the rig and has time until the next sample.
                         self._react(self._ahead)
-                        self._publish_what_gathered()
+                        self._publish_batch()
                 else:
                     self._turn_without_plant()
         except Exception as error:  # noqa: BLE001
@@ -153,7 +153,7 @@ class Composition:
             self._react(self._answering)
         if waiter.arrived:
             if self._host.lockstep:
-                self._publish_what_gathered()
+                self._publish_batch()
             return
         # After the answer to the snapshot, the end of the previous turn did this.
         if self._links.open:
@@ -163,9 +163,9 @@ class Composition:
             self._links.publish()
         self._block([waiter], seconds)
 
-    def _publish_what_gathered(self) -> None:
+    def _publish_batch(self) -> None:
         """Publish if enough messages have gathered or another process takes part; not between a snapshot and its answer."""
-        if self._links.apart or self._links.pending >= self._gathered:
+        if self._links.apart or self._links.pending >= self._batch:
             self._links.publish()
 
     def _block(self, waiters: Sequence[Waiter], seconds: float) -> None:

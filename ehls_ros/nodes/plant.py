@@ -16,23 +16,23 @@ from lifecycle_msgs.srv import GetState
 from rclpy.client import Client
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, String
-from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import Driver, ForceReference, LoaderState, ValveCommand
-from ehls_msgs.srv import AcknowledgeStop, SwitchController
+from ehls_msgs.srv import SwitchController
 from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.handover import PlantHandover, Succession
-from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
+from ehls_ros.hardware.safety_gate import Gate
 from ehls_ros.hardware.stamps import Stamps
 from ehls_ros.nodes.codec import decode_text
 from ehls_ros.nodes.control import CLOCK_TOPIC, PATIENCE, ControlNode
 from ehls_ros.nodes.diagnostics import OK, WARN
+from ehls_ros.nodes.gate_services import GateServices
 from ehls_ros.nodes.latency import Latency
 from ehls_ros.nodes.loop import WAIT
-from ehls_ros.nodes.parameters import declare, follow, values_of
+from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos
 from ehls_ros.process import Stopping
@@ -184,8 +184,7 @@ class PlantNode(ControlNode):
         declare(self, GateParameters, defaults, live=True)
         self.awaited: tuple[str, ...] = ()
         self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), self.sensed, bounds=self.gate_bounds)
-        self._reported_gate: tuple[str, int] | None = None
-        follow(self, GateParameters, self._retune, self.gate.objection)
+        self._gate_services = GateServices(self, self.gate, self.refusal)
         self._ending = self.create_timer(0.0, self._leave, autostart=False, clock=self.steady)
         # Made by `open_topics`:
         self.statistics: CycleStatistics
@@ -203,10 +202,6 @@ class PlantNode(ControlNode):
         self.departures: Inbox
         self.clock: Any
         self.telemetry: Telemetry
-        self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
-        self.create_service(AcknowledgeStop, "acknowledge_stop", self._on_acknowledge)
-        self.create_service(Trigger, "reset_trips", self._on_reset)
-        self.create_service(SetBool, "enable", self._on_enable)
         self.create_service(SwitchController, "switch_controller", self._on_switch)
 
     def bring_up(self, stopping: Stopping) -> bool:
@@ -216,11 +211,11 @@ class PlantNode(ControlNode):
         self.awaited = tuple(filter(None, self.text_parameter("partners").split(",")))
         states = {name: self.create_client(GetState, f"{name}/get_state") for name in self.awaited}
         while self.awaited and not self.is_active and not stopping.wait(WAIT):
-            self.awaited = tuple(name for name in self.awaited if not self._is_active(states[name]))
+            self.awaited = tuple(name for name in self.awaited if not self._is_partner_active(states[name]))
         self.awaited = ()
         return stopping.is_set() or self.lifecycle.activate()
 
-    def _is_active(self, client: Client) -> bool:
+    def _is_partner_active(self, client: Client) -> bool:
         """Query a node's state; repeat the request if the answer is late or lost."""
         if not client.wait_for_service(WAIT):
             return False
@@ -385,40 +380,14 @@ class PlantNode(ControlNode):
         self._ending.cancel()
         self.trigger_deactivate()
 
-    def _retune(self, parameters: GateParameters) -> None:
-        for change in self.gate.retune(parameters):
-            self.get_logger().warning(f"safety gate: {change}")
-        self.report()
-
     def note_service_silence(self, silence: float) -> None:
         """Report to the gate how long an emergency stop could not be received; in lockstep the rig's time may stand still."""
         if not self.lockstep:
             self.gate.hear(silence)
 
     def _beat(self) -> None:
-        """Publish diagnostics as soon as the gate's state has changed: a trip must not be missed between two reports."""
         super()._beat()
-        gate = self.gate.state, len(self.gate.causes)
-        if gate != self._reported_gate:
-            self._reported_gate = gate
-            # The message may concern something else and be unchanged.
-            self.report()
-
-    def _on_emergency_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        stop = self.gate.emergency_stop()
-        return self._answered(response, None, f"{stop}; after {STOP_TIME:g} s acknowledge_stop {stop}, reset_trips and enable")
-
-    def _on_acknowledge(self, request: AcknowledgeStop.Request, response: AcknowledgeStop.Response) -> AcknowledgeStop.Response:
-        return self._answered(response, self.gate.acknowledge(request.stop), "acknowledged; reset_trips, then enable to go on")
-
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._answered(response, self.gate.reset(), "reset; enable to go on")
-
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if not request.data:
-            self.gate.disable()
-            return self._answered(response, None, "disabled")
-        return self._answered(response, self.refusal() or self.gate.enable(), "enabled")
+        self._gate_services.report_change()
 
     def _on_switch(self, request: SwitchController.Request, response: SwitchController.Response) -> SwitchController.Response:
         try:
@@ -434,19 +403,7 @@ class PlantNode(ControlNode):
 
     def advice(self) -> str:
         """Return the commands that resume operation after a trip, for the log."""
-        if not self.gate.causes:
-            return ""
-        call, stop = f"ros2 service call {self.get_namespace().rstrip('/')}", self.gate.stop
-        acknowledge = [f'{call}/acknowledge_stop ehls_msgs/srv/AcknowledgeStop "{{stop: {stop}}}"'] if stop else []
-        reset = [f"{call}/reset_trips std_srvs/srv/Trigger", f'{call}/enable std_srvs/srv/SetBool "{{data: true}}"']
-        return f": {' && '.join([*acknowledge, *reset])}"
-
-    def _answered(self, response: Any, refusal: str | None, message: str) -> Any:
-        """Fill in a service's response, and publish diagnostics at once."""
-        response.success, response.message = refusal is None, refusal or message
-        self.get_logger().info(f"safety gate: {response.message}")
-        self.report()
-        return response
+        return self._gate_services.advice()
 
     def figures(self) -> dict[str, Any]:
         """Return values for diagnostics; subclasses add theirs."""
