@@ -37,8 +37,8 @@ from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.hardware.realtime import claim, exact_wake_ups
-from ehls_ros.nodes.control import LOCKSTEP, TIMINGS
 from ehls_ros.nodes.graph import graph_environment, run_graph
+from ehls_ros.nodes.graph_nodes import LOCKSTEP, TIMINGS
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.trajectory import Trajectory
 

@@ -36,8 +36,8 @@ from benchmarks.common import parser_of, print_heading, print_row
 from ehls_msgs.msg import LoaderState
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.nodes.graph import free_domain
+from ehls_ros.nodes.graph_nodes import PLUS, can_share
 from ehls_ros.nodes.shared_memory import leftovers
-from ehls_ros.nodes.together import PLUS, may_be_together
 
 SIMULATED = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc_node", "plant_sim_node")
 ON_RIG = ("reference_node", "friction_estimator_node", "fasmc_output_feedback_node", "hardware_bridge_node")
@@ -240,7 +240,7 @@ def _words(parameters: Mapping[str, Any]) -> list[str]:
 
 def ways_of(node: str, wanted: Sequence[str]) -> list[str]:
     """Return the ways in which a node is run."""
-    return [way for way in wanted if way == "apart" or may_be_together(node)]
+    return [way for way in wanted if way == "apart" or can_share(node)]
 
 
 COUNTS = {

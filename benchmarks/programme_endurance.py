@@ -28,7 +28,8 @@ from benchmarks.common import parser_of
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.programme_records import LOG
 from ehls_ros.nodes.control import NAMESPACE
-from ehls_ros.nodes.graph import PROGRAMME, Running, graph_environment, last_line, node_processes
+from ehls_ros.nodes.graph import Running, graph_environment, last_line, node_processes
+from ehls_ros.nodes.graph_nodes import PROGRAMME
 
 SAMPLES = 10
 PERIOD = 1e-3

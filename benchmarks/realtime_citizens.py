@@ -19,8 +19,10 @@ from pathlib import Path
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import load_spec
-from ehls_ros.nodes.control import ControlNode, run_node
-from ehls_ros.nodes.graph import RECORDER, SIMULATED, graph_environment, node_parameters, node_processes
+from ehls_ros.nodes.control import ControlNode
+from ehls_ros.nodes.graph import SIMULATED, graph_environment, node_parameters, node_processes
+from ehls_ros.nodes.graph_nodes import RECORDER
+from ehls_ros.nodes.running import run_node
 
 WARM_UP = 15.0
 """Time for nodes to start, load their kernels and fill their queues [s]."""

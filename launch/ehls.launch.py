@@ -17,12 +17,23 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.experiments.spec import check_law, chosen_spec
+from ehls_ros.nodes import SUFFIX
 from ehls_ros.nodes.frames import frame_prefix, robot_description
-from ehls_ros.nodes.together import PLUS, processes_of
+from ehls_ros.nodes.graph_nodes import (
+    LOCKSTEP,
+    MONITOR,
+    PLANTS,
+    PLUS,
+    PROGRAMME,
+    REALTIME,
+    RECORDER,
+    nodes_of,
+    processes_of,
+)
 from launch import LaunchDescription
 
 ARGUMENTS = {
-    "plant": ("sim", "sim: the simulated rig; bridge: the real one", ["sim", "bridge"]),
+    "plant": ("sim", "sim: the simulated rig; bridge: the real one", list(PLANTS)),
     "bridge": ("", "bridge file for plant:=bridge: DAQ backend, channels, calibration; empty: UDP to this host", None),
     "controller": (
         "",
@@ -37,9 +48,9 @@ ARGUMENTS = {
         None,
     ),
     "timing": (
-        "realtime",
+        REALTIME,
         "realtime: wall clock; lockstep: deterministic, as fast as the machine goes, with the time on the clock topic",
-        ["realtime", "lockstep"],
+        [REALTIME, LOCKSTEP],
     ),
     "compose": (
         "false",
@@ -64,15 +75,13 @@ ARGUMENTS = {
     "without": ("", "nodes to leave out, separated by commas", None),
 }
 
-PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
-
 ROBOT_STATE_PUBLISHER = "robot_state_publisher"
 
 
 def arguments(context: LaunchContext) -> dict[str, str]:
     """Return the arguments' values; in lockstep the time is always that of the clock topic."""
     chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    return chosen | ({"use_sim_time": "true"} if chosen["timing"] == "lockstep" else {})
+    return chosen | ({"use_sim_time": "true"} if chosen["timing"] == LOCKSTEP else {})
 
 
 def nodes(context: LaunchContext) -> list[Node]:
@@ -90,46 +99,49 @@ def nodes(context: LaunchContext) -> list[Node]:
     common |= {name: chosen[name] == "true" for name in ("autostart", "use_sim_time")}
     # An argument that was not given leaves the parameter to the file.
     common = {name: value for name, value in common.items() if chosen[name] != ARGUMENTS[name][0]}
-    controller, plant = f"{law}_node", PLANTS[chosen["plant"]]
-    programmed = chosen["programme"] or spec.reference.name == "programme"
-    reference = "programme_node" if programmed else "reference_node"
-    own: dict[str, dict[str, object]] = {reference: {}, "friction_estimator_node": {}, controller: {}}
-    if chosen["plant"] == "sim":
-        own["disturbance_node"] = {}
-    if chosen["record"]:
-        own["recorder_node"] = {"bag": chosen["record"]}
-    if chosen["monitor"] == "true":
-        own["monitor_node"] = {"baseline": chosen["baseline"]} if chosen["baseline"] else {}
-    if chosen["programme"]:
-        for name in {reference, "recorder_node"} & set(own):
-            own[name]["programme"] = chosen["programme"]
     left_out = set(chosen["without"].split(","))
+    *names, plant = nodes_of(
+        spec,
+        chosen["plant"],
+        law,
+        record=bool(chosen["record"]),
+        monitor=chosen["monitor"] == "true",
+        programme=bool(chosen["programme"]),
+        estimate=True,
+    )
     # The rig does not wait for nodes that only observe it.
-    own[plant] = {"partners": ",".join(name for name in own if name not in {*left_out, "monitor_node"})}
+    own: dict[str, dict[str, object]] = {
+        RECORDER: {"bag": chosen["record"]},
+        MONITOR: {"baseline": chosen["baseline"]} if chosen["baseline"] else {},
+        plant: {"partners": ",".join(name for name in names if name not in {*left_out, MONITOR})},
+    }
+    if chosen["programme"]:
+        own[PROGRAMME] = {"programme": chosen["programme"]}
+        own[RECORDER]["programme"] = chosen["programme"]
     if chosen["bridge"]:
         own[plant]["bridge"] = chosen["bridge"]
-    own = {name: {**common, **parameters} for name, parameters in own.items() if name not in left_out}
-    processes = processes_of(list(own), compose=chosen["compose"] == "true")
-    return [_process(name, own, controller, chosen) for name in processes]
+    given = {name: {**common, **own.get(name, {})} for name in (*names, plant) if name not in left_out}
+    processes = processes_of(list(given), compose=chosen["compose"] == "true")
+    return [_process(name, given, law + SUFFIX, chosen) for name in processes]
 
 
 def _process(name: str, own: dict[str, dict[str, object]], controller: str, chosen: dict[str, str]) -> Node:
     """Return the process of one node, or of several whose names PLUS joins; each has separate parameters."""
-    together = PLUS in name
+    is_shared = PLUS in name
     parameters: object = own.get(name)
-    if together:
+    if is_shared:
         by_node = {f"/**/{node}": {"ros__parameters": own[node]} for node in name.split(PLUS) if own[node]}
         with tempfile.NamedTemporaryFile("w", prefix="ehls_", suffix=".yaml", delete=False) as file:
             yaml.safe_dump(by_node, file)
         parameters = file.name
     # A controller of another package has no executable in this one; `ehls run` starts any.
-    by_ehls = together or name == controller
+    by_ehls = is_shared or name == controller
     return Node(
         package="ehls_ros",
         executable="ehls" if by_ehls else name,
         arguments=["run", name] if by_ehls else [],
         # The same name would be given to all nodes of the process.
-        name=None if together else name,
+        name=None if is_shared else name,
         namespace=chosen["namespace"],
         parameters=[*filter(None, [chosen["params_file"]]), parameters],
         remappings=[("/clock", chosen["clock"])],

@@ -397,13 +397,14 @@ def services() -> Iterator[tuple[str, str, str]]:
 
 def plant_services() -> Iterator[tuple[str, str, str]]:
     """Yield those of the plant node."""
-    tree = ast.parse((ROOT / "ehls_ros" / "nodes" / "plant.py").read_text(encoding="utf-8"))
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and str(node.module).endswith(".srv")]
-    package_of = {name.name: str(node.module).removesuffix(".srv") for node in imports for name in node.names}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "create_service":
-            kind, name = ast.unparse(node.args[0]), str(ast.literal_eval(node.args[1]))
-            yield f"`{topics.NAMESPACE}/{name}`", f"`{package_of[kind]}/srv/{kind}`", SERVICES[name]
+    for file in ("gate_services.py", "plant.py"):
+        tree = ast.parse((ROOT / "ehls_ros" / "nodes" / file).read_text(encoding="utf-8"))
+        imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and str(node.module).endswith(".srv")]
+        package_of = {name.name: str(node.module).removesuffix(".srv") for node in imports for name in node.names}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "create_service":
+                kind, name = ast.unparse(node.args[0]), str(ast.literal_eval(node.args[1]))
+                yield f"`{topics.NAMESPACE}/{name}`", f"`{package_of[kind]}/srv/{kind}`", SERVICES[name]
 
 
 # --- messages, signals, rules, Python ---------------------------------------------------------------------------------

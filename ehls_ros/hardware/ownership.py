@@ -38,7 +38,7 @@ def process_of(sender: str) -> int | None:
     return int(process) if process.isdigit() else None
 
 
-class Heard(NamedTuple):
+class MessageTimes(NamedTuple):
     """Times of the messages of a sender [s].
 
     Attributes:
@@ -61,28 +61,28 @@ class Ownership:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin without an owner; ``clock`` returns a monotonic time [s]."""
         self._clock = clock
-        self._heard = -float("inf")
+        self._last_message = -float("inf")
         self._left: tuple[str | None, float] = None, -float("inf")
         self._departures: dict[str, float] = {}
         self.owner: str | None = None
-        self.contenders: dict[str, Heard] = {}
+        self.contenders: dict[str, MessageTimes] = {}
 
     def admits(self, sender: str) -> bool:
         """Return whether a sender's message is accepted, and note its arrival."""
         now = self._clock()
         if sender == self.owner:
-            self._heard = now
+            self._last_message = now
             return True
         owner = self.owner
-        if owner is None or (node_of(owner) == node_of(sender) != "" and now - self._heard > RESTART):
+        if owner is None or (node_of(owner) == node_of(sender) != "" and now - self._last_message > RESTART):
             if owner is None and self._is_remainder(sender, now):
                 return True
-            self.owner, self._heard = sender, now
+            self.owner, self._last_message = sender, now
             self.contenders.clear()
             return True
         if not self._is_remainder(sender, now):
-            before = self.contenders.get(sender, Heard(now, now))
-            self.contenders[sender] = Heard(now if now - before.last > SILENT else before.first, now)
+            before = self.contenders.get(sender, MessageTimes(now, now))
+            self.contenders[sender] = MessageTimes(now if now - before.last > SILENT else before.first, now)
             if len(self.contenders) > MOST_CONTENDERS:
                 del self.contenders[min(self.contenders, key=lambda name: self.contenders[name].last)]
         return False
@@ -95,18 +95,18 @@ class Ownership:
     @property
     def silent(self) -> bool:
         """Whether the owner has sent no message for :data:`SILENT`."""
-        return self.owner is not None and self._clock() - self._heard > SILENT
+        return self.owner is not None and self._clock() - self._last_message > SILENT
 
     def must_yield(self, sender: str) -> bool:
         """Return whether a contender has to stop: the owner has continued for :data:`REMAINDER` alongside it."""
-        heard = self.contenders.get(sender)
-        return heard is not None and self._heard - heard.first > REMAINDER
+        times = self.contenders.get(sender)
+        return times is not None and self._last_message - times.first > REMAINDER
 
     @property
     def contender(self) -> str | None:
-        """The contender heard last, if that was within :data:`SILENT`; None otherwise."""
+        """The contender of the latest message, if that was within :data:`SILENT`; None otherwise."""
         lately = {
-            sender: heard.last for sender, heard in self.contenders.copy().items() if self._clock() - heard.last <= SILENT
+            sender: times.last for sender, times in self.contenders.copy().items() if self._clock() - times.last <= SILENT
         }
         return max(lately, key=lately.__getitem__) if lately else None
 

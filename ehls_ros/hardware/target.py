@@ -43,7 +43,7 @@ class Target:
         self._null = null
         self._session = random_session()
         self._peer = 0
-        self._heard = 0.0
+        self._last_packet = 0.0
         self._command = null
         self._commanded_at = 0.0
         self._watchdog = 0.0
@@ -111,10 +111,10 @@ class Target:
 
     def _greet(self, packet: Packet, sender: Any, now: float) -> str:
         if packet.session != self._peer or sender != self.address:
-            if self._peer and now - self._heard < SILENCE:
+            if self._peer and now - self._last_packet < SILENCE:
                 return "busy"
             self._locked = self._peer != 0
-            self._peer, self.address, self._heard = packet.session, sender, now
+            self._peer, self.address, self._last_packet = packet.session, sender, now
             self.answered, self.commanded = -1, 0
         self.greeted = True
         return ""
@@ -127,7 +127,7 @@ class Target:
         self._command = packet.values[0]
         self._locked &= self._command != self._null
         self._watchdog = 1e-6 * packet.watchdog_us
-        self._commanded_at = self._heard = now
+        self._commanded_at = self._last_packet = now
         self._tripped = False
         self._counts["commands"] += 1
         return ""

@@ -9,24 +9,25 @@ from ehls_ros.control.references.base import SampledReference
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import signal_kind, uses_actuator
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control import OK, PATIENCE, ControlNode
+from ehls_ros.nodes.control import PATIENCE, ControlNode
+from ehls_ros.nodes.diagnostics import OK
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, message_class, newest_qos
 from ehls_ros.recording.topics import ACTUATOR_TOPICS
 
 LEAD = 200
 """Cycles by which a signal of time alone runs ahead; far more than the cycles between two clock messages."""
 
-REST = 0.005
+PAUSE = 0.005
 """Longest polling interval for the newest snapshot in lockstep, in a shared process, or where the lead is only a few
 cycles [s]."""
 
-LONG_REST = 0.02
+LONG_PAUSE = 0.02
 """Longest polling interval otherwise [s]: each poll wakes up all readers of the published rows."""
 
 SHARE = 0.1
 """Largest fraction of the lead that may pass between two polls."""
 
-ROWS_TOGETHER = 5
+ROWS_PER_POLL = 5
 """Cycles between two polls of a loop that shares its process: more rows at once could delay the next cycle."""
 
 
@@ -39,8 +40,25 @@ class AheadNode(ControlNode):
 
     lead = LEAD
     answers = False
-    tells_actuator = False
+    publishes_actuator = False
     """Whether the node also publishes the actuator's command where a companion of the spec's controller uses it."""
+
+    def __init__(self, name: str) -> None:
+        """Declare the common parameters."""
+        super().__init__(name)
+        self.period_ns = self.spec.settings.control_period * NANOSECONDS
+        # Made by `prepare`:
+        self.outbox: Outbox
+        self.actuator: tuple[Outbox, SampledReference] | None
+        self.progress: Inbox
+        self.waiter: Waiter
+        self.next: int
+        self.last: int
+        self.epoch_ns: int
+        self.moved: float
+        self.stalls: int
+        self.pause: float
+        self.paused_until: float
 
     def open_outbox(self) -> Outbox:
         """Compile the generator of the rows and return the publisher."""
@@ -52,10 +70,9 @@ class AheadNode(ControlNode):
 
     def prepare(self) -> None:
         """Open the topics."""
-        self.period_ns = self.spec.settings.control_period * NANOSECONDS
         self.outbox = self.open_outbox()
-        self.actuator: tuple[Outbox, SampledReference] | None = None
-        if self.tells_actuator and uses_actuator(self.spec):
+        self.actuator = None
+        if self.publishes_actuator and uses_actuator(self.spec):
             disturbance = self.spec.disturbance
             topic = ACTUATOR_TOPICS[signal_kind(disturbance.name)]
             signal = sampled(disturbance.signal, self.spec.settings.control_period)
@@ -70,10 +87,10 @@ class AheadNode(ControlNode):
         self.stalls = 0
         period = self.spec.settings.control_period
         if self.hosted:
-            self.pause = min(REST, ROWS_TOGETHER * period)
+            self.pause = min(PAUSE, ROWS_PER_POLL * period)
         else:
-            self.pause = REST if self.lockstep else min(LONG_REST, SHARE * self.lead * period)
-        self.resting = 0.0
+            self.pause = PAUSE if self.lockstep else min(LONG_PAUSE, SHARE * self.lead * period)
+        self.paused_until = 0.0
 
     def release(self) -> None:
         """Close the topics."""
@@ -104,7 +121,7 @@ class AheadNode(ControlNode):
     def react(self) -> bool:
         """Publish up to ``lead`` cycles beyond the newest one, if it has changed."""
         before = self.next
-        if self.hosted and not self.lockstep and self._rests():
+        if self.hosted and not self.lockstep and self._pauses():
             return False
         while (state := self.progress.take()) is not None:
             stamp, cycle = state[:2]
@@ -119,12 +136,12 @@ class AheadNode(ControlNode):
             self._publish_to(self.next + self.lead - 1)
         return self.next != before
 
-    def _rests(self) -> bool:
+    def _pauses(self) -> bool:
         """Return whether the next poll is not due yet, where the loop must not sleep."""
         now = time.perf_counter()
-        if now < self.resting:
+        if now < self.paused_until:
             return True
-        self.resting = now + self.pause
+        self.paused_until = now + self.pause
         return False
 
     def _note_progress(self, cycle: int) -> None:
@@ -147,11 +164,11 @@ class AheadNode(ControlNode):
     def _publish_to(self, cycle: int) -> None:
         while self.next <= cycle:
             stamp = self.epoch_ns + round(self.next * self.period_ns)
-            self.tell_actuator(stamp, self.next)
+            self.publish_actuator(stamp, self.next)
             self.outbox.send(stamp, self.next, *self.row(self.next))
             self.next += 1
 
-    def tell_actuator(self, stamp_ns: int, cycle: int) -> None:
+    def publish_actuator(self, stamp_ns: int, cycle: int) -> None:
         """Publish the actuator's command at a cycle if a companion uses it; call it before the reference is sent."""
         if self.actuator is not None:
             outbox, signal = self.actuator
@@ -160,4 +177,4 @@ class AheadNode(ControlNode):
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report how far ahead the node is."""
         figures = {"cycle": self.last, "ahead": self.next - 1 - self.last}
-        return OK, "running" if self._active.is_set() else "inactive", figures
+        return OK, self.activity, figures

@@ -14,15 +14,17 @@ from typing import NoReturn
 
 from ehls_ros.errors import BadInput
 from ehls_ros.nodes import controller_of
-from ehls_ros.nodes.control import WAIT, ControlNode, be_punctual, run_nodes
+from ehls_ros.nodes.control import ControlNode
 from ehls_ros.nodes.controller import ControllerNode
 from ehls_ros.nodes.disturbance_node import DisturbanceNode
 from ehls_ros.nodes.friction_estimator_node import FrictionEstimatorNode
+from ehls_ros.nodes.graph_nodes import PLUS, in_order
 from ehls_ros.nodes.hardware_bridge_node import HardwareBridgeNode
 from ehls_ros.nodes.links import Links
+from ehls_ros.nodes.loop import WAIT, reduce_wake_up_delays
 from ehls_ros.nodes.plant_sim_node import PlantSimNode
 from ehls_ros.nodes.reference_node import ReferenceNode
-from ehls_ros.nodes.together import PLUS, in_order
+from ehls_ros.nodes.running import run_nodes
 from ehls_ros.nodes.transport import Waiter
 from ehls_ros.process import Stopping, end
 from ehls_ros.recording.topics import DEPTH
@@ -38,12 +40,12 @@ NODES: Mapping[str, Callable[[], ControlNode]] = MappingProxyType(
 )
 """Nodes that can share a process, besides the controllers'."""
 
-GATHERED = 20
-"""Messages that gather before they are published, four cycles: published singly, each would wake up its readers. Not used
+BATCH = 20
+"""Messages that are published in one batch, those of four cycles: published singly, each would wake up its readers. Not used
 where a node of another process takes part in the cycles."""
 
-GATHERED_IN_LOCKSTEP = 100
-"""Messages that gather before they are published in lockstep."""
+LOCKSTEP_BATCH = 100
+"""The same in lockstep."""
 
 KEPT_IN_LOCKSTEP = 5 * DEPTH
 """History depth of a topic in lockstep: some thousand cycles may pass before a recorder on a busy machine reads."""
@@ -78,24 +80,24 @@ class Composition:
             node.be_hosted()
         # The plant starts last and stops first: the others are ready before its first request and may end after its last.
         self._beginning, self._ending = list(nodes), [self._host, *partners]
-        self._gathered = GATHERED_IN_LOCKSTEP if lockstep else GATHERED
+        self._batch = LOCKSTEP_BATCH if lockstep else BATCH
 
-    def work(self, stopping: Stopping) -> None:
-        """Run the loops of the active nodes until told to stop."""
-        be_punctual()
+    def run(self, stopping: Stopping) -> None:
+        """Run the loops of the active nodes until an event is set."""
+        reduce_wake_up_delays()
         for node in self._beginning:
-            node.begin_work()
+            node.loop.serve()
         gc.disable()
         try:
             while not stopping.is_set():
                 self._follow_lifecycle()
-                if self._host.is_running:
+                if self._host.loop.running:
                     self._host.once()
-                    self._host.look_after()
+                    self._host.loop.supervise()
                     if not self._links.open:
                         # A bridge has handed the command to the rig and has time until the next sample.
                         self._react(self._ahead)
-                        self._publish_what_gathered()
+                        self._publish_batch()
                 else:
                     self._turn_without_plant()
         except Exception as error:  # noqa: BLE001
@@ -103,23 +105,23 @@ class Composition:
         finally:
             gc.enable()
             for node in self._ending:
-                if node.is_running:
-                    node.leave()
+                if node.loop.running:
+                    node.loop.leave()
 
     def _follow_lifecycle(self) -> None:
         """Begin and end the loops of the nodes that have become active or inactive."""
-        if all(node.is_running and node.is_to_run for node in self._ending):
+        if all(node.loop.running and node.loop.is_active for node in self._ending):
             return
         for node in self._ending:
-            if node.is_running and not node.is_to_run:
-                node.leave()
+            if node.loop.running and not node.loop.is_active:
+                node.loop.leave()
         for node in self._beginning:
-            if node.is_to_run and not node.is_running:
+            if node.loop.is_active and not node.loop.running:
                 self._acting = node
-                node.enter()
+                node.loop.enter()
                 self._acting = self._host
-            elif not node.is_running:
-                node.settle()
+            elif not node.loop.running:
+                node.loop.settle()
 
     def _turn_without_plant(self) -> None:
         self._react(self._answering)
@@ -134,7 +136,7 @@ class Composition:
         try:
             for node in nodes:
                 self._acting = node
-                if node.is_running and node.react():
+                if node.loop.running and node.react():
                     reacted = True
             self._acting = self._host
         finally:
@@ -151,7 +153,7 @@ class Composition:
             self._react(self._answering)
         if waiter.arrived:
             if self._host.lockstep:
-                self._publish_what_gathered()
+                self._publish_batch()
             return
         # After the answer to the snapshot, the end of the previous turn did this.
         if self._links.open:
@@ -161,15 +163,15 @@ class Composition:
             self._links.publish()
         self._block([waiter], seconds)
 
-    def _publish_what_gathered(self) -> None:
+    def _publish_batch(self) -> None:
         """Publish if enough messages have gathered or another process takes part; not between a snapshot and its answer."""
-        if self._links.apart or self._links.pending >= self._gathered:
+        if self._links.apart or self._links.pending >= self._batch:
             self._links.publish()
 
     def _block(self, waiters: Sequence[Waiter], seconds: float) -> None:
         """Wait for a message of another process for any of the nodes, at most for a time [s]."""
-        self._links.begin_rest(seconds)
-        waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node.is_running)]
+        self._links.begin_pause(seconds)
+        waiters = [*waiters, *(node.awaited_inputs() for node in self._answering if node.loop.running)]
         if waiters:
             waiters[0].block(seconds, waiters[1:])
         else:
@@ -187,7 +189,7 @@ def run_composed(names: Sequence[str]) -> NoReturn:
     except BadInput as error:
         print(error, file=sys.stderr)
         end(2)
-    run_nodes(makes, lambda nodes: Composition(nodes).work)
+    run_nodes(makes, lambda nodes: Composition(nodes).run)
 
 
 def main() -> NoReturn:

@@ -3,8 +3,8 @@
 from typing import NoReturn
 
 from ehls_ros.nodes import controller_of
-from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.controller import ControllerNode
+from ehls_ros.nodes.running import run_node
 
 
 def main() -> NoReturn:

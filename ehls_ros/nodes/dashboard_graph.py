@@ -14,12 +14,10 @@ from ehls_ros.dashboard.graph import Answer, GraphSnapshot, NodeHealth, StartPro
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, load_spec
-from ehls_ros.nodes.control import LOCKSTEP, NAMESPACE, REALTIME
+from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.dashboard_link import Link
 from ehls_ros.nodes.graph import (
-    PLANTS,
     REALTIME_PRIORITY,
-    RECORDER,
     SIMULATED,
     UP_TIME,
     Running,
@@ -27,9 +25,9 @@ from ehls_ros.nodes.graph import (
     last_line,
     node_parameters,
     node_processes,
-    reference_node,
     share_processors,
 )
+from ehls_ros.nodes.graph_nodes import LOCKSTEP, PLANTS, REALTIME, RECORDER, reference_node
 
 STORAGE = "mcap"
 

@@ -1,12 +1,12 @@
 """`disturbance_node`: publishes the force of the actuator under test, or its reference if it is a position servo."""
 
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ehls_msgs.msg import Disturbance
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.nodes.ahead import AheadNode
-from ehls_ros.nodes.control import run_node
+from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.transport import Outbox
 from ehls_ros.recording.topics import DISTURBANCE, SERVO_REFERENCE
 
@@ -18,6 +18,7 @@ class DisturbanceNode(AheadNode):
         """Choose the topic."""
         super().__init__("disturbance_node")
         self.topic = SERVO_REFERENCE if DISTURBANCES.load(self.spec.disturbance.name).REACTS else DISTURBANCE
+        self.source: Any
 
     def open_outbox(self) -> Outbox:
         """Build the disturbance and open the topic."""

@@ -9,8 +9,10 @@ from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.control.rig_scale import defaults_for
-from ehls_ros.nodes.control import OK, WARN, ControlNode, run_node
+from ehls_ros.nodes.control import ControlNode
+from ehls_ros.nodes.diagnostics import OK, WARN
 from ehls_ros.nodes.parameters import declare, values_of
+from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics import sensors
 from ehls_ros.schema import text
@@ -37,15 +39,26 @@ class FrictionEstimatorNode(ControlNode):
         values = given.parameters._asdict() if same else defaults_for(observer.Parameters, self.spec.controller_rig)
         declare(self, observer.Parameters, values, live=False)
         self.observer_parameters = values_of(self, observer.Parameters, self.get_name())
+        # Made by `prepare`:
+        self.estimator: FrictionEstimator
+        self.elements: int
+        self.last: int
+        self.snapshot: tuple[float, ...]
+        self.estimate: list[float]
+        self.gaps: int
+        self.unmeasured: int
+        self.velocity_measured: bool
+        self.states: Inbox
+        self.estimates: Outbox
+        self.waiter: Waiter
 
     def prepare(self) -> None:
         """Compile the observer and open the topics."""
         period = self.spec.settings.control_period
         self.estimator = FrictionEstimator(self.model, self.spec.controller_rig, period, self.observer_parameters)
-        elements = self.estimator.element_forces.size
-        self.elements = elements
+        self.elements = elements = self.estimator.element_forces.size
         self.last = -1
-        self.answered: tuple[float, ...] = ()
+        self.snapshot = ()
         self.gaps = 0
         self.unmeasured = 0
         self.velocity_measured = True
@@ -70,8 +83,8 @@ class FrictionEstimatorNode(ControlNode):
         before = self.last
         while (message := self.states.take()) is not None:
             stamp, cycle = message[:2]
-            if message == self.answered:
-                # In lockstep the plant asks again for an answer that has not reached the controller.
+            if message == self.snapshot:
+                # In lockstep the plant repeats its request if the answer has not reached the controller.
                 self._answer(stamp)
                 continue
             elapsed = cycle - self.last if self.last >= 0 else 1
@@ -81,7 +94,7 @@ class FrictionEstimatorNode(ControlNode):
                 elapsed = 1
             elif elapsed > 1:
                 self.gaps += 1
-            self.last, self.answered = cycle, message
+            self.last, self.snapshot = cycle, message
             velocity = message[2 + sensors.VELOCITY]
             self.velocity_measured = math.isfinite(velocity)
             self.unmeasured += not self.velocity_measured
@@ -105,7 +118,7 @@ class FrictionEstimatorNode(ControlNode):
         }
         if not self.velocity_measured:
             return WARN, "the snapshots hold no velocity: the last one is held", figures
-        return OK, "running" if self._active.is_set() else "inactive", figures
+        return OK, self.activity, figures
 
 
 def main() -> NoReturn:

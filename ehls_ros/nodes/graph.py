@@ -32,27 +32,24 @@ from ehls_ros.experiments.run_failure import NodeFailed
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, signal_kind, uses_actuator
 from ehls_ros.hardware.realtime import preferring_what_starts
-from ehls_ros.nodes.control import CLOCK_TOPIC, LOCKSTEP, NAMESPACE, PARENT, REALTIME
-from ehls_ros.nodes.together import PLUS, processes_of
+from ehls_ros.nodes.control import CLOCK_TOPIC, NAMESPACE, PARENT
+from ehls_ros.nodes.graph_nodes import (
+    BACKGROUND,
+    COMPOSED,
+    LOCKSTEP,
+    PLANTS,
+    PLUS,
+    PROGRAMME,
+    REALTIME,
+    RECORDER,
+    nodes_of,
+    processes_of,
+    reference_node,
+)
 from ehls_ros.process import Stopping
 from ehls_ros.recording.bag_reader import is_closed
 from ehls_ros.recording.topics import ACTUATOR_TOPICS, CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
-
-PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
-"""Plant nodes. With the bridge, the disturbance acts on the rig itself, so there is no disturbance node."""
-
-COMPOSED = "composed"
-"""Module that runs several nodes as one process."""
-
-RECORDER = "recorder_node"
-
-REFERENCE = "reference_node"
-
-PROGRAMME = "programme_node"
-"""Node that replaces the reference node if the reference is a programme."""
-
-DISTURBANCE = "disturbance_node"
 
 UP_TIME = 600.0
 """Longest time a node may take to start and compile [s]."""
@@ -75,9 +72,6 @@ ENABLE_TIME = 60.0
 
 ASK_AGAIN = 0.1
 """Retry interval while the gate stays closed [s]: each request takes time that the cycles need."""
-
-BACKGROUND = (RECORDER, REFERENCE, PROGRAMME, DISTURBANCE)
-"""Nodes whose output no cycle awaits; they run at lower priority."""
 
 REALTIME_PRIORITY = 10
 """SCHED_FIFO priority of the nodes in realtime, where the user may set it."""
@@ -104,7 +98,7 @@ class Plant(NamedTuple):
     """The plant of a graph: the simulated rig or a bridge to a real one.
 
     Attributes:
-        kind: key of :data:`PLANTS`.
+        kind: key of :data:`~ehls_ros.nodes.graph_nodes.PLANTS`.
         bridge: bridge file; None: UDP to this host.
     """
 
@@ -120,24 +114,12 @@ class Plant(NamedTuple):
 SIMULATED = Plant()
 
 
-def nodes_of(spec: Spec, plant: Plant) -> list[str]:
-    """Return the executables that an experiment needs, in order of activation; the plant comes last."""
-    friction = ["friction_estimator_node"] if CONTROLLERS.load(spec.controller.name).FRICTION else []
-    disturbance = [DISTURBANCE] if plant.kind == "sim" else []
-    return [RECORDER, reference_node(spec), *disturbance, *friction, f"{spec.controller.name}_node", plant.node]
-
-
-def reference_node(spec: Spec) -> str:
-    """Return the node that publishes a spec's reference."""
-    return PROGRAMME if spec.reference.name == "programme" else REFERENCE
-
-
 def expected_topics(spec: Spec, plant: Plant) -> list[str]:
     """Return the control-path topics that an experiment's nodes publish."""
     law = CONTROLLERS.load(spec.controller.name)
     absent = [topic for follows, topic in REFERENCE_TOPICS.items() if follows != law.FOLLOWS]
-    told = signal_kind(spec.disturbance.name) if uses_actuator(spec) else None
-    absent += [topic for kind, topic in ACTUATOR_TOPICS.items() if kind != told]
+    used = signal_kind(spec.disturbance.name) if uses_actuator(spec) else None
+    absent += [topic for kind, topic in ACTUATOR_TOPICS.items() if kind != used]
     if reference_node(spec) != PROGRAMME:
         absent.append(PROGRAMME_POINT)
     if not law.FRICTION:
@@ -229,7 +211,7 @@ def free_domain() -> int:
 def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
     """Return the parameters by node, in order of activation."""
     common = {"spec": str(folder.spec.resolve()), "timing": timing, "autostart": False}
-    parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec, plant)}
+    parameters: dict[str, dict[str, Any]] = {name: dict(common) for name in nodes_of(spec, plant.kind)}
     if timing == REALTIME:
         for own in parameters.values():
             own["priority"] = REALTIME_PRIORITY
@@ -277,7 +259,7 @@ def node_processes(
     """Start the nodes; on exit, stop them with SIGINT and kill those that remain. If this process is killed, they end too.
 
     Args:
-        processes: names of nodes; nodes of one process are joined by :data:`~ehls_ros.nodes.together.PLUS`.
+        processes: names of nodes; nodes of one process are joined by :data:`~ehls_ros.nodes.graph_nodes.PLUS`.
         parameters: of each node.
         logs: folder for the output of the processes, and for their parameters.
         environment: of the processes.
@@ -327,8 +309,7 @@ def share_processors(running: list[Running], timing: str) -> None:
     """
     processors = sorted(os.sched_getaffinity(0))
     for node in running:
-        together = [other.name for other in running if other.process is node.process]
-        background = all(name in BACKGROUND for name in together)
+        background = all(other.name in BACKGROUND for other in running if other.process is node.process)
         for thread in (int(task.name) for task in Path(f"/proc/{node.process.pid}/task").iterdir()):
             if background:
                 os.setpriority(os.PRIO_PROCESS, thread, NICE)
@@ -440,10 +421,10 @@ class Conductor:
 
         def state() -> int | None:
             nonlocal answer, asked
-            told = answer.result().current_state.id if answer is not None and answer.done() else None
+            found = answer.result().current_state.id if answer is not None and answer.done() else None
             if time.monotonic() - asked > LOST:
                 answer, asked = self._states[name].call_async(GetState.Request()), time.monotonic()
-            return told
+            return found
 
         return state
 

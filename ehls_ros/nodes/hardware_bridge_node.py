@@ -8,14 +8,16 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
-from ehls_ros.hardware.backends.base import Reading
-from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.hardware.backends.base import Device, Reading
+from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
+from ehls_ros.hardware.calibration import Calibration
 from ehls_ros.hardware.pace import ADVICE, MIN_ANSWERED, Pace
 from ehls_ros.hardware.safety_gate import DISABLED
 from ehls_ros.hardware.sample_clock import SampleClock, free_running_time
-from ehls_ros.nodes.control import ERROR, OK, WARN, run_node
+from ehls_ros.nodes.diagnostics import ERROR, OK, WARN
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
+from ehls_ros.nodes.running import run_node
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import quantity, text
@@ -51,8 +53,6 @@ class HardwareBridgeNode(PlantNode):
         opened: whether the device was ever opened.
     """
 
-    opened = False
-
     def __init__(self) -> None:
         """Declare the parameters and read the bridge file.
 
@@ -63,6 +63,26 @@ class HardwareBridgeNode(PlantNode):
         fraction = float(self.get_parameter("answer_time").value)
         self.answer_time = LOCKSTEP_PATIENCE if self.lockstep else fraction * self.period
         self.sample_time = LOCKSTEP_PATIENCE if self.lockstep else SILENCE * self.period
+        self.bridge: Bridge
+        self.calibration: Calibration
+        self.opened = False
+        # First cycle of the run: the first one answered, or before that, the one that the loop began with.
+        self.first = 0
+        self.has_answers = False
+        self.in_time = 0
+        # Made by `prepare`:
+        self.device: Device
+        self.samples: SampleClock
+        self.pace: Pace
+        self.cycle: int
+        self.sequence: int
+        self.session: int
+        self.saturated: tuple[str, ...]
+        self.at_null: bool
+        self.restarts: int
+        self.failure: str
+        self.elapsed: int
+        self.lockstep_time: float
 
     def measured(self) -> Collection[str]:
         """Read the bridge file and return the signals that have a channel."""
@@ -85,7 +105,7 @@ class HardwareBridgeNode(PlantNode):
         self.cycle = -1
         self.sequence = -1
         self.session = 0
-        self.saturated: tuple[str, ...] = ()
+        self.saturated = ()
         self.at_null = True
         self.restarts = 0
         self.failure = ""
@@ -105,7 +125,7 @@ class HardwareBridgeNode(PlantNode):
 
     def start(self) -> None:
         """Begin with the next sample, disabled."""
-        self.first = self.cycle + 1
+        self.first, self.has_answers = self.cycle + 1, False
         self.begin_stamps(self.first)
         self._reset_counts()
         self.gate.begin()
@@ -124,7 +144,7 @@ class HardwareBridgeNode(PlantNode):
             self.failure = str(error)
             reading = None
         if reading is None:
-            self._bear_silence()
+            self._step_without_sample()
             return
         self._open_cycle(reading)
         deadline = time.perf_counter() + self.answer_time
@@ -133,13 +153,15 @@ class HardwareBridgeNode(PlantNode):
             self.answer.wait(remaining)
             self.take_commands(self.cycle)
         if self.answered >= self.first:
+            if not self.has_answers:
+                self.first, self.has_answers = self.answered, True
             in_time = self.answered == self.cycle
             self.in_time += in_time
             # Lost samples count as unanswered.
-            self.missed += self.elapsed - in_time
-            self._keep_pace()
+            self.statistics.missed += self.elapsed - in_time
+            self._check_pace()
         self._write(self.gate.step(self._time()))
-        self.tell_telemetry()
+        self.publish_telemetry()
         if self.cycles and self.cycle - self.first + 1 >= self.cycles:
             self.end_cycles()
 
@@ -147,7 +169,7 @@ class HardwareBridgeNode(PlantNode):
         self.pace = Pace(float(self.get_parameter("least_answered").value))
         self.in_time = 0
 
-    def _keep_pace(self) -> None:
+    def _check_pace(self) -> None:
         """Check whether samples are answered as fast as they arrive."""
         before = self.pace.complaint
         ended = not self.lockstep and self.pace.look(time.perf_counter(), self.cycle - self.first + 1, self.in_time)
@@ -171,7 +193,7 @@ class HardwareBridgeNode(PlantNode):
         wanted = f"control_period {self.period:g} s means {1.0 / self.period:.0f}"
         return f"the device samples {rate:.0f} times a second, {wanted}: set one of them to the other's"
 
-    def _straying_clock(self) -> str:
+    def _clock_drift(self) -> str:
         """Return the rate difference between the device's clock and the arrival of its samples; empty if they agree."""
         drift = self.samples.drift
         if self.lockstep or not self.samples.strays:
@@ -205,7 +227,7 @@ class HardwareBridgeNode(PlantNode):
         lag = 0.0 if self.lockstep else self.samples.lag
         self.publish(self.cycle, signals, elapsed=self.samples.elapsed, lag=lag, at_null=reading.at_null)
 
-    def _bear_silence(self) -> None:
+    def _step_without_sample(self) -> None:
         """Step the gate, which detects stale snapshots, and keep sending its command to the device."""
         self.elapsed = 1
         self.take_commands(self.cycle)
@@ -216,14 +238,14 @@ class HardwareBridgeNode(PlantNode):
             self.device.write(self.calibration.command(spool), self.sequence)
         except WorkFailed as error:
             self.failure = str(error)
-        self.tell_driving(self.gate.driving)
+        self.announcements.publish_driving(self.gate.driving)
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""
         counted = {f"device_{name}": count for name, count in self.device.figures().items()}
         own = {"cycle": self.cycle, "device_began_anew": self.restarts, "device_at_null": self.at_null}
         clock = {"sample_lag_s": self.samples.lag, "device_clock_drift_ppm": -1e6 * self.samples.drift}
-        pace = self.pace.figures() if self._active.is_set() else {}
+        pace = self.pace.figures() if self.is_active else {}
         return {**super().figures(), **own, **clock, **counted, **pace}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
@@ -233,9 +255,9 @@ class HardwareBridgeNode(PlantNode):
             return ERROR, self.failure, figures
         if level == OK and self.at_null and self.gate.state != DISABLED:
             return WARN, "the device keeps the valve closed: commands do not reach it", figures
-        if level != ERROR and self._active.is_set():
+        if level != ERROR and self.is_active:
             slow = f"{self.pace.complaint}: {ADVICE}" if self.pace.complaint else ""
-            wrong = self._other_rate() or slow or self._straying_clock()
+            wrong = self._other_rate() or slow or self._clock_drift()
             if wrong:
                 return WARN, wrong, figures
         if level == OK and self.saturated:

@@ -19,14 +19,14 @@ Message = tuple[Any, ...]
 PATIENCE = 1.0
 """Longest wait for readers to receive the published messages [s]: a hung reader must not block the others for good."""
 
-LULL = 4e-4
-"""Shortest rest of the loops in which the service thread can complete a step [s]; LULL_SHARE applies if that is shorter."""
+LEAST_PAUSE = 4e-4
+"""Shortest pause of the loops in which the service thread can complete a step [s]; PAUSE_SHARE applies if that is shorter."""
 
-LULL_SHARE = 0.4
-"""Shortest rest as a fraction of the control period: the loops of a fast one never rest for longer."""
+PAUSE_SHARE = 0.4
+"""Shortest pause as a fraction of the control period: the loops of a fast one never pause for longer."""
 
-RESTLESS = 2e-3
-"""Longest wait for a rest [s]: without one, the service thread must proceed too; an emergency stop may be next."""
+PAUSE_WAIT = 2e-3
+"""Longest wait for a pause [s]: without one, the service thread must proceed too; an emergency stop may be next."""
 
 Encode = Callable[..., bytes]
 Publish = Callable[[bytes], None]
@@ -82,7 +82,7 @@ class Reader(Protocol):
 class Sender(Protocol):
     """Publisher of a topic."""
 
-    def wait_until_heard(self, seconds: float) -> None:
+    def wait_until_received(self, seconds: float) -> None:
         """Wait until all readers have received the published messages, at most for a time [s]."""
 
 
@@ -108,17 +108,17 @@ class Links:
                 cycles follow the wall clock.
             period: control period [s].
         """
-        self._lull = min(LULL, LULL_SHARE * period)
+        self._least_pause = min(LEAST_PAUSE, PAUSE_SHARE * period)
         self.kept = kept
         self._patient = patient
-        self._unheard = 0
+        self._unconfirmed = 0
         self._senders: list[Sender] = []
         # Held while the loops wait for readers: meanwhile, a lifecycle request to a node must not destroy its publishers.
         self._waiting = threading.Lock()
         self.open = False
         self.apart = False
         self._wanted = False
-        self._rest = threading.Event()
+        self._pause = threading.Event()
         self.wait = wait
         self._topics: dict[str, Topic] = {}
         self._later: list[tuple[Publish, Encode, Message]] = []
@@ -147,21 +147,21 @@ class Links:
             outside = [reader.look_outside() for reader in self._readers]
         self.apart = any(outside)
 
-    def await_rest(self) -> None:
-        """Wait until the loops begin to rest; for the service thread, which delays an answer while it holds the interpreter.
+    def await_pause(self) -> None:
+        """Wait until the loops begin a pause; for the service thread, which delays an answer while it holds the interpreter.
 
-        In lockstep the loops never rest, and response times do not matter.
+        In lockstep the loops never pause, and response times do not matter.
         """
         if not self._patient:
-            self._rest.clear()
+            self._pause.clear()
             self._wanted = True
-            self._rest.wait(RESTLESS)
+            self._pause.wait(PAUSE_WAIT)
 
-    def begin_rest(self, seconds: float) -> None:
-        """Signal to the service thread that the loops rest now, at most for a time [s]."""
-        if self._wanted and seconds > self._lull:
+    def begin_pause(self, seconds: float) -> None:
+        """Signal to the service thread that the loops pause now, at most for a time [s]."""
+        if self._wanted and seconds > self._least_pause:
             self._wanted = False
-            self._rest.set()
+            self._pause.set()
 
     def later(self, publish: Publish, encode: Encode, message: Message, *, answers: bool = False) -> None:
         """Publish a message with the next :meth:`publish`.
@@ -185,13 +185,13 @@ class Links:
         gathered, self._answers, self._later = [*self._answers, *self._later], [], []
         for publish, encode, message in gathered:
             publish(encode(*message))
-        self._unheard += len(gathered)
+        self._unconfirmed += len(gathered)
         # A cycle has at least four topics, and a burst of rows ahead is short compared with the history kept.
-        if self._patient and self._unheard >= 3 * self.kept:
-            self._unheard = 0
+        if self._patient and self._unconfirmed >= 3 * self.kept:
+            self._unconfirmed = 0
             with self._waiting:
                 for sender in self._senders:
-                    sender.wait_until_heard(PATIENCE)
+                    sender.wait_until_received(PATIENCE)
 
     def join(self, sender: Sender) -> None:
         """Add the publisher of a topic."""

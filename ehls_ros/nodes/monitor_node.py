@@ -48,9 +48,11 @@ from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.hardware.realtime import release_freed_memory, trim_memory
 from ehls_ros.nodes.codec import Decoder
-from ehls_ros.nodes.control import NAMESPACE, OK, WARN, ControlNode, run_node
+from ehls_ros.nodes.control import NAMESPACE, ControlNode
+from ehls_ros.nodes.diagnostics import OK, WARN
 from ehls_ros.nodes.frames import loader_frame
 from ehls_ros.nodes.parameters import declare, values_of
+from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.telemetry import time_of
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
 from ehls_ros.physics.rig import rig_to_mapping
@@ -516,7 +518,7 @@ class MonitorNode(ControlNode):
                 "outside": health.outside,
                 "baseline": health.baseline,
             }
-        if not self._active.is_set():
+        if not self.is_active:
             return OK, "inactive", figures
         level = WARN if self.failure or self.summary.level else OK
         return level, "; ".join(filter(None, (self.failure, self.summary.sentence))), figures

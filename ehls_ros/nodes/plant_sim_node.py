@@ -14,12 +14,15 @@ from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.hardware.simulated_clock import SimulatedClock
-from ehls_ros.nodes.control import ERROR, WAIT, WARN, run_node
+from ehls_ros.nodes.diagnostics import ERROR, WARN
+from ehls_ros.nodes.loop import WAIT
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
+from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.simulator import Simulator
 from ehls_ros.recording.topics import DISTURBANCE, SERVO_REFERENCE
 from ehls_ros.schema import quantity
 
@@ -54,6 +57,19 @@ class PlantSimNode(PlantNode):
         super().__init__("plant_sim_node")
         declare(self, Parameters, live=False)
         self.speed = float(self.get_parameter("speed").value)
+        self.cycle = 0
+        self.enabled = False
+        self.dense_steps = 0
+        self.on_schedule = 0.0
+        # Made by `prepare`:
+        self.simulator: Simulator
+        self.noise: Iterator[Array]
+        self.time: SimulatedClock
+        self.disturbances: dict[int, tuple[float, ...]]
+        self.last_disturbance: tuple[float, ...]
+        self.disturbance: Inbox
+        self.motion: Outbox | None
+        self.anything: Waiter
 
     def measured(self) -> Collection[str]:
         """Return all signals."""
@@ -63,12 +79,11 @@ class PlantSimNode(PlantNode):
         """Compile the plant and open the topics."""
         self.simulator = simulator_of(self.spec)
         self.noise = _noise(self.spec.settings.seed)
-        self.cycle = 0
-        self.time = SimulatedClock(self.period, time.perf_counter())
-        self.dense = 0
-        self.disturbances: dict[int, tuple[float, float, float, float]] = {}
-        self.open_topics()
+        self.cycle = self.dense_steps = 0
         self.enabled = False
+        self.time = SimulatedClock(self.period, time.perf_counter())
+        self.disturbances = {}
+        self.open_topics()
         # A servo's motion is simulated with the loader's, and published here.
         moves = self.simulator.servo.size > 0
         self.last_disturbance = (0.0, 0.0, float(self.simulator.servo[X]) if moves else 0.0, 0.0)
@@ -90,7 +105,7 @@ class PlantSimNode(PlantNode):
         self.time = SimulatedClock(self.period, time.perf_counter())
         self.on_schedule = time.perf_counter()
         self.gate.begin()
-        self._tell_driving()
+        self._publish_driving()
         self._snapshot()
 
     def stop(self) -> None:
@@ -117,7 +132,7 @@ class PlantSimNode(PlantNode):
             if self.standby_answered():
                 self._advance()
         else:
-            self.ask_again(self.cycle)
+            self.repeat_snapshot(self.cycle)
 
     def _once_realtime(self) -> None:
         self._await_inputs()
@@ -127,9 +142,9 @@ class PlantSimNode(PlantNode):
         prompt = self.links is not None and not self.links.apart
         complete = self._is_complete()
         changed = self.time.end(time.perf_counter(), answered=complete, expected=self.answered >= 0, prompt=prompt)
-        self.missed = self.time.missed
+        self.statistics.missed = self.time.missed
         self._advance()
-        if self.is_to_run:
+        if self.is_active:
             # The remaining work of a turn has time once the answer has arrived.
             self._await_inputs()
         if changed:
@@ -166,8 +181,8 @@ class PlantSimNode(PlantNode):
         self.last_disturbance = row
         if len(self.disturbances) > 10_000:
             self.disturbances = {k: v for k, v in self.disturbances.items() if k > self.cycle}
-        self.dense += self.simulator.advance(self._gated(), *row)
-        self.tell_telemetry()
+        self.dense_steps += self.simulator.advance(self._gated(), *row)
+        self.publish_telemetry()
         self.cycle += 1
         if self.speed > 0.0:
             self.on_schedule = max(self.on_schedule, time.perf_counter() - LATE) + self.period / self.speed
@@ -181,22 +196,21 @@ class PlantSimNode(PlantNode):
         if not self.enabled and self.answered >= 0:
             self.enabled = self.gate.enable() is None
         command = self.gate.step(self.cycle * self.period)
-        self._tell_driving()
+        self._publish_driving()
         return command
 
-    def _tell_driving(self) -> None:
+    def _publish_driving(self) -> None:
         """Publish whether the controllers drive the valve; before the first command they do, unless a trip holds the gate."""
-        self.tell_driving(self.gate.driving or not (self.enabled or self.gate.causes))
+        self.announcements.publish_driving(self.gate.driving or not (self.enabled or self.gate.causes))
 
     def _snapshot(self) -> None:
         self.publish(self.cycle, self.simulator.measure(next(self.noise)).tolist())
         if self.motion is not None:
-            _, stamp_ns, _ = self.pending_telemetry
-            self.motion.send(stamp_ns, self.cycle, 0.0, 0.0, *self.simulator.servo[[X, V]].tolist())
+            self.motion.send(self.snapshot.stamp_ns, self.cycle, 0.0, 0.0, *self.simulator.servo[[X, V]].tolist())
 
     def figures(self) -> dict[str, Any]:
         """Return values for diagnostics."""
-        own = {"cycle": self.cycle, "dense_event_steps": self.dense}
+        own = {"cycle": self.cycle, "dense_event_steps": self.dense_steps}
         return {**super().figures(), **own, **self.time.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
@@ -204,7 +218,7 @@ class PlantSimNode(PlantNode):
         level, message, figures = super().health()
         if trouble := self.simulator.trouble():
             return ERROR, trouble, figures
-        if level != ERROR and self._active.is_set() and self.time.pace.complaint:
+        if level != ERROR and self.is_active and self.time.pace.complaint:
             return WARN, f"{self.time.pace.complaint}, the simulated time runs slower than the wall's: {ADVICE}", figures
         return level, message, figures
 

@@ -3,8 +3,9 @@
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn
 
@@ -16,17 +17,19 @@ from ehls_ros.control.programme.counting import Counter, LoadCycle, Sample
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.programme.motion import Motion, Rows, Runner, State
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.programme_records import MAX_HOLDS, digest, open_records, plain, state_file
+from ehls_ros.experiments.programme_records import MAX_HOLDS, Records, digest, open_records, plain, state_file
 from ehls_ros.experiments.spec import with_programme
 from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.experiments.state_files.kinds import ProgrammeState
-from ehls_ros.experiments.state_files.state_file import Origin
-from ehls_ros.nodes.ahead import LEAD, REST, AheadNode
+from ehls_ros.experiments.state_files.state_file import Origin, StateFile
+from ehls_ros.nodes.ahead import LEAD, PAUSE, AheadNode
 from ehls_ros.nodes.codec import NANOSECONDS
-from ehls_ros.nodes.control import OK, WAIT, WARN, run_node
-from ehls_ros.nodes.graph import PROGRAMME
+from ehls_ros.nodes.diagnostics import OK, WARN
+from ehls_ros.nodes.graph_nodes import PROGRAMME
+from ehls_ros.nodes.loop import WAIT
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.reference_node import MEASURED
+from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.transport import Inbox, Outbox, message_class, newest_qos
 from ehls_ros.physics import sensors
 from ehls_ros.recording.topics import DEPTH, LOADER_STATE, PROGRAMME_POINT, REFERENCE_TOPICS
@@ -39,7 +42,7 @@ QUIET = 0.3
 """Time without a snapshot after which a rig in lockstep counts as waiting for its reference [s]."""
 
 
-ASKED = "on request"
+ON_REQUEST = "on request"
 """Reason given for a programme that its operator stopped."""
 
 
@@ -48,7 +51,7 @@ class Parameters(NamedTuple):
 
     programme: Annotated[str, text("programme's file; empty: the spec's reference, which is one")] = ""
     folder: Annotated[str, text("folder of log and state; empty: runs/ and the programme's title")] = ""
-    anew: Annotated[bool, text("begin the programme anew, and its log; false: go on where the folder's state says")] = False
+    anew: Annotated[bool, text("begin programme and log anew; false: continue from the state in the folder")] = False
     ahead: Annotated[
         int,
         quantity(
@@ -63,6 +66,49 @@ class Parameters(NamedTuple):
     ] = 0.0
 
 
+@dataclass(slots=True)
+class Tally:
+    """Count of the measured load cycles.
+
+    Attributes:
+        counter: finds the load cycles.
+        next: the next control cycle to count.
+        samples: block, repetition, load cycles, phase, state and reference of published control cycles not counted yet.
+        waiting: snapshots of control cycles not published yet.
+        newest: the last load cycle found.
+    """
+
+    counter: Counter
+    next: int = 0
+    samples: dict[int, tuple[int, int, int, float, int, float]] = field(default_factory=dict)
+    waiting: list[tuple[Any, ...]] = field(default_factory=list)
+    newest: LoadCycle | None = None
+
+
+@dataclass(slots=True)
+class RigProcess:
+    """The process of the rig that the programme runs on.
+
+    Attributes:
+        identifier: of the process.
+        senders: publishers of snapshots that may be it.
+        departed: publishers of earlier processes.
+        is_certain: whether there is a single publisher; a killed process seems to be present for a while.
+    """
+
+    identifier: str = ""
+    senders: set[bytes] = field(default_factory=set)
+    departed: set[bytes] = field(default_factory=set)
+    is_certain: bool = False
+
+    def identify(self, publishers: Iterable[bytes]) -> None:
+        """Determine the process from the publishers of snapshots that are present."""
+        present = set(publishers)
+        self.senders = present - self.departed or present
+        self.is_certain = len(self.senders) == 1
+        self.identifier = hashlib.blake2b(b"".join(sorted(self.senders)), digest_size=16).hexdigest()
+
+
 class ProgrammeNode(AheadNode):
     """Publishes a programme's reference and points, a pure function of the control cycle between two requests.
 
@@ -70,7 +116,7 @@ class ProgrammeNode(AheadNode):
     of reference or is another process, the programme holds its position and waits to be resumed.
     """
 
-    tells_actuator = True
+    publishes_actuator = True
 
     def __init__(self) -> None:
         """Declare the parameters and the services.
@@ -85,10 +131,27 @@ class ProgrammeNode(AheadNode):
             what = f"the spec's reference is {self.spec.reference.name}"
             raise BadInput(what, self.get_name(), "a programme there, or a file in the parameter programme")
         self.programme = programme_of(self.spec.reference.parameters)
+        self.digest = digest(self.programme)
         self.lead = int(self.get_parameter("ahead").value)
         self.start_time = float(self.get_parameter("start_time").value)
         self.follows = CONTROLLERS.load(self.spec.controller.name).FOLLOWS
-        self.asked: list[str] = []
+        self.requests: list[str] = []
+        # Made by `prepare`:
+        self.records: Records
+        self.file: StateFile
+        self.holds: tuple[float | None, ...]
+        self.tally: Tally
+        self.rig: RigProcess
+        self.runner: Runner | None
+        self.unwritten: str
+        self.state: State
+        self.block: int
+        self.states: Inbox
+        self.present: Inbox
+        self.other: Inbox | None
+        self.points: Outbox
+        self.stamp_ns: int
+        self.received: float
         for request in ("stop", "resume", "skip"):
             self.create_service(Trigger, f"programme_{request}", self._answer(request))
 
@@ -102,16 +165,16 @@ class ProgrammeNode(AheadNode):
                 refusal or f"{request} from control cycle {self.next} on, or later",
             )
             if response.success:
-                self.asked.append(request)
+                self.requests.append(request)
             return response
 
         return answer
 
     def _refusal(self, request: str) -> str:
-        if not self._active.is_set() or self.runner is None:
+        if not self.is_active or self.runner is None:
             return "the programme has not begun"
         stopped = self.runner.motions[-1].rests is not None
-        if request in self.asked:
+        if request in self.requests:
             return f"{request} is under way"
         if self.state == State.FINISHED:
             return "the programme has finished"
@@ -127,35 +190,27 @@ class ProgrammeNode(AheadNode):
         """
         chosen = self.text_parameter("folder")
         title = "".join(letter if letter.isalnum() else "_" for letter in self.programme.parameters.title)
-        self.folder = Path(chosen) if chosen else Path("runs") / title
+        folder = Path(chosen) if chosen else Path("runs") / title
         origin = Origin.of(self.spec.rig, self.spec.settings.control_period)
         anew, limits = bool(self.get_parameter("anew").value), self.spec.rig.limits
-        self.records = records = open_records(self.folder, self.programme, origin, self.follows, limits, anew=anew)
+        self.records = records = open_records(folder, self.programme, origin, self.follows, limits, anew=anew)
         for remark in records.remarks:
             self.get_logger().warning(remark)
-        self.saved, self.log, self.file = records.state, records.log, state_file(self.folder, origin)
-        held = (*(self.saved.holds if self.saved else ()), self.programme.parameters.hold)
+        self.file, saved = state_file(folder, origin), records.state
+        held = (*(saved.holds if saved else ()), self.programme.parameters.hold)
         self.holds = tuple(dict.fromkeys(held))[-MAX_HOLDS:]
-        self.digest = digest(self.programme)
-        self.counter = Counter(self.programme, records.counted, self.saved.stiffness if self.saved else ())
+        self.tally = Tally(Counter(self.programme, records.counted, saved.stiffness if saved else ()))
+        self.rig, self.runner = RigProcess(), None
         self.unwritten = ""
-        self.runner: Runner | None = None
-        self.samples: dict[int, tuple[int, int, int, float, int, float]] = {}
-        self.counting = 0
-        self.certain = False
-        self.senders: set[bytes] = set()
-        self.gone: set[bytes] = set()
-        self.newest: LoadCycle | None = None
         self.state, self.block = State.STARTING, 0
         super().prepare()
         self.states = Inbox(self, LoaderState, LOADER_STATE.name)
         self.present = Inbox(self, LoaderState, LOADER_STATE.name, newest_qos())
         topic = REFERENCE_TOPICS[self.follows]
-        self.other: Inbox | None = Inbox(self, message_class(topic.type), topic.name)
+        self.other = Inbox(self, message_class(topic.type), topic.name)
         self.points = Outbox(self, ProgrammePoint, PROGRAMME_POINT.name)
-        self.waiting: list[tuple[Any, ...]] = []
-        self.stamped = 0
-        self.heard = time.perf_counter()
+        self.stamp_ns = 0
+        self.received = time.perf_counter()
 
     def open_outbox(self) -> Outbox:
         """Open the topic of the reference."""
@@ -185,23 +240,23 @@ class ProgrammeNode(AheadNode):
         while (progress := self.progress.take()) is not None:
             stamp, cycle = progress[:2]
             if cycle < self.last:
-                if not self.lockstep and stamp <= self.stamped:
+                if not self.lockstep and stamp <= self.stamp_ns:
                     continue
                 if self.runner is not None:
-                    self.gone |= self.senders
-                    self._fall_out(cycle, "the rig began anew")
+                    self.rig.departed |= self.rig.senders
+                    self._interrupt(cycle, "the rig was restarted")
             self._note_progress(cycle)
-            self.stamped = stamp
+            self.stamp_ns = stamp
             self.epoch_ns = stamp - round(cycle * self.period_ns)
         if self.runner is None:
             self._begin()
             return
         self._count()
         if self.last > self.next:
-            self._fall_out(self.last, f"the rig had no reference from control cycle {self.next} on")
+            self._interrupt(self.last, f"the rig had no reference from control cycle {self.next} on")
         self._follow_requests()
         self._publish_to(self.last + self.lead)
-        time.sleep(REST)
+        time.sleep(PAUSE)
         if self._is_repeat_due():
             self._send(max(self.last, 0), self.next - 1)
 
@@ -228,18 +283,18 @@ class ProgrammeNode(AheadNode):
         if not math.isfinite(measured):
             # There is no position to lead the reference in from.
             measured = None
-        run = self._run()
-        saved = self.saved
+        self._identify_rig()
+        saved = self.records.state
         if saved is None:
             first = cycle if self.lockstep else cycle + round(MARGIN / self.spec.settings.control_period)
             begun = Runner.beginning(self.programme, first, measured, self.start_time)
             self.runner = Runner(self.programme, self.spec.settings.control_period, (begun,))
-            self.counting = cycle
+            self.tally.next = cycle
         else:
             self.runner = Runner(self.programme, self.spec.settings.control_period, saved.motions)
-            self.counting = saved.counting
-            if saved.run != run:
-                self._fall_out(cycle, "the rig is another one since", saved.seen, measured)
+            self.tally.next = saved.counting
+            if saved.run != self.rig.identifier:
+                self._interrupt(cycle, "the rig is another process", saved.seen, measured)
             else:
                 # Snapshots from before the node ended are still available, as many as the rig keeps.
                 since = max(saved.counting, cycle - DEPTH)
@@ -248,8 +303,8 @@ class ProgrammeNode(AheadNode):
                 if cycle > saved.published + 1:
                     self.next = saved.published + 1
                     self._count()
-                    self._fall_out(cycle, "there was no reference while the node was away", saved.published, measured)
-        self.run, self.next, self.last = run, cycle, max(cycle, self.last)
+                    self._interrupt(cycle, "no reference was published while the node was stopped", saved.published, measured)
+        self.next, self.last = cycle, max(cycle, self.last)
         self._publish_to(cycle + self.lead)
 
     def _present(self) -> tuple[Any, ...] | None:
@@ -260,26 +315,20 @@ class ProgrammeNode(AheadNode):
                 newest = state
             return newest
         while (state := self.states.take()) is not None:
-            self.waiting.append(state)
-            self.heard = time.perf_counter()
-        del self.waiting[:-DEPTH]
-        if self.last < 0 or not self.waiting or self.waiting[-1][1] < self.last:
+            self.tally.waiting.append(state)
+            self.received = time.perf_counter()
+        del self.tally.waiting[:-DEPTH]
+        if self.last < 0 or not self.tally.waiting or self.tally.waiting[-1][1] < self.last:
             return None
         # A rig without reference waits, and its earlier messages have arrived once no more arrive.
-        newest = self.waiting[-1]
-        return newest if newest[1] == 0 or time.perf_counter() - self.heard > QUIET else None
+        newest = self.tally.waiting[-1]
+        return newest if newest[1] == 0 or time.perf_counter() - self.received > QUIET else None
 
-    def _run(self) -> str:
-        """Return an identifier of the rig's process.
+    def _identify_rig(self) -> None:
+        """Determine the rig's process."""
+        self.rig.identify(bytes(info.endpoint_gid) for info in self.get_publishers_info_by_topic(LOADER_STATE.name))
 
-        A killed process seems to be present for a while, so the result is certain only once there is a single process.
-        """
-        senders = {bytes(sender.endpoint_gid) for sender in self.get_publishers_info_by_topic(LOADER_STATE.name)}
-        self.senders = senders - self.gone or senders
-        self.certain = len(self.senders) == 1
-        return hashlib.blake2b(b"".join(sorted(self.senders)), digest_size=16).hexdigest()
-
-    def _fall_out(self, cycle: int, reason: str, until: int | None = None, measured: float | None = None) -> None:
+    def _interrupt(self, cycle: int, reason: str, until: int | None = None, measured: float | None = None) -> None:
         """Hold the programme at the rig's last reference.
 
         Args:
@@ -289,7 +338,7 @@ class ProgrammeNode(AheadNode):
             measured: measured value of the rig; None: the programme's value at that point.
         """
         runner = self._running()
-        until = self.counting - 1 if until is None else until
+        until = self.tally.next - 1 if until is None else until
         since, state = runner.at(max(until, 0))
         before = runner.motions[-1]
         if measured is None or not math.isfinite(measured):
@@ -299,10 +348,10 @@ class ProgrammeNode(AheadNode):
         else:
             said = before.reason if before.rests is not None and before.reason else reason
             runner.motions = [runner.resting(cycle, since, measured, said, before.skipped)]
-            self.get_logger().warning(f"the programme stands: {said}; programme_resume goes on")
-        self.samples.clear()
-        self.counting = self.next = cycle
-        self.run = self._run()
+            self.get_logger().warning(f"the programme is held: {said}; programme_resume continues it")
+        self.tally.samples.clear()
+        self.tally.next = self.next = cycle
+        self._identify_rig()
 
     def _running(self) -> Runner:
         if self.runner is None:
@@ -312,13 +361,13 @@ class ProgrammeNode(AheadNode):
     def _follow_requests(self) -> None:
         """Stop, resume or skip from the first unpublished control cycle on."""
         runner = self._running()
-        if complaint := self.counter.complaint or self.unwritten:
+        if complaint := self.tally.counter.complaint or self.unwritten:
             if runner.stop(self.next, complaint):
                 self.get_logger().error(f"the programme stops: {complaint}")
-            self.counter.complaint = ""
-        while self.asked:
-            request = self.asked.pop(0)
-            done = runner.stop(self.next, ASKED) if request == "stop" else getattr(runner, request)(self.next)
+            self.tally.counter.complaint = ""
+        while self.requests:
+            request = self.requests.pop(0)
+            done = runner.stop(self.next, ON_REQUEST) if request == "stop" else getattr(runner, request)(self.next)
             self.get_logger().info(
                 f"programme {request} from control cycle {self.next} on" if done else f"nothing to {request}"
             )
@@ -338,7 +387,7 @@ class ProgrammeNode(AheadNode):
         for cycle, (point, reference) in enumerate(zip(_entries(rows), rows.reference.tolist(), strict=True), start=first):
             stamp = self.epoch_ns + round(cycle * self.period_ns)
             self.points.send(stamp, cycle, *point)
-            self.tell_actuator(stamp, cycle)
+            self.publish_actuator(stamp, cycle)
             self.outbox.send(stamp, cycle, *reference)
         self._remember(rows, first)
 
@@ -347,24 +396,25 @@ class ProgrammeNode(AheadNode):
         for cycle, (point, reference) in enumerate(
             zip(_entries(rows), rows.reference[:, 0].tolist(), strict=True), start=first
         ):
-            if cycle >= self.counting:
-                self.samples[cycle] = (*point, reference)
+            if cycle >= self.tally.next:
+                self.tally.samples[cycle] = (*point, reference)
 
     def _save(self, published: int, *, durable: bool = False) -> None:
         """Replace the state; ``durable`` only after the loop: a busy disk takes longer than the rig has reference."""
         runner = self._running()
-        counting = self.counting if self.counter.since is None else self.counter.since
+        counting = self.tally.next if self.tally.counter.since is None else self.tally.counter.since
         runner.forget(min(counting, self.next))
-        seen = max(self.counting - 1, 0)
-        if not self.certain:
-            self.run = self._run()
+        seen = max(self.tally.next - 1, 0)
+        if not self.rig.is_certain:
+            self._identify_rig()
         p = self.programme.parameters
+        tally = self.tally
         state = ProgrammeState(
-            self.digest, p.hold, p.stop_time, p.hold_time, self.holds, self.run, seen, published, counting, self.counter.done,
-            tuple(runner.motions), self.counter.stiffness,
+            self.digest, p.hold, p.stop_time, p.hold_time, self.holds, self.rig.identifier, seen, published, counting,
+            tally.counter.done, tuple(runner.motions), tally.counter.stiffness,
         )  # fmt: skip
         with self._writing():
-            self.log.flush(durable=durable)
+            self.records.log.flush(durable=durable)
             self.file.write(plain(state), durable=durable)
             self.unwritten = ""
 
@@ -383,33 +433,33 @@ class ProgrammeNode(AheadNode):
         logged = False
         for message in self._snapshots():
             stamp, cycle = message[:2]
-            known = self.samples.pop(cycle, None)
-            for missed in range(self.counting, cycle):
-                self.samples.pop(missed, None)
-            self.counting = cycle + 1
+            known = self.tally.samples.pop(cycle, None)
+            for missed in range(self.tally.next, cycle):
+                self.tally.samples.pop(missed, None)
+            self.tally.next = cycle + 1
             if known is None:
                 continue
             block, repetition, load_cycles, phase, state, reference = known
             measured, position = message[2 + MEASURED[self.follows]], message[2 + sensors.POSITION]
-            finished = self.counter.add(
+            finished = self.tally.counter.add(
                 Sample(cycle, block, repetition, load_cycles, phase, state, reference, measured, position)
             )
             self.state, self.block = State(state), block
             if finished:
-                self.log.add(finished, stamp / NANOSECONDS)
-                self.newest, logged = finished[-1], True
+                self.records.log.add(finished, stamp / NANOSECONDS)
+                self.tally.newest, logged = finished[-1], True
         if logged:
             with self._writing():
-                self.log.flush()
+                self.records.log.flush()
 
     def _snapshots(self) -> list[tuple[Any, ...]]:
         """Return the snapshots of published control cycles that were not counted yet, in order."""
-        found, self.waiting = self.waiting, []
+        found, self.tally.waiting = self.tally.waiting, []
         while (message := self.states.take()) is not None:
             found.append(message)
         # A rig in lockstep opens the control cycle for which it awaits reference.
-        self.waiting = [message for message in found if message[1] >= self.next]
-        return [message for message in found if self.counting <= message[1] < self.next]
+        self.tally.waiting = [message for message in found if message[1] >= self.next]
+        return [message for message in found if self.tally.next <= message[1] < self.next]
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report the position in the programme."""
@@ -419,18 +469,18 @@ class ProgrammeNode(AheadNode):
             "programme_state": self.state.name.lower(),
             "block": self.block,
             "block_name": programme.leaves[self.block].name,
-            "load_cycles": self.counter.done,
+            "load_cycles": self.tally.counter.done,
             "of_load_cycles": programme.load_cycles,
             "cycle": self.last,
             "ahead": self.next - 1 - self.last,
         }
-        if self.newest is not None:
-            figures |= {"peak": self.newest.peak, "valley": self.newest.valley}
+        if self.tally.newest is not None:
+            figures |= {"peak": self.tally.newest.peak, "valley": self.tally.newest.valley}
         runner = self.runner
         if runner is not None and runner.motions[-1].rests is not None and self.state != State.FINISHED:
             reason = runner.motions[-1].reason
-            return OK if reason == ASKED else WARN, f"stopped: {reason}; programme_resume goes on", figures
-        if not self._active.is_set():
+            return OK if reason == ON_REQUEST else WARN, f"stopped: {reason}; programme_resume continues", figures
+        if not self.is_active:
             return OK, "inactive", figures
         if runner is None and (other := self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)):
             return WARN, f"waits to begin: {other} owns {self.outbox.topic}; deactivate or stop it", figures

@@ -6,16 +6,18 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, cast, get_args
 
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.timer import Timer
 
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import metadata
 from ehls_ros.experiments.spec import with_programme
 from ehls_ros.nodes import node_names
-from ehls_ros.nodes.control import ERROR, OK, WARN, ControlNode, run_node, transition
+from ehls_ros.nodes.control import ControlNode
+from ehls_ros.nodes.diagnostics import ERROR, OK, WARN
 from ehls_ros.nodes.parameter_stock import ParameterStock
 from ehls_ros.nodes.parameters import declare
+from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos, message_class
 from ehls_ros.recording.bag_writer import BagWriter, Storage
 from ehls_ros.recording.topics import (
@@ -30,7 +32,7 @@ from ehls_ros.recording.topics import (
 )
 from ehls_ros.schema import quantity, text
 
-REST = 0.02
+PAUSE = 0.02
 """Interval between bulk reads of the messages [s]; the middleware holds them meanwhile."""
 
 FLUSH = 0.5
@@ -79,6 +81,22 @@ class RecorderNode(ControlNode):
         self.storage = cast(Storage, storage)
         self.expected = tuple(filter(None, self.text_parameter("expected").split(",")))
         self.cycles = int(self.get_parameter("cycles").value)
+        # Made by `prepare`:
+        self.path: Path
+        self.written: int
+        self.lost: int
+        self.newest: dict[str, int]
+        self.newest_ns: int
+        self.often: list[str]
+        self.topics: dict[str, Topic]
+        self.taken: dict[str, int]
+        self.inboxes: dict[str, Inbox]
+        self.parameters: deque[tuple[int, bytes]]
+        self.stock: ParameterStock
+        self.looking: Timer
+        self.failure: str
+        self.writer: BagWriter | None
+        self.flushed: float
 
     def prepare(self) -> None:
         """Open the bag and subscribe."""
@@ -86,7 +104,7 @@ class RecorderNode(ControlNode):
         self.path = Path(chosen) if chosen else Path("bags") / time.strftime("%Y%m%d-%H%M%S")
         self.written = 0
         self.lost = 0
-        self.newest: dict[str, int] = {}
+        self.newest = {}
         self.newest_ns = 0
         events = [PARAMETER_EVENTS, ROSOUT, *map(transition_topic, node_names())]
         # Without lockstep, /clock belongs to another publisher.
@@ -97,23 +115,22 @@ class RecorderNode(ControlNode):
         self.inboxes = {
             name: Inbox(self, message_class(topic.type), name, _wanted(topic), bytes) for name, topic in self.topics.items()
         }
-        self.parameters: deque[tuple[int, bytes]] = deque()
+        self.parameters = deque()
         self.stock = ParameterStock(self, lambda stamp_ns, event: self.parameters.append((stamp_ns, event)))
         self.looking = self.create_timer(LOOK, self.stock.look, clock=self.steady)
         self.failure = ""
-        self.writer: BagWriter | None = None
+        self.writer = None
 
-    @transition
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start once the expected publishers exist, so that even a run shorter than discovery is recorded completely."""
+    def is_ready(self) -> bool:
+        """Wait until the expected publishers exist, so that even a run shorter than discovery is recorded completely."""
         deadline = time.monotonic() + DISCOVERY
         for name in self.expected:
             while self.inboxes[name].handle.get_publisher_count() == 0:
                 if time.monotonic() > deadline:
                     self.get_logger().error(f"{name} has no publisher")
-                    return TransitionCallbackReturn.FAILURE
-                time.sleep(REST)
-        return super().on_activate(state)
+                    return False
+                time.sleep(PAUSE)
+        return True
 
     def release(self) -> None:
         """Unsubscribe."""
@@ -134,7 +151,7 @@ class RecorderNode(ControlNode):
 
     def once(self) -> None:
         """Write the gathered messages."""
-        time.sleep(REST)
+        time.sleep(PAUSE)
         self._drain(self.often)
         if self.writer is not None and time.perf_counter() - self.flushed > FLUSH:
             self.flushed = time.perf_counter()
@@ -196,7 +213,7 @@ class RecorderNode(ControlNode):
             missing = any(self.taken[name] < self.cycles for name in self.expected)
             if time.perf_counter() - quiet_since > (SLOW if missing else QUIET):
                 break
-            time.sleep(REST)
+            time.sleep(PAUSE)
         if self.writer is not None:
             try:
                 self.writer.close()
@@ -214,7 +231,7 @@ class RecorderNode(ControlNode):
             return ERROR, f"not recording: {self.failure}", figures
         if self.lost:
             return WARN, "messages were lost before they reached the recorder", figures
-        if not self._active.is_set():
+        if not self.is_active:
             return OK, "inactive", figures
         return OK, "recording" if cycles else "recording, no snapshot yet", figures
 

@@ -75,7 +75,7 @@ class Telemetry:
         self._period = 1.0 / rate if rate > 0.0 else float("inf")
         self._next = 0.0 if rate > 0.0 else float("inf")
 
-    def tell(self, time_s: float, stamp_ns: int, measured: Sequence[float]) -> None:
+    def publish(self, time_s: float, stamp_ns: int, measured: Sequence[float]) -> None:
         """Publish if due, on topics that have readers; nothing is kept for late joiners.
 
         Args:

@@ -101,7 +101,7 @@ class Outbox:
         sender: str | None = None,
         opens: bool = False,
         answers: bool = False,
-        together: int = 1,
+        batch: int = 1,
     ) -> None:
         """Create the publisher.
 
@@ -113,12 +113,12 @@ class Outbox:
             sender: named in the messages, if their type names one; None: the node's.
             opens: whether its messages are snapshots, each of which opens a cycle.
             answers: whether its messages answer them.
-            together: messages that are published together, if no node waits for them: each single message wakes up a thread in
+            batch: messages that are published in one batch, if no node waits for them: each single message wakes up a thread in
                 every reader. :meth:`flush` publishes those that have gathered.
         """
         self._node = node
         self._opens, self._answers = opens, answers
-        self._together = together
+        self._batch = batch
         self._gathered: list[bytes] = []
         sender = getattr(node, "sender", "") if sender is None else sender
         self._encode = Encoder(message, loader_frame(node.get_namespace()), lengths, sender)
@@ -139,7 +139,7 @@ class Outbox:
         """Publish one message: header stamp [ns], then the fields in order."""
         if self._links is None:
             self._gathered.append(self._encode(stamp_ns, *values))
-            if len(self._gathered) >= self._together:
+            if len(self._gathered) >= self._batch:
                 self.flush()
             return
         if self._opens or self._answers:
@@ -148,7 +148,7 @@ class Outbox:
         self._local.hand_over(message + self._sender)
         self._links.later(self._publish, self._encode, message, answers=self._answers)
 
-    def wait_until_heard(self, seconds: float) -> None:
+    def wait_until_received(self, seconds: float) -> None:
         """Wait until all readers have received the published messages, at most for a time [s]."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
@@ -190,7 +190,7 @@ class Notice:
             self._local.senders += 1
         self.publisher = node.create_publisher(message, topic, control_qos(depth))
 
-    def tell(self, message: Any, decoded: Any) -> None:
+    def publish(self, message: Any, decoded: Any) -> None:
         """Publish a message.
 
         Args:

@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from ehls_ros.hardware.backends.udp import UdpDevice
-from ehls_ros.nodes.control import transition
+from ehls_ros.nodes.diagnostics import Diagnostics
+from ehls_ros.nodes.lifecycle import Lifecycle, transition
+from ehls_ros.nodes.loop import Loop
+from ehls_ros.nodes.scheduling import Scheduling
 
 CLASSES = {
     "plant_sim_node": "ehls_ros.nodes.plant_sim_node.PlantSimNode",
@@ -23,6 +26,9 @@ CLASSES = {
     "recorder_node": "ehls_ros.nodes.recorder_node.RecorderNode",
     "monitor_node": "ehls_ros.nodes.monitor_node.MonitorNode",
 }
+
+PARTS: dict[str, type] = {part.__name__: part for part in (Lifecycle, Loop, Scheduling, Diagnostics)}
+"""Objects that every node has; their methods are named ``Part.method``."""
 
 BASES = "ehls_ros.nodes."
 """Classes of other modules, such as rclpy's, are excluded."""
@@ -40,7 +46,7 @@ def class_of(node: str) -> type:
 
 
 def methods_of(node: str) -> Iterator[str]:
-    """Yield the names of all methods of a node's class that are defined in this project."""
+    """Yield the names of all methods of a node's class and its parts that are defined in this project."""
     seen = set()
     for base in class_of(node).__mro__:
         if not base.__module__.startswith(BASES):
@@ -49,6 +55,8 @@ def methods_of(node: str) -> Iterator[str]:
             if inspect.isfunction(member) and name not in seen:
                 seen.add(name)
                 yield name
+    for part, kind in PARTS.items():
+        yield from (f"{part}.{name}" for name, member in vars(kind).items() if inspect.isfunction(member))
 
 
 def inject(node: str, method: str, call: int, mark: str, writes: str = "") -> None:
@@ -56,27 +64,35 @@ def inject(node: str, method: str, call: int, mark: str, writes: str = "") -> No
 
     Args:
         node: name of the node.
-        method: name of the method.
+        method: name of the method, or of a part and its method.
         call: number of the call that raises, counted from 1.
         mark: file that is created just before.
         writes: file to which each command for a device is written; empty: none.
     """
     if writes:
         _record_commands(Path(writes))
-    owner = class_of(node)
-    decorated = inspect.getattr_static(owner, method)
+    part, _, name = method.rpartition(".")
+    owner = PARTS[part] if part else class_of(node)
+    decorated = inspect.getattr_static(owner, name)
     original = inspect.unwrap(decorated)
     counted = itertools.count(1)
 
     @functools.wraps(original)
     def raising(self: Any, *arguments: Any, **words: Any) -> Any:
-        if next(counted) == call:
+        of_node = not part or isinstance(_node_of(self, arguments), class_of(node))
+        if of_node and next(counted) == call:
             Path(mark).touch()
             raise Injected(method)
         return original(self, *arguments, **words)
 
     # Reapply a transition's guard around the raising method, so that it handles the exception.
-    setattr(owner, method, raising if decorated is original else transition(raising))
+    setattr(owner, name, raising if decorated is original else transition(raising))
+
+
+def _node_of(part: Any, arguments: tuple[Any, ...]) -> Any:
+    """Return the node of a part, whose constructor receives it."""
+    found = getattr(part, "node", None) or getattr(part, "_node", None)
+    return arguments[0] if found is None else found
 
 
 def _record_commands(path: Path) -> None:

@@ -7,8 +7,8 @@ import threading
 
 from std_srvs.srv import SetBool, Trigger
 
-from ehls_ros.nodes.control import run_node
 from ehls_ros.nodes.hardware_bridge_node import HardwareBridgeNode
+from ehls_ros.nodes.running import run_node
 
 HANGS = 5.0
 """Time the service hangs; far longer than the gate tolerates [s]."""

@@ -13,7 +13,7 @@ from ehls_ros.nodes.transport import control_qos
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.recording.topics import ACCEPTED_RIG
 
-KNOWN, WRONG = "the accepted rig is known from control cycle", "the accepted rig is not used"
+USED, WRONG = "the accepted rig is in use from control cycle", "the accepted rig is not used"
 
 
 def test_a_controller_that_accepts_knows_the_rig_from_the_next_cycle_on_and_refuses_a_wrong_one(graph, participant, spec_file):
@@ -32,13 +32,13 @@ def test_a_controller_that_accepts_knows_the_rig_from_the_next_cycle_on_and_refu
     larger = rig._replace(plant=rig.plant._replace(piston_area=10.0 * rig.plant.piston_area))
     telling.publish(String(data=rig_text(rig_to_mapping(larger))))
     participant.until(lambda: "piston_area is 0.026, the rig file's is 0.0026: it may move by 30%" in graph.log("sic_node"))
-    assert KNOWN not in graph.log("sic_node")
+    assert USED not in graph.log("sic_node")
     telling.publish(String(data=rig_text(rig_to_mapping(rig))))
-    participant.until(lambda: KNOWN in graph.log("sic_node"))
+    participant.until(lambda: USED in graph.log("sic_node"))
     cycle = states[-1].cycle
     participant.until(lambda: states[-1].cycle > cycle + 100)
     # Two monitors are both ignored.
     second = participant.node.create_publisher(String, ACCEPTED_RIG.name, control_qos(ACCEPTED_RIG.depth))
     second.publish(String(data=rig_text(rig_to_mapping(load_spec(path).rig))))
     participant.until(lambda: "/ehls/participant, /ehls/participant publish accepted_rig" in graph.log("sic_node"))
-    assert graph.log("sic_node").count(KNOWN) == 1
+    assert graph.log("sic_node").count(USED) == 1

@@ -19,8 +19,8 @@ from ehls_msgs.msg import Driver, LoaderState, ValveCommand
 from ehls_msgs.srv import SwitchController
 from ehls_ros.cli.main import main
 from ehls_ros.nodes import links
+from ehls_ros.nodes.graph_nodes import HOSTS
 from ehls_ros.nodes.plant_sim_node import PlantSimNode
-from ehls_ros.nodes.together import HOSTS
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.topics import STANDBY_COMMAND
 
@@ -171,25 +171,27 @@ def test_a_cycle_that_begins_after_its_end_still_asks_those_in_its_process():
 
 
 @pytest.mark.parametrize(
-    ("period", "lull"), [(1e-2, links.LULL), (1e-3, links.LULL), (2.5e-4, 1e-4)], ids=["100 Hz", "1 kHz", "4 kHz"]
+    ("period", "pause"),
+    [(1e-2, links.LEAST_PAUSE), (1e-3, links.LEAST_PAUSE), (2.5e-4, 1e-4)],
+    ids=["100 Hz", "1 kHz", "4 kHz"],
 )
-def test_the_service_thread_waits_for_a_rest_that_is_long_enough(period, lull, monkeypatch):
-    monkeypatch.setattr(links, "RESTLESS", 3600.0)
+def test_the_service_thread_waits_for_a_pause_that_is_long_enough(period, pause, monkeypatch):
+    monkeypatch.setattr(links, "PAUSE_WAIT", 3600.0)
     connected = links.Links(lambda waiter, seconds: None, period=period)
-    serving = threading.Thread(target=connected.await_rest, daemon=True)
+    serving = threading.Thread(target=connected.await_pause, daemon=True)
     serving.start()
     for _ in range(20):
-        connected.begin_rest(0.5 * lull)
+        connected.begin_pause(0.5 * pause)
         serving.join(1e-3)
     assert serving.is_alive()
     while serving.is_alive():
-        connected.begin_rest(2.0 * lull)
+        connected.begin_pause(2.0 * pause)
         serving.join(1e-3)
 
 
-def test_in_lockstep_the_service_thread_waits_for_no_rest(monkeypatch):
-    monkeypatch.setattr(links, "RESTLESS", 3600.0)
-    links.Links(lambda waiter, seconds: None, patient=True).await_rest()
+def test_in_lockstep_the_service_thread_waits_for_no_pause(monkeypatch):
+    monkeypatch.setattr(links, "PAUSE_WAIT", 3600.0)
+    links.Links(lambda waiter, seconds: None, patient=True).await_pause()
 
 
 PARTNERS = ("reference_node", "disturbance_node", "friction_estimator_node", "fasmc_node")

@@ -20,7 +20,7 @@ CASES = [
     ("reference_node", "apart", "__init__", 1),
     ("reference_node", "composed", "stop", 1),
     ("plant_sim_node", "composed", "_look_around", 1),
-    ("plant_sim_node", "apart", "on_deactivate", 1),
+    ("plant_sim_node", "apart", "Lifecycle.on_deactivate", 1),
     ("hardware_bridge_node", "composed", "once", 300),
     ("hardware_bridge_node", "composed", "stop", 1),
     ("hardware_bridge_node", "composed", "release", 1),

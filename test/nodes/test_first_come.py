@@ -15,7 +15,7 @@ from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.experiments.spec import load_spec
-from ehls_ros.nodes.controller import HEARING
+from ehls_ros.hardware.handover import RELAY_TIME
 from ehls_ros.nodes.transport import control_qos
 from ehls_ros.physics.rig import SENSED
 
@@ -107,7 +107,7 @@ def test_a_driver_that_is_heard_late_is_stood_by_for(graph, participant, spec_fi
     cycle(0)
     graph.start("sic_node", spec=path, timing="lockstep")
     participant.until(lambda: all(publishers[topic].get_subscription_count() for topic in ("driver", "loader_state")))
-    participant.rest(4.0 * HEARING)
+    participant.rest(4.0 * RELAY_TIME)
     # The command may match or arrive later than the snapshots, as another topic.
     number = 0
     deadline = time.monotonic() + PATIENCE

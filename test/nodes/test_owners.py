@@ -9,7 +9,7 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 from diagnostic_msgs.msg import DiagnosticArray
 
 from ehls_msgs.msg import Disturbance, LoaderState
-from ehls_ros.nodes.control import ERROR
+from ehls_ros.nodes.diagnostics import ERROR
 from ehls_ros.nodes.transport import DEPTH, control_qos
 
 FORCE = 1500.0

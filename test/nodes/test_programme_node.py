@@ -144,9 +144,9 @@ def test_a_programme_stops_where_its_records_cannot_be_written():
     logger = SimpleNamespace(error=log.append)
     node = SimpleNamespace(
         unwritten="",
-        counter=SimpleNamespace(complaint=""),
+        tally=SimpleNamespace(counter=SimpleNamespace(complaint="")),
         next=500,
-        asked=[],
+        requests=[],
         _running=lambda: runner,
         get_logger=lambda: logger,
     )

@@ -17,7 +17,7 @@ from patience import PATIENCE
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.nodes import controller_of, node_names
-from ehls_ros.nodes.graph import PLANTS
+from ehls_ros.nodes.graph_nodes import PLANTS
 from ehls_ros.recording.topics import CYCLE_TOPICS, TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -46,7 +46,7 @@ def told(measured=SENSED, failing=(), namespace="/ehls"):
     """Return the one message of each topic that has a publisher; None where nothing was sent."""
     node = StandIn(namespace)
     readings = [float("nan") if name in {*failing, *(set(SENSED) - set(measured))} else READ[name] for name in SENSED]
-    Telemetry(node, 50.0, measured).tell(0.0, 12_000_000_034, readings)
+    Telemetry(node, 50.0, measured).publish(0.0, 12_000_000_034, readings)
     return {topic: next(iter(sent), None) for topic, sent in node.published.items()}, node.types
 
 

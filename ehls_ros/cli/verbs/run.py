@@ -6,7 +6,7 @@ from importlib import import_module
 
 from ehls_ros.cli.arguments import needs_ros
 from ehls_ros.nodes import node_names
-from ehls_ros.nodes.together import PLUS, in_order
+from ehls_ros.nodes.graph_nodes import PLUS, in_order
 
 HELP = "Start one node, as `ros2 run ehls_ros NODE` does, or several as one process."
 
