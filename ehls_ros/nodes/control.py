@@ -255,7 +255,7 @@ class ControlNode(DeclaredParameters):
         return self.lifecycle.configure() and self.lifecycle.activate()
 
     def be_hosted(self) -> None:
-        """Let another node in the same process run this node's loop; that node handles the heartbeat and the processor demand."""
+        """Let another node in the same process run this node's loop; that node handles heartbeat and processor demand."""
         self.hosted = True
         self._heartbeat.cancel()
 

@@ -15,6 +15,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.controller import NOTHING_KNOWN, Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, SATURATED, STATUS_TO_SI, model_of
