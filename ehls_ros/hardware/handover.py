@@ -160,6 +160,7 @@ class PlantHandover:
         standby: the controllers that could take over.
         announced: the announced driver; empty: none drives; None: nothing has been announced.
         drives_from: first cycle of the announced driver.
+        take_over_after: silence of the driver after which the standby controller takes over [s]; 0: never.
     """
 
     def __init__(self, gate: Gate, *, grace: int, patience: int, take_over_after: float = 0.0) -> None:
@@ -173,7 +174,7 @@ class PlantHandover:
         """
         self._gate = gate
         self._grace = grace
-        self._take_over_after = take_over_after
+        self.take_over_after = take_over_after
         self._lock = threading.Lock()
         self._successor = ""
         # The last driver that ended or fell silent.
@@ -248,10 +249,10 @@ class PlantHandover:
     def replace_silent(self) -> Succession | None:
         """Choose a successor if the driver has been silent for too long and another stands by; return the result."""
         gate = self._gate
-        if self._take_over_after <= 0.0 or self.state is PlantState.SWITCHING or not gate.driving:
+        if self.take_over_after <= 0.0 or self.state is PlantState.SWITCHING or not gate.driving:
             return None
         silence, owner = gate.command_age, gate.owner
-        if owner and silence >= self._take_over_after and self.standby.ready:
+        if owner and silence >= self.take_over_after and self.standby.ready:
             return self._succeed(owner, f"has been silent for {silence:.3f} s")
         return None
 
@@ -277,13 +278,15 @@ class PlantHandover:
         Returns:
             Whether the driver is another than announced, so that it is to be announced now.
         """
-        state, driver = self.state, self._driver
+        state, gate = self.state, self._gate
+        driver = "" if gate.vacant else gate.owner
         if (state is PlantState.DRIVEN or state is PlantState.VACANT) and (driver is None or driver == self.announced):
             return False
         with self._lock:
             if self.state is PlantState.SWITCHING:
                 self._hand_over(cycle)
-            driver = self._driver
+            # The controller that drives by the gate; empty: the first to answer will; None: the gate was just disabled.
+            driver = "" if gate.vacant else gate.owner
             if driver is None:
                 return False
             self._move(PlantEvent.OWNED if driver else PlantEvent.VACATED)
@@ -296,12 +299,6 @@ class PlantHandover:
         self.standby.remove(driver)
         self.drives_from = self._first if driver else cycle
         return True
-
-    @property
-    def _driver(self) -> str | None:
-        """The controller that drives by the gate; empty: the first to answer will; None: the gate was just disabled."""
-        gate = self._gate
-        return "" if gate.vacant else gate.owner
 
     def _hand_over(self, cycle: int) -> None:
         before, departed = self._gate.owner, self._departed
@@ -472,11 +469,6 @@ class ControllerHandover:
             if cycle >= first:
                 return "" if sender in self._relays else sender
         return ""
-
-    def other_driver_of(self, cycle: int) -> str:
-        """Return the other controller that drives in a cycle; empty if there is none."""
-        driver = self.driver_of(cycle)
-        return "" if driver == self._sender else driver
 
     def has_command(self, driver: str, since: int) -> bool:
         """Return whether a command of a driver for a cycle or a later one has arrived."""

@@ -260,8 +260,8 @@ class ControllerNode(ControlNode):
     def _command_of_driver(self, ready: Ready) -> float | None:
         """Return the spool command that another controller gave since the last answered cycle [m]; None if there is none."""
         handover, last = self.handover, ready.cycle - 1
-        driver = handover.other_driver_of(last)
-        if not driver or not self.answer.snapshot or ready.anew:
+        driver = handover.driver_of(last)
+        if not driver or driver == self.sender or not self.answer.snapshot or ready.anew:
             return None
         since = time.perf_counter()
         while True:
@@ -289,7 +289,8 @@ class ControllerNode(ControlNode):
                 inputs.measured, inputs.reference, inputs.friction, given, ready.elapsed, outlook
             )
         answer.snapshot, answer.fallback = (ready.stamp_ns, ready.cycle, *ready.measured), fallback
-        self._send(to_valve=not self.handover.other_driver_of(ready.cycle))
+        driver = self.handover.driver_of(ready.cycle)
+        self._send(to_valve=not driver or driver == self.sender)
 
     def _fill_inputs(self, ready: Ready) -> bool:
         """Fill in the inputs of the law; return whether the friction of steady sliding takes the place of the estimate."""

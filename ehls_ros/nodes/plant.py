@@ -360,9 +360,10 @@ class PlantNode(ControlNode):
 
     def _decide_driver(self, cycle: int) -> None:
         """Publish which controller drives from a cycle on, if that has changed."""
-        if (succession := self.handover.replace_silent()) is not None:
+        handover = self.handover
+        if handover.take_over_after > 0.0 and (succession := handover.replace_silent()) is not None:
             self._log_succession(succession)
-        if self.handover.decide(cycle):
+        if handover.decide(cycle):
             self.announcements.publish_driver()
 
     def _log_succession(self, succession: Succession) -> None:

@@ -381,7 +381,6 @@ def test_each_cycle_has_the_driver_that_was_announced_for_it():
         controller.announce(sender)
     drivers = [controller.role.driver_of(cycle) for cycle in (5, 15, 20, 29, 30)]
     assert drivers == ["", "", SIC, SIC, FASMC]
-    assert [controller.role.other_driver_of(cycle) for cycle in (15, 20, 30)] == ["", SIC, ""]
 
 
 def test_the_newest_command_of_the_driver_within_the_cycles_is_followed():
