@@ -10,6 +10,8 @@ from typing import Any
 
 from ehls_ros.hardware.backends.udp import UdpDevice
 from ehls_ros.nodes.diagnostics import Diagnostics
+from ehls_ros.nodes.gate_services import GateServices
+from ehls_ros.nodes.graph_nodes import PLANTS
 from ehls_ros.nodes.lifecycle import Lifecycle, transition
 from ehls_ros.nodes.loop import Loop
 from ehls_ros.nodes.scheduling import Scheduling
@@ -27,8 +29,10 @@ CLASSES = {
     "monitor_node": "ehls_ros.nodes.monitor_node.MonitorNode",
 }
 
-PARTS: dict[str, type] = {part.__name__: part for part in (Lifecycle, Loop, Scheduling, Diagnostics)}
-"""Objects that every node has; their methods are named ``Part.method``."""
+OF_ALL = (Lifecycle, Loop, Scheduling, Diagnostics)
+OF_PLANTS = (GateServices,)
+PARTS: dict[str, type] = {part.__name__: part for part in (*OF_ALL, *OF_PLANTS)}
+"""Objects that every node, or every plant, is composed of; their methods are named ``Part.method``."""
 
 BASES = "ehls_ros.nodes."
 """Classes of other modules, such as rclpy's, are excluded."""
@@ -55,8 +59,8 @@ def methods_of(node: str) -> Iterator[str]:
             if inspect.isfunction(member) and name not in seen:
                 seen.add(name)
                 yield name
-    for part, kind in PARTS.items():
-        yield from (f"{part}.{name}" for name, member in vars(kind).items() if inspect.isfunction(member))
+    for kind in (*OF_ALL, *(OF_PLANTS if node in PLANTS.values() else ())):
+        yield from (f"{kind.__name__}.{name}" for name, member in vars(kind).items() if inspect.isfunction(member))
 
 
 def inject(node: str, method: str, call: int, mark: str, writes: str = "") -> None:
