@@ -6,8 +6,13 @@ from typing import Any
 import pytest
 
 
-def tiered(cases: Iterable[Any], *quick: Any) -> list[Any]:
+def tiered(cases: Iterable[Any], *quick: Any, unpack: bool = False) -> list[Any]:
     """Return the parameters of a test: the ``quick`` cases run in ``make test``, all others in ``make test-long``.
+
+    Args:
+        cases: all cases.
+        quick: those of the quick tier.
+        unpack: a case is a tuple with a value for each of several parameters.
 
     Raises:
         ValueError: a quick case is none of the cases.
@@ -16,4 +21,8 @@ def tiered(cases: Iterable[Any], *quick: Any) -> list[Any]:
     unknown = [case for case in quick if case not in listed]
     if unknown:
         raise ValueError(f"{unknown} are none of the cases {listed}")
-    return [case if case in quick else pytest.param(case, marks=pytest.mark.long) for case in listed]
+    values = [case if unpack else (case,) for case in listed]
+    return [
+        pytest.param(*given, marks=[] if case in quick else [pytest.mark.long])
+        for case, given in zip(listed, values, strict=True)
+    ]

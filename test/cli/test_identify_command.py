@@ -123,6 +123,7 @@ def test_the_whole_rig_is_identified_when_asked_for(rig_folder):
     assert result["residuals"]["force"]["after"] < result["residuals"]["force"]["before"]
 
 
+@pytest.mark.long
 def test_the_report_of_the_whole_rig_shows_coefficients_and_residuals(rig_folder):
     text = (rig_folder / "report.html").read_text(encoding="utf-8")
     assert "Rig identified" in text
@@ -130,6 +131,7 @@ def test_the_report_of_the_whole_rig_shows_coefficients_and_residuals(rig_folder
     assert "volume balance" in text
 
 
+@pytest.mark.long
 def test_the_whole_rig_needs_no_number_of_elements(rig_folder, capsys):
     given = ["identify", str(rig_folder / "recording.csv"), "--rig", str(rig_folder / "guess.yaml"), "--out", str(rig_folder)]
     assert main([*given, "--whole-rig", "--elements", "2"]) == 2

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from tiers import tiered
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.friction_estimator import FrictionEstimator
@@ -41,7 +42,7 @@ def make_spec(rig_mapping):
     return make
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", tiered(MODELS, "lugre"))
 def test_the_observer_of_a_rig_serves_it_and_lowers_the_error(make_spec, model):
     compensated, plain = (
         evaluate(run_in_process(make_spec(model, **keys))) for keys in ({}, {"compensation": NO_COMPENSATION})

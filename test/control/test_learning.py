@@ -216,6 +216,7 @@ def pulled(*companions: str) -> Spec:
     return spec_from_mapping(data, "pulled", CONFIG)
 
 
+@pytest.mark.long
 def test_a_force_is_found_later_without_the_lag_and_most_of_the_noise():
     spec = pulled()
     run, law = run_in_process(spec), CONTROLLERS.load("fasmc_predictive")

@@ -63,6 +63,7 @@ def test_a_wrong_rig_file_is_no_change(run, healthy, wrong_rig, rig):
     assert found.rig.plant.moving_mass == pytest.approx(rig.plant.moving_mass, rel=0.02)
 
 
+@pytest.mark.long
 def test_what_changed_is_named_with_its_size(run, healthy, wrong_rig):
     found = against(run({"coulomb_shift": {"offset": -200.0}}, "rich", 3), [healthy], wrong_rig)
     assert (found.verdict, found.causes[0].name) == ("effect", "coulomb_shift")

@@ -102,7 +102,7 @@ def test_the_spool_along_a_command_is_the_simulators(rig, effects):
     assert np.max(np.abs(comparison.simulated_spool(ours.effective()) - trajectory["spool_m"])) < 1e-9
 
 
-@pytest.mark.parametrize("name", ["valve_second_order", "valve_hysteresis"])
+@pytest.mark.parametrize("name", tiered(["valve_second_order", "valve_hysteresis"], "valve_hysteresis"))
 def test_spools_with_a_memory_are_the_simulators(rig, name):
     values = {"valve_second_order": {"natural_frequency": 90.0}, "valve_hysteresis": {"width": 2e-5}}[name]
     ours = perfect(rig).with_effects((use(name, **values),))

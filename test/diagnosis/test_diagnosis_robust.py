@@ -37,7 +37,7 @@ SPOILT = {
 }
 
 
-@pytest.mark.parametrize("how", tiered(SPOILT, "lost samples", "outliers"))
+@pytest.mark.parametrize("how", tiered(SPOILT, "outliers"))
 def test_spoilt_data_still_tell_the_cause(how, hidden, diagnosed):
     d = diagnosed(SPOILT[how](hidden))
     assert_no_wrong_name(d, NAMES)
@@ -89,6 +89,7 @@ def test_a_missing_signal_narrows_what_is_judged(how, hidden, diagnosed):
     )
 
 
+@pytest.mark.long
 def test_position_and_force_alone_tell_the_force_balance(hidden, diagnosed):
     d = diagnosed(degrade.without(hidden, *(set(hidden.columns) - {"position_m", "force_n", "disturbance_force_n"})))
     assert_no_wrong_name(d, NAMES)

@@ -55,6 +55,7 @@ def smooth_rig(rig_file):
     return rig_from_mapping({**rig_file, "friction": friction}, "smooth")
 
 
+@pytest.mark.long
 def test_a_slow_friction_loop_at_100_hz_is_judged_and_its_error_found(smooth_rig):
     right = diagnose(slow_loop(smooth_rig), smooth_rig, "right", threads=1)
     assert right.stages["force_balance"].judged

@@ -142,6 +142,7 @@ def long_campaign(tmp_path):
     return write(tmp_path, **(CAMPAIGN | {"runs": 100_000}))
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(processes, long_campaign, tmp_path):
     out = tmp_path / "out"
     command = start_command(processes, long_campaign, out, start_new_session=True)

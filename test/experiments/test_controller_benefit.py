@@ -48,6 +48,7 @@ def test_without_a_change_the_errors_are_the_papers(make_rig):
     assert [case.after.max_error_n for case in benefit.cases] == pytest.approx([35.4, 35.8], abs=1.0)
 
 
+@pytest.mark.long
 def test_of_what_adds_to_the_equations_the_law_has_nothing(make_rig):
     benefit = controller_benefit(make_rig(), make_rig(DEAD_ZONE))
     assert benefit.same_controller

@@ -109,6 +109,7 @@ def test_a_healthy_rig_gives_no_word_over_gaps_and_a_restart_of_its_time(rig, st
     assert not health.changes
 
 
+@pytest.mark.long
 def test_a_cause_in_doubt_waits_for_more_samples(rig, streams):
     time, _, signals = streams
     findings = [consistent(rig), *[leaking(rig, 0.6)] * 4]
@@ -129,6 +130,7 @@ def test_samples_that_cannot_be_judged_teach_nothing(rig, streams):
     assert not monitor.changes
 
 
+@pytest.mark.long
 def test_what_no_diagnosis_confirms_is_an_operating_point_only_after_a_minute(rig, rig_file):
     healthy, leaking = (record(rig_file, effects, "rich", seed=11, duration=135.0) for effects in ({}, LEAK))
     here = healthy.time < ONSET
@@ -163,6 +165,7 @@ def test_an_accepted_change_is_the_healthy_rig(rig, streams):
     assert monitor.acknowledge() == 0
 
 
+@pytest.mark.long
 def test_a_change_that_no_diagnosis_names_any_more_has_cleared(rig, streams):
     time, healthy, signals = streams
     monitor, examiner, _ = watched(rig, time, signals, consistent(rig), leaking(rig), consistent(rig))
@@ -175,6 +178,7 @@ def test_a_change_that_no_diagnosis_names_any_more_has_cleared(rig, streams):
     assert monitor.model is monitor.healthy_rig
 
 
+@pytest.mark.long
 def test_recordings_of_the_healthy_rig_are_the_baseline_and_one_that_is_too_short_is_refused(rig, streams):
     time, healthy, leak = streams
     recording = Trajectory(time, healthy)

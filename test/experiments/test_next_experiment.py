@@ -223,6 +223,7 @@ def test_a_load_cell_tells_a_load_from_a_bias_at_once(rig, proposed):
     assert with_it.separation[0].sigma > 2.0 * without.separation[0].sigma
 
 
+@pytest.mark.long
 def test_of_three_the_worst_pair_decides(rig, monkeypatch):
     rigs = candidates(rig, "coulomb_shift", "pressure_dependent_friction", "viscous_shift")
     done: list[tuple[int, int]] = []

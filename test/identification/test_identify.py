@@ -97,6 +97,7 @@ def test_the_rig_can_be_used_as_it_is(found):
     assert rig_from_mapping(rig_to_mapping(found.rig), "rig") == found.rig
 
 
+@pytest.mark.long
 def test_separate_elements_are_told_apart(rig, guess):
     true = rig.friction._replace(element_stiffness=(3e6, 1e6, 3e5), element_weight=(0.35, 0.35, 0.3))
     other = rig._replace(friction=true)

@@ -31,7 +31,7 @@ QUICK = [case for case in CASES if case[2] in {"_answer", "__init__", "on_deacti
 
 @pytest.mark.parametrize(
     ("node", "way", "method", "call"),
-    tiered(CASES, *QUICK),
+    tiered(CASES, *QUICK, unpack=True),
 )
 def test_the_end_of_a_node_is_reported(node_server, monkeypatch, tmp_path, node, way, method, call):
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "logs"))

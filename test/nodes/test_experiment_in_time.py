@@ -72,6 +72,7 @@ def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
     assert not np.isnan(recorded["force_n"]).any()
 
 
+@pytest.mark.long
 def test_a_node_that_dies_ends_the_experiment_with_its_reason(spec_file, tmp_path):
     out = tmp_path / "run"
     process = long_run_under_way(spec_file, out)

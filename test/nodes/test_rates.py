@@ -47,7 +47,7 @@ def assert_even(trajectory, cycles, period):
 @pytest.mark.parametrize(
     ("period", "cycles", "controller", "together"),
     [
-        (2.5e-4, 1001, "fasmc", ("--compose",)),
+        (2.5e-4, 1001, "sic", ("--compose",)),
         pytest.param(5e-4, 501, "fasmc_output_feedback", ("--compose",), marks=pytest.mark.long),
         pytest.param(2.5e-4, 1001, "fasmc_output_feedback", (), marks=pytest.mark.long),
     ],

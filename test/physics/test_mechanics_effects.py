@@ -35,6 +35,7 @@ def loose(make_rig):
     return make
 
 
+@pytest.mark.long
 def test_a_stop_pushes_back_and_never_pulls_and_takes_energy(loose):
     stop = {"upper": 0.01, "stiffness": 1e6, "damping": 2e3}
     simulator = loose({"end_stop": stop}, 1e-4)

@@ -127,6 +127,7 @@ def test_stick_slip_agrees_with_central_differences(stopped: Rig) -> None:
     assert largest_error(stopped, paths, inputs, 3e-6) <= 1e-6
 
 
+@pytest.mark.long
 def test_impacts_on_an_end_stop_agree_with_central_differences(stopped: Rig) -> None:
     inputs = sine(500, 4e-4, 5.0, 2e3)
     inside = sensitivities(stopped, STOPPED, inputs).readings[:, SENSED.index("position")] > 0.004

@@ -77,6 +77,7 @@ def table():
     return lambda name, answer: print(HOSTILE.row(name, answer))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(MEASURED & set(HOSTILE.INPUTS)))
 def test_a_hostile_file_is_refused_quickly_and_in_little_memory(table, name: str):
     with tempfile.TemporaryDirectory() as folder:

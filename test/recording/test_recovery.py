@@ -528,7 +528,8 @@ def benchmark() -> ModuleType:
 
 @STORAGE
 @pytest.mark.parametrize(
-    ("kind", "trials"), tiered([(kind, trials) for trials in (2, 12) for kind in KINDS], *[(kind, 2) for kind in KINDS])
+    ("kind", "trials"),
+    tiered([(kind, trials) for trials in (4, 12) for kind in KINDS], *[(kind, 4) for kind in KINDS], unpack=True),
 )
 def test_random_damage_costs_only_what_it_hits(tmp_path: Path, benchmark: ModuleType, storage: Storage, kind: str, trials: int):
     left = benchmark.left_behind(tmp_path / "bag", storage, 60, 1)
