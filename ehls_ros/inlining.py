@@ -1,11 +1,11 @@
-"""Compiled functions that exist only inlined in others.
+"""Compilation of functions that are always inlined.
 
-Numba optimises each function it compiles together with all its callees, generates machine code, and wraps it for calls from
-Python. For a function that is always inlined, this work is wasted. Here such a function remains intermediate code, and only the
-function called from Python is optimised, once and as a whole. The machine code is bit-identical and compiles in half the time.
+Numba optimises each compiled function together with all its callees, and generates machine code and a wrapper for Python. For
+a function that is always inlined, this work is wasted. Here such a function remains intermediate code. Only the function called
+from Python is optimised, once and as a whole. The machine code is bit-identical and compiles in half the time.
 
-This overrides private parts of numba (:mod:`ehls_ros.numba_internals`). Where they are missing or changed, in an untested
-version, or where the environment variable :data:`PLAIN` is set, numba compiles by itself: slower, with the same numbers.
+This overrides private parts of numba (:mod:`ehls_ros.numba_internals`). Plain numba is slower, with the same numbers. It is
+used if these parts are missing or changed, in an untested version, or with the environment variable :data:`PLAIN`.
 """
 
 import contextlib
@@ -19,13 +19,13 @@ from typing import Any
 import numba
 
 PLAIN = "EHLS_PLAIN_NUMBA"
-"""Environment variable that, if not empty, leaves numba as it is."""
+"""Environment variable that selects plain numba, if not empty."""
 
 OLDEST, UNTESTED = (0, 59), (0, 69)
 """First version of numba with these internals, and first one not tested."""
 
 TESTED = f">={'.'.join(map(str, OLDEST))},<{'.'.join(map(str, UNTESTED))}"
-"""Both in the notation of `pyproject.toml`."""
+"""Range of tested versions, in the notation of `pyproject.toml`."""
 
 COMPILER = (
     ("numba.core.types", "Function.get_call_type", "self context args kws"),
@@ -41,13 +41,13 @@ COMPILER = (
 """Module, name and parameters of each overridden or called part of the compiler."""
 
 SCIPY_CHECK = ("numba.np.linalg", "ensure_blas", "")
-"""The same of the check for scipy, whose module takes 30 ms to import and is loaded with the first kernel."""
+"""The same for the check for scipy. Its module takes 30 ms to import and is loaded with the first kernel."""
 
 INTERNALS = (*COMPILER, SCIPY_CHECK)
 
 
-def objections(parts: Sequence[tuple[str, str, str]] = INTERNALS) -> list[str]:
-    """Return the reasons not to rely on parts of numba: its version, and the names that are missing or changed."""
+def incompatibilities(parts: Sequence[tuple[str, str, str]] = INTERNALS) -> list[str]:
+    """Return the incompatibilities of the installed numba: an untested version, and missing or changed names."""
     version = tuple(int(part) for part in numba.__version__.split(".")[:2])
     found = [] if OLDEST <= version < UNTESTED else [f"version {numba.__version__} is not tested"]
     for module, name, parameters in parts:
@@ -64,15 +64,15 @@ def objections(parts: Sequence[tuple[str, str, str]] = INTERNALS) -> list[str]:
 
 
 def reason_for_plain_numba() -> str:
-    """Return why numba compiles by itself; empty if it does not."""
-    return f"{PLAIN} is set" if os.environ.get(PLAIN) else "; ".join(_OBJECTIONS)
+    """Return the reason for the use of plain numba; empty if it is not used."""
+    return f"{PLAIN} is set" if os.environ.get(PLAIN) else "; ".join(_INCOMPATIBILITIES)
 
 
-_OBJECTIONS = objections(COMPILER)
+_INCOMPATIBILITIES = incompatibilities(COMPILER)
 _internals: Any = None if reason_for_plain_numba() else import_module("ehls_ros.numba_internals")
 
 IS_PLAIN = _internals is None
-"""Whether numba compiles by itself."""
+"""Whether plain numba is used."""
 
 
 def inlined(
@@ -82,7 +82,7 @@ def inlined(
 
     Args:
         function: the function.
-        counts_references: whether references to arrays are counted; if not, it must not allocate any.
+        counts_references: whether references to arrays are counted; if not, the function must not allocate any.
         python: replacement for calls from Python.
     """
     if IS_PLAIN:
@@ -93,16 +93,16 @@ def inlined(
     return made
 
 
-def swiftly() -> AbstractContextManager[None]:
-    """Return the context in which numba compiles a function and its callees in three quarters of its time.
+def faster_compilation() -> AbstractContextManager[None]:
+    """Return a context that reduces numba's compile time by a quarter.
 
     The caller holds numba's lock. The compiled code is the same.
     """
-    context: AbstractContextManager[None] = contextlib.nullcontext() if IS_PLAIN else _internals.swiftly()
+    context: AbstractContextManager[None] = contextlib.nullcontext() if IS_PLAIN else _internals.faster_compilation()
     return context
 
 
-def take_scipy_for_granted() -> None:
+def skip_scipy_check() -> None:
     """Skip numba's check for scipy when it loads its functions; this package requires scipy anyway."""
-    if not IS_PLAIN and not objections([SCIPY_CHECK]):
-        _internals.take_scipy_for_granted()
+    if not IS_PLAIN and not incompatibilities([SCIPY_CHECK]):
+        _internals.skip_scipy_check()

@@ -16,7 +16,7 @@ from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 
 
-def take_scipy_for_granted() -> None:
+def skip_scipy_check() -> None:
     """Skip numba's check for scipy when it loads its functions; this package requires scipy anyway.
 
     The check imports scipy's linear algebra, which dominates the loading time of a kernel. Functions that call BLAS check
@@ -33,7 +33,7 @@ def take_scipy_for_granted() -> None:
 
 
 @contextmanager
-def swiftly() -> Iterator[None]:
+def faster_compilation() -> Iterator[None]:
     """Reduce numba's compile time by a quarter for a function and its callees; the compiled code is the same.
 
     The caller holds numba's lock.

@@ -15,7 +15,7 @@ from numba import njit, types
 
 from ehls_ros import inlining
 from ehls_ros.arrays import copy, in_python, kernel, kernel_no_refcount
-from ehls_ros.inlining import swiftly
+from ehls_ros.inlining import faster_compilation
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -112,7 +112,7 @@ def instructions(function):
     return [line.split()[0] for line in code.splitlines() if line.startswith("\t") and line[1] != "."]
 
 
-def test_compiled_swiftly_it_is_the_same_machine_code_and_numba_is_asked_once(monkeypatch):
+def test_faster_compilation_gives_the_same_machine_code_and_asks_numba_once(monkeypatch):
     asked = []
     find = types.Function.__mro__[1].get_call_type
 
@@ -124,7 +124,7 @@ def test_compiled_swiftly_it_is_the_same_machine_code_and_numba_is_asked_once(mo
     plain = instructions(cubed)
     assert len(asked) > len(set(asked))
     asked.clear()
-    with swiftly():
+    with faster_compilation():
         swift = instructions(cubed)
     assert len(asked) == len(set(asked)) == 2
     assert swift == plain
@@ -132,7 +132,7 @@ def test_compiled_swiftly_it_is_the_same_machine_code_and_numba_is_asked_once(mo
 
 def test_numba_and_the_garbage_collector_are_left_as_they_were():
     def fail():
-        with swiftly(), swiftly():
+        with faster_compilation(), faster_compilation():
             assert not gc.isenabled()
             raise KeyError
 
@@ -143,7 +143,7 @@ def test_numba_and_the_garbage_collector_are_left_as_they_were():
     assert "get_call_type" not in vars(types.Function)
     gc.disable()
     try:
-        with swiftly():
+        with faster_compilation():
             pass
         assert not gc.isenabled()
     finally:
@@ -161,8 +161,8 @@ def test_scipy_is_imported_only_by_code_that_needs_it():
 import sys
 import numpy as np
 from numba import njit
-from ehls_ros.inlining import take_scipy_for_granted
-take_scipy_for_granted()
+from ehls_ros.inlining import skip_scipy_check
+skip_scipy_check()
 assert njit(lambda x: 2.0 * x)(2.0) == 4.0
 print("scipy.linalg" in sys.modules)
 assert njit(lambda a, b: np.dot(a, b))(np.ones(3), np.ones(3)) == 3.0
@@ -172,7 +172,7 @@ print("scipy.linalg" in sys.modules)
 
 
 def test_numbas_internals_are_as_known():
-    assert inlining.objections() == []
+    assert inlining.incompatibilities() == []
     assert not inlining.IS_PLAIN
 
 
@@ -187,14 +187,14 @@ def test_a_missing_or_changed_internal_is_named(monkeypatch, module, name, param
         pass
 
     monkeypatch.setattr(owner, last, changed)
-    assert inlining.objections() == [f"{module}.{name} is missing or changed"]
+    assert inlining.incompatibilities() == [f"{module}.{name} is missing or changed"]
     monkeypatch.setattr(owner, last, None)
-    assert inlining.objections() == [f"{module}.{name} is missing or changed"]
+    assert inlining.incompatibilities() == [f"{module}.{name} is missing or changed"]
 
 
 def test_versions_beyond_those_tested_are_left_alone(monkeypatch):
     monkeypatch.setattr(numba, "__version__", "0.69.0")
-    assert inlining.objections() == ["version 0.69.0 is not tested"]
+    assert inlining.incompatibilities() == ["version 0.69.0 is not tested"]
     assert f'"numba{inlining.TESTED}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 
 

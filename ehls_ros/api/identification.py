@@ -49,7 +49,7 @@ class FrictionResult(Identification):
 
         Args:
             path: the file.
-            before: the rig before, shown beside the new values.
+            before: the rig before the identification, shown beside the new values.
 
         Raises:
             BadInput: the file cannot be written.
@@ -78,7 +78,7 @@ class RigResult(RigIdentification):
 
         Args:
             path: the file.
-            before: the rig before, shown beside the new values.
+            before: the rig before the identification, shown beside the new values.
 
         Raises:
             BadInput: the file cannot be written.
@@ -149,11 +149,11 @@ def identify(
 
     Args:
         data: one or several recordings, or their paths.
-        rig: the rig as known so far, or its file, from which the search starts.
+        rig: the rig or its file, as starting point of the search.
         whole_rig: identify valve, flow, mass, spring and sensors as well, as far as they are recorded.
         columns: names and units used in the data, for paths.
         optimiser: of the friction's static fit.
-        elements: number of friction elements; None: as many as the data show.
+        elements: number of friction elements; None: as many as the data support.
         seed: seed of the search's random numbers.
         progress: show a progress bar, in a notebook or on a terminal.
 

@@ -38,7 +38,7 @@ EXPECTED_DATA = "a path, or a recording; of arrays, Recording(time_s, {'force_n'
 class Recording(Trajectory):
     """Signals over a common time base, from a file, a simulation, or arrays: ``Recording(time_s, {"force_n": force})``.
 
-    ``recording["force_n"]`` is one signal, ``"force_n" in recording`` is whether it was recorded, and ``len(recording)`` is the
+    ``recording["force_n"]`` is one signal, and ``"force_n" in recording`` is whether it was recorded. ``len(recording)`` is the
     number of samples.
 
     Attributes:
@@ -147,14 +147,19 @@ def with_methods(kind: type[Kind], trajectory: Trajectory, name: str, **more: An
 def load(path: str | Path, columns: Columns | None = None) -> Recording:
     """Read data in any supported format.
 
+    Supported are:
+
+    * the folder of a run or a rosbag2, and its storage file ``.mcap`` or ``.db3``;
+    * a table ``.csv``, ``.tsv``, ``.txt``, ``.dat``, ``.asc``, ``.xlsx``, ``.xls``, ``.mat``, ``.tdms`` or ``.parquet``;
+    * a folder with the tables of one recording.
+
     Args:
-        path: folder of a run or a rosbag2; a file ``.mcap`` or ``.db3``; a table ``.csv``, ``.tsv``, ``.txt``, ``.dat``,
-            ``.asc``, ``.xlsx``, ``.xls``, ``.mat``, ``.tdms`` or ``.parquet``; or a folder with the tables of one recording.
-        columns: names and units used in the data, as a mapping such as ``{"position_m": {"name": "x", "unit": "mm"}}`` or the
-            path of a YAML file with it. None: the names of the data contract.
+        path: the folder or file.
+        columns: names and units used in the data, as a mapping or the path of a YAML file with it. An example is
+            ``{"position_m": {"name": "x", "unit": "mm"}}``. None: the names of the data contract.
 
     Returns:
-        The recording, in SI units; ``preparation.remarks`` documents how it was read.
+        The recording, in SI units; ``preparation.remarks`` documents the reading.
 
     Raises:
         BadInput: the data cannot be read; the message states the location and the expected input.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class VerificationResult(Verification):
-    """Accuracy with which a recording's force follows its reference, block by block. It certifies nothing.
+    """Accuracy of a recording's force with respect to its reference, block by block. It certifies nothing.
 
     Attributes:
         name: name of the verified recording.
@@ -35,7 +35,10 @@ class VerificationResult(Verification):
         return answer(self)[0]
 
     def to_pandas(self) -> "DataFrame":
-        """Return a table, one row per quantity of each cyclic block: means over its cycles, uncertainty expanded, k = 2."""
+        """Return a table with one row per quantity of each cyclic block.
+
+        Values are means over the cycles of a block; uncertainties are expanded, k = 2.
+        """
         from pandas import DataFrame  # noqa: PLC0415 - half a second that only tables cost
 
         columns = ["block", "quantity", "unit", "reference", "measured", "error", "uncertainty", "error_percent"]
@@ -96,14 +99,14 @@ def verify(
         columns: names and units used in the data, for paths.
         inertia_mass: mass between load cell and specimen [kg]; None: its inertia is not corrected.
         cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None counts as zero.
-        settling: cycles to leave out at the start of each stretch of a block; None: until the error is that of the later half.
+        settling: cycles left out at the start of each stretch of a block. None: until the error equals that of the later half.
 
     Returns:
         The verification: ``blocks`` with peak, valley, mean, range, amplitude and phase, their errors and uncertainties,
         harmonic distortion and repeatability. A block that does not repeat has only its error over time, and the reason.
 
     Raises:
-        BadInput: the data or the rig cannot be read, force or reference is missing, or the inertia correction lacks a position.
+        BadInput: data or rig cannot be read; force or reference is missing, or the position for the inertia correction.
     """
     recording = as_recording(data, columns)
     given = Given(None if rig is None else rig_of(rig), inertia_mass, cell_uncertainty, settling)

@@ -20,7 +20,7 @@ FILES_AND_NAMES = {
 
 
 class PrintCompletion(argparse.Action):
-    """Print the script and exit."""
+    """Print the completion script and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, *values: object) -> None:
         """Print the script for the given shell."""

@@ -1,41 +1,43 @@
 """Causal limit: the smallest force error of any controller on a rig, given its sensors and delay.
 
-A command sent in a cycle acts after the delay and shows at the next sample. The change of force that the disturbance causes
-until then cannot be undone, and its part that the past does not predict remains with any law. That part is computed here for
-the best linear predictor. Its equations are (1) to (3), linear:
+A command sent in a cycle acts after the delay and shows at the next sample. Until then, no law can correct the change of
+force due to the disturbance. The part of this change that cannot be predicted from the past remains with any law. It is
+computed here for the best linear predictor. The equations of the predictor are (1) to (3), linearised:
 
     x' = v,   m v' = F - (B0 + sigma_f + cc) v - (ks + kc + k) x - d,   F' = -4 beta/Vt (Ac^2 v + (Ctc + Kc) F)
 
-with the force F = Ac pL, the disturbance d = fd - kc xd - cc vd as it acts on the loader, and Kc the flow-pressure coefficient
-of the open valve, its mean over the last half. The command, and with it the spool, is known and cancels in the prediction
-error. Position, velocity, load pressure and force are read with white noise of their sensors' deviation, and
-resolution/sqrt(12) in quadrature. k is the friction's contact stiffness: 0 while it slides, the presliding stiffness while it
-sticks, after each reversal. Noise acts all the time, and a servo jerks at its reversals; the limit is the lower one of the two
-states. A rigid contact counts as sliding.
+F = Ac pL is the force, and d = fd - kc xd - cc vd the disturbance of the loader. Kc is the flow-pressure coefficient of the
+open valve, averaged over the last half. The command is known, and with it the spool, so both cancel in the prediction error.
+The readings of position, velocity, load pressure and force have white noise. Its deviation is that of the sensor and
+resolution/sqrt(12), added in quadrature. The contact stiffness k of the friction is 0 during sliding. After each reversal, the
+friction sticks, and k is the presliding stiffness. Both states matter: noise acts all the time, and a servo jerks at its
+reversals. The limit is the lower result of the two. A rigid contact counts as sliding.
 
-The predictor models the first or second derivative of d as a random walk of an intensity q. Each q yields a Kalman filter,
-whose error is the sum of two parts. The sensor noise gives one part, with a covariance S by Lyapunov's equation. The
-experiment's disturbance gives the other, which is computed cycle by cycle by driving the filter with it. A large q follows the
-disturbance and passes the noise. q is not a guess: q and the derivative are chosen such that the expected largest sum of the
-last half is smallest, so that no other q yields less for this disturbance. Over N correlated cycles, with deviations s_i and
-unforeseen changes b_i, the largest is expected at
+The predictor models the first or second derivative of d as a random walk of intensity q. Each q yields a Kalman filter, and
+its error is the sum of two parts. The first part is due to the sensor noise; its covariance S follows from Lyapunov's
+equation. The second part is due to the disturbance of the experiment, with which the filter is driven cycle by cycle. A large
+q follows the disturbance but passes the noise. Therefore q and the order of the derivative are chosen to minimise the expected
+largest sum in the last half. No other q yields a lower value for this disturbance. Over N correlated cycles with deviations s_i
+and unforeseen changes b_i, the expected largest sum is
 
     int_0^inf 1 - prod_i P(|b_i + s_i z| < a)^(1/c) da,   c = sum over all j of rho_j^2
 
 with z Gaussian and rho_j the correlation of the noise part over j cycles.
 
-Friction changes its slope at a reversal of the motion, from sliding to sticking. The deviation s_v of the predicted velocity
-makes the time of reversal uncertain by s_v/|v'|. Friction rises at k |v'| t after it, so within t of the reversal it is
-uncertain by k s_v t. The resulting force within the horizon is added to the s_i of the cycles in which d turns.
+At a reversal of the motion, from sliding to sticking, the slope of the friction changes. The deviation s_v of the predicted
+velocity makes the time of the reversal uncertain by s_v/|v'|. At a time t after the reversal, friction rises at the rate
+k |v'| t. Its uncertainty is therefore k s_v t. The resulting force within the horizon is added to the s_i of the cycles in
+which d turns.
 
-Assumptions: a linear rig with an exactly known model, Gaussian noise, a valve without limits, and a linear predictor with one
-tuning for the run. The predictor uses only the past of the disturbance: neither a period nor the command of the actuator under
-test. Lag and delay of the sensors, and effects other than coupling and command delay, are neglected, which makes the limit
-lower. It is an expectation: the largest error of a single run scatters about it by 10 to 20 %. A controller with preview or
-learning can go below it, down to the noise share; below that only with a filter slower than this disturbance allows.
+The rig is assumed linear, with an exactly known model, Gaussian noise and a valve without limits. The predictor is linear,
+with one tuning for the run. It uses only the past of the disturbance: neither a period nor the command of the actuator under
+test. Lag and delay of the sensors are neglected, as are effects other than coupling and command delay. This lowers the
+limit. The limit is an expectation: the largest error of a single run scatters about it by 10 to 20 %. Preview or learning can
+reduce the error below the limit, down to the noise share. A further reduction requires a filter slower than this disturbance
+allows.
 
-Source: Anderson, Moore, Optimal Filtering, 1979, chapters 4 and 6; Leadbetter, Lindgren, Rootzén, Extremes and Related
-Properties of Random Sequences and Processes, 1983, chapter 4; the doubling of the Riccati equation: Chu, Fan, Lin, Wang,
+Sources: Anderson, Moore, Optimal Filtering, 1979, chapters 4 and 6. Leadbetter, Lindgren, Rootzén, Extremes and Related
+Properties of Random Sequences and Processes, 1983, chapter 4. Doubling of the Riccati equation: Chu, Fan, Lin, Wang,
 International Journal of Control 77, 2004.
 """
 
@@ -53,40 +55,40 @@ from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import EffectiveRig, Rig
 
 X, V, F, D = range(4)
-"""Indices in the predictor's state of x m/T^2, v m/T, F and d, all in N; derivatives of d times powers of T follow."""
+"""Indices of x m/T^2, v m/T, F and d in the predictor's state, all in N. Derivatives of d times powers of T follow."""
 
 READINGS = (("position", X), ("velocity", V), ("load_pressure", F), ("force", F))
-"""Sensors of force or motion, with the state they read."""
+"""Sensors of force or motion, each with the index of its state."""
 
 ORDERS = (1, 2)
 """Derivatives of d that are modelled as a random walk."""
 
-EXACT = 1e-3
-"""Deviation of a perfect sensor's reading, in the scale of the state [N]; it represents rounding."""
+MIN_DEVIATION = 1e-3
+"""Deviation of a perfect sensor's reading due to rounding, in the scale of the state [N]."""
 
-WEAKEST, STRONGEST, STEPS = -5.0, 3.0, 5
-"""Range and number of the trial intensities before refinement: powers of ten of the force readings' deviation."""
+MIN_POWER, MAX_POWER, TRIALS = -5.0, 3.0, 5
+"""Range and number of the trial intensities before refinement, as powers of ten of the deviation of the force readings."""
 
 LEVELS = 64
-"""Levels into which the unforeseen changes are sorted."""
+"""Number of levels for sorting the unforeseen changes."""
 
 TINY = 1e-12
 """Smallest force distinguished from zero [N]."""
 
-FORGOTTEN = 1e-12
+NEGLIGIBLE = 1e-12
 """Fraction below which decayed terms are neglected."""
 
 WARM_UP = 500
-"""Cycles before the last half in which the filter settles."""
+"""Number of cycles before the last half for settling of the filter."""
 
-SEARCHED = 20000
-"""Most cycles in the search of the best intensity; the limit is then computed for the whole last half."""
+MAX_SEARCH_CYCLES = 20000
+"""Maximum number of cycles in the search for the best intensity; the limit then covers the whole last half."""
 
-DOUBLINGS = 40
-"""Most doublings of the number of cycles in a sum."""
+MAX_DOUBLINGS = 40
+"""Maximum number of doublings of the number of cycles in a sum."""
 
-PRECISE = 0.1
-"""Precision of the search for the best intensity, in powers of ten."""
+SEARCH_TOLERANCE = 0.1
+"""Tolerance of the search for the best intensity, in powers of ten."""
 
 
 class CausalLimit(NamedTuple):
@@ -94,10 +96,10 @@ class CausalLimit(NamedTuple):
 
     Attributes:
         largest: expected largest force error of the last half [N].
-        rms: rms of the force error of the same predictor [N]; one optimised for the rms reaches up to a third less.
-        noise_share: expected largest error due to the sensors' noise alone with the same predictor [N]; it remains when the
-            disturbance is foreseen or learnt.
-        unforeseen: largest noise-free change of the force that the past of the disturbance does not predict [N].
+        rms: rms of the force error of the same predictor [N]. Optimisation for the rms would reduce it by up to a third.
+        noise_share: expected largest error of the same predictor due to sensor noise alone [N]. It remains with a foreseen or
+            learnt disturbance.
+        unforeseen: largest noise-free change of the force that is not predicted from the past of the disturbance [N].
         reversal: deviation of the force within the horizon due to friction at a reversal [N].
         horizon: time from a reading to the first sample that the resulting command can change [s].
         order: derivative of the disturbance that the best predictor models as a random walk.
@@ -124,7 +126,7 @@ class _Case(NamedTuple):
         reads: state that each sensor reads, shape (sensors,).
         deviations: standard deviations of the readings [N], shape (sensors,).
         ahead: cycles of the horizon.
-        felt: d at each cycle and its change over it, shape (n, 2) [N].
+        disturbance: d at each cycle and its change over it, shape (n, 2) [N].
         late: number of cycles of the last half.
         turning: whether d turns within the horizon of a cycle of the last half, shape (late,).
         contact: contact stiffness of the friction times T^2/m.
@@ -134,7 +136,7 @@ class _Case(NamedTuple):
     reads: Array
     deviations: Array
     ahead: int
-    felt: Array
+    disturbance: Array
     late: int
     turning: NDArray[np.bool_]
     contact: float
@@ -158,8 +160,8 @@ def causal_limit(
     Args:
         rig: the actual rig, including the effects ``command_delay`` and ``coupling_stiffness``, if any.
         period: control period [s].
-        disturbance: force [N], force rate [N/s], displacement [m] and velocity [m/s] of the actuator under test per cycle,
-            finite, shape (n, 4); the error is that of the last half.
+        disturbance: force [N], force rate [N/s], displacement [m] and velocity [m/s] of the actuator under test, shape (n, 4).
+            All values are finite. The error is evaluated in the last half.
         flow_pressure: mean flow-pressure coefficient Kc of the valve, see :func:`flow_pressure` [m^3/(s Pa)]; 0 if closed.
         velocity_read: whether controllers may use the velocity reading.
 
@@ -178,7 +180,7 @@ def causal_limit(
     found = [_best(sticking, order) for order in ORDERS]
     found.append(_best(case, min(found, key=lambda best: best.outcome.largest).order))
     best = min(found, key=lambda one: one.outcome.largest)
-    outcome = best.outcome if case.late <= SEARCHED else _tried(best.case, best.order, best.intensity)
+    outcome = best.outcome if case.late <= MAX_SEARCH_CYCLES else _tried(best.case, best.order, best.intensity)
     density = best.intensity * period ** -(best.order + 0.5)
     return CausalLimit(*outcome, case.ahead * period, best.order, density, best.case is sticking)
 
@@ -216,7 +218,7 @@ def expected_largest(changes: Array, deviations: Array, counts: Array) -> float:
     """
     limit = float(np.max(np.abs(changes) + 8.0 * deviations))
     amplitude = np.linspace(0.0, limit, 257)[:, np.newaxis]
-    scale = math.sqrt(2.0) * np.maximum(deviations, FORGOTTEN * limit)
+    scale = math.sqrt(2.0) * np.maximum(deviations, NEGLIGIBLE * limit)
     inside = 0.5 * (scipy.special.erf((amplitude - changes) / scale) + scipy.special.erf((amplitude + changes) / scale))
     with np.errstate(divide="ignore"):
         below = np.exp(np.log(np.clip(inside, 0.0, 1.0)) @ counts)
@@ -238,9 +240,9 @@ def _case(rig: EffectiveRig, period: float, disturbance: Array, flow_pressure: f
     return _Case(
         dynamics=_dynamics(rig, period, stiffness, damping, flow_pressure),
         reads=np.asarray([state for _, state in used]),
-        deviations=np.asarray([max(_noise(rig, name) * to_force[name], EXACT) for name, _ in used]),
+        deviations=np.asarray([max(_noise(rig, name) * to_force[name], MIN_DEVIATION) for name, _ in used]),
         ahead=ahead,
-        felt=np.stack((value, change), axis=1),
+        disturbance=np.stack((value, change), axis=1),
         late=late,
         turning=np.convolve(turns, np.ones(ahead))[len(rows) - late : len(rows)] > 0.0,
         contact=contact * period**2 / mass if math.isfinite(contact) else 0.0,
@@ -248,7 +250,7 @@ def _case(rig: EffectiveRig, period: float, disturbance: Array, flow_pressure: f
 
 
 def _surroundings(rig: EffectiveRig) -> tuple[float, float, float]:
-    """Return the command delay [s], and stiffness [N/m] and damping [N s/m] of the coupling; of two delays the last."""
+    """Return command delay [s], coupling stiffness [N/m] and coupling damping [N s/m]; the last of several delays applies."""
     delay, stiffness, damping = 0.0, 0.0, 0.0
     for use in rig.effects:
         if use.name == "command_delay":
@@ -296,18 +298,20 @@ def _best(whole: _Case, order: int) -> _Best:
         outcomes[float(power)] = outcome = _tried(case, order, unit * 10.0 ** float(power))
         return outcome.largest
 
-    powers = np.linspace(WEAKEST, STRONGEST, STEPS)
+    powers = np.linspace(MIN_POWER, MAX_POWER, TRIALS)
     best = int(np.argmin([largest(power) for power in powers]))
-    around = powers[max(best - 1, 0)], powers[min(best + 1, STEPS - 1)]
-    scipy.optimize.minimize_scalar(largest, bounds=around, method="bounded", options={"xatol": PRECISE})
+    around = powers[max(best - 1, 0)], powers[min(best + 1, TRIALS - 1)]
+    scipy.optimize.minimize_scalar(largest, bounds=around, method="bounded", options={"xatol": SEARCH_TOLERANCE})
     power = min(outcomes, key=lambda tried: outcomes[tried].largest)
     return _Best(whole, order, unit * 10.0**power, outcomes[power])
 
 
 def _newest(case: _Case) -> _Case:
-    """Return the case reduced to the newest cycles, at most :data:`SEARCHED`, for the search."""
-    late = min(case.late, SEARCHED)
-    return case._replace(felt=case.felt[-(late + case.ahead + WARM_UP) :], late=late, turning=case.turning[-late:])
+    """Return the case reduced to the newest cycles, at most :data:`MAX_SEARCH_CYCLES`, for the search."""
+    late = min(case.late, MAX_SEARCH_CYCLES)
+    return case._replace(
+        disturbance=case.disturbance[-(late + case.ahead + WARM_UP) :], late=late, turning=case.turning[-late:]
+    )
 
 
 def _tried(case: _Case, order: int, intensity: float) -> _Outcome:
@@ -381,13 +385,13 @@ def _predictor(case: _Case, order: int, intensity: float) -> _Predictor:
 def _riccati(transition: Array, information: Array, added: Array) -> Array:
     """Return the stationary covariance of the prediction, doubling the number of cycles in each step."""
     a, g, h, one = transition.T, information, added, np.eye(len(transition))
-    for _ in range(DOUBLINGS):
+    for _ in range(MAX_DOUBLINGS):
         solved = np.linalg.solve(one + g @ h, np.hstack((a, g)))
         within, through = solved[:, : len(a)], solved[:, len(a) :]
         more = a.T @ h @ within
         g = g + a @ through @ a.T
         h, a = h + 0.5 * (more + more.T), a @ within
-        if np.max(np.abs(more)) <= FORGOTTEN * np.max(np.abs(h)):
+        if np.max(np.abs(more)) <= NEGLIGIBLE * np.max(np.abs(h)):
             break
     return h
 
@@ -395,27 +399,27 @@ def _riccati(transition: Array, information: Array, added: Array) -> Array:
 def _sum(step: Array, first: Array) -> Array:
     """Return the sum over j of step^j first (step^j)', the solution of Lyapunov's equation."""
     total, power = first, step
-    for _ in range(DOUBLINGS):
+    for _ in range(MAX_DOUBLINGS):
         more = power @ total @ power.T
         total, power = total + more, power @ power
-        if np.max(np.abs(more)) <= FORGOTTEN * np.max(np.abs(total)):
+        if np.max(np.abs(more)) <= NEGLIGIBLE * np.max(np.abs(total)):
             break
     return total
 
 
 def _unforeseen(case: _Case, predictor: _Predictor) -> Array:
     """Return the noise-free effect of d on the force over the horizon beyond its prediction, shape (late,) [N]."""
-    transition, cycles = predictor.transition, len(case.felt)
+    transition, cycles = predictor.transition, len(case.disturbance)
     # The filter starts in mid-run with the known value and slope of d, and follows deviations from this trend.
-    value, change = case.felt[0]
+    value, change = case.disturbance[0]
     trend = np.stack((value + change * np.arange(cycles), np.full(cycles, change)), axis=1)
     moved = np.zeros((cycles, len(transition)))
-    moved[:, :D] = (case.felt - trend) @ transition[:D, D : D + 2].T
+    moved[:, :D] = (case.disturbance - trend) @ transition[:D, D : D + 2].T
     # errors[k + 1] = recursion errors[k] + left moved[k]: sums over 1, 2, 4, ... cycles.
     errors = np.zeros_like(moved)
     errors[1:] = moved[:-1] @ predictor.left.T
     power, stride = predictor.recursion, 1
-    while stride < cycles and np.max(np.abs(power)) > FORGOTTEN:
+    while stride < cycles and np.max(np.abs(power)) > NEGLIGIBLE:
         errors[stride:] += errors[:-stride] @ power.T
         power, stride = power @ power, 2 * stride
     kept = cycles - case.ahead

@@ -23,9 +23,9 @@ from ehls_ros.control.state_estimator import (
     EXTERNAL,
     FLOW_ERROR,
     MAX_ELEMENTS,
+    MAX_MEAN_STEP,
     ROUNDING,
     STATES,
-    STEP,
     Assumptions,
     elements,
     rates,
@@ -156,7 +156,7 @@ def build() -> Motion:
         velocity = command[1] + ahead * command[2]
         x, limit = servo.y[X], servo.model.spool_limit
         spool = servo_command(wanted, velocity, x, servo.y[PL], both.position_gain, plant, limit)
-        steps = max(1, math.ceil((period - ROUNDING) / STEP))
+        steps = max(1, math.ceil((period - ROUNDING) / MAX_MEAN_STEP))
         step, total = period / steps, 0.0
         for _ in range(steps):
             total += move(spool, step, both)

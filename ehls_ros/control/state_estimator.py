@@ -7,15 +7,15 @@
     b' = -b/tau + white noise,  c' = -c/tau + white noise,  d''', q', o' = white noise
 
 Position, load pressure, spool and force are measured, with force = Ac pL + o. The surroundings are a spring kc and a damper cc
-with a moving far end: kc and cc are known, and the motion of the far end is part of d. b is the error of the valve gain, c that
-of the discharge coefficient, q the unmodelled flow, and o the offset of the load cell. The friction elements F_i follow the
-estimated velocity by (6) and (8); while they stick, a correction of the position corrects them. The velocity is observed mainly
-through the load pressure: a cycle's change of pressure resolves 0.2 um of motion, the position sensor 5 um. A nearly closed
-valve contains no information on c: its flow then shows other errors.
+with a moving far end. The values of kc and cc are known; the motion of the far end is part of d. The states b and c are the
+errors of valve gain and discharge coefficient. The states q and o are the unmodelled flow and the offset of the load cell. The
+friction elements F_i follow the estimated velocity by (6) and (8). While they stick, a correction of the position also corrects
+them. The velocity is observed mainly through the load pressure. Its change in a cycle resolves 0.2 um of motion, the position
+sensor 5 um. The flow of a nearly closed valve contains other errors, but no information on c.
 
-Mean and covariance are advanced together: the mean by Runge-Kutta steps of order 4 of the equations above, the covariance by
-the exponential of their Jacobian. A reading that is not finite is skipped. The whole filter is stored in one array, which a
-controller can keep.
+Mean and covariance are advanced together. The mean is integrated by Runge-Kutta steps of order 4 of the equations above. The
+covariance is propagated by the exponential of their Jacobian. A reading that is not finite is skipped. The whole filter is
+stored in one array, which a controller can keep.
 
 Source: Anderson, Moore, Optimal Filtering, 1979, chapters 6 to 8; the delay as in Åström, Wittenmark, Computer-Controlled
 Systems, 1997, section 3.2.
@@ -36,33 +36,33 @@ from ehls_ros.physics.plant import PL, XV, V, X
 from ehls_ros.schema import quantity
 
 FRICTION_MODEL = "gms"
-"""Friction model in the filter. Its elements are linear while they stick or slip, as the covariance requires."""
+"""Friction model in the filter. Its elements are linear in sticking and in slipping, as required for the covariance."""
 
 EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, DISCHARGE, FLOW_ERROR, CELL_OFFSET, STATES = range(4, 12)
-"""Indices in the mean of d with its two rates, b, c, q and o, after the plant's x, v, pL and xv; and their number."""
+"""Indices in the mean of d with its two rates, b, c, q and o, and number of states. The plant's x, v, pL and xv come first."""
 
 MAX_ELEMENTS = 16
-"""Most friction elements that are modelled; the force of further ones counts as external force."""
+"""Maximum number of modelled friction elements; the force of further ones counts as external force."""
 
-SENT = 64
+STORED_COMMANDS = 64
 """Number of sent commands that are stored."""
 
-STEP = 5e-4
+MAX_MEAN_STEP = 5e-4
 """Longest Runge-Kutta step of the mean [s]; the phase of the rig's fastest mode advances by 0.23 rad in it."""
 
-PIECE = 1e-3
+MAX_COVARIANCE_STEP = 1e-3
 """Longest step of the covariance [s]."""
 
 ROUNDING = 1e-9
 """Difference below which two times are equal [s]."""
 
-GAIN_MEMORY = 10.0
-"""Time constant of the decay of errors of the valve gain and the discharge coefficient while they are not observed, tau [s]."""
+GAIN_ERROR_TIME = 10.0
+"""Time constant tau of the decay of unobserved errors of valve gain and discharge coefficient [s]."""
 
 _LENGTH = STATES + MAX_ELEMENTS
 _MATRIX = STATES * STATES
 _EXPECTED = 4
-MEMORY_SIZE = 1 + 2 * (_LENGTH + MAX_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * SENT + _EXPECTED
+MEMORY_SIZE = 1 + 2 * (_LENGTH + MAX_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * STORED_COMMANDS + _EXPECTED
 
 
 MotionNoise = Annotated[
@@ -99,7 +99,7 @@ GainNoise = Annotated[float, quantity("1/s^1/2", "noise of the valve's gain", mi
 DischargeNoise = Annotated[float, quantity("1/s^1/2", "noise of the discharge coefficient", minimum=0.0, maximum=1e3)]
 LeastOpening = Annotated[
     float,
-    quantity("m", "opening from which the flow tells of the discharge coefficient", minimum=0.0, maximum=1.0, scale="spool"),
+    quantity("m", "smallest opening for estimating the discharge coefficient", minimum=0.0, maximum=1.0, scale="spool"),
 ]
 FlowNoise = Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12, scale="pressure")]
 OffsetNoise = Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6, scale="force")]
@@ -122,7 +122,7 @@ class Assumptions(NamedTuple):
         external_noise: likewise of the external force's third derivative [N/s^5/2].
         gain_noise: likewise of the rate of the valve gain's error b [1/s^1/2].
         discharge_noise: likewise of the rate of the discharge coefficient's relative error c [1/s^1/2].
-        least_opening: valve opening from which on its flow is used to estimate c [m].
+        least_opening: smallest valve opening for estimating c from its flow [m].
         flow_noise: root of the spectral density of the rate of the flow's error [Pa/s^3/2].
         offset_noise: likewise of the rate of the load cell's offset [N/s^1/2].
     """
@@ -184,7 +184,7 @@ def state_of(memory: Array) -> State:
     foreseen = mean + _LENGTH + MAX_ELEMENTS
     covariance = foreseen + _LENGTH + MAX_ELEMENTS
     commands = covariance + _MATRIX
-    work = commands + 2 * SENT
+    work = commands + 2 * STORED_COMMANDS
     matrices = work + 5 * _LENGTH
     gain = matrices + 3 * _MATRIX
     return State(
@@ -194,8 +194,8 @@ def state_of(memory: Array) -> State:
         memory[foreseen : foreseen + _LENGTH],
         memory[foreseen + _LENGTH : covariance],
         memory[covariance:commands].reshape((STATES, STATES)),
-        memory[commands : commands + SENT],
-        memory[commands + SENT : work],
+        memory[commands : commands + STORED_COMMANDS],
+        memory[commands + STORED_COMMANDS : work],
         memory[work:matrices].reshape((5, _LENGTH)),
         memory[matrices:gain].reshape((3, STATES, STATES)),
         memory[gain : gain + STATES],
@@ -240,8 +240,8 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
     rate[PL] = load_pressure_rate(flow, y[V], y[PL], 0.0, plant.bulk_modulus, plant) + y[FLOW_ERROR]
     rate[XV] = spool_rate(y[XV], (1.0 + y[VALVE_GAIN]) * command, plant)
     rate[EXTERNAL], rate[EXTERNAL_RATE] = y[EXTERNAL_RATE], y[EXTERNAL_CURVATURE]
-    rate[VALVE_GAIN] = -y[VALVE_GAIN] / GAIN_MEMORY
-    rate[DISCHARGE] = -y[DISCHARGE] / GAIN_MEMORY
+    rate[VALVE_GAIN] = -y[VALVE_GAIN] / GAIN_ERROR_TIME
+    rate[DISCHARGE] = -y[DISCHARGE] / GAIN_ERROR_TIME
     rate[EXTERNAL_CURVATURE] = rate[FLOW_ERROR] = rate[CELL_OFFSET] = 0.0
 
 
@@ -263,7 +263,7 @@ def move(
     y: Array, mode: Array, command: float, supply: float, duration: float, model: Model, p: Assumptions, work: Array
 ) -> None:
     """Advance a mean under one command; arguments as those of :func:`rates`, ``duration`` [s], ``work`` of :class:`State`."""
-    steps = max(1, math.ceil((duration - ROUNDING) / STEP))
+    steps = max(1, math.ceil((duration - ROUNDING) / MAX_MEAN_STEP))
     step = duration / steps
     length = STATES + elements(model.friction)
     stage, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
@@ -285,14 +285,14 @@ def move(
 
 @kernel
 def arrived(t: float, delay: float, state: State) -> tuple[float, float]:
-    """Return the command [m] that acts at ``t`` [s] from now, and the time until which it acts [s]."""
+    """Return the command acting at the time ``t`` from now, and the end of its action [m, s]."""
     until = math.inf
-    for i in range(SENT):
+    for i in range(STORED_COMMANDS):
         arrival = delay - state.ages[i]
         if arrival <= t + ROUNDING:
             return state.commands[i], until
         until = arrival
-    return state.commands[SENT - 1], until
+    return state.commands[STORED_COMMANDS - 1], until
 
 
 @kernel
@@ -323,7 +323,7 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
     jacobian[PL, DISCHARGE] = hydraulic * nominal_gain * opened
     jacobian[XV, XV] = -plant.valve_bandwidth
     jacobian[XV, VALVE_GAIN] = plant.valve_bandwidth * plant.valve_gain * command
-    jacobian[VALVE_GAIN, VALVE_GAIN] = jacobian[DISCHARGE, DISCHARGE] = -1.0 / GAIN_MEMORY
+    jacobian[VALVE_GAIN, VALVE_GAIN] = jacobian[DISCHARGE, DISCHARGE] = -1.0 / GAIN_ERROR_TIME
 
 
 @kernel
@@ -340,7 +340,7 @@ def multiply(a: Array, b: Array, product: Array) -> None:
 
 @separate_kernel
 def spread(state: State, command: float, supply: float, duration: float, model: Model, p: Assumptions) -> None:
-    """Advance the covariance by ``duration`` [s], at most :data:`PIECE`."""
+    """Advance the covariance by ``duration`` [s], at most :data:`MAX_COVARIANCE_STEP`."""
     covariance, jacobian, transition, product = state.covariance, state.matrices[0], state.matrices[1], state.matrices[2]
     linearise(state, command, supply, model, p, jacobian)
     # exp(A T) = I + A T (I + A T/2 (I + A T/3 (I + A T/4)))
@@ -373,12 +373,12 @@ def spread(state: State, command: float, supply: float, duration: float, model: 
 @separate_kernel
 def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
     """Advance mean and covariance by a period under the commands that arrived in it."""
-    for i in range(SENT):
+    for i in range(STORED_COMMANDS):
         state.ages[i] += model.period
     t = -model.period
     while t < -ROUNDING:
         command, until = arrived(t, p.command_delay, state)
-        duration = min(until, 0.0, t + PIECE) - t
+        duration = min(until, 0.0, t + MAX_COVARIANCE_STEP) - t
         spread(state, command, supply, duration, model, p)
         move(state.mean, state.mode, command, supply, duration, model, p, state.work)
         t += duration
@@ -386,19 +386,19 @@ def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
 
 @separate_kernel
 def correct(reading: float, signal: int, scale: float, offset: float, noise: float, state: State) -> None:
-    """Correct by one reading: ``scale`` times the mean at ``signal`` plus ``offset`` times o, with noise ``noise``.
+    """Correct the filter by one reading of ``scale`` times the mean at ``signal`` plus ``offset`` times o.
 
-    A reading that is not finite changes nothing.
+    ``noise`` is the standard deviation of the reading. A reading that is not finite is skipped.
     """
     mean, covariance, gain = state.mean, state.covariance, state.gain
-    missed = reading - scale * mean[signal] - offset * mean[CELL_OFFSET]
-    if not math.isfinite(missed):
+    innovation = reading - scale * mean[signal] - offset * mean[CELL_OFFSET]
+    if not math.isfinite(innovation):
         return
     for i in range(STATES):
         gain[i] = scale * covariance[i, signal] + offset * covariance[i, CELL_OFFSET]
     variance = scale * gain[signal] + offset * gain[CELL_OFFSET] + noise * noise
     for i in range(STATES):
-        mean[i] += gain[i] * missed / variance
+        mean[i] += gain[i] * innovation / variance
     for i in range(STATES):
         for j in range(i + 1):
             covariance[i, j] -= gain[i] * gain[j] / variance
@@ -409,11 +409,13 @@ FIRST_VELOCITY = 0.01
 """Standard deviation of the velocity at the first measurement on the paper's rig [m/s], scaled with the rig's speed."""
 
 FIRST_FORCE, FIRST_FORCE_RATE, FIRST_FORCE_CURVATURE = 1e3, 1e5, 1e6
-"""Standard deviations of the external force about balance [N], and of its rates [N/s, N/s^2], scaled with the rig's force."""
+"""Standard deviations of the external force about balance and of its rates [N, N/s, N/s^2]. They scale with the rig's force."""
 
 FIRST_GAIN, FIRST_DISCHARGE, FIRST_FLOW, FIRST_OFFSET = 0.1, 0.1, 1e7, 100.0
-"""Standard deviations of the errors of valve gain and discharge coefficient [1], of flow [Pa/s], scaled with the rig's supply
-pressure, and of the load cell [N], scaled with its force."""
+"""Standard deviations of the errors of valve gain and discharge coefficient [1], flow [Pa/s] and load cell [N].
+
+The third scales with the rig's supply pressure, the last with the rig's force.
+"""
 
 
 @separate_kernel
@@ -453,9 +455,8 @@ def supply_of(measured: Array, model: Model) -> float:
 def expect(foreseen: Array, period: float, state: State) -> None:
     """Update the external force by its foreseen change.
 
-    The mean has been predicted with a constant second derivative. The change of the foreseen force beyond that, over the last
-    cycle, is added, so that the filter estimates only the remainder. When foresight begins, its rates replace the estimated
-    ones.
+    The mean has been predicted with a constant second derivative. The further change of the foreseen force over the last cycle
+    is added; the filter estimates only the remainder. With the first foreseen force, its rates replace the estimated ones.
 
     Args:
         foreseen: the force [N] and its two derivatives; NaN if not foreseen.
@@ -490,7 +491,7 @@ def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, stat
         state: changed in place.
 
     Returns:
-        Whether there is an estimate, which requires that position, load pressure and spool have been read together once.
+        Whether there is an estimate. It requires one measurement with position, load pressure and spool.
     """
     if state.started[0] == 0.0:
         sum_read = measured[sensors.POSITION] + measured[sensors.LOAD_PRESSURE] + measured[sensors.SPOOL]
@@ -515,7 +516,7 @@ def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, stat
 
 @separate_kernel
 def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
-    """Predict the mean, under the commands in transit, to the time when one sent now acts; into ``state.foreseen``."""
+    """Predict the mean to the time when a command sent now acts, and store it in ``state.foreseen``."""
     copy(state.mean, state.foreseen)
     copy(state.mode, state.foreseen_mode)
     t = 0.0
@@ -529,6 +530,6 @@ def foresee(supply: float, model: Model, p: Assumptions, state: State) -> None:
 @kernel
 def send(command: float, state: State) -> None:
     """Store a command [m] sent now."""
-    for i in range(SENT - 1, 0, -1):
+    for i in range(STORED_COMMANDS - 1, 0, -1):
         state.commands[i], state.ages[i] = state.commands[i - 1], state.ages[i - 1]
     state.commands[0], state.ages[0] = command, 0.0

@@ -1,6 +1,6 @@
 """Interface of the page to the graph; ``ehls_ros.nodes.dashboard_graph`` implements it over ROS.
 
-Any participant of the graph may send texts of any length, so they are shortened for display.
+Texts from the graph may have any length, so they are shortened for display.
 """
 
 from collections.abc import Iterable, Mapping
@@ -59,8 +59,8 @@ class Tunable(NamedTuple):
 class Timing(Enum):
     """Time mode of a graph started here; the value is the text on the page.
 
-    In the first two, every cycle waits for its answers. The first is the default: a simulated rig need not keep real time, so
-    the loop behaves the same however slow or busy the machine is.
+    In the first two, every cycle waits for its answers. The first is the default. A simulated rig need not keep real time; the
+    result is then independent of the machine's speed and load.
     """
 
     LOCKSTEP = "in step, at most as fast as real time"
@@ -102,7 +102,7 @@ class RigCoefficient(NamedTuple):
         value: its newest value.
         deviation: standard error.
         unit: of both, SI.
-        why_not: reason why the programme does not determine it; empty if it does.
+        why_not: reason if the programme does not determine it; otherwise empty.
         times: times of the values since this dashboard subscribed [s].
         values: values at these times, NaN where not determined.
     """
@@ -142,7 +142,7 @@ class GraphSnapshot(NamedTuple):
         period: the rig's time between two cycles [s]; 0 if unknown.
         health: the nodes' diagnostics.
         starting: progress of the nodes being started here; None if none are.
-        complaint: name of a node started here that died, and the last line of its log; empty if none died.
+        complaint: name and last log line of a node started here that died; empty if none died.
         activity: recording and files started here.
         started_here: whether nodes started here are running.
         recording: whether a recording started here is running.
@@ -179,7 +179,7 @@ class Graph(Protocol):
     where: str
 
     def snapshot(self) -> GraphSnapshot:
-        """Return the present state of everything the page shows beside the signals."""
+        """Return the present state of the graph, without the signals."""
 
     def tunable_nodes(self) -> tuple[str, ...]:
         """Return the nodes with live parameters, the controller first."""
@@ -197,19 +197,19 @@ class Graph(Protocol):
         """Acknowledge the engaged emergency stop."""
 
     def acknowledge_changes(self) -> Answer:
-        """Acknowledge the changes of the rig that the monitor has found."""
+        """Acknowledge the changes of the rig detected by the monitor."""
 
     def reset_trips(self) -> Answer:
         """Reset the gate's latched trips."""
 
     def enable(self) -> Answer:
-        """Let commands through again."""
+        """Enable the gate, so that commands reach the valve again."""
 
     def reset_and_enable(self) -> Answer:
-        """Reset the gate's latched trips and let commands through again."""
+        """Reset the gate's latched trips, and enable the gate."""
 
     def start(self, spec: Spec, name: str, timing: Timing) -> Answer:
-        """Start the nodes of a spec, without a last cycle; return once they run."""
+        """Start the nodes of a spec for a run without end; return once they run."""
 
     def stop(self) -> Answer:
         """Stop the nodes started here."""
@@ -233,7 +233,7 @@ def shortened(text: str, max_length: int = MAX_TEXT) -> str:
 
 
 def shortened_figures(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
-    """Return the values by name, at most :data:`FIGURES` of them."""
+    """Return the values by name, at most :data:`MAX_FIGURES` of them."""
     kept: dict[str, str] = {}
     for name, value in pairs:
         if len(kept) == MAX_FIGURES:

@@ -1,4 +1,4 @@
-"""Remainder and fault-free variation of a healthy rig, learnt from baselines, and evidence judged against them."""
+"""Remainder of a healthy rig and its fault-free variation, learnt from baselines; judgement of evidence against them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,29 +31,30 @@ SIGNALS: Mapping[Channel, tuple[str, ...]] = {
 }
 """Signals on which the rig's remainder may depend, by channel; unrecorded ones are left out.
 
-One term of each balance is omitted, since all of them together would determine the residual itself, whatever the fault. Two
-sensors of one quantity may also respond to different other signals.
+One term of each balance is omitted: all terms together would determine the residual, whatever the fault. Two sensors of one
+quantity may also respond to different other signals.
 """
 
 FACTORS: Mapping[Channel, str] = {
     "spool": COMMAND, "volume": SPOOL, "supply": SPOOL, "force": DIRECTION, "cell": PRESSURE, "velocity": VELOCITY,
 }  # fmt: skip
-"""Input of each channel's balance, to which errors of its gain are proportional, as those of friction are to the direction."""
+"""Input of each channel's balance. Errors of its gain are proportional to it, as those of friction are to the direction."""
 
 OFFSET = "offset"
 """Name of a channel's constant error, which is due to a sensor and not to a coefficient."""
 
 SCALE = "piston_area"
-"""Coefficient that sets the scale of the balances; it is not fitted, since setting all coefficients to zero closes them too.
+"""Coefficient that sets the scale of the balances.
 
-No fault changes it, but its error shows at a pressure outside the baselines.
+It is not fitted, since with all coefficients at zero the balances would close too. No fault changes it, but its error shows at
+a pressure outside the baselines.
 """
 
 Signals = Mapping[str, Array]
 """Mean of each signal over a channel's usable windows, by name, shape (windows,)."""
 
 
-class Described(NamedTuple):
+class DescribedEvidence(NamedTuple):
     """Evidence with the possible components of its remainder.
 
     Attributes:
@@ -67,12 +68,12 @@ class Described(NamedTuple):
     signals: Mapping[Channel, Signals]
 
 
-def describe(evidence: Evidence) -> Described:
+def describe(evidence: Evidence) -> DescribedEvidence:
     """Return evidence with the possible components of its remainder."""
-    return Described(evidence, terms(evidence), signals_of(evidence))
+    return DescribedEvidence(evidence, terms(evidence), signals_of(evidence))
 
 
-class Terms(NamedTuple):
+class RemainderTerms(NamedTuple):
     """Components of one channel's remainder, common to the baselines and a new recording.
 
     Attributes:
@@ -91,10 +92,10 @@ class Terms(NamedTuple):
     unit: float
     temperature: float | None
 
-    def windows(self, recording: Described, channel: Channel) -> Windows:
+    def windows(self, recording: DescribedEvidence, channel: Channel) -> Windows:
         """Return a channel's windows of one recording.
 
-        The coefficients change in proportion to the oil's temperature and to their spread.
+        The coefficients change in proportion to the oil temperature and to their spread.
         """
         evidence, signals = recording.evidence, recording.signals[channel]
         count = len(evidence.floor[channel])
@@ -116,17 +117,17 @@ class Terms(NamedTuple):
             block=evidence.block[channel],
         )
 
-    def learnt_on(self, recordings: Sequence[Windows]) -> Learnt:
+    def learn_from(self, recordings: Sequence[Windows]) -> Learnt:
         """Learn the remainder from the windows of several recordings."""
         spread = np.array(list(self.spreads.values()))
         fitted = np.array([name != SCALE for name in self.spreads])
         if self.temperature is not None:
-            # From recording to recording the oil's temperature varies, not its effect.
+            # The oil temperature varies from recording to recording, its effect does not.
             spread, fitted = np.concatenate([spread, np.zeros_like(spread)]), np.tile(fitted, 2)
         return learn(recordings, spread, fitted)
 
 
-class OfChannel(NamedTuple):
+class ChannelRemainder(NamedTuple):
     """Remainder of a healthy rig in one channel.
 
     Attributes:
@@ -134,14 +135,14 @@ class OfChannel(NamedTuple):
         learnt: the learnt discrepancy.
     """
 
-    terms: Terms
+    terms: RemainderTerms
     learnt: Learnt
 
     def expected(self, new: Windows) -> Expected:
         """Return the expected remainder of a healthy rig in windows of another recording.
 
-        Errors of form cannot be extrapolated: outside the baselines their uncertainty grows with the distance, and far away
-        nothing is expected.
+        Errors of form cannot be extrapolated. Outside the baselines their uncertainty grows with the distance, and becomes
+        infinite far away.
         """
         low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
@@ -159,18 +160,18 @@ class HealthyVariation(NamedTuple):
         healthy: the baselines, judged by it.
     """
 
-    channels: Mapping[Channel, OfChannel]
+    channels: Mapping[Channel, ChannelRemainder]
     healthy: tuple[Evidence, ...] = ()
 
-    def expected(self, recording: Described) -> dict[Channel, Expected]:
-        """Return the expected remainder of a healthy rig in each channel that a baseline has too, in units of its size."""
+    def expected(self, recording: DescribedEvidence) -> dict[Channel, Expected]:
+        """Return the expected remainder of a healthy rig in each channel of the baselines, in units of its size."""
         channels = [c for c in recording.evidence.channels if c in self.channels]
         return {c: self.channels[c].expected(self.channels[c].terms.windows(recording, c)) for c in channels}
 
     def judged(self, evidence: Evidence) -> Evidence:
         """Return the evidence with the rig's expected remainder subtracted and its healthy spread allowed for.
 
-        Channels that no baseline has are left out.
+        Channels missing in all baselines are left out.
         """
         return self.judged_by(evidence, self.expected(describe(evidence)))
 
@@ -191,24 +192,24 @@ class HealthyVariation(NamedTuple):
         return replace(allowing(evidence, allowances, self.judged), baselines=self.healthy)
 
 
-def learn_healthy_variation(baselines: Sequence[Described]) -> HealthyVariation:
+def learn_healthy_variation(baselines: Sequence[DescribedEvidence]) -> HealthyVariation:
     """Learn the remainder of a healthy rig from recordings compared with the same model."""
-    out = dict[Channel, OfChannel]()
+    out = dict[Channel, ChannelRemainder]()
     for c in dict.fromkeys(c for b in baselines for c in b.evidence.channels):
-        having = [b for b in baselines if c in b.evidence.channels]
-        common = set.intersection(*(set(b.signals[c]) for b in having))
-        values = {name: np.concatenate([b.signals[c][name] for b in having]) for name in common}
-        spreads = {OFFSET: rules.SPREAD_OF_OFFSET} | {term.name: term.spread for b in having for term in b.errors[c]}
-        made_of = Terms(
-            size=max(1e-300, *(b.evidence.sizes[c] for b in having)),
+        recordings = [b for b in baselines if c in b.evidence.channels]
+        common = set.intersection(*(set(b.signals[c]) for b in recordings))
+        values = {name: np.concatenate([b.signals[c][name] for b in recordings]) for name in common}
+        spreads = {OFFSET: rules.SPREAD_OF_OFFSET} | {term.name: term.spread for b in recordings for term in b.errors[c]}
+        components = RemainderTerms(
+            size=max(1e-300, *(b.evidence.sizes[c] for b in recordings)),
             spreads=spreads | dict.fromkeys({SCALE} & set(spreads), 0.0),
-            # A signal missing in one of them cannot be used.
+            # A signal missing in a baseline cannot be used.
             signals=tuple(name for name in SIGNALS[c] if name in common),
             factor=FACTORS[c],
             unit=rms(values.get(FACTORS[c], np.zeros(1))) or 1.0,
             temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in common else None,
         )
-        out[c] = OfChannel(made_of, made_of.learnt_on([made_of.windows(b, c) for b in having]))
+        out[c] = ChannelRemainder(components, components.learn_from([components.windows(b, c) for b in recordings]))
     learnt = HealthyVariation(out)
     return learnt._replace(healthy=tuple(learnt.judged_by(b.evidence, learnt.expected(b)) for b in baselines))
 

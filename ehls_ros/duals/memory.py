@@ -28,7 +28,7 @@ def _load(context: Any, builder: Any, kind: DualType, data: Any, index: Any) -> 
 
 
 MIN_TANGENT = 1e-290
-"""Least tangent that is kept: the influence of an initial state decays to subnormal numbers, which are slow to process."""
+"""Smallest stored tangent: influences of initial states decay to subnormal numbers, which are slow to process."""
 
 
 def _without_subnormal(builder: Any, tangents: Any) -> Any:
@@ -215,7 +215,10 @@ def _(context: Any, builder: Any, kind: Any, value: Any, attr: str) -> Any:
 
 @intrinsic(prefer_literal=True)
 def dual_array(typingctx: Any, array: Any, width: Any) -> Any:
-    """Return an array of floats as duals: n for shape (n, width), n × m for (n, m, width); ``width`` is constant."""
+    """Return an array of floats as an array of duals.
+
+    Shape (n, width) gives n duals, and shape (n, m, width) gives n × m. ``width`` is constant.
+    """
     kind = DualArrayType(width.literal_value, array.ndim - 1)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -231,7 +234,8 @@ def dual_array(typingctx: Any, array: Any, width: Any) -> Any:
 def dual_record(typingctx: Any, array: Any, width: Any, like: Any) -> Any:
     """Return the duals in an array of floats, shape (n, width), as written by :func:`~ehls_ros.duals.interpreted.record_rows`.
 
-    Their names are those of the named tuple ``like``, whose values are ignored. Empty lists in it stand for any length.
+    The names of the fields are those of the named tuple ``like``; its values are ignored. An empty list in it stands for any
+    length.
     """
     lists = {name: len(kind) for name, kind in zip(like.fields, like.types, strict=True) if isinstance(kind, types.BaseTuple)}
     numbers = tuple(name for name in like.fields if name not in lists)

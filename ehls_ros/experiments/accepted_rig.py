@@ -30,7 +30,7 @@ def write_accepted(path: Path, text: str) -> None:
         NotWritten: the file cannot be written; the message has the path and the reason.
     """
     there = os.path.exists(path)  # noqa: PTH110 - Path.exists raises where nobody may look
-    if there and access.begins_with(path, len(MARK)) != MARK.encode():
+    if there and access.first_bytes(path, len(MARK)) != MARK.encode():
         raise access.NotWritten(f"{path}: is not replaced (it is no accepted rig); put it elsewhere")
     access.replace(path, lambda file: file.write(f"{MARK}{text}".encode()))
 

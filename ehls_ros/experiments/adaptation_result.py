@@ -1,6 +1,7 @@
-"""Results of the companion ``adaptation`` in a run, from its recording: sentences, and the rig file to write.
+"""Results of the companion ``adaptation`` from the recording of a run: sentences, and the rig file to write.
 
-The companion uses readings and commands only, so a recording reproduces its results, over DDS and on a rig too.
+The companion uses readings and commands only. Its results can therefore be reproduced from any recording, also over DDS and of
+a real rig.
 """
 
 from itertools import pairwise
@@ -28,7 +29,7 @@ class Adapted(NamedTuple):
 
     Attributes:
         sentences: results for the user.
-        at_bounds: sentences on coefficients beyond the adaptation's reach, with the remedy.
+        at_bounds: sentences on coefficients beyond the range of the adaptation, with the remedy.
         rig: the controller's rig with the adapted values; None if unchanged.
     """
 
@@ -55,8 +56,8 @@ def adapted(spec: Spec, trajectory: Trajectory) -> Adapted | None:
     if not used:
         return None
     original = model_of(spec.controller_rig, spec.settings.control_period)
-    company = company_of(spec._replace(companions=used), original, spec.settings.title)
-    adaptation = cast(Adaptation, company.members[NAME])
+    chain = company_of(spec._replace(companions=used), original, spec.settings.title)
+    adaptation = cast(Adaptation, chain.members[NAME])
     model = original
     for past in _stretches(trajectory, original.period):
         model = adaptation.done(past, model)

@@ -1,4 +1,4 @@
-"""Conversion of results, which are frozen records, to JSON documents."""
+"""Conversion of frozen records to JSON documents."""
 
 import math
 from collections.abc import Mapping
@@ -10,10 +10,10 @@ def json_document(value: object) -> Any:
     """Return a record as JSON values.
 
     Args:
-        value: a named tuple or frozen dataclass, whose field names become keys; or a mapping, sequence or scalar of them.
+        value: a named tuple or frozen dataclass, with field names as keys; or a mapping, sequence or scalar.
 
     Returns:
-        Dictionaries, lists and scalars; null for a number that is not finite, such as the error of a run that diverged.
+        Dictionaries, lists and scalars. A number that is not finite becomes null, such as the error of a diverged run.
     """
     if isinstance(value, float):
         return value if math.isfinite(value) else None

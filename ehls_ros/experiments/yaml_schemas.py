@@ -1,4 +1,4 @@
-"""JSON Schemas of all kinds of YAML files, from the declarations that also check these files."""
+"""JSON Schemas of all kinds of YAML files, from the declarations used to check these files."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -26,6 +26,8 @@ from ehls_ros.schema import notes
 from ehls_ros.trajectory import READABLE
 
 SIGNALS = FAMILIES["signal"]
+
+POINTS_FILE = "CSV file with time_s and value; path relative to this file"
 
 DIALECT = "http://json-schema.org/draft-07/schema#"
 """Dialect best supported by the YAML servers of editors."""
@@ -78,7 +80,7 @@ def _several(item: Schema) -> Schema:
 def _experiment() -> Schema:
     single = {key: family for key, family in FAMILIES.items() if key not in ("signal", "companions")}
     named = {key: _ref("signal") if family is SIGNALS else _use(family) for key, family in single.items()}
-    rig = {"anyOf": [{"type": "string", "description": "rig file, from the folder of this one"}, _ref("rig"), {"type": "null"}]}
+    rig = {"anyOf": [{"type": "string", "description": "rig file; path relative to this file"}, _ref("rig"), {"type": "null"}]}
     more: dict[str, Schema] = {
         "rig": rig,
         "controller_rig": rig,
@@ -96,7 +98,7 @@ def _campaign() -> Schema:
     more: dict[str, Schema] = {
         "base": {
             "type": ["string", "object"],
-            "description": "experiment, its content or its file from the folder of this one",
+            "description": "experiment: its content, or its path relative to this file",
         },
         "vary": {**paths, "description": "values by dotted path into the experiment"},
         "zip": {"type": "array", "items": paths, "description": "groups of paths whose values are taken together"},
@@ -146,7 +148,7 @@ def _entry() -> Schema:
         more: dict[str, Schema] = {"block": {"const": name}, "name": {"type": "string"}, "limits": schema_of(ProgrammeLimits)}
         needed = object_of(member.Parameters)["required"]
         if "points" in member.Parameters._fields:
-            more["file"] = {"type": "string", "description": "CSV with time_s and value, from the folder of this file"}
+            more["file"] = {"type": "string", "description": POINTS_FILE}
             needed = [key for key in needed if key != "points"]
         if "reference" in member.Parameters._fields:
             more["reference"] = _ref("signal")
@@ -167,9 +169,9 @@ def _member_of(family: Family[Any]) -> Schema:
     for name, member in family.usable().items():
         more: dict[str, Schema] = {"name": {"const": name}}
         if "points" in member.Parameters._fields:
-            more["file"] = {"type": "string", "description": "CSV with time_s and value, from the folder of this file"}
+            more["file"] = {"type": "string", "description": POINTS_FILE}
         if "blocks" in member.Parameters._fields:
-            more["file"] = {"type": "string", "description": "programme, from the folder of this file"}
+            more["file"] = {"type": "string", "description": "programme file; path relative to this file"}
         if family is FAMILIES["disturbance"]:
             more["signal"] = _ref("signal")
         needed = [

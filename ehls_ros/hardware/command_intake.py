@@ -1,4 +1,4 @@
-"""Acceptance rules for incoming commands: by sender, by the cycle they answer, and by value."""
+"""Acceptance rules for incoming commands, by sender, answered cycle and value."""
 
 import math
 
@@ -8,7 +8,7 @@ from ehls_ros.hardware.gate_parameters import HOLD, REACTIONS, Parameters
 HOLD_REACTION = REACTIONS.index(HOLD)
 
 ROUNDING = 1e-9
-"""Ages are sums of periods [s]."""
+"""Rounding error of an age, which is a sum of periods [s]."""
 
 
 class CommandIntake:
@@ -16,10 +16,10 @@ class CommandIntake:
 
     Attributes:
         owner: sender whose commands are accepted; None: the first to send.
-        left: the owner before a hand-over, whose last commands may still arrive.
+        departed_owner: owner before a hand-over, and last cycle for which its commands may still arrive.
         value: the last accepted command [m].
         answered: the cycle it answers; -1 before the first.
-        fresh: whether it arrived since the last :meth:`grow_old`.
+        fresh: whether it arrived since the last :meth:`advance_age`.
         detectors: of faults in commands.
     """
 
@@ -36,14 +36,14 @@ class CommandIntake:
         self._range = Detector("command_range", "m")
         self._rate = Detector("command_rate", "m/s")
         self._order = Detector("command_order", "cycles")
-        self._stranger = Detector("second_sender", "")
-        self.detectors = (self._not_finite, self._range, self._rate, self._order, self._stranger)
+        self._second_sender = Detector("second_sender", "")
+        self.detectors = (self._not_finite, self._range, self._rate, self._order, self._second_sender)
         self.begin()
 
     def begin(self) -> None:
         """Forget all commands: the cycle count restarts."""
         self.owner: str | None = None
-        self.left: tuple[str | None, int] = None, -1
+        self.departed_owner: tuple[str | None, int] = None, -1
         self.value = 0.0
         self.answered = -1
         self.fresh = False
@@ -62,8 +62,8 @@ class CommandIntake:
             spool: spool command [m].
             sender: name of the sender.
             newest: the newest cycle.
-            followed: whether the output follows commands at once, so that their rate matters.
-            driving: whether commands reach the actuator: then a silent owner remains the owner.
+            followed: whether the output follows commands at once; only then is their rate checked.
+            driving: whether commands reach the actuator; a silent owner then remains the owner.
 
         Returns:
             Whether it is accepted; if not, a detector gives the reason.
@@ -73,13 +73,13 @@ class CommandIntake:
             return False
         return self._is_owner(sender, cycle, driving) and self._is_due(cycle, newest) and self._is_sound(cycle, spool, followed)
 
-    def grow_old(self, elapsed: float) -> None:
+    def advance_age(self, elapsed: float) -> None:
         """Age the command by a time [s], unless it has just arrived."""
         self._age = 0.0 if self.fresh else self._age + elapsed
         self.fresh = False
 
     def age(self, newest: int, snapshot_age: float) -> float:
-        """Return the age of the command in use [s]: since its arrival or since the snapshot it answers, whichever is larger.
+        """Return the age of the command in use, from its arrival or from its snapshot, whichever is larger [s].
 
         Args:
             newest: the newest cycle.
@@ -88,9 +88,9 @@ class CommandIntake:
         came = 0.0 if self.fresh else self._age
         return max(came, (newest - self.answered) * self._period + snapshot_age)
 
-    def messages_seen(self) -> None:
+    def clear_message_faults(self) -> None:
         """Clear the faults that last for one message."""
-        self._order.raised = self._stranger.raised = False
+        self._order.raised = self._second_sender.raised = False
 
     @property
     def silent(self) -> bool:
@@ -105,21 +105,21 @@ class CommandIntake:
             newest: the newest cycle.
         """
         if sender != self.owner:
-            self.left = self.owner, newest + math.ceil(self._p.command_timeout / self._period)
+            self.departed_owner = self.owner, newest + math.ceil(self._p.command_timeout / self._period)
             self.owner = sender
 
     def _is_owner(self, sender: str, cycle: int, driving: bool) -> bool:
         if self.owner is None or (self.silent and not driving):
             self.owner = sender
         elif sender != self.owner:
-            left, until = self.left
-            if sender != left or cycle > until:
-                self._stranger.flag(math.nan, math.nan, sender)
+            departed, until = self.departed_owner
+            if sender != departed or cycle > until:
+                self._second_sender.flag(math.nan, math.nan, sender)
             return False
         return True
 
     def _is_due(self, cycle: int, newest: int) -> bool:
-        """Return whether a command answers a cycle that is neither in the future, nor answered already, nor too old."""
+        """Return whether the cycle of a command is neither in the future, nor answered already, nor too old."""
         if cycle > newest:
             self._order.flag(float(cycle - newest), 0.0, "in the future")
         elif cycle == self.answered:

@@ -1,4 +1,4 @@
-"""The emulated rig behind its converters: simulated plant, disturbance, sensors and quantisation."""
+"""Emulated rig behind its converters: simulated plant, disturbance, sensors and quantisation."""
 
 from typing import Any, Protocol
 
@@ -15,7 +15,7 @@ from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.rig import SENSED
 
 BLOCK = 1024
-"""Cycles for which noise and disturbance are computed at a time."""
+"""Number of cycles per computed block of noise and disturbance."""
 
 LOGGED = [
     sensors.SPOOL, sensors.LOAD_PRESSURE, sensors.SUPPLY_PRESSURE, sensors.POSITION, sensors.VELOCITY, sensors.FORCE,
@@ -25,7 +25,7 @@ LOGGED = [
 
 
 class Steppable(Protocol):
-    """The interface of :class:`ehls_ros.physics.simulator.Simulator` that the emulator uses."""
+    """Part of the interface of :class:`ehls_ros.physics.simulator.Simulator` used by the emulator."""
 
     period: float
     cycle: int

@@ -1,7 +1,7 @@
 """The safety gate's limits, times and reactions.
 
-The declarations give the widest ranges; on a real rig :mod:`ehls_ros.hardware.gate_bounds` narrows them. The checks that
-protect the rig itself - force, pressure, position, velocity, a stale snapshot, a stale command - cannot be set to ``warn``.
+The declarations give the widest ranges; on a real rig :mod:`ehls_ros.hardware.gate_bounds` narrows them. Six checks protect
+the rig itself: force, pressure, position, velocity, stale snapshot and stale command. They cannot be set to ``warn``.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,11 @@ from typing import Annotated, Final, NamedTuple
 from ehls_ros.schema import Note, quantity, text
 
 REACTIONS = WARN, HOLD, RAMP, CUT = ("warn", "hold", "ramp", "cut")
-"""Reactions to a fault, mildest first: report it; keep the last safe command for a while; ramp to null; null at once."""
+"""Reactions to a fault, mildest first.
+
+``warn`` only reports the fault. ``hold`` keeps the last safe command for a while. ``ramp`` ramps the command to null, and
+``cut`` sets it to null at once.
+"""
 
 PROTECTS_WHEN_LARGER = frozenset({"enable_time", "position_margin"})
 """Parameters that protect more when larger; all others protect more when smaller."""
@@ -18,7 +22,8 @@ PROTECTS_WHEN_LARGER = frozenset({"enable_time", "position_margin"})
 SIMULATED: Final[dict[str, float]] = {"enable_time": 0.0, "position_margin": -0.005}
 """Defaults for a simulated rig of the paper's size, which starts at once and has no end stop.
 
-The paper's constant 10 kN with its large disturbance moves the piston to 0.303 m, with SIC to 0.304 m; the stroke is 0.3 m.
+The stroke is 0.3 m. In the paper's case of constant 10 kN and large disturbance, the piston moves to 0.303 m, with SIC to
+0.304 m.
 """
 
 
@@ -46,19 +51,19 @@ class Parameters(NamedTuple):
     hold_time: Annotated[float, quantity("s", "longest hold; after it the gate ramps to null", minimum=0.0, maximum=0.1)] = 0.02
     ramp_time: Annotated[float, quantity("s", "time of the ramp to null", minimum=0.0, maximum=0.2)] = 0.02
     enable_time: Annotated[
-        float, quantity("s", "time over which enabling blends in the command", minimum=0.0, maximum=10.0)
+        float, quantity("s", "duration of blending in the command after enabling", minimum=0.0, maximum=10.0)
     ] = 0.5
     trip_level: Annotated[
         float, quantity("1", "fraction of the rig's limits of force, pressure and velocity", above=0.0, maximum=1.0)
     ] = 0.9
-    limit_time: Annotated[float, quantity("s", "time a limit must be exceeded", minimum=0.0, maximum=0.1)] = 0.002
+    limit_time: Annotated[float, quantity("s", "minimum duration of an excess over a limit", minimum=0.0, maximum=0.1)] = 0.002
     position_margin: Annotated[
         float, quantity("m", "clearance to the ends of the rig's stroke", minimum=-0.05, maximum=0.5, scale="stroke")
     ] = 0.015
     force_error: Annotated[float, quantity("N", "largest sustained force error", above=0.0, maximum=1e9, scale="force")] = 2e3
-    force_error_time: Annotated[float, quantity("s", "time the force error must last", minimum=0.0, maximum=10.0)] = 2.0
+    force_error_time: Annotated[float, quantity("s", "minimum duration of the force error", minimum=0.0, maximum=10.0)] = 2.0
     sensor_range: Annotated[
-        float, quantity("1", "multiple of the rig's limits beyond which a reading is implausible", minimum=1.0, maximum=10.0)
+        float, quantity("1", "plausible range of a reading, as a multiple of the rig's limits", minimum=1.0, maximum=10.0)
     ] = 1.5
     acceleration: Annotated[
         float, quantity("m/s^2", "largest plausible acceleration", above=0.0, maximum=1e5, scale="force / mass")
@@ -97,7 +102,7 @@ class Parameters(NamedTuple):
             "Pa", "largest excess of the load pressure over the supply pressure", above=0.0, maximum=1e8, scale="pressure"
         ),
     ] = 7e5
-    mismatch_time: Annotated[float, quantity("s", "time a mismatch must last", minimum=0.0, maximum=1.0)] = 0.02
+    mismatch_time: Annotated[float, quantity("s", "minimum duration of a mismatch", minimum=0.0, maximum=1.0)] = 0.02
 
     on_command_not_finite: Annotated[str, reaction("command not a finite number")] = HOLD
     on_command_range: Annotated[str, reaction("command beyond the rig's limit; warn: clamped")] = HOLD
@@ -135,7 +140,7 @@ class Change(NamedTuple):
         return larger != (self.name in PROTECTS_WHEN_LARGER)
 
     def __str__(self) -> str:
-        """Return the change in a few words."""
+        """Return the change as a short text."""
         what = f"{self.before:g} -> {self.after:g}" if isinstance(self.after, float) else f"{self.before} -> {self.after}"
         return f"{self.name} {what}{' (weaker)' if self.weakens else ''}"
 

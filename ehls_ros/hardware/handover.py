@@ -1,15 +1,16 @@
-"""Hand-over of the valve between controllers, in two roles: the plant decides which controller drives, the others follow.
+"""Hand-over of the valve between controllers: role of the plant, and role of each controller.
 
-The driver is the controller whose commands the safety gate obeys. The plant announces it together with the first cycle that it
-drives (topic ``driver``). A controller that does not drive stands by: its law follows each cycle, and its command goes to the
-topic ``standby_command``.
+The driver is the controller whose commands the safety gate accepts. The plant selects it, and announces it on the topic
+``driver`` together with its first cycle. Every other controller stands by. Its law follows each cycle, and its command goes to
+the topic ``standby_command``.
 
-* :class:`PlantHandover`, the plant's role. Two facts come from the gate whenever a cycle opens: its owner, and whether it is
-  vacant.
-* :class:`ControllerHandover`, the role of each controller. It knows the announcements, and the commands of others.
+* :class:`PlantHandover`, the role of the plant. Its inputs at the opening of a cycle are the owner of the gate, and whether the
+  gate is vacant.
+* :class:`ControllerHandover`, the role of each controller. Its inputs are the announcements, and the commands of other
+  controllers.
 
-The roles share no state: they see each other through messages only, which may overtake one another. Each role has a table of
-states and events; docs/how_to/switching.md shows both. Times are arguments, so neither role reads a clock.
+The roles share no state: they exchange messages only, which may arrive out of order. Each role has a table of states and
+events, shown in docs/how_to/switching.md. Times are arguments, so neither role reads a clock.
 """
 
 import math
@@ -23,10 +24,10 @@ from ehls_ros.errors import BadInput
 from ehls_ros.hardware.safety_gate import Gate
 
 RELAY_TIME = 0.5
-"""Time in which an announced driver sends a command if it is a controller; one that sends none may be a relay [s]."""
+"""Maximum time from the announcement of a controller to its first command; a slower driver may be a relay [s]."""
 
-MESSAGES_KEPT = 100
-"""Announcements, and commands of other controllers, that are kept: many more cycles than a controller may lag."""
+MAX_MESSAGES = 100
+"""Number of stored announcements, and of stored commands; a controller lags by far fewer cycles."""
 
 SAME, IMPOSSIBLE = "·", "–"
 """In the tables: no change of the state; the event cannot occur in the state."""
@@ -36,7 +37,12 @@ Event = TypeVar("Event", bound=Enum)
 
 
 def _table(states: type[State], rows: Mapping[Event, str]) -> Mapping[State, Mapping[Event, State]]:
-    """Return the next state by state and event, from a row of words for each event, in the order of the states."""
+    """Return the next state by state and event.
+
+    Args:
+        states: the states.
+        rows: next states by event, one word per state in the order of the states.
+    """
     cells = {event: dict(zip(states, row.split(), strict=True)) for event, row in rows.items()}
     for row in cells.values():
         row.update({state: state.value for state, cell in row.items() if cell == SAME})
@@ -49,9 +55,9 @@ class PlantState(Enum):
     VACANT = "vacant"
     """No controller drives; the first to answer is selected."""
     SELECTED = "selected"
-    """The gate obeys a controller that has not been announced yet."""
+    """The gate accepts a controller that has not been announced yet."""
     DRIVEN = "driven"
-    """The gate obeys the announced driver."""
+    """The gate accepts the announced driver."""
     SWITCHING = "switching"
     """A successor takes over in the next cycle."""
 
@@ -84,7 +90,7 @@ class Succession(NamedTuple):
 
     Attributes:
         text: for the log.
-        expected: whether no other controller was there, as at the end of every run with one controller.
+        expected: whether no other controller was present, which is normal at the end of a run with one controller.
     """
 
     text: str
@@ -109,7 +115,7 @@ class Standby:
         self.cycle = -1
 
     def note(self, sender: str, cycle: int) -> None:
-        """Note a controller's standby command for a cycle."""
+        """Record a controller's standby command for a cycle."""
         self._answered[sender] = cycle
 
     def remove(self, sender: str) -> None:
@@ -136,7 +142,7 @@ class Standby:
             BadInput: no standby controller has this name, or several have.
         """
         ready = self.ready
-        found = [sender for sender in ready if sender == name or is_of(sender, name)]
+        found = [sender for sender in ready if sender == name or belongs_to_node(sender, name)]
         if len(found) == 1:
             return found[0]
         expected = f"one of those that stand by: {', '.join(found or ready) or 'none'}"
@@ -144,8 +150,13 @@ class Standby:
         raise BadInput(what, "switch_controller", expected)
 
 
-def is_of(sender: str, name: str) -> bool:
-    """Return whether a sender, ``<full name of the node>-<process>``, belongs to a node, given its full name or last part."""
+def belongs_to_node(sender: str, name: str) -> bool:
+    """Return whether a sender belongs to a node.
+
+    Args:
+        sender: ``<full name of the node>-<process>``.
+        name: full name of the node, or its last part.
+    """
     node = sender.rpartition("-")[0]
     return bool(name) and (node == name or node.endswith(f"/{name.strip('/')}"))
 
@@ -168,7 +179,7 @@ class PlantHandover:
 
         Args:
             gate: the safety gate of the valve.
-            grace: cycles after the first announcement of a driver that other controllers may answer unaware of it.
+            grace: number of cycles after the first announcement of a driver that other controllers may still answer.
             patience: cycles without an answer after which a controller no longer counts as standby.
             take_over_after: silence of the driver after which the standby controller takes over [s]; 0: never.
         """
@@ -177,9 +188,9 @@ class PlantHandover:
         self.take_over_after = take_over_after
         self._lock = threading.Lock()
         self._successor = ""
-        # The last driver that ended or fell silent.
+        # Last driver that ended or timed out.
         self._departed = ""
-        # First cycle answered by the gate's owner, and the last one that others may answer unaware of it.
+        # First cycle answered by the gate's owner, and last cycle that others may answer before the announcement reaches them.
         self._first = 0
         self._unaware_until = -1
         self.state = PlantState.VACANT
@@ -188,7 +199,7 @@ class PlantHandover:
         self.drives_from = 0
 
     def take(self, sender: str, answered: int, spool: float, cycle: int) -> bool:
-        """Pass a command to the gate, unless its sender could not know yet that another controller drives.
+        """Pass a command to the gate, except one sent before the announcement of another driver.
 
         Args:
             sender: name of the sender.
@@ -197,13 +208,13 @@ class PlantHandover:
             cycle: the present cycle.
 
         Returns:
-            Whether the gate obeys the sender; the command is then an answer even if the gate refuses its value.
+            Whether the gate accepts the sender. The command then counts as an answer, even if the gate refuses its value.
         """
         gate = self._gate
         owner = gate.owner
         if not (owner is None or owner == sender or gate.vacant):
             if not self.announced:
-                # The gate has obeyed another one since this cycle, so this one stands by from the next cycle on.
+                # Another controller has owned the gate since this cycle, so this one stands by from the next cycle on.
                 self.standby.note(sender, answered)
                 return False
             if answered <= self._unaware_until:
@@ -216,24 +227,24 @@ class PlantHandover:
         return sender == gate.owner
 
     def note_standby(self, sender: str, cycle: int) -> None:
-        """Note a standby command of a controller for a cycle."""
+        """Record a standby command of a controller for a cycle."""
         if sender != self._gate.owner:
             self.standby.note(sender, cycle)
 
     def request(self, name: str) -> str:
-        """Let a standby controller take over in the next cycle.
+        """Schedule the takeover of a standby controller for the next cycle.
 
         Args:
             name: its node, by full name or last part, or the sender itself.
 
         Returns:
-            The result, for the answer to the request.
+            Text of the answer to the request.
 
         Raises:
             BadInput: no standby controller has this name, or several have.
         """
         owner = self._gate.owner or ""
-        if name and (name == owner or is_of(owner, name)):
+        if name and (name == owner or belongs_to_node(owner, name)):
             return f"{owner} drives already"
         successor = self.standby.named(name)
         with self._lock:
@@ -242,22 +253,30 @@ class PlantHandover:
         return f"{successor} takes over"
 
     def end(self, sender: str) -> Succession | None:
-        """Note that a controller has ended; choose a successor if it drove, and return the result."""
+        """Process the end of a controller, and choose a successor if it was the driver.
+
+        Returns:
+            The result; None if it was not the driver.
+        """
         self.standby.remove(sender)
-        return self._succeed(sender, "leaves") if sender == self._gate.owner else None
+        return self._choose_successor(sender, "leaves") if sender == self._gate.owner else None
 
     def replace_silent(self) -> Succession | None:
-        """Choose a successor if the driver has been silent for too long and another stands by; return the result."""
+        """Choose a successor for a silent driver.
+
+        Returns:
+            The result; None unless the driver is silent for too long and another controller stands by.
+        """
         gate = self._gate
         if self.take_over_after <= 0.0 or self.state is PlantState.SWITCHING or not gate.driving:
             return None
         silence, owner = gate.command_age, gate.owner
         if owner and silence >= self.take_over_after and self.standby.ready:
-            return self._succeed(owner, f"has been silent for {silence:.3f} s")
+            return self._choose_successor(owner, f"has been silent for {silence:.3f} s")
         return None
 
-    def _succeed(self, owner: str, reason: str) -> Succession:
-        """Choose the standby controller as successor; with none, or several, the gate reacts to the lack of commands."""
+    def _choose_successor(self, owner: str, reason: str) -> Succession:
+        """Choose the only standby controller as successor; without one, the gate reacts to the missing commands."""
         ready = [sender for sender in self.standby.ready if sender != owner]
         with self._lock:
             self._departed = owner
@@ -273,10 +292,10 @@ class PlantHandover:
         """Hand the valve to the successor, if any, and determine the driver from a cycle on.
 
         Args:
-            cycle: the first cycle for which this holds.
+            cycle: first cycle of that driver.
 
         Returns:
-            Whether the driver is another than announced, so that it is to be announced now.
+            Whether the driver has changed and must be announced.
         """
         state, gate = self.state, self._gate
         driver = "" if gate.vacant else gate.owner
@@ -293,7 +312,7 @@ class PlantHandover:
         if driver == self.announced:
             return False
         if driver and not self.announced:
-            # Until now the others answered too.
+            # Before this announcement, the other controllers answered too.
             self._unaware_until = cycle + self._grace
         self.announced = driver
         self.standby.remove(driver)
@@ -304,7 +323,7 @@ class PlantHandover:
         before, departed = self._gate.owner, self._departed
         self._gate.hand_over(self._successor)
         if before and before != departed and cycle > self.standby.cycle:
-            # The former driver stands by from the other's first cycle on, and is awaited like any standby controller.
+            # From the first cycle of its successor on, the former driver is awaited like any standby controller.
             self.standby.note(before, cycle - 1)
         self._successor, self._departed, self._first = "", "", cycle
 
@@ -320,13 +339,13 @@ class ControllerState(Enum):
     VACANT = "vacant"
     """No controller drives; the first to answer is selected."""
     CLAIMING = "claiming"
-    """This controller has answered a vacant plant, and awaits the announcement."""
+    """This controller has answered a vacant plant; the announcement is pending."""
     UNCONTESTED = "uncontested"
-    """The plant has not announced any driver since; this controller answers each cycle."""
+    """No announcement followed the answer; this controller answers each cycle."""
     DRIVING = "driving"
     """This controller drives."""
     EXPECTING = "expecting"
-    """Another driver is announced, and no command of it has arrived."""
+    """Another driver is announced; none of its commands has arrived."""
     STANDBY = "standby"
     """Another controller drives."""
     RELAYED = "relayed"
@@ -344,7 +363,7 @@ class ControllerEvent(Enum):
     ANSWERED = "this controller answers a cycle"
     UNDECIDED = "no announcement within the patience"
     COMMAND = "command of the announced driver"
-    NO_COMMAND = "no command of it, and the plant does not read this controller's"
+    NO_COMMAND = "no command in time, the plant does not read this controller's"
 
 
 # fmt: off
@@ -376,12 +395,12 @@ class _Command(NamedTuple):
 
 
 class ControllerHandover:
-    """A controller's role: whether it may answer a cycle, whether its answer goes to the valve, and the commands of the driver.
+    """Role of a controller: permission to answer a cycle, destination of the answer, and commands of the driver.
 
     Attributes:
         state: of the role.
         may_answer: whether cycles may be answered in this state.
-        follows: whether another driver is announced, so that its commands are to be read.
+        follows: whether another driver is announced and its commands are read.
         valve_follows: whether commands reach the valve, by the newest announcement.
     """
 
@@ -394,8 +413,8 @@ class ControllerHandover:
         """
         self._sender = sender
         self._patience = patience
-        self._announcements: deque[tuple[int, str]] = deque(maxlen=MESSAGES_KEPT)
-        self._commands: deque[_Command] = deque(maxlen=MESSAGES_KEPT)
+        self._announcements: deque[tuple[int, str]] = deque(maxlen=MAX_MESSAGES)
+        self._commands: deque[_Command] = deque(maxlen=MAX_MESSAGES)
         self._controllers: set[str] = set()
         self._relays: set[str] = set()
         self._since = 0.0
@@ -427,13 +446,13 @@ class ControllerHandover:
         self._move(event)
 
     def answer(self, now: float) -> None:
-        """Note that this controller has answered a cycle at a monotonic time [s]."""
+        """Record an answer of this controller to a cycle at a monotonic time [s]."""
         if self.state is ControllerState.VACANT:
             self._since = now
             self._move(ControllerEvent.ANSWERED)
 
     def is_overdue(self, now: float) -> bool:
-        """Return whether the message that this state awaits is overdue at a monotonic time [s]: see :meth:`give_up`."""
+        """Return whether the awaited message is overdue at a monotonic time [s]; see :meth:`give_up`."""
         if self.state is ControllerState.CLAIMING:
             return now - self._since >= self._patience
         return self.state is ControllerState.EXPECTING and now - self._since > RELAY_TIME
@@ -442,8 +461,7 @@ class ControllerHandover:
         """Stop waiting for an overdue message: announcement, or command of the announced driver.
 
         Args:
-            plant_reads_commands: returns whether the plant itself reads the commands of this controller; then no driver is a
-                relay.
+            plant_reads_commands: returns whether the plant reads the commands of this controller directly, without a relay.
         """
         if self.state is ControllerState.CLAIMING:
             self._move(ControllerEvent.UNDECIDED)
@@ -452,7 +470,7 @@ class ControllerHandover:
             self._move(ControllerEvent.NO_COMMAND)
 
     def take_command(self, cycle: int, spool: float, sender: str) -> None:
-        """Note a command [m] on the topic of the valve commands; its sender is a controller and no relay."""
+        """Record a command [m] from the topic of the valve commands; its sender is a controller and no relay."""
         self._commands.append(_Command(cycle, spool, sender))
         self._controllers.add(sender)
         self._relays.discard(sender)
@@ -464,7 +482,7 @@ class ControllerHandover:
         self._commands.clear()
 
     def driver_of(self, cycle: int) -> str:
-        """Return the driver of a cycle; empty: the first to answer, or a relay passes this controller's commands on."""
+        """Return the driver of a cycle; empty if it is the first controller to answer, or a relay."""
         for first, sender in reversed(self._announcements):
             if cycle >= first:
                 return "" if sender in self._relays else sender

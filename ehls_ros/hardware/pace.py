@@ -1,4 +1,4 @@
-"""Check whether a computer keeps up with its cycles: cycles due per second against cycles answered."""
+"""Check of a computer's speed: cycles answered per second against cycles due."""
 
 WINDOW = 0.5
 """Time over which cycles are counted [s]."""
@@ -7,10 +7,10 @@ MIN_ANSWERED = 0.9
 """Fraction of the cycles that must be answered; below it the computer is too slow."""
 
 CLEAR = 0.8
-"""Hysteresis: the complaint is dropped once the rate has covered this fraction of the gap between the limit and all cycles."""
+"""Hysteresis: fraction of the gap between the limit and all cycles above which the complaint is cleared."""
 
 CHANGE = 0.1
-"""Change of the answered rate, as a fraction of the cycles due, at which the complaint is updated."""
+"""Minimum change of the answered rate for an update of the complaint, as a fraction of the cycles due."""
 
 ADVICE = (
     "stop other work, permit realtime priority (check it with ehls doctor), choose a longer control_period, or run in lockstep"
@@ -19,7 +19,7 @@ ADVICE = (
 
 
 class Pace:
-    """Counts cycles and reports when the computer is too slow for them.
+    """Counter of cycles, with a complaint while the computer is too slow for them.
 
     A window without any answer does not count as slow: the controller is missing.
 
@@ -47,8 +47,8 @@ class Pace:
 
         Args:
             now: monotonic time [s].
-            due: cycles due so far, from any origin: by the wall clock where cycles can wait, by samples received where they
-                cannot.
+            due: cycles due so far, from any origin. They are counted by the wall clock if cycles can wait, otherwise by the
+                samples received.
             answered: cycles answered so far, from any origin.
 
         Returns:

@@ -377,7 +377,7 @@ class Gate:
     def _age(self, elapsed: float) -> None:
         """Age command and snapshot, unless they are new, and check whether they are stale."""
         p = self.parameters
-        self._commands.grow_old(elapsed)
+        self._commands.advance_age(elapsed)
         self._snapshot_age = self._lag if self._sensed else self._snapshot_age + elapsed
         self._sensed = False
         age = self._age_of_command()
@@ -400,7 +400,7 @@ class Gate:
         return worst
 
     def _react(self, worst: Detector | None, elapsed: float) -> None:
-        self._commands.messages_seen()
+        self._commands.clear_message_faults()
         if worst is not None and self.state in {RAMPING, CUT, STOPPED}:
             self._trip(worst, worst.reaction)
         elif self.driving:

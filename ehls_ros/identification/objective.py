@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.identification.optimisers._kernels import Box, Work, box_of, compiled, cost, gathered, jacobian, work_of
+from ehls_ros.identification.optimisers._kernels import Box, Work, box_of, compiled, cost, jacobian, within_spread, work_of
 from ehls_ros.identification.optimisers.base import Problem, Result, checked, ended
 
 
@@ -23,7 +23,7 @@ def batch(residuals: Any) -> Any:
         """
         for k in range(out.size):
             out[k] = cost_at(points[k], box, work)
-        return gathered(points, spread)
+        return within_spread(points, spread)
 
     return run
 

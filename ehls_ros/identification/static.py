@@ -1,7 +1,7 @@
 """Static fit (20), (21): Stribeck curve and viscous friction from steady sliding.
 
 Spring, constant force and mass enter (20) linearly. They are subtracted first, with the best coefficients over a coarse grid
-of the Stribeck curve's two nonlinear ones. Then an optimiser fits the curve to the rest, averaged over classes of velocity.
+of the two nonlinear coefficients. Then an optimiser fits the Stribeck curve to the rest, averaged over classes of velocity.
 """
 
 import itertools
@@ -18,28 +18,28 @@ from ehls_ros.identification.optimisers.base import Result
 from ehls_ros.samples import GAUSS
 
 SETTLE_TIMES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
-"""Settling times after a reversal or a break-away that are tried [s]."""
+"""Trial settling times after a reversal or a break-away [s]."""
 
-CLASSES = 400
+MAX_CLASSES = 400
 """Maximum number of velocity classes in the fit."""
 
 MIN_TRAVEL = 0.004
-"""Travel since a reversal above which the piston slides, as a fraction of the recording's travel."""
+"""Minimum travel since a reversal for sliding, as a fraction of the recording's travel."""
 
-FEW = 3
-"""Fewest blocks in a velocity class."""
+MIN_CLASS_BLOCKS = 3
+"""Minimum number of blocks in a velocity class."""
 
-FAR = 6.0
+MAX_RESIDUAL = 6.0
 """Residual, in standard deviations of the classes' scatter, beyond which a class is left out."""
 
 MIN_BLOCKS = 20
-"""Fewest blocks of steady sliding for a static fit."""
+"""Minimum number of blocks of steady sliding for a static fit."""
 
 MIN_RATIO = 1.2
-"""Least ratio of fast to slow sliding, 90th to 10th percentile of the speed, for a static fit."""
+"""Minimum ratio of fast to slow sliding, 90th to 10th percentile of the speed, for a static fit."""
 
-BOTH_WAYS = 0.02
-"""Least fraction of the sliding blocks in the rarer direction."""
+MIN_RARER_FRACTION = 0.02
+"""Minimum fraction of the sliding blocks in the rarer direction."""
 
 VELOCITIES = np.geomspace(2e-4, 0.1, 14)
 EXPONENTS = (0.5, 0.8, 1.2, 2.0)
@@ -65,9 +65,9 @@ class StaticFit(NamedTuple):
 
     Attributes:
         friction: the five coefficients.
-        linear: the fitted ones of spring, constant force and mass, by name.
-        settle_time: time after which sliding counts as steady [s].
-        velocity: velocity classes, shape (n,) [m/s].
+        linear: fitted linear coefficients out of spring, constant force and mass, by name.
+        settle_time: settling time to steady sliding [s].
+        velocity: mean velocity of each velocity class, shape (n,) [m/s].
         force: friction force of each class [N].
         deviation: standard deviation of each class's force [N].
         search: result of the optimiser.
@@ -145,7 +145,7 @@ def steady_fit(recorded: Recorded, viscous_damping: float, how: Search) -> Stati
     if fast < MIN_RATIO * slow:
         return None
     forward = float(np.mean(blocks.velocity > 0.0))
-    if not BOTH_WAYS < forward < 1.0 - BOTH_WAYS:
+    if not MIN_RARER_FRACTION < forward < 1.0 - MIN_RARER_FRACTION:
         way = "forwards" if forward > 0.5 else "backwards"
         raise BadInput(f"position_m slides {way} only", recorded.motions[0].name, "strokes in both directions")
     settle = settle_time(blocks)
@@ -156,7 +156,7 @@ def steady_fit(recorded: Recorded, viscous_damping: float, how: Search) -> Stati
         return None
     search = _search(classes, viscous_damping, how)
     residual = unexplained(stribeck.friction_of(search.x, classes.velocity), classes, viscous_damping) / classes.deviation
-    near = np.abs(residual) <= FAR * max(1.0, GAUSS * float(np.median(np.abs(residual))))
+    near = np.abs(residual) <= MAX_RESIDUAL * max(1.0, GAUSS * float(np.median(np.abs(residual))))
     if not np.all(near):
         classes = classes.chosen(near)
         search = _search(classes, viscous_damping, how)
@@ -210,7 +210,7 @@ def linear_part(blocks: Blocks) -> Array:
     for velocity in VELOCITIES:
         for exponent in EXPONENTS:
             rows[:, -1] = direction * np.exp(-((np.abs(v) / velocity) ** exponent)) / blocks.noise
-            # Normal equations are small; scaled, since the columns have different units.
+            # Normal equations, since they are small; scaled, since the columns have different units.
             scale = np.sqrt(np.sum(rows**2, axis=0)) + 1e-300
             scaled = rows / scale
             solution, *_ = np.linalg.lstsq(scaled.T @ scaled, scaled.T @ target, rcond=1e-12)
@@ -233,7 +233,7 @@ def settle_time(blocks: Blocks) -> float:
         friction = (blocks.force - blocks.columns @ linear_part(settled)) * np.sign(blocks.velocity)
         edges = np.quantile(np.abs(settled.velocity), np.linspace(0.0, 1.0, 11))
         where = np.clip(np.searchsorted(edges, np.abs(blocks.velocity)) - 1, 0, 9)
-        # Compare early and late friction at the same velocities.
+        # At equal velocities, since friction depends on velocity.
         apart = []
         for i in range(10):
             a, b = friction[early & (where == i)], friction[late & (where == i)]
@@ -255,8 +255,8 @@ def averaged(velocity: Array, force: Array, noise: Array) -> Classes:
     """
     order = np.argsort(velocity)
     v, f, noise = velocity[order], force[order], noise[order]
-    # Equal speeds stay together: a class ends where the next velocity is 1 % away, or where it is full.
-    full = max(FEW, len(v) // CLASSES)
+    # Equal speeds stay together: a class ends before a step of velocity of 1 %, or when full.
+    full = max(MIN_CLASS_BLOCKS, len(v) // MAX_CLASSES)
     jumps = np.flatnonzero(np.diff(v) > 0.01 * np.maximum(np.abs(v[1:]), 1e-6)) + 1
     edges = [0]
     for edge in [*jumps.tolist(), len(v)]:
@@ -264,7 +264,7 @@ def averaged(velocity: Array, force: Array, noise: Array) -> Classes:
             edges.append(edges[-1] + full)
         if edge > edges[-1]:
             edges.append(edge)
-    classes = [slice(a, b) for a, b in itertools.pairwise(edges) if b - a >= FEW]
+    classes = [slice(a, b) for a, b in itertools.pairwise(edges) if b - a >= MIN_CLASS_BLOCKS]
     count = np.array([c.stop - c.start for c in classes])
     return Classes(
         velocity=np.array([v[c].mean() for c in classes]),

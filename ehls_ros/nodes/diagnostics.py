@@ -1,4 +1,4 @@
-"""Diagnostics of a node: its state on /diagnostics, once a second and on change, and its complaints in the log."""
+"""Diagnostics of a node: state on /diagnostics, once a second and on change; warnings and errors in the log."""
 
 import math
 import re
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 REPEAT = 10.0
-"""Time after which a warning that differs from an earlier one only in its figures is logged again [s]."""
+"""Minimum time between two log entries of one warning, irrespective of the numbers in it [s]."""
 
 Health = tuple[bytes, str, Mapping[str, Any]]
 """Level, message and figures."""
@@ -26,7 +26,7 @@ class Diagnostics:
     """Diagnostics of one node."""
 
     def __init__(self, node: "ControlNode") -> None:
-        """Open the topic; nothing has been reported."""
+        """Open the topic."""
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._mismatches = Mismatches(node)
@@ -38,7 +38,7 @@ class Diagnostics:
         self._mismatches.look()
 
     def health(self) -> Health:
-        """Return the state of the node, with that of its scheduling, its topics and the owners of its inputs."""
+        """Return the state of the node, including its scheduling, its topics and the owners of its inputs."""
         node = self._node
         if node.refused:
             return ERROR, node.refused, {}
@@ -46,7 +46,7 @@ class Diagnostics:
             return OK, "unconfigured", {}
         level, message, figures = node.health()
         if level == OK and node.is_active and (missing := node.missing_time()):
-            # In lockstep the plant, which is the source of the time, starts last.
+            # In lockstep the source of the time, the plant, starts last.
             level, message = OK if node.lockstep else WARN, missing
         complaints = self._mismatches.found[:1]
         for complaint in (node.scheduling.complaint, *complaints, node.owners.complaint()):
@@ -57,7 +57,7 @@ class Diagnostics:
         return level, message, {**figures, **node.scheduling.figures(), **numbered}
 
     def publish(self, level: bytes, message: str, figures: Mapping[str, Any]) -> None:
-        """Publish a state, and log it if it is a new complaint."""
+        """Publish a state; log it if it is a new warning or error."""
         node = self._node
         status = DiagnosticStatus(
             level=level,

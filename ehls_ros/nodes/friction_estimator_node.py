@@ -1,4 +1,4 @@
-"""`friction_estimator_node`: answers each loader_state with the friction estimate of the rig's model."""
+"""`friction_estimator_node`: answers each loader_state with a friction estimate."""
 
 import math
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ class Parameters(NamedTuple):
 
 
 class FrictionEstimatorNode(ControlNode):
-    """Runs a friction observer along the measured velocity."""
+    """Node with a friction observer on the measured velocity."""
 
     def __init__(self) -> None:
         """Declare the parameters."""
@@ -75,7 +75,7 @@ class FrictionEstimatorNode(ControlNode):
         self.estimates.destroy()
 
     def awaited_inputs(self) -> Waiter:
-        """Return the snapshots."""
+        """Return the waiter for snapshots."""
         return self.waiter
 
     def react(self) -> bool:
@@ -117,7 +117,7 @@ class FrictionEstimatorNode(ControlNode):
             "malformed": self.states.malformed,
         }
         if not self.velocity_measured:
-            return WARN, "the snapshots hold no velocity: the last one is held", figures
+            return WARN, "no velocity in the snapshots: the last one is held", figures
         return OK, self.activity, figures
 
 

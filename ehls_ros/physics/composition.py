@@ -1,13 +1,15 @@
 """Compose kernels from chosen parts, compile them, and cache the machine code between processes.
 
 Numba caches machine code per source file and does not distinguish functions passed as arguments. Therefore a small module is
-generated for each choice of parts. It imports them, chains the hooks of the effects, calls a builder of the package, and has
-one entry function for each function built. No other file generates source text. The module is stored in the user's cache
-folder; its name is a digest of its text and the package's sources, so machine code is never stale.
+generated for each choice of parts. It imports the parts, chains the hooks of the effects, and calls a builder of the package.
+It has one entry function for each function built. No other file generates source text. The module is stored in the user's
+cache folder. Its name is a digest of its text and the package's sources, so machine code is never stale.
 
-A chain of effects is either *fixed*: the effects of one rig in their order, with all parameters in one array as ``p``; or
-*switched*: many effects in the order of their names, each behind a flag, with :class:`Switched` as ``p``, so that another
-choice of effects needs no compilation.
+A chain of effects is of one of two kinds:
+
+* *fixed*: the effects of one rig in their order; ``p`` is one array with all parameters.
+* *switched*: many effects in the order of their names, each behind a flag; ``p`` is :class:`Switched`. Another choice of
+  effects needs no compilation.
 """
 
 import hashlib
@@ -28,7 +30,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.duals import joined
-from ehls_ros.inlining import IS_PLAIN, swiftly, take_scipy_for_granted
+from ehls_ros.inlining import IS_PLAIN, faster_compilation, skip_scipy_check
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
@@ -37,7 +39,7 @@ from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
 from ehls_ros.sources import import_line, sources_digest
 
 KERNEL_SOURCES = ("physics", "control", "identification", "arrays.py", "duals", "inlining.py", "numba_internals.py")
-"""Sources that kernels are compiled from."""
+"""Sources of the kernels."""
 
 
 def kernel_module(source: str) -> ModuleType:
@@ -48,7 +50,7 @@ def kernel_module(source: str) -> ModuleType:
 
     Returns:
         The module. Its entry functions are compiled once; later processes load the machine code. If several processes request
-        the same function at once, one compiles it while the others wait.
+        the same function at once, one compiles it and the others wait.
 
     Raises:
         BadInput: other users can write to the cache folder.
@@ -90,7 +92,7 @@ def is_compiled(module: ModuleType) -> bool:
 
 
 class _Generated(ExecutionLoader):
-    """Loader that runs a module's text from memory, since the file may have been replaced by the time it is read."""
+    """Loader of a module from its text in memory, since the file may be replaced before it is read."""
 
     def __init__(self, source: str, path: Path) -> None:
         self._source = source
@@ -112,8 +114,8 @@ def _compile_in_turn(entry: Any, seal: Path, code: Path) -> None:
 
     def in_turn(signature: Any) -> Any:
         # Numba's lock first, to avoid a deadlock: its holder may need the file lock of a kernel it calls.
-        with global_compiler_lock, sealed(seal, code, f"{seal.stem}-*"), swiftly():
-            take_scipy_for_granted()
+        with global_compiler_lock, sealed(seal, code, f"{seal.stem}-*"), faster_compilation():
+            skip_scipy_check()
             try:
                 return compile_or_load(signature)
             except OSError:
@@ -156,14 +158,14 @@ class Effects(NamedTuple):
         return sum(_states(before) for before in self.names[: self.names.index(name)])
 
     def piston_state(self, name: str) -> int:
-        """Return the index of the displacement of the piston relative to the load, for an effect that separates them."""
+        """Return the index of the displacement between piston and load, for an effect that separates them."""
         effect: Any = EFFECTS.load(name)
         return self.first_state(name) + int(effect.PISTON)
 
     def parameters(self, uses: Iterable[EffectUse]) -> Any:
-        """Return ``p`` of the chains for the effects in use; of an effect used twice, switched chains apply the last.
+        """Return ``p`` of the chains for the effects in use.
 
-        Values of switched chains may be duals.
+        If an effect is used twice, switched chains apply the last use. Values of switched chains may be duals.
         """
         if not self.switched:
             used = [use for use in uses if use.name in self.names]
@@ -253,7 +255,7 @@ def compiled(
 
 
 def _import(member: Any, name: str) -> str:
-    """Return the import line of a part; a generated module needs no digest, as its name is one."""
+    """Return the import line of a part; the name of a generated module contains a digest already."""
     return f"import {member.__name__} as {name}" if member.__name__.startswith(PREFIX) else import_line(member, name)
 
 

@@ -42,7 +42,7 @@ class RawTable(NamedTuple):
     wrong: Mapping[str, str] = {}
 
     def place(self, index: int) -> str:
-        """Return the user's name for a row, such as ``line 12``."""
+        """Return the designation of a row in messages, such as ``line 12``."""
         return f"{self.row} {self.first + index}"
 
 
@@ -136,12 +136,12 @@ def trajectory_of(table: RawTable, columns: Columns, where: str) -> Trajectory:
     """
     chosen = choose(table.names, columns, where)
     lengths = [len(values) for values in table.values.values() if values is not None]
-    values = {name: _made(table, column, name, max(lengths, default=0), where) for name, column in chosen.items()}
+    values = {name: _unscaled(table, column, name, max(lengths, default=0), where) for name, column in chosen.items()}
     trajectory = assemble(values, chosen, where, table.place)
     return replace(trajectory, preparation=trajectory.preparation.adding(*table.remarks))
 
 
-def _made(table: RawTable, column: Column, name: str, rows: int, where: str) -> NDArray[Any]:
+def _unscaled(table: RawTable, column: Column, name: str, rows: int, where: str) -> NDArray[Any]:
     """Return the unscaled values of a column of the map."""
     values = {source: table.values[source] for source in column.sources}
     known = {source: found for source, found in values.items() if found is not None}
@@ -165,7 +165,7 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
         values: raw values by contract name: shape (n,), or (n, elements) for a signal of the friction elements.
         chosen: the columns by contract name, with scale and offset.
         where: the file, for errors.
-        row_name: returns the user's name for the row at an index, such as ``line 12``.
+        row_name: returns the designation in messages of the row at an index, such as ``line 12``.
 
     Returns:
         The trajectory, without metadata.

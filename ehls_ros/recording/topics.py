@@ -1,4 +1,4 @@
-"""The topics of a run: name, ROS type, and the trajectory's signal for each message field."""
+"""Topics of a run: name, ROS type, and the trajectory's signal for each message field."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -74,7 +74,7 @@ REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFEREN
 ACTUATOR_TOPICS: Mapping[str, Topic] = MappingProxyType(
     {"force": _force_topic("actuator_force_reference"), "position": _position_topic("actuator_position_reference")}
 )
-"""Topic of the actuator's setpoint, ahead of the cycles, by its quantity; a run whose companions use it has one of them."""
+"""Topic of the actuator's setpoint ahead of the cycles, by its quantity. A run has one of them if a companion uses it."""
 
 PROGRAMME_POINT = _cycle_topic(
     "programme_point",
@@ -99,8 +99,10 @@ DISTURBANCE = _cycle_topic(
     },
 )
 SERVO_REFERENCE = Topic("servo_reference", "ehls_msgs/msg/Disturbance", depth=DEPTH, transient_local=True)
-"""Displacement and velocity setpoints of a simulated position servo, ahead of the cycles; not recorded, as the experiment
-defines them and ``disturbance`` contains the motion."""
+"""Displacement and velocity setpoints of a simulated position servo, ahead of the cycles.
+
+Not recorded, as the experiment defines them and ``disturbance`` contains the motion.
+"""
 
 FRICTION_ESTIMATE = _cycle_topic(
     "friction_estimate",
@@ -156,7 +158,7 @@ STANDBY_COMMAND = Topic("standby_command", "ehls_msgs/msg/ValveCommand")
 """Command of each standby controller; the commands in a bag name the active one."""
 
 LEAVING = Topic("leaving", "std_msgs/msg/String")
-"""Announcement of a node whose loop ends: its sender name."""
+"""Sender name of a node at the end of its loop."""
 
 REFUSED = Topic("refused", "ehls_msgs/msg/Refusal", transient_local=True)
 """Senders rejected by a reader, since another sender owns the input."""
@@ -165,15 +167,17 @@ ACCEPTED_RIG = Topic("accepted_rig", "std_msgs/msg/String", depth=1, transient_l
 """Rig file with the changes accepted by an operator, for controllers that subscribe to it (``accept_rig``)."""
 
 HANDOVER_TOPICS = (DRIVER, STANDBY_COMMAND, LEAVING, REFUSED, ACCEPTED_RIG)
-"""Topics between the nodes for a change of the active controller, of an input's owner, or of the accepted rig; not recorded."""
+"""Topics for a change of the active controller, of an input's owner, or of the accepted rig; not recorded."""
 
 MODEL_HEALTH = Topic("model_health", "ehls_msgs/msg/ModelHealth", depth=1, transient_local=True)
 """Findings of the monitor on the rig; published on change and periodically; not recorded, as a bag can be replayed."""
 
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 OF_GATE, TRIPPED_BY = "owner", "cause_1"
-"""Keys in the diagnostics of the node with the safety gate: the first is always present, only there; the second while
-tripped."""
+"""Keys in the diagnostics of the node with the safety gate.
+
+The first is always present, and only there; the second is present while tripped.
+"""
 
 FORCE = Topic("force", "std_msgs/msg/Float64")
 WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped")
@@ -212,7 +216,7 @@ def transition_topic(node: str) -> Topic:
 
 
 def known_topic(path: str, namespace: str) -> Topic | None:
-    """Return the topic that the recorder of this package stores under a full name; None if there is none.
+    """Return the topic recorded by this package under a full name; None if there is none.
 
     Args:
         path: full name.
@@ -225,4 +229,4 @@ def known_topic(path: str, namespace: str) -> Topic | None:
 
 
 RESPONSE = "response_s"
-"""The only signal that is not a message field: time from sending a cycle's snapshot to sending its valve command [s]."""
+"""Time from sending a cycle's snapshot to sending its valve command [s]; the only signal without a message field."""

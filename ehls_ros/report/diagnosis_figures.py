@@ -1,4 +1,4 @@
-"""Further figures of the diagnosis report: all stages, shares, a channel's residual over every signal, the free run."""
+"""Further figures of the diagnosis report: stages, shares, residual of a channel over each signal, free run."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -41,19 +41,19 @@ from ehls_ros.report.quantities import percent, shown_signal, unit_for
 ROW_HEIGHT, COLUMN_WIDTH, MAX_COLUMNS = 190, 190, 4
 """Height and least width of the small plots in pixels, and maximum number of them side by side."""
 
-ROW_OF_STAGE = 76
+STAGE_HEIGHT = 76
 """Height of a stage's bars in pixels."""
 
-ROW_OF_BAR, BAR_WIDTH = 52, 0.5
-"""Height of a bar of shares with its label in pixels, and the fraction of it taken by the bar."""
+BAR_ROW_HEIGHT, BAR_WIDTH = 52, 0.5
+"""Height of a bar of shares with its label in pixels, and fraction of it for the bar."""
 
 PARTS = (("closed by the causes", BLUE), ("returns without that cause", SKY), ("remains", VERMILION))
 """Names and colours of the parts of a bar of shares."""
 
-LINES = 600
+FREE_RUN_INTERVALS = 600
 """Number of intervals to which a line of a free run is reduced."""
 
-SMALL: tuple[tuple[str, ...], ...] = (
+SMALL_PLOT_SIGNALS: tuple[tuple[str, ...], ...] = (
     ("time_s",),
     ("velocity_m_s",),
     ("position_m",),
@@ -61,9 +61,9 @@ SMALL: tuple[tuple[str, ...], ...] = (
     ("spool_m", "valve_command_m"),
     ("oil_temperature_k",),
 )
-"""Signals of the small plots; of each group the first that was recorded."""
+"""Signals of the small plots; the first recorded one of each group is drawn."""
 
-LAST: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_pressure_rate_pa_s"}
+LAST_SIGNAL: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_pressure_rate_pa_s"}
 """Last signal of a channel's small plots; the acceleration for all others."""
 
 
@@ -99,7 +99,7 @@ def stage_bars(found: Diagnosis) -> Panel | LeftOut:
     ]
     x = Axis("rms residual", Unit("% of largest term"), (0.0, 120.0 * largest or 1.0))
     y = Axis("", PURE_NUMBER, (len(names) + 0.6, 0.4), names=tuple(names))
-    height, text = 110 + ROW_OF_STAGE * len(names), {"minsize": 10, "mode": "show"}
+    height, text = 110 + STAGE_HEIGHT * len(names), {"minsize": 10, "mode": "show"}
     return plane(title, traces, x, y, height=height, barmode="group", bargap=0.3, uniformtext=text)
 
 
@@ -126,7 +126,7 @@ def share_bars(found: Diagnosis) -> Panel | None:
     beside = {"x": 0.0, "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 11}}
     note = (
         "100 % is the mean square of the given model's residual beyond the noise. A cause's share is the error that returns"
-        " without it, all others fitted again; shares need not add up, as causes may replace or need each other."
+        " without it, with all others fitted again. Shares need not add up, as causes may replace or need each other."
     )
     panel = plane(
         "Shares of the error",
@@ -134,7 +134,7 @@ def share_bars(found: Diagnosis) -> Panel | None:
         Axis("share of the removable error", Unit("%"), (0.0, 102.0 * max(longest, 1.0))),
         Axis("", PURE_NUMBER, (0.4, len(texts) + 0.8)),
         note,
-        100 + ROW_OF_BAR * len(texts),
+        100 + BAR_ROW_HEIGHT * len(texts),
         barmode="stack",
         annotations=[
             beside | {"y": row + 0.5 * BAR_WIDTH, "text": escape(text)} for row, text in zip(rows, texts, strict=True)
@@ -161,8 +161,8 @@ def residuals_of(found: Diagnosis, channel: Channel) -> Panel | LeftOut:
     residuals = [(trace.before, before_name(found), VERMILION)]
     residuals += [] if same else [(trace.after, after_name(found), BLUE)]
     signals = signals_of(trace)
-    shown = [next((name for name in group if name in signals), None) for group in SMALL]
-    last = LAST.get(channel, "acceleration_m_s2")
+    shown = [next((name for name in group if name in signals), None) for group in SMALL_PLOT_SIGNALS]
+    last = LAST_SIGNAL.get(channel, "acceleration_m_s2")
     against = [name for name in (*shown, last) if name is not None and name in signals]
     rows = -(-(len(against) + 1) // MAX_COLUMNS)
     columns = -(-(len(against) + 1) // rows)
@@ -242,7 +242,7 @@ def spectrum(time: Array, residual: Array) -> tuple[Array, Array]:
 
 
 def _axes(place: int) -> Trace:
-    """Return the keys of a trace that put it into a small plot."""
+    """Return the axis keys of a trace in a small plot."""
     suffix = str(place + 1) if place else ""
     return {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
 
@@ -280,7 +280,7 @@ def free_run_panel(run: FreeRun) -> Panel | LeftOut:
         chosen = [signal for signal in chosen if signal.name != "force_n"]
     if not chosen:
         return LeftOut(title, "no signal moves by more than its noise")
-    figure = Rows(title, run.time, buckets=LINES)
+    figure = Rows(title, run.time, buckets=FREE_RUN_INTERVALS)
     for signal in chosen:
         x = shown_signal(signal.name, signal.measured)
         first = figure.row(Axis(x.quantity, x.unit, _free_span(signal.measured, x.unit))) == 1
@@ -294,5 +294,5 @@ def free_run_panel(run: FreeRun) -> Panel | LeftOut:
 
 def _free_span(measured: Array, unit: Unit) -> tuple[float, float]:
     low, high = float(np.min(measured)) * unit.factor, float(np.max(measured)) * unit.factor
-    air = 0.3 * (high - low) or 1.0
-    return low - air, high + air
+    margin = 0.3 * (high - low) or 1.0
+    return low - margin, high + margin

@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.coefficients import Term
 from ehls_ros.diagnosis.discrepancy import Windows, learn
 from ehls_ros.diagnosis.evidence import allowing
-from ehls_ros.diagnosis.healthy_variation import Described, Terms
+from ehls_ros.diagnosis.healthy_variation import DescribedEvidence, RemainderTerms
 
 NOISE, SPREAD, FITTED = 0.01, np.array([1e-3]), np.array([True])
 
@@ -70,15 +70,17 @@ def test_errors_of_form_grow_and_those_of_coefficients_do_not():
 def test_what_a_coefficient_does_as_the_oil_warms_is_told_from_days_of_other_temperatures():
     # In units of the noise, of which a channel's largest term has a hundred.
     size, column = 100.0, 100.0 * np.random.default_rng(4).standard_normal(600)
-    made_of = Terms(size, {"offset": 2e-4, "drag": rules.SPREAD_WITH_OIL}, (), "x", 1.0, 315.0)
+    components = RemainderTerms(size, {"offset": 2e-4, "drag": rules.SPREAD_WITH_OIL}, (), "x", 1.0, 315.0)
 
     def day(kelvin):
         noise = np.random.default_rng(kelvin).standard_normal(600)
         evidence = evidence_of({"force": noise - 0.01 * (kelvin - 315) * column})
         signals = {"oil_temperature_k": np.full(600, float(kelvin))}
-        return made_of.windows(Described(evidence, {"force": [Term("drag", column, 0.0)]}, {"force": signals}), "force")
+        return components.windows(
+            DescribedEvidence(evidence, {"force": [Term("drag", column, 0.0)]}, {"force": signals}), "force"
+        )
 
-    learnt = made_of.learnt_on([day(311), day(315), day(318)])
+    learnt = components.learn_from([day(311), day(315), day(318)])
     warm = size * expected(learnt, day(322)).mean
     assert column @ warm / (column @ column) == pytest.approx(-0.07, rel=0.1)
 

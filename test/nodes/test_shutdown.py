@@ -2,6 +2,7 @@
 
 import os
 import time
+from pathlib import Path
 
 import pytest
 
@@ -50,6 +51,12 @@ def test_a_node_ends_with_the_process_that_started_it(graph, monkeypatch):
     assert "has ended" not in graph.log("reference_node")
 
 
+def users_of(file: Path) -> list[str]:
+    """Return the command lines of the processes that use a shared-memory file."""
+    pids = [process.name for process in Path("/proc").glob("[0-9]*") if file in used_by(int(process.name))]
+    return [f"{pid}: {Path(f'/proc/{pid}/cmdline').read_bytes().replace(bytes(1), b' ').decode()}" for pid in pids]
+
+
 @pytest.mark.parametrize("name", ["fasmc_node", "plant_sim_node"])
 def test_a_node_that_ends_leaves_nothing_in_shared_memory(graph, spec_file, name):
     node = graph.start(name, spec=spec_file(duration=1000.0), timing="lockstep")
@@ -61,4 +68,5 @@ def test_a_node_that_ends_leaves_nothing_in_shared_memory(graph, spec_file, name
     segments = [file for file in used_by(node.pid) if file.name.startswith("fast") and "_port" not in file.name]
     assert segments
     assert graph.stop(name) == 0
-    assert not [file for file in segments if file.exists()]
+    left = {file: users_of(file) for file in segments if file.exists()}
+    assert not left

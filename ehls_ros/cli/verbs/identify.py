@@ -35,11 +35,11 @@ RIG, RESULT, REPORT = "rig_identified.yaml", "identification.json", "report.html
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("data", type=Path, nargs="+", help="recordings: bags, or tables (text, Excel, MAT, TDMS, Parquet)")
-    add_rig(parser, "rig file as known so far, from which the search starts, with friction model, piston area and volume")
+    add_rig(parser, "rig file as starting point of the search, with friction model, piston area and volume")
     parser.add_argument(
         "--whole-rig",
         action="store_true",
-        help="identify valve, flow, mass, spring and sensors as well, as far as they are recorded, not the friction alone",
+        help="identify not only friction but also valve, flow, mass, spring and sensors, as far as they are recorded",
     )
     add_columns(parser)
     parser.add_argument(
@@ -52,7 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Run it."""
+    """Identify the rig and write the results."""
     check_range(options, "elements", 1, 20)
     check_range(options, "seed", 0)
     rig = load_rig(options.rig)
@@ -94,7 +94,7 @@ def _offer(missing: Missing, rig: Rig, path: Path, folder: Path) -> None:
             (folder / asked.file).write_text(asked.text, encoding="utf-8")
             print(f"  missing strokes: ehls experiment {folder / asked.file}")
     except BadInput as error:
-        print(f"  missing strokes: no experiment delivers them on this rig ({error})")
+        print(f"  missing strokes: no experiment provides them on this rig ({error})")
 
 
 def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespace, folder: Path) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def _print(found: Identification | RigIdentification, folder: Path) -> None:
         for path, reason in found.not_identifiable.items():
             print(f"  {path}: {reason}")
         if found.absent:
-            print(f"looked for, and not distinguishable from zero: {', '.join(found.absent)}")
+            print(f"not distinguishable from zero: {', '.join(found.absent)}")
     elif found.not_identifiable:
         print(f"not identifiable from these data: {', '.join(found.not_identifiable)}")
     for remark in found.remarks:

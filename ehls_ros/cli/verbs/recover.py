@@ -1,4 +1,4 @@
-"""`ehls recover`: restore a bag that is damaged or whose recorder was killed."""
+"""`ehls recover`: restore a damaged or unfinished bag."""
 
 import json
 from argparse import ArgumentParser, Namespace
@@ -10,7 +10,7 @@ from ehls_ros.progress import progress_bar
 from ehls_ros.recording.ledger import Range
 from ehls_ros.recording.recovery import Recovery, recover
 
-HELP = "Restore a bag that is damaged or whose recorder was killed: intact messages are kept, lost ones are listed."
+HELP = "Restore a damaged bag, or one of a killed recorder: intact messages are kept, lost ones are listed."
 
 LISTED = 5
 """Maximum number of ranges of lost messages listed per topic."""

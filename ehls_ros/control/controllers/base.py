@@ -1,29 +1,44 @@
 """Interface of the file of a controller.
 
-A file has ``Parameters``, a named tuple declaring its parameters; ``FOLLOWS``, the kind of its reference, force or position;
-``FRICTION``, whether it uses the friction estimate; ``NEEDS``, the required readings; ``memory(parameters)``, its state before
-the first cycle; ``FRICTION_MODEL``, if it supports only the friction model that it contains; and a compiled
+A file has these members:
 
-``step(m, r, f, p, model, memory, status) -> spool command [m]``
+* ``Parameters``: named tuple declaring its parameters.
+* ``FOLLOWS``: kind of its reference, force or position.
+* ``FRICTION``: whether it uses the friction estimate.
+* ``NEEDS``: required readings.
+* ``memory(parameters)``: its state before the first cycle.
+* ``FRICTION_MODEL``: optional; its only supported friction model.
+* ``step(m, r, f, p, model, memory, status) -> spool command [m]``: its compiled law.
 
-with ``m`` the measurement in the order of :data:`ehls_ros.physics.rig.SENSED`, ``r`` a row of :data:`ROW` numbers, ``f``
-friction of the elements and viscous friction [N], ``p`` its parameters, ``model`` the :class:`Model`, ``memory`` updated in
-place, and ``status`` filled in place by the indices below. It keeps the command within ``model.spool_limit`` without windup,
-and finite for any measurement; a non-finite measurement leaves no trace in ``memory``.
+The arguments of ``step`` are:
 
-A row holds the reference and its first and second derivative, [N, N/s, N/s^2] for a force and [m, m/s, m/s^2] for a position,
-and from :data:`FORESEEN` on the foreseen external force, with its first and second derivative [N, N/s, N/s^2]; these are NaN
-if nothing is foreseen. A law that uses them has ``PREVIEW = True``. A law that takes effects of the rig from the
-:class:`Model` names them in ``KNOWS``: it may lose control of the force on a rig with such an effect missing in its model.
+* ``m``: measurement in the order of :data:`ehls_ros.physics.rig.SENSED`.
+* ``r``: row of :data:`ROW` numbers.
+* ``f``: friction of the elements and viscous friction [N].
+* ``p``: its parameters.
+* ``model``: the :class:`Model`.
+* ``memory``: its state, updated in place.
+* ``status``: quantities at the indices below, filled in place.
 
-A law that keeps estimates within bounds names them in ``BOUNDED``, so that an estimate at its bound is reported.
+``step`` keeps the command within ``model.spool_limit``, without windup. The command is finite for any measurement, and a
+non-finite measurement leaves no trace in ``memory``.
+
+A row begins with the reference and its first and second derivative. They are in N, N/s and N/s^2 for a force, and in m, m/s
+and m/s^2 for a position. From :data:`FORESEEN` on it holds the foreseen external force and its two derivatives. They are NaN if
+nothing is foreseen. A law that uses them has ``PREVIEW = True``.
+
+A law that takes effects of the rig from the :class:`Model` names them in ``KNOWS``. It may lose control of the force if such an
+effect of the rig is missing in its model.
+
+A law with bounded estimates names them in ``BOUNDED``, so that an estimate at its bound is reported.
 
 A law that models the commands in transit, or adapts to the effect of its commands, adds a compiled
 
 ``follow(command, own, memory) -> own``
 
-It is called between two steps while another controller drives, with the command [m] that was sent to the valve and the one that
-the last step returned. It corrects ``memory`` accordingly, and returns the command that the step would then have returned.
+It is called between two steps while another controller drives. ``command`` [m] was sent to the valve, and ``own`` [m] was
+returned by the last step. ``follow`` corrects ``memory`` accordingly, and returns the command that the step would then have
+returned.
 """
 
 import math
@@ -49,7 +64,7 @@ ELEMENTS_FORCE, VISCOUS_FORCE = 0, 1
 
 
 MIN_DROP = 0.01
-"""Lower bound of the pressure drop over the valve in the laws' equations, as a fraction of the nominal supply pressure."""
+"""Lower bound of the valve's pressure drop in the laws' equations, as a fraction of the nominal supply pressure."""
 
 FORESEEN = 3
 """Index in a law's row of the foreseen external force, followed by its two derivatives."""
@@ -59,7 +74,7 @@ ROW = 6
 
 
 class Noise(NamedTuple):
-    """Standard deviation of one reading of a sensor, including rounding; 0 for a perfect sensor or one not described.
+    """Standard deviation of one reading of a sensor, including rounding; 0 for a perfect or undescribed sensor.
 
     Attributes:
         position: of the piston position [m].
@@ -75,7 +90,7 @@ class Noise(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """Estimate in the status that a law keeps within bounds, which are parameters of the law.
+    """Bounded estimate in the status; its bounds are parameters of the law.
 
     Attributes:
         estimate: symbol of the estimate.

@@ -24,7 +24,7 @@ from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.state_estimator import (
     CELL_OFFSET,
     EXTERNAL,
-    PIECE,
+    MAX_COVARIANCE_STEP,
     ROUNDING,
     STATES,
     Assumptions,
@@ -116,7 +116,7 @@ def _advance(supply: float, model: Model, p: Assumptions, state: State, transiti
     t = -model.period
     while t < -ROUNDING:
         command, until = arrived(t, p.command_delay, state)
-        duration = min(until, 0.0, t + PIECE) - t
+        duration = min(until, 0.0, t + MAX_COVARIANCE_STEP) - t
         spread(state, command, supply, duration, model, p)
         multiply(state.matrices[1], transition, product)
         for i in range(len(product)):

@@ -1,13 +1,13 @@
 """Interface of the file of a reference.
 
-A file has ``Parameters``, a named tuple declaring its parameters, and ``sample(t, p)``: value and first and second time
-derivative, all analytic, at times ``t`` [s] of shape (n,), as an array of shape (n, 3). The value is a force [N] for a
-controller that follows a force, and a position [m] for one that follows a position and for the position servo.
+A file has ``Parameters``, a named tuple declaring its parameters, and ``sample(t, p)``. The latter returns the value and its
+first two time derivatives, all analytic, shape (n, 3). The times ``t`` [s] have the shape (n,). For a controller that follows a
+force, the value is a force [N]. For one that follows a position, and for the position servo, it is a position [m].
 
-A file whose signal repeats may offer ``place(t, p)``: block (0 except in a test programme) and load cycles completed with
-their fraction, of shape (n, :data:`ehls_ros.control.companions.base.PLACE`), NaN if nothing repeats. If it also declares the
-phase of its ``VALLEY`` in that cycle, and has the parameters ``amplitude`` and ``frequency``, a test programme can run its
-cycles.
+A file with a repeating signal may offer ``place(t, p)``, shape (n, :data:`ehls_ros.control.companions.base.PLACE`). It returns
+the block, 0 except in a test programme, and the load cycles completed with their fraction. Both are NaN if nothing repeats. A
+test programme can run these cycles if the file also declares the phase of its ``VALLEY`` in a cycle. This requires the
+parameters ``amplitude`` and ``frequency``.
 """
 
 from typing import Any, Protocol

@@ -1,7 +1,7 @@
 """Assembly of the messages of a running graph, by control cycle, to samples on a strictly increasing time axis.
 
 The samples equal those of a recording of the same graph (:mod:`ehls_ros.recording.alignment`). Time is counted in control
-cycles, so that steps and drift of the wall clock have no effect on it; the stamps give the wall time of an instant.
+cycles, so that steps and drift of the wall clock have no effect on it. The stamps give the wall time of an instant.
 """
 
 import math
@@ -20,16 +20,16 @@ COMMAND_SIGNAL = VALVE_COMMAND.signals["spool"]
 DISTURBANCE_SIGNALS = tuple(DISTURBANCE.signals.values())
 
 MAX_WAIT = 0.2
-"""Time for which a snapshot waits for its command and its disturbance before they count as missing [s]."""
+"""Maximum wait of a snapshot for its command and disturbance; later they count as missing [s]."""
 
 LOCKSTEP_MAX_WAIT = 10.0
-"""The same in lockstep [s], where each snapshot has both and only the middleware may delay them."""
+"""The same in lockstep [s]: each snapshot has both, and only the middleware may delay them."""
 
 MAX_LATE_CYCLES = 200
-"""Number of cycles after which a message counts as lost, since each sender's messages arrive in order."""
+"""Age of a cycle above which its missing message counts as lost, since each sender's messages arrive in order [cycles]."""
 
 SETTLING = 1.0
-"""Time after the opening of the gate that is left out [s], as commands are blended in."""
+"""Time left out after the opening of the gate, for the blending of commands [s]."""
 
 MIN_PAUSE = 1.0
 """Minimum time between two runs of the rig on the axis, sufficient to start a new stretch [s]."""
@@ -185,7 +185,7 @@ class CycleAssembler:
     def _ready(self) -> int:
         """Return the number of pending snapshots that are complete, or whose waiting time is over.
 
-        The newest always waits: whether its command reached the valve is known only afterwards.
+        The newest always waits, as only the next one shows whether its command reached the valve.
         """
         if not self._pending:
             return 0
@@ -244,7 +244,7 @@ class CycleAssembler:
         return np.array([driving for _, driving in self._gate_states], dtype=np.bool_)[known]
 
     def _begin_run(self, first: LoaderSnapshot) -> None:
-        """Place the first cycle of a run on the axis, after the previous run, by the time between the stamps if plausible."""
+        """Place the first cycle of a run after the previous run, by the time between the stamps, within limits."""
         begin = self._end
         if self.anchors:
             since = (first.stamp_ns - self.stamp_ns(self._end)) * 1e-9

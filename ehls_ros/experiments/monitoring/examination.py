@@ -18,7 +18,7 @@ from ehls_ros.process import end_with, give_way
 from ehls_ros.trajectory import Trajectory
 
 MIN_CERTAIN_PROBABILITY = 0.9
-"""Probability of the first cause, including equivalent ones, from which it is named at once, however few the samples."""
+"""Minimum probability of the first cause, with its equivalents, for naming it at once, however few the samples."""
 
 
 class Task(NamedTuple):
@@ -53,10 +53,10 @@ class Finding(NamedTuple):
     Attributes:
         verdict: verdict of the diagnosis.
         causes: the causes, best first.
-        rig: the model with them.
+        rig: the model with these causes.
         unknown_stage: stage of an error that no effect of the list explains.
-        depends_on: signals on which it depends.
-        reason: reason if nothing is judged.
+        depends_on: signals on which that error depends.
+        reason: reason if the verdict is ``insufficient``; otherwise empty.
         wall_s: wall time [s].
     """
 
@@ -78,12 +78,12 @@ class Finding(NamedTuple):
 
     @property
     def names_causes(self) -> bool:
-        """Whether it names causes."""
+        """Whether the verdict names causes."""
         return self.verdict in NAMING and bool(self.causes)
 
 
 def examine(task: Task) -> Finding:
-    """Diagnose a recording; one that cannot be judged is insufficient, with the reason."""
+    """Diagnose a recording; return the verdict ``insufficient``, with the reason, if it cannot be judged."""
     try:
         if task.baselines:
             found = diagnose_against(task.recording, task.baselines, task.rig, "the latest samples", threads=1)
@@ -148,7 +148,7 @@ class Examiner(Protocol):
         """Start a diagnosis; only one runs at a time."""
 
     def finding(self) -> Finding | None:
-        """Return the result once it is available, and only once; otherwise None."""
+        """Return an available result, once; otherwise None."""
 
     def close(self) -> None:
         """Abort a running diagnosis."""
@@ -195,9 +195,10 @@ class ProcessExaminer:
         self._future = self._workers.submit(examine, task)
 
     def finding(self) -> Finding | None:
-        """Return the result once it is available; otherwise None.
+        """Return an available result, once; otherwise None.
 
-        After a failure, such as a kill of the process, it raises; the next diagnosis starts another process.
+        Raises:
+            RuntimeError: the diagnosis failed, for example by a kill of its process; the next one starts another process.
         """
         if self._future is None or not self._future.done():
             return None

@@ -12,7 +12,7 @@ from typing import BinaryIO
 from ehls_ros.errors import BadInput, WorkFailed, reason
 from ehls_ros.recording.regular_file import KINDS, check_regular
 
-TRIAL = 1 << 16
+TEST_SIZE = 1 << 16
 """Size of the test file in a folder [B]; writing it fails on a full disk."""
 
 MAX_NAME_LENGTH = 200
@@ -25,7 +25,7 @@ UNFINISHED = "part"
 """Suffix of an unfinished file."""
 
 MAX_ASIDE = 10_000
-"""Bound on the numbers for putting aside one file."""
+"""Bound of the number in the name of a file put aside."""
 
 
 class NotWritten(WorkFailed):
@@ -66,7 +66,7 @@ def read(path: Path, largest: int, expected: str, what: str = "the file") -> byt
 
 
 def is_absent(path: Path) -> bool:
-    """Return whether there is no file, including a dangling link."""
+    """Return whether there is no file; a dangling link counts as none."""
     try:
         os.stat(path)  # noqa: PTH116 - raises ValueError for a path that contains a null
     except FileNotFoundError:
@@ -76,7 +76,7 @@ def is_absent(path: Path) -> bool:
     return False
 
 
-def begins_with(path: Path, size: int) -> bytes:
+def first_bytes(path: Path, size: int) -> bytes:
     """Return the first bytes of a regular file; empty if it is not one, or cannot be read.
 
     Args:
@@ -127,7 +127,7 @@ def replace(path: Path, write: Callable[[BinaryIO], object], *, durable: bool = 
 
 
 def check_writable(path: Path, expected: str, what: str = "the file") -> None:
-    """Check before a run that a file can be written at its end: create its folder, and write a test file beside it.
+    """Check before a run that a file can be written: create its folder and write a test file beside it.
 
     Args:
         path: the file.
@@ -135,14 +135,14 @@ def check_writable(path: Path, expected: str, what: str = "the file") -> None:
         what: name of the file in the error.
 
     Raises:
-        BadInput: the folder cannot be created or written, its disk is full, or the name belongs to something other than a file.
+        BadInput: the folder cannot be created or written, the disk is full, or the path is not a regular file.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part, descriptor = _unfinished(_target(path))
         try:
             with open(descriptor, "wb") as file:  # noqa: PTH123 - a descriptor
-                file.write(bytes(TRIAL))
+                file.write(bytes(TEST_SIZE))
                 file.flush()
                 os.fsync(descriptor)
         finally:
@@ -221,7 +221,7 @@ class FolderLock:
     The folder itself is locked (flock), so that files in it can be replaced and no lock file is needed.
 
     Attributes:
-        remark: sentence for the operator if the file system cannot lock folders, as some network file systems; empty if locked.
+        remark: sentence for the operator if the file system cannot lock folders, as in some networks; empty if locked.
     """
 
     def __init__(self, folder: Path, work: str) -> None:
@@ -257,7 +257,7 @@ class FolderLock:
 
 
 def _holder(descriptor: int) -> str:
-    """Return the process that has locked an open file, without its number if the system does not list it."""
+    """Return the process with the lock on an open file; without its number if the system does not list it."""
     status = os.fstat(descriptor)
     place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     with suppress(OSError):

@@ -196,7 +196,7 @@ class StateFile:
 
     def is_own(self) -> bool:
         """Return whether the file is of this kind, by its mark; others are never replaced or removed."""
-        head = access.begins_with(self.path, HEAD)
+        head = access.first_bytes(self.path, HEAD)
         return (archive.beginning_of_document(head) if self.kind.arrays else head).startswith(self.kind.mark)
 
     def _is_foreign(self) -> bool:

@@ -1,4 +1,4 @@
-"""Kernels compiled by the optimisers: a problem's cost on the unit box, and a search of that cost.
+"""Kernels of the optimisers: cost of a problem on the unit box, and search for its minimum.
 
 All optimisers search the unit box, where u represents ``lower + u (upper - lower)``.
 """
@@ -61,7 +61,7 @@ def work_of(problem: Problem) -> Work:
 
 @njit(error_model="numpy", forceinline=True, fastmath={"contract", "reassoc"})
 def half_square(r: Array) -> float:
-    """Return half the sum of the squares, added in the fastest order; infinity if it is not finite."""
+    """Return half the sum of squares, added in the fastest order; infinity if it is not finite."""
     total = 0.0
     for k in range(r.size):
         total += r[k] * r[k]
@@ -91,8 +91,8 @@ def cost(residuals: Any) -> Any:
 def jacobian(residuals: Any) -> Any:
     """Return the compiled derivatives by the coordinates of the unit box, for a residual function.
 
-    They are differences to a neighbouring point, on the side farther from a bound; on the other side if the residuals there
-    are not finite; zero if neither are finite.
+    They are differences to a neighbouring point on the side farther from a bound. If the residuals there are not finite, the
+    other side is used. If neither are finite, the derivatives are zero.
     """
     cost_at = cost(residuals)
 
@@ -117,7 +117,7 @@ def jacobian(residuals: Any) -> Any:
 
 
 @kernel
-def gathered(points: Array, spread: float) -> bool:
+def within_spread(points: Array, spread: float) -> bool:
     """Return whether the range of points, shape (n, parameters), is below ``spread`` in every coordinate."""
     for j in range(points.shape[1]):
         smallest = largest = points[0, j]
@@ -139,7 +139,7 @@ def compiled(search: Callable[[Any], Any], problem: Problem) -> Any:
         The compiled search.
 
     Raises:
-        BadInput: the residuals are not compiled, or no other module could import them.
+        BadInput: the residuals are not compiled, or cannot be imported from another module.
     """
     residuals, where = problem.residuals, problem.name
     name = getattr(residuals, "__name__", repr(residuals))
@@ -163,5 +163,5 @@ def _compiled(search: Callable[[Any], Any], residuals: Any) -> Any:
 
 
 def _build(search: Callable[[Any], Any], residuals: Any) -> _Search:
-    """Build a search of some residuals."""
+    """Build the search for a residual function."""
     return _Search(search(residuals))

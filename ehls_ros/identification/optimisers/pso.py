@@ -1,17 +1,18 @@
-"""Compiled version of the paper's optimiser: a particle swarm with crossover and mutation.
+"""Particle swarm with crossover and mutation: compiled version of the paper's optimiser.
 
-The paper states only that "crossover and mutation factor based on the idea of GA" were introduced, so operators and numbers
-were chosen here, on the paper's static objective:
+The paper states only that "crossover and mutation factor based on the idea of GA" were introduced. Operators and numbers were
+therefore chosen here, on the paper's static objective:
 
-* the swarm: v = w v + c1 r1 (p_i - x) + c2 r2 (g - x), x = x + v, reflected at the bounds, with the constriction coefficients
-  of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) for c1 + c2 = 4.25. r1 and r2 are one number for each
-  particle, not for each coordinate, so that no direction is preferred;
-* crossover, of the personal bests: p_i with p_i + F (p_a - p_i + p_b - p_c), p_a being the better of two drawn at random, p_b
-  and p_c any, F from 0.5 to 1. The difference of two members, as in differential evolution, tends to point along a valley;
-* mutation: now and then a coordinate of the child is drawn anew from its whole range.
+* Swarm: v = w v + c1 r1 (p_i - x) + c2 r2 (g - x), x = x + v, reflected at the bounds. The constriction coefficients are those
+  of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) for c1 + c2 = 4.25. Each particle has one number r1 and one r2 for
+  all coordinates, so that no direction is preferred.
+* Crossover: a personal best p_i yields the child p_i + F (p_a - p_i + p_b - p_c). The members p_b and p_c are drawn at random,
+  and p_a is the better of two such draws. F is from 0.5 to 1. The difference of two members tends to point along a valley, as
+  in differential evolution.
+* Mutation: a coordinate of the child is occasionally drawn anew from its whole range.
 
-A child that is better than its parent p_i takes its place. The search ends when all personal bests agree. It uses no gradient,
-and no local search at its end.
+A child replaces its parent p_i if it is better. The search ends when all personal bests agree. It uses neither a gradient nor
+a final local search.
 """
 
 import math
@@ -21,7 +22,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.identification.optimisers import _random
-from ehls_ros.identification.optimisers._kernels import Box, Work, box_of, compiled, cost, gathered, work_of
+from ehls_ros.identification.optimisers._kernels import Box, Work, box_of, compiled, cost, within_spread, work_of
 from ehls_ros.identification.optimisers._random import State, index, uniform
 from ehls_ros.identification.optimisers.base import Problem, Result, checked, ended
 from ehls_ros.schema import quantity
@@ -35,19 +36,19 @@ class Parameters(NamedTuple):
     inertia: Annotated[float, quantity("1", "share w of its velocity a particle keeps", minimum=0.0, maximum=1.0)] = 0.61
     cognitive: Annotated[float, quantity("1", "pull c1 of a particle's own best", minimum=0.0, maximum=4.0)] = 1.295
     social: Annotated[float, quantity("1", "pull c2 of the swarm's best", minimum=0.0, maximum=4.0)] = 1.295
-    crossovers: Annotated[int, quantity("1", "children of each personal best an iteration", minimum=0, maximum=100)] = 2
+    crossovers: Annotated[int, quantity("1", "children per personal best and iteration", minimum=0, maximum=100)] = 2
     crossover_rate: Annotated[
         float, quantity("1", "share of a child's coordinates that are crossed", minimum=0.0, maximum=1.0)
     ] = 0.9
     mutation_rate: Annotated[float, quantity("1", "share of a child's coordinates drawn anew", minimum=0.0, maximum=1.0)] = 0.02
     tolerance: Annotated[
         float,
-        quantity("1", "spread of the bests' costs, relative, or places, in the unit box, to end at", above=0.0, maximum=1.0),
+        quantity("1", "spread of the personal bests to end at, in relative cost or in the unit box", above=0.0, maximum=1.0),
     ] = 1e-8
 
 
 class Swarm(NamedTuple):
-    """Memory of the kernel, so that it allocates nothing; n particles in the unit box.
+    """Preallocated memory of the kernel for n particles in the unit box.
 
     Attributes:
         position: positions of the particles, shape (n, parameters).
@@ -136,12 +137,12 @@ def search(residuals: Any) -> Any:
             history: receives the lowest cost after each iteration.
 
         Returns:
-            Number of the best particle, evaluations, iterations, and whether the bests agree.
+            Number of the best particle, evaluations, iterations, and whether the personal bests agree.
         """
         _scatter(swarm)
         leader, evaluations, iterations = 0, 0, 0
         while True:
-            # In the first iteration the particles are evaluated in place: at rest at their own bests, they do not move.
+            # In the first iteration the particles do not move: they are at rest at their personal bests.
             for phase in range(1 + p.crossovers if iterations > 0 else 1):
                 for i in range(swarm.cost.size):
                     if phase == 0:
@@ -174,7 +175,7 @@ def _agree(tolerance: float, swarm: Swarm) -> bool:
         lowest, highest = min(lowest, found), max(highest, found)
     if not highest < math.inf:
         return False
-    return highest - lowest <= tolerance * lowest or gathered(swarm.best, tolerance)
+    return highest - lowest <= tolerance * lowest or within_spread(swarm.best, tolerance)
 
 
 def minimise(problem: Problem, p: Parameters, seed: int, target: float = -math.inf) -> Result:

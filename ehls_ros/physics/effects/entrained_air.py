@@ -1,7 +1,7 @@
-"""Undissolved air in the oil, which makes it compliant at low pressure.
+"""Undissolved air in the oil: higher compliance at low pressure.
 
-Air in the chambers is compressed by the pressure of each, and (2) uses the mean of their compliances. Air of ``load`` is in a
-volume that is compressed by |pL| alone.
+Air in the chambers is compressed by the chamber pressures; (2) uses the mean of the two compliances. Air of ``load`` is in a
+volume compressed by |pL| alone.
 """
 
 from typing import Annotated, NamedTuple
@@ -53,5 +53,5 @@ def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Parame
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Air in either place, starting from little and from much."""
+    """Air in the chambers or in the load volume, each with a low and a high starting value."""
     return Form({"chambers": (0.005, 0.03)}), Form({"load": (0.005, 0.03)})

@@ -1,4 +1,4 @@
-"""The position sensor does not read zero at mid-stroke."""
+"""Zero shift of the position sensor: a reading other than zero at mid-stroke."""
 
 from typing import Annotated, NamedTuple
 
@@ -25,7 +25,7 @@ class Parameters(NamedTuple):
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with the zero shifted."""
+    """Return the rig with the zero of the position sensor shifted."""
     return rig.with_sensors(["position"], lambda sensor: sensor._replace(bias=sensor.bias + parameters.bias))
 
 

@@ -1,4 +1,4 @@
-"""The spool is faster or slower than in the rig file."""
+"""Spool bandwidth other than in the rig file."""
 
 from typing import Annotated, NamedTuple
 

@@ -1,4 +1,4 @@
-"""Viscous friction is higher or lower than identified."""
+"""Viscous friction other than identified."""
 
 from typing import Annotated, NamedTuple
 

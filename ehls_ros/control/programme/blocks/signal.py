@@ -1,4 +1,4 @@
-"""Block with any reference for a given time, such as a chirp, faded in and out about its initial value."""
+"""Block with any reference for a limited time, such as a chirp; faded in and out about its initial value."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
@@ -13,15 +13,15 @@ from ehls_ros.errors import BadInput
 from ehls_ros.schema import parse, quantity, text
 
 STEPS = 20_000
-"""Samples of the whole signal to find its turning points."""
+"""Number of samples of the signal for finding its turning points."""
 
 
 class Parameters(NamedTuple):
     """Reference, duration and fades."""
 
     reference: Annotated[Mapping[str, Any], text("name and parameters of the reference")]
-    time: Annotated[float, quantity("s", "time for which it runs", above=0.0, maximum=1e7)]
-    fade: Annotated[float, quantity("s", "time in which it grows, and again in which it dies", above=0.0, maximum=1e4)] = 0.5
+    time: Annotated[float, quantity("s", "duration", above=0.0, maximum=1e7)]
+    fade: Annotated[float, quantity("s", "duration of the fade-in, and of the fade-out", above=0.0, maximum=1e4)] = 0.5
 
 
 def _signal(t: Array, p: Parameters) -> Array:
