@@ -5,7 +5,7 @@ Every other input of the control cycle, such as a reference or a disturbance, fo
 
 * The first sender becomes the owner. Messages of others are refused.
 * The input becomes free when the owner announces its departure, or is gone from the graph. Earlier messages of a refused
-  sender are then accepted, unless that sender has left meanwhile.
+  sender are then accepted, unless that sender has left since it sent them: they may be read long after its announcement.
 * A sender of the owner's node name takes over once the owner has been silent for :data:`RESTART`: the node was restarted.
 """
 
@@ -63,24 +63,32 @@ class Ownership:
         self._clock = clock
         self._last_message = -float("inf")
         self._left: tuple[str | None, float] = None, -float("inf")
-        self._departures: dict[str, float] = {}
+        self._departures: dict[str, int] = {}
         self.owner: str | None = None
         self.contenders: dict[str, MessageTimes] = {}
 
-    def admits(self, sender: str) -> bool:
-        """Return whether a sender's message is accepted, and note its arrival."""
+    def admits(self, sender: str, sent_ns: int | None = None) -> bool:
+        """Return whether a sender's message is accepted, and note its arrival.
+
+        Args:
+            sender: name of the sender.
+            sent_ns: time at which it sent the message, by its system clock [ns]; None: just now.
+        """
         now = self._clock()
         if sender == self.owner:
             self._last_message = now
             return True
         owner = self.owner
         if owner is None or (node_of(owner) == node_of(sender) != "" and now - self._last_message > RESTART):
-            if owner is None and self._is_remainder(sender, now):
+            outdated = sent_ns is not None and self.has_left_since(sender, sent_ns)
+            if owner is None and (self._is_remainder(sender, now) or (outdated and sender == self._left[0])):
                 return True
+            if outdated:
+                return False
             self.owner, self._last_message = sender, now
             self.contenders.clear()
             return True
-        if not self._is_remainder(sender, now):
+        if not self._is_remainder(sender, now) and not (sent_ns is not None and self.has_left_since(sender, sent_ns)):
             before = self.contenders.get(sender, MessageTimes(now, now))
             self.contenders[sender] = MessageTimes(now if now - before.last > SILENT else before.first, now)
             if len(self.contenders) > MOST_CONTENDERS:
@@ -110,21 +118,21 @@ class Ownership:
         }
         return max(lately, key=lately.__getitem__) if lately else None
 
-    @property
-    def now(self) -> float:
-        """Present time [s]."""
-        return self._clock()
+    def has_left_since(self, sender: str, sent_ns: int) -> bool:
+        """Return whether a sender has left since it sent a message [ns]."""
+        return self._departures.get(sender, -1) >= sent_ns
 
-    def has_left_since(self, sender: str, when: float) -> bool:
-        """Return whether a sender has left since sending a message that arrived at a time [s]."""
-        return self._departures.get(sender, -float("inf")) >= when
+    def release(self, sender: str, left_ns: int) -> None:
+        """Free the input if a sender owns it: it has left.
 
-    def release(self, sender: str) -> None:
-        """Free the input if a sender owns it: it has left."""
+        Args:
+            sender: name of the sender.
+            left_ns: time at which it had left, by the system's clock [ns].
+        """
         self.contenders.pop(sender, None)
         # The latest last.
         self._departures.pop(sender, None)
-        self._departures[sender] = self._clock()
+        self._departures[sender] = left_ns
         if len(self._departures) > MOST_CONTENDERS:
             del self._departures[next(iter(self._departures))]
         if sender == self.owner:

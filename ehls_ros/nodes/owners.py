@@ -98,7 +98,7 @@ class Owners:
         if owner is None or self.may_run(owner):
             return False
         self._node.get_logger().info(f"{_name(owner)} has ended: {topic} is free")
-        ownership.release(owner)
+        ownership.release(owner, time.time_ns())
         return True
 
     def look(self) -> None:
@@ -113,7 +113,7 @@ class Owners:
             owner = ownership.owner
             if owner is not None and ownership.silent and not self._is_present(topic, owner, ownership):
                 self._node.get_logger().info(f"{_name(owner)} has left: {topic} is free")
-                ownership.release(owner)
+                ownership.release(owner, time.time_ns())
 
     def _is_present(self, topic: str, owner: str, ownership: Ownership) -> bool:
         """Return whether the owner may still be there: its process runs, and the graph has its node among the publishers.
@@ -147,8 +147,9 @@ class Owners:
         return f"{topic} of {_name(sender)} is refused: {_name(owner)} owns it; deactivate or stop one of the two"
 
     def _on_leaving(self, message: String) -> None:
+        # rclpy's events executor cannot pass on when it was sent; the sender waits for the announcement to be received.
         for ownership in self._inputs.values():
-            ownership.release(message.data)
+            ownership.release(message.data, time.time_ns())
 
     def _on_refusal(self, refusal: Refusal) -> None:
         if refusal.owner == self._node.sender:
@@ -177,25 +178,26 @@ class Owner:
         """Share the ownership of a topic."""
         self._owners, self._topic, self._ownership = owners, topic, ownership
 
-    def admits(self, sender: str) -> bool:
-        """Return whether a sender's message is accepted; if the sender is refused, publish the refusal."""
-        if self._ownership.admits(sender) or (self._owners.frees(self._topic) and self._ownership.admits(sender)):
+    def admits(self, sender: str, sent_ns: int | None = None) -> bool:
+        """Return whether a sender's message is accepted; if the sender is refused, publish the refusal.
+
+        Args:
+            sender: name of the sender.
+            sent_ns: time at which it sent the message [ns]; None: just now.
+        """
+        ownership = self._ownership
+        if ownership.admits(sender, sent_ns) or (self._owners.frees(self._topic) and ownership.admits(sender, sent_ns)):
             return True
         self._owners.refuse(self._topic, sender)
         return False
-
-    @property
-    def now(self) -> float:
-        """Present time of the rule's clock [s]."""
-        return self._ownership.now
 
     def may_take(self, sender: str) -> bool:
         """Return whether a refused sender could be accepted by now: it is the owner, or there is none."""
         return self._ownership.owner in {None, sender}
 
-    def holds(self, sender: str, came: float) -> bool:
-        """Return whether a message refused on arrival at ``came`` [s] is still valid: its sender has not left since."""
-        return not self._ownership.has_left_since(sender, came) and self._owners.may_run(sender)
+    def holds(self, sender: str, sent_ns: int) -> bool:
+        """Return whether a refused message is still valid: its sender has not left since it was sent [ns]."""
+        return not self._ownership.has_left_since(sender, sent_ns) and self._owners.may_run(sender)
 
 
 def _name(sender: str) -> str:

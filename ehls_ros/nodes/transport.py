@@ -247,8 +247,10 @@ class Inbox:
         one_sender = decode is None and standard.texts > 0 and owned != ""
         owners = owners_of(node) if one_sender else None
         self._owner = None if owners is None else owners.of(owned or topic)
-        self._refused: deque[tuple[float, Message]] = deque(maxlen=self._qos.depth)
-        self._again: deque[Message] = deque()
+        # With the times at which they were sent.
+        self._refused: deque[tuple[int, Message]] = deque(maxlen=self._qos.depth)
+        self._again: deque[tuple[int, Message]] = deque()
+        self._sent_ns = 0
         self.malformed = 0
         self._wider: Any = None
         self._widening = False
@@ -291,17 +293,21 @@ class Inbox:
             return self._next()
         if self._refused and self._owner.may_take(self._refused[-1][1][-1]):
             holds = self._owner.holds
-            self._again.extend(message for came, message in self._refused if holds(message[-1], came))
+            self._again.extend((sent, message) for sent, message in self._refused if holds(message[-1], sent))
             self._refused.clear()
         while True:
-            message = self._again.popleft() if self._again else self._next()
-            if message is None or self._owner.admits(message[-1]):
+            if self._again:
+                self._sent_ns, message = self._again.popleft()
+            elif (message := self._next()) is None:
+                return None
+            if self._owner.admits(message[-1], self._sent_ns):
                 return message
-            self._refused.append((self._owner.now, message))
+            self._refused.append((self._sent_ns, message))
 
     def _next(self) -> Any:
         """Return the next decoded message, or None."""
         if self.queue:
+            self._sent_ns = time.time_ns()
             return self.queue.popleft()
         if self.handle is None:
             return None
@@ -309,6 +315,7 @@ class Inbox:
             taken = self.take_raw()
             if taken is None:
                 return None
+            self._sent_ns = taken[1]["source_timestamp"]
             decoded = self._decode(taken[0])
             if decoded is None:
                 self.malformed += 1

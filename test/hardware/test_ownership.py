@@ -52,15 +52,15 @@ def test_a_node_that_was_restarted_goes_on_once_its_former_process_is_silent(own
 
 
 def test_once_the_owner_has_left_the_next_to_come_is_accepted(ownership, time):
-    ownership.release(OTHER)
+    ownership.release(OTHER, 10)
     assert not ownership.admits(OTHER)
-    ownership.release(FIRST)
+    ownership.release(FIRST, 20)
     assert ownership.admits(OTHER)
     assert not ownership.admits(RESTARTED)
 
 
 def test_messages_under_way_when_the_owner_left_do_not_make_it_the_owner_again(ownership, time):
-    ownership.release(FIRST)
+    ownership.release(FIRST, 20)
     assert ownership.admits(FIRST)
     assert ownership.owner is None
     assert ownership.admits(OTHER)
@@ -70,6 +70,23 @@ def test_messages_under_way_when_the_owner_left_do_not_make_it_the_owner_again(o
     time.now += 1.1 * REMAINDER
     assert not ownership.admits(FIRST)
     assert ownership.contender == FIRST
+
+
+def test_a_message_that_its_sender_sent_before_it_left_gives_it_nothing_however_late_it_is_read(ownership, time):
+    assert not ownership.admits(OTHER, 5)
+    ownership.release(OTHER, 10)
+    ownership.release(FIRST, 20)
+    time.now += 100.0 * REMAINDER
+    assert not ownership.admits(OTHER, 10)
+    assert ownership.owner is None
+    assert ownership.contender is None
+    # The rows ahead of the former owner count until there is another.
+    assert ownership.admits(FIRST, 15)
+    assert ownership.owner is None
+    assert ownership.admits(FIRST, 21)
+    assert ownership.owner == FIRST
+    assert not ownership.admits(OTHER, 10)
+    assert ownership.contender is None
 
 
 def test_a_contender_yields_only_once_the_owner_has_gone_on_beside_it(ownership, time):
