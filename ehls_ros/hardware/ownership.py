@@ -135,6 +135,8 @@ class Ownership:
         self._departures[sender] = left_ns
         if len(self._departures) > MOST_CONTENDERS:
             del self._departures[next(iter(self._departures))]
-        if sender == self.owner:
+        # At the beginning, an announcement that is kept from before may be of a sender that has returned since.
+        if sender == self.owner or (self.owner is None and self._left[0] is None):
             self._left = sender, self._clock()
+        if sender == self.owner:
             self.owner = None

@@ -9,6 +9,7 @@ import os
 import time
 from typing import Any, Protocol
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.timer import Timer
@@ -61,7 +62,11 @@ class Owners:
         kept = QoSProfile(depth=REFUSED.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._refusals = node.create_publisher(Refusal, REFUSED.name, kept)
         node.create_subscription(Refusal, REFUSED.name, self._on_refusal, kept)
-        # Departures from before this node joined are irrelevant to it.
+        # A sender may leave before it is matched: its kept messages arrive after that, so its kept announcement must, too.
+        # The other subscription is for publishers that keep none, whose profile is no mistake then.
+        stored = QoSProfile(depth=LEAVING.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
+        node.create_subscription(String, LEAVING.name, self._on_leaving, stored, event_callbacks=silent)
         node.create_subscription(String, LEAVING.name, self._on_leaving, QoSProfile(depth=LEAVING.depth))
 
     def of(self, topic: str) -> "Owner":
