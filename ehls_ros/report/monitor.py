@@ -44,7 +44,8 @@ from ehls_ros.report.plot import (
     Unit,
     dots,
     line,
-    packed,
+    region,
+    shade,
     stacked_layout,
     time_layout,
     time_mark,
@@ -175,16 +176,16 @@ def _judged(watched: MonitoringResult) -> str:
 
 
 def _changes(watched: MonitoringResult, clock: Clock) -> list[str]:
-    rows: list[Row] = [
-        [
-            str(change.number),
-            change_sentence(change, watched.rig, clock),
-            clock.text(change.named),
-            "active" if change.active else f"cleared at {clock.text(change.cleared)}",
-        ]
-        for change in watched.health.changes
-    ]
-    return [page.table(["number", "change", "named at", "state"], rows)] if rows else []
+    table = page.table_of(
+        watched.health.changes,
+        {
+            "number": lambda change: str(change.number),
+            "change": lambda change: change_sentence(change, watched.rig, clock),
+            "named at": lambda change: clock.text(change.named),
+            "state": lambda change: "active" if change.active else f"cleared at {clock.text(change.cleared)}",
+        },
+    )
+    return [table] if table else []
 
 
 def _events(watched: MonitoringResult, scale: _Scale, clock: Clock) -> list[str]:
@@ -236,7 +237,7 @@ def _trend(reading: Reading, watched: MonitoringResult, scale: _Scale) -> Panel 
         x = scale.at(np.concatenate([[max(starts[first], scale.begin)], times[first:last]]))
         y, width = (np.concatenate([[v[first]], v[first:last]]) for v in (values, half))
         shared = {"showlegend": first == _runs(identified)[0][0]}
-        traces.append(_band(x, (y - width) * unit.factor, (y + width) * unit.factor) | shared | {"legendgroup": "band"})
+        traces.append(region(x, y - width, y + width, "95 %", unit, BLUE, 0.22) | shared | {"legendgroup": "band"})
         traces.append(line(x, y, "value", unit, BLUE, width=2.0) | shared | {"legendgroup": "value"})
     ends = scale.at(np.array([scale.begin, scale.end]))
     traces.append(line(ends, np.full(2, given), "rig file", unit, GREY, dash="dash", width=1.2))
@@ -273,24 +274,10 @@ def _runs(chosen: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> list[tuple[int,
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
 
-def _band(x: Array, low: Array, high: Array) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(np.concatenate([x, x[::-1]])),
-        "y": packed(np.concatenate([low, high[::-1]])),
-        "fill": "toself",
-        "fillcolor": "rgba(0, 114, 178, 0.22)",
-        "line": {"width": 0},
-        "name": "95 %",
-        "hoverinfo": "skip",
-    }
-
-
 def _grey(begin: float, end: float) -> Layout:
     """Return the shape of an interval in which a coefficient was not identifiable."""
     place = {"type": "rect", "xref": "x", "yref": "paper", "x0": begin, "x1": end, "y0": 0.0, "y1": 1.0}
-    return place | {"fillcolor": "rgba(118, 118, 118, 0.18)", "line": {"width": 0}, "layer": "below"}
+    return place | {"fillcolor": shade(GREY, 0.18), "line": {"width": 0}, "layer": "below"}
 
 
 def _trend_note(reading: Reading, watched: MonitoringResult, *, grey: bool) -> str:

@@ -92,7 +92,7 @@ def test_the_table_has_a_row_for_each_reading(watched):
     for row in rows:
         assert bool(row["value"]) == bool(row["std"]) != bool(row["why_not"])
     assert (watched / "report.html").read_text().startswith("<!DOCTYPE html>")
-    assert not list(watched.glob(".monitor-*"))
+    assert not list(watched.glob(".*"))
 
 
 def test_settings_reach_the_monitor(again, well):

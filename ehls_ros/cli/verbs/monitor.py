@@ -3,19 +3,13 @@
 import csv
 import json
 import os
-import shutil
-import sys
-import tempfile
 import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from ehls_ros.cli.arguments import Configured
-from ehls_ros.cli.results import writable
+from ehls_ros.cli.arguments import add_columns, add_json, add_rig, columns_of
+from ehls_ros.cli.results import all_or_nothing, print_table, writable, write_json
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.json_document import json_document
@@ -28,7 +22,7 @@ from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.yaml_files import spec_text
 from ehls_ros.progress import progress_bar
-from ehls_ros.recording.columns import ColumnMap, read_columns
+from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.events import read_pauses
 from ehls_ros.recording.load import holds_tables, load, recordings
 from ehls_ros.recording.yaml_text import read_yaml
@@ -55,7 +49,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="DATA",
         help="recordings in the order of their making: bags, run folders or tables (text, Excel, MAT, TDMS, Parquet)",
     )
-    parser.add_argument("--rig", type=Path, action=Configured, required=True, help="rig file of the healthy rig")
+    add_rig(parser, "rig file of the healthy rig")
     parser.add_argument(
         "--baseline",
         type=Path,
@@ -64,7 +58,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="OLD",
         help="recordings of the healthy rig; without any, the monitor learns from the first samples",
     )
-    parser.add_argument("--columns", type=Path, help="YAML that maps the files' own column names and units")
+    add_columns(parser)
     for name, metavar in (("mean_time_between_false_alarms", "H"), ("learning_time", "S")):
         entry = declared[name]
         parser.add_argument(
@@ -89,13 +83,13 @@ def arguments(parser: ArgumentParser) -> None:
         help="limit of a coefficient, in its SI unit, such as leakage_coefficient=1.2e-11; or a YAML file of several",
     )
     parser.add_argument("--out", type=Path, help="folder of the results (default: none are written)")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON: monitor.json")
+    add_json(parser, RESULT)
 
 
 def run(options: Namespace) -> int:
     """Run it."""
     began = time.perf_counter()
-    columns = read_columns(options.columns) if options.columns else None
+    columns = columns_of(options)
     rig = load_rig(options.rig)
     limits = _limits(options.limit)
     check_limits(limits, rig, "--limit")
@@ -155,10 +149,9 @@ def _limits(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _write(folder: Path, watched: MonitoringResult, document: object, source: str, rig: Path) -> None:
-    """Write all results into a scratch folder, then move them into place, so that an interruption leaves no partial results."""
-    scratch = Path(tempfile.mkdtemp(prefix=".monitor-", dir=folder))
-    try:
-        (scratch / RESULT).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    """Write all results."""
+    with all_or_nothing(folder) as scratch:
+        write_json(scratch / RESULT, document)
         _write_table(scratch / TABLE, watched)
         write_monitor_report(watched, scratch / REPORT, source)
         if watched.offer is not None:
@@ -166,12 +159,6 @@ def _write(folder: Path, watched: MonitoringResult, document: object, source: st
             (scratch / OFFER).write_text(f"# Offered by `ehls monitor`: {watched.offer.purpose}.\n{spec_text(spec)}")
         else:
             (folder / OFFER).unlink(missing_ok=True)
-        for file in sorted(scratch.iterdir()):
-            file.replace(folder / file.name)
-    except OSError as error:
-        raise BadInput(f"the results cannot be written ({error.strerror})", str(folder), "a writable folder") from None
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _write_table(path: Path, watched: MonitoringResult) -> None:
@@ -193,13 +180,7 @@ def _print_event(event: Event) -> None:
 
 
 def _print_coefficients(watched: MonitoringResult) -> None:
-    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 140)
-    table = Table(title="Coefficients")
-    for place, name in enumerate(HEADER):
-        table.add_column(name, no_wrap=not place)
-    for reading in known(watched):
-        table.add_row(*table_row(reading, watched))
-    console.print(table)
+    print_table("Coefficients", HEADER, [table_row(reading, watched) for reading in known(watched)], unbroken=HEADER[:1])
     text = offered(watched)
     if text:
         print(text.replace("`", ""))
