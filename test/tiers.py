@@ -21,8 +21,4 @@ def tiered(cases: Iterable[Any], *quick: Any, unpack: bool = False) -> list[Any]
     unknown = [case for case in quick if case not in listed]
     if unknown:
         raise ValueError(f"{unknown} are none of the cases {listed}")
-    values = [case if unpack else (case,) for case in listed]
-    return [
-        pytest.param(*given, marks=[] if case in quick else [pytest.mark.long])
-        for case, given in zip(listed, values, strict=True)
-    ]
+    return [pytest.param(*(case if unpack else (case,)), marks=[] if case in quick else [pytest.mark.long]) for case in listed]
