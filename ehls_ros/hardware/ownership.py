@@ -79,8 +79,8 @@ class Ownership:
             self._last_message = now
             return True
         owner = self.owner
+        outdated = sent_ns is not None and self.has_left_since(sender, sent_ns)
         if owner is None or (node_of(owner) == node_of(sender) != "" and now - self._last_message > RESTART):
-            outdated = sent_ns is not None and self.has_left_since(sender, sent_ns)
             if owner is None and (self._is_remainder(sender, now) or (outdated and sender == self._left[0])):
                 return True
             if outdated:
@@ -88,7 +88,7 @@ class Ownership:
             self.owner, self._last_message = sender, now
             self.contenders.clear()
             return True
-        if not self._is_remainder(sender, now) and not (sent_ns is not None and self.has_left_since(sender, sent_ns)):
+        if not outdated and not self._is_remainder(sender, now):
             before = self.contenders.get(sender, MessageTimes(now, now))
             self.contenders[sender] = MessageTimes(now if now - before.last > SILENT else before.first, now)
             if len(self.contenders) > MOST_CONTENDERS:

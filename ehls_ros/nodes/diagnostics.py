@@ -92,6 +92,6 @@ class Diagnostics:
 
     def report_change(self) -> None:
         """Publish the present state if level or message have changed."""
-        level, message, _ = self.health()
+        level, message, figures = self.health()
         if (level, message) != self._reported:
-            self.report()
+            self.publish(level, message, figures)
