@@ -6,6 +6,7 @@ Every other input of the control cycle, such as a reference or a disturbance, fo
 * The first sender becomes the owner. Messages of others are refused.
 * The input becomes free when the owner announces its departure, or is gone from the graph. Earlier messages of a refused
   sender are then accepted, unless that sender has left since it sent them: they may be read long after its announcement.
+  That compares the sender's clock with the reader's: clocks of several hosts must be synchronised.
 * A sender of the owner's node name takes over once the owner has been silent for :data:`RESTART`: the node was restarted.
 """
 
