@@ -43,6 +43,9 @@ IN_REALTIME = "graphs in real time"
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# The workers share the cores: threads of the linear algebra library would only wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 _rotation = itertools.cycle(random.sample(DOMAINS, len(DOMAINS)))
 
 

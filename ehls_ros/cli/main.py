@@ -1,6 +1,7 @@
 """Entry point of the `ehls` command: runs a verb and turns errors into exit codes."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -60,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """Run the command line as a process, and exit with its code."""
+    # The library of linear algebra reads this when it is loaded. Its threads gain nothing here and slow down those of a diagnosis.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     code = main()
     if "rclpy" in sys.modules:
         end(code)

@@ -22,7 +22,7 @@ def recordings(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recordings")
     true = yaml.safe_load(RIG.read_text())
     for name, effects, seed in (("old", {}, 1), ("same", {}, 2), ("changed", {"coulomb_shift": {"offset": 250.0}}, 3)):
-        record(true, effects, "rich", seed=seed, duration=12.0, columns=COLUMNS).write_csv(folder / f"{name}.csv")
+        record(true, effects, "rich", seed=seed, duration=8.0, columns=COLUMNS).write_csv(folder / f"{name}.csv")
     true["plant"]["moving_mass"] *= 1.3
     (folder / "rig.yaml").write_text(yaml.safe_dump(true))
     return folder

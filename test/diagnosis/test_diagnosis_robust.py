@@ -69,7 +69,7 @@ LEFT_OUT = {
 }
 
 
-@pytest.mark.parametrize("how", tiered(LEFT_OUT, "no pressure", "no position"))
+@pytest.mark.parametrize("how", tiered(LEFT_OUT, "no pressure"))
 def test_a_missing_signal_narrows_what_is_judged(how, hidden, diagnosed):
     d = diagnosed(degrade.without(hidden, *LEFT_OUT[how]))
     assert_no_wrong_name(d, NAMES)

@@ -76,7 +76,7 @@ def assert_found(d, name, wanted):
             assert found == pytest.approx(value, abs=0.1 * abs(value - neutral)), (parameter, told(d))
 
 
-@pytest.mark.parametrize("name", tiered(SINGLES, "command_delay", "bulk_modulus_shift", "viscous_asymmetry"))
+@pytest.mark.parametrize("name", tiered(SINGLES, "command_delay", "bulk_modulus_shift"))
 def test_a_single_effect_is_named_and_measured(name, recorded, diagnosed):
     sizes, wanted, experiment = SINGLES[name]
     d = diagnosed(recorded({name: sizes}, experiment, seed=101, duration=DURATION))

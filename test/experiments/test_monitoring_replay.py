@@ -20,7 +20,7 @@ from ehls_ros.trajectory import Trajectory
 from truth_generator import record
 
 RIG = Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml"
-SECONDS, LEARNT, ONSET = 85.0, 30.0, 50.0
+SECONDS, LEARNT, ONSET = 60.0, 20.0, 35.0
 EFFECT, PARAMETER, SIZE = "valve_gain_shift", "gain", 0.75
 IN_TIME = LEARNT
 """Time after the onset within which a change must be named [s]: as long as the healthy rig took."""

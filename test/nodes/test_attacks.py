@@ -20,6 +20,7 @@ from patience import PATIENCE
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_srvs.srv import SetBool, Trigger
+from tiers import tiered
 
 from ehls_msgs.msg import LoaderState
 from ehls_msgs.srv import AcknowledgeStop
@@ -200,10 +201,14 @@ def test_outside_active_the_valve_is_at_null_and_returning_takes_reset_and_enabl
         judge(labels, truth, since, "outside_active", until)
 
 
-def test_the_end_of_the_process_closes_the_valve(rig, graph):
+ENDS = [(signal.SIGTERM, signal.SIGKILL), (signal.SIGINT,)]
+
+
+@pytest.mark.parametrize("numbers", tiered(ENDS, ENDS[0]))
+def test_the_end_of_the_process_closes_the_valve(rig, graph, numbers):
     running = rig()
     moments = []
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL):
+    for number in numbers:
         graph.stop(BRIDGE, number)
         gone = time.monotonic()
         running.live(3 * SLOW.watchdog)

@@ -42,6 +42,7 @@ def with_servo(spec: Path) -> Path:
     return spec
 
 
+@pytest.mark.long
 def test_composed_apart_and_without_ros_are_the_same_to_the_digit(spec_file, tmp_path):
     spec = with_servo(spec_file())
     composed = trajectory_of(ehls("experiment", spec, "--out", tmp_path / "composed", "--json", "--compose"))

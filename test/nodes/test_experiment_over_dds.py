@@ -74,6 +74,7 @@ def over_dds(write_spec, tmp_path_factory):
     return run
 
 
+@pytest.mark.long
 def test_lockstep_is_deterministic(over_dds, tmp_path):
     spec, first = over_dds("fasmc")
     second = ehls("experiment", spec, "--out", tmp_path / "second", "--json", "--storage", "sqlite3")
@@ -81,7 +82,7 @@ def test_lockstep_is_deterministic(over_dds, tmp_path):
 
 
 # test_two_rigs.py shows the same for SIC.
-@pytest.mark.parametrize("controller", tiered(["fasmc", "fasmc_output_feedback", "fasmc_predictive", "pid"], "fasmc", "pid"))
+@pytest.mark.parametrize("controller", tiered(["fasmc", "fasmc_output_feedback", "fasmc_predictive", "pid"], "fasmc"))
 def test_lockstep_is_the_same_in_one_process(over_dds, tmp_path, controller):
     spec, done = over_dds(controller)
     recorded = trajectory_of(done)
@@ -111,6 +112,7 @@ def test_the_friction_model_of_the_rig_is_compensated(spec_file, tmp_path):
     assert_same(recorded, alone(spec, tmp_path / "alone"), relative=1e-9)
 
 
+@pytest.mark.long
 def test_a_position_is_followed_over_dds(over_dds):
     _, done = over_dds("pid")
     recorded = trajectory_of(done)
