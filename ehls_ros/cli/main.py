@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def entry() -> NoReturn:
     """Run the command line as a process, and exit with its code."""
-    # The library of linear algebra reads this when it is loaded. Its threads gain nothing here and slow down those of a diagnosis.
+    # Read when the library of linear algebra is loaded: its threads gain nothing here and slow down those of a diagnosis.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     code = main()
     if "rclpy" in sys.modules:

@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import select
 import sys
 from contextlib import suppress
 
@@ -11,6 +12,9 @@ import yaml
 
 from ehls_ros.cli.main import main
 from ehls_ros.experiments.spec import load_rig
+
+INTERRUPT, REPEATED_AFTER = "\x03", 1.0
+"""Ctrl-C, and the time without an output after which it is sent again [s]."""
 
 ANSWERS = "bore: 63\nrod: 36 mm\nrods: two\nstroke: 200\nsupply_pressure: 210 bar\nrated_flow: 38\nrated_drop: 70\n"
 
@@ -64,12 +68,20 @@ def dialogue(rig, answers):
     process, terminal = pty.fork()
     if process == 0:
         os.execv(command[0], command)
-    shown, left = "", list(answers)
+    shown, left, sent = "", list(answers), ""
     with suppress(OSError):  # Linux: the terminal's last user is gone
-        while more := os.read(terminal, 4096):
+        while True:
+            if not select.select([terminal], [], [], REPEATED_AFTER)[0]:
+                # Python loses an interrupt between its prompt and its wait for the answer; a user presses again.
+                if sent == INTERRUPT:
+                    os.write(terminal, sent.encode())
+                continue
+            if not (more := os.read(terminal, 4096)):
+                break
             shown += more.decode()
             if left and shown.endswith("> "):
-                os.write(terminal, left.pop(0).encode())
+                sent = left.pop(0)
+                os.write(terminal, sent.encode())
     os.close(terminal)
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), shown
 
@@ -85,7 +97,7 @@ def test_questions_on_a_terminal(tmp_path):
     assert rig.limits.position == (-0.1, 0.1)
 
 
-@pytest.mark.parametrize(("key", "code"), [("\x03", 130), ("\x04", 2)], ids=["Ctrl-C", "Ctrl-D"])
+@pytest.mark.parametrize(("key", "code"), [(INTERRUPT, 130), ("\x04", 2)], ids=["Ctrl-C", "Ctrl-D"])
 def test_who_gives_up_leaves_nothing(key, code, tmp_path):
     found, shown = dialogue(tmp_path / "rig.yaml", ["63\n", "36\n", key])
     assert found == code, shown
