@@ -20,7 +20,7 @@ from ehls_ros.nodes.ahead import LEAD
 from ehls_ros.nodes.programme_node import ProgrammeNode
 from ehls_ros.recording.topics import DEPTH
 
-CYCLES = 200
+CYCLES = 500
 
 GONE = DEPTH + LEAD + 100
 """Control cycles after which the rig has neither reference nor the snapshots from before the node ended."""
