@@ -6,35 +6,25 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
-from std_msgs.msg import Bool, Header, String
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ehls_msgs.msg import (
-    ControllerStatus,
-    Disturbance,
-    Driver,
-    LoaderState,
     ModelChange,
     ModelHealth,
     TrackedCoefficient,
-    ValveCommand,
 )
-from ehls_ros.control.controllers.base import FORCE_ERROR
 from ehls_ros.diagnosis.monitoring.tracking import Reading
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.accepted_rig import accepted_model, write_accepted
-from ehls_ros.experiments.monitoring.benefit import Benefit
-from ehls_ros.experiments.monitoring.cycle_assembly import LOCKSTEP_MAX_WAIT, MAX_WAIT, CycleAssembler, LoaderSnapshot
+from ehls_ros.experiments.monitoring.cycle_assembly import LOCKSTEP_MAX_WAIT, MAX_WAIT, CycleAssembler
 from ehls_ros.experiments.monitoring.examination import ProcessExaminer
 from ehls_ros.experiments.monitoring.flight_recorder import Flight, FlightRecorder
 from ehls_ros.experiments.monitoring.health import DebouncedSummary, Event, FoundChange, Health, State, Summary, today
@@ -47,41 +37,24 @@ from ehls_ros.experiments.state_files.kinds import LEARNS_ANEW
 from ehls_ros.experiments.state_files.state_file import Origin
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.hardware.realtime import release_freed_memory, trim_memory
-from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import NAMESPACE, ControlNode
 from ehls_ros.nodes.diagnostics import OK, WARN
 from ehls_ros.nodes.frames import loader_frame
+from ehls_ros.nodes.monitored_topics import BENEFIT_TIME, InformedControllers, MonitoredTopics
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.telemetry import time_of
-from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
+from ehls_ros.nodes.transport import control_qos
 from ehls_ros.physics.rig import rig_to_mapping
 from ehls_ros.process import give_way
 from ehls_ros.recording.topics import (
-    ACCEPTED_RIG,
-    CONTROLLER_STATUS,
-    DIAGNOSTICS,
-    DISTURBANCE,
-    DRIVER,
-    DRIVING,
-    LOADER_STATE,
     MODEL_HEALTH,
-    OF_GATE,
-    TRIPPED_BY,
-    VALVE_COMMAND,
-    Topic,
 )
 from ehls_ros.schema import quantity, text
 from ehls_ros.trajectory import Trajectory
 
 READ_INTERVAL = 0.1
 """Interval between bulk reads of the messages [s]; the middleware stores them meanwhile."""
-
-MAX_READ_DELAY = 20.0
-"""Longest interval between bulk reads while the monitor computes something else [s]."""
-
-MAX_GATHERED = 100_000
-"""Maximum number of messages of a topic between two reads: 20 s at 5 kHz."""
 
 PUBLISH_INTERVAL = 2.5
 """Shortest time between two messages if no event occurs [s]."""
@@ -95,17 +68,8 @@ MAX_SILENCE = 2.0
 TRIP_DELAY = 0.5
 """Time after the report of a trip by which the samples before it have arrived [s]."""
 
-GATE = f"{OF_GATE}\0".encode()
-"""Key of the safety gate's diagnostics as encoded in a message."""
-
 ACCEPTED = "rig_accepted.yaml"
 """File of the rig with the changes that an operator has accepted, in the monitor's folder."""
-
-BENEFIT_TIME = 30.0
-"""Time over which the force error is measured before and after controllers receive an accepted rig [s]."""
-
-SETTLING = 2.0
-"""Time between the two measurements [s]."""
 
 MAX_PENDING_FLIGHTS = 2
 """Maximum number of trips waiting to be written; repeated trips add no information."""
@@ -146,7 +110,6 @@ class MonitorNode(ControlNode):
         declare(self, Parameters, live=False)
         self.monitoring_parameters = values_of(self, MonitoringParameters, self.get_name())
         self.settings = values_of(self, Parameters, self.get_name())
-        self.frame = loader_frame(self.get_namespace())
         self.requests = deque[str]()
         self.published_health: Health | None = None
         self.create_service(Trigger, "monitor_acknowledge", self._on_acknowledge)
@@ -175,49 +138,20 @@ class MonitorNode(ControlNode):
         self.summary = Summary(0, "no samples yet")
         self.failure = ""
         self.last_saved = -math.inf
-        self.trip = ""
         self.tripped = deque[tuple[float, str]]()
         self.flights = deque[Flight]()
         self._begin_monitor()
-        self.state_inbox = self._cycle_inbox(LoaderState, LOADER_STATE)
-        self.command_inbox = self._cycle_inbox(ValveCommand, VALVE_COMMAND)
-        self.disturbance_inbox = self._cycle_inbox(Disturbance, DISTURBANCE)
-        self.driver_inbox = Inbox(self, Driver, DRIVER.name, control_qos(DRIVER.depth), owned=LOADER_STATE.name)
-        self.driving_inbox = Inbox(self, Bool, DRIVING.name, control_qos(DRIVING.depth))
-        self.diagnostics_inbox = Inbox(self, DiagnosticArray, DIAGNOSTICS.name, QoSProfile(depth=200))
-        self.state, self.command, self.disturbance, self.status = (
-            Decoder(LoaderState),
-            Decoder(ValveCommand),
-            Decoder(Disturbance),
-            Decoder(ControllerStatus),
-        )
+        self.topics, self.informed = MonitoredTopics(self), InformedControllers(self)
         self.health_publisher = self.create_publisher(ModelHealth, MODEL_HEALTH.name, control_qos(MODEL_HEALTH.depth))
-        self.accepted_publisher = self.create_publisher(String, ACCEPTED_RIG.name, control_qos(ACCEPTED_RIG.depth))
-        self.benefit: Benefit | None = None
-        self.accepted_rig = ""
-        self.status_inbox: Inbox | None = None
-
-    def _cycle_inbox(self, message: Any, topic: Topic) -> Inbox:
-        """Return an inbox that blocks no sender: in realtime no sender waits for acknowledgement, and lost messages are gaps.
-
-        In lockstep it loses only messages that a publisher no longer keeps by the time a busy machine lets it read.
-        """
-        if self.lockstep:
-            return Inbox(self, message, topic.name, control_qos(RECORDER_DEPTH))
-        depth = min(round(MAX_READ_DELAY / self.spec.settings.control_period), MAX_GATHERED)
-        return Inbox(self, message, topic.name, QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT))
 
     def release(self) -> None:
         """Close memory and topics, and end a diagnosis under way."""
         # The folder first: if `prepare` failed, some topics do not exist.
         self.memory.close()
         self.lock.release()
-        cycle = (self.state_inbox, self.command_inbox, self.disturbance_inbox)
-        for inbox in (*cycle, self.driver_inbox, self.driving_inbox, self.diagnostics_inbox):
-            inbox.destroy()
-        self._end_benefit()
+        self.topics.destroy()
+        self.informed.destroy()
         self.destroy_publisher(self.health_publisher)
-        self.destroy_publisher(self.accepted_publisher)
         self.monitor.close()
 
     def _begin_monitor(self) -> None:
@@ -273,7 +207,7 @@ class MonitorNode(ControlNode):
         events = self._carry_out_requests()
         try:
             events += self._read_messages()
-            events += self._measure_benefit()
+            events += [Event(self.assembler.end, *event) for event in self.informed.measure()]
         except RuntimeError as error:
             # The diagnosis process died; the memory dates from before it began.
             self.failure = str(error)
@@ -293,30 +227,10 @@ class MonitorNode(ControlNode):
 
     def _read_messages(self) -> list[Event]:
         """Read all messages, and return the events."""
-        assembler, plant = self.assembler, self.owners.of(LOADER_STATE.name)
-        while (driver := self.driver_inbox.take()) is not None:
-            assembler.add_controller(driver[1], driver[3])
-        snapshots = [
-            LoaderSnapshot(message[0], message[1], message[2:-1], info["source_timestamp"])
-            for raw, info in _messages(self.state_inbox)
-            if (message := self.state(raw)) is not None and plant.admits(message[-1])
-        ]
-        # After the snapshots: messages older than the newest snapshot have arrived by now.
-        for raw, info in _messages(self.driving_inbox):
-            assembler.add_driving(deserialize_message(raw, Bool).data, info["source_timestamp"])
-        assembler.add_commands(
-            (message[1], message[2], message[3], info["source_timestamp"])
-            for raw, info in _messages(self.command_inbox)
-            if (message := self.command(raw)) is not None
-        )
-        assembler.add_disturbances(
-            (message[1], message[2:-1])
-            for raw, _ in _messages(self.disturbance_inbox)
-            if (message := self.disturbance(raw)) is not None
-        )
-        self._register_trips()
+        stretches, snapshots = self.topics.read(self.assembler)
+        self.tripped.extend((time.monotonic() + TRIP_DELAY, cause) for cause in self.topics.trips())
         events = self.monitor.add(np.zeros(0), {})
-        for stretch in assembler.add_snapshots(snapshots):
+        for stretch in stretches:
             if stretch.interrupted:
                 self.monitor.interrupt()
             events += self.monitor.add(stretch.time_s, stretch.signals)
@@ -324,20 +238,6 @@ class MonitorNode(ControlNode):
             # After the work on the snapshots, which may take long: messages that arrive meanwhile wait.
             self.last_snapshots = time.monotonic()
         return events
-
-    def _register_trips(self) -> None:
-        """Register each trip of the gate once."""
-        for raw, _ in _messages(self.diagnostics_inbox):
-            if GATE not in raw:
-                continue
-            for status in deserialize_message(raw, DiagnosticArray).status:
-                figures = {value.key: value.value for value in status.values}
-                if status.hardware_id != self.get_namespace().strip("/") or OF_GATE not in figures:
-                    continue
-                cause = figures.get(TRIPPED_BY, "")
-                if cause and cause != self.trip:
-                    self.tripped.append((time.monotonic() + TRIP_DELAY, cause))
-                self.trip = cause
 
     def _carry_out_requests(self) -> list[Event]:
         """Carry out the service requests."""
@@ -359,44 +259,21 @@ class MonitorNode(ControlNode):
         rig = self.monitor.accept()
         if rig is None:
             return "there is no change with a cause to accept"
-        self.accepted_rig = rig_text(rig_to_mapping(rig))
+        accepted = rig_text(rig_to_mapping(rig))
         path = self.folder / ACCEPTED
         result = f"the rig with its changes is in {path}"
         try:
-            write_accepted(path, self.accepted_rig)
+            write_accepted(path, accepted)
         except NotWritten as error:
             result = f"the rig with its changes cannot be written: {error}"
             self._report_failure(result)
-        self._end_benefit()
-        period = self.spec.settings.control_period
+        self.informed.end()
         try:
-            accepted_model(self.accepted_rig, self.spec.controller_rig, period, "accepted rig")
+            accepted_model(accepted, self.spec.controller_rig, self.spec.settings.control_period, "accepted rig")
         except BadInput as error:
             return f"{result}; no controller is informed: {error}"
-        self.benefit = Benefit(round(BENEFIT_TIME / period))
-        self.status_inbox = self._cycle_inbox(ControllerStatus, CONTROLLER_STATUS)
+        self.informed.begin(accepted)
         return f"{result}; controllers with accept_rig are informed in {BENEFIT_TIME:g} s"
-
-    def _measure_benefit(self) -> list[Event]:
-        """Measure the force error before and after controllers receive an accepted rig."""
-        if self.benefit is None or self.status_inbox is None:
-            return []
-        decoded = (self.status(raw) for raw, _ in _messages(self.status_inbox))
-        self.benefit.add(np.array([message[2 + FORCE_ERROR] for message in decoded if message is not None]))
-        if self.benefit.ready:
-            self.accepted_publisher.publish(String(data=self.accepted_rig))
-            self.benefit.inform(round(SETTLING / self.spec.settings.control_period))
-            return [Event(self.assembler.end, "told", "the controllers are informed of the accepted rig")]
-        if not self.benefit.complete:
-            return []
-        text = self.benefit.sentence()
-        self._end_benefit()
-        return [Event(self.assembler.end, "benefit", text)]
-
-    def _end_benefit(self) -> None:
-        if self.status_inbox is not None:
-            self.status_inbox.destroy()
-        self.benefit, self.status_inbox = None, None
 
     def _record_flights(self) -> None:
         """Start writing and diagnosing the record before a trip, one flight at a time, and only while no diagnosis runs."""
@@ -471,7 +348,7 @@ class MonitorNode(ControlNode):
         stamp_ns = self.assembler.stamp_ns
         now_ns = stamp_ns(self.assembler.end)
         return ModelHealth(
-            header=Header(stamp=time_of(now_ns), frame_id=self.frame),
+            header=Header(stamp=time_of(now_ns), frame_id=loader_frame(self.get_namespace())),
             state=int(health.state),
             reason=health.reason,
             summary=self.summary.sentence,
@@ -543,12 +420,6 @@ class MonitorNode(ControlNode):
         self.requests.append("reset")
         response.success, response.message = True, "the healthy rig is learnt again"
         return response
-
-
-def _messages(inbox: Inbox) -> Iterator[tuple[bytes, Mapping[str, int]]]:
-    """Yield the waiting messages of an inbox."""
-    while (taken := inbox.take_raw()) is not None:
-        yield taken
 
 
 def _coefficient(reading: Reading, rate: Estimate) -> TrackedCoefficient:
