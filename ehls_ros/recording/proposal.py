@@ -18,6 +18,7 @@ from ehls_ros.recording.conversion import given_by
 from ehls_ros.recording.headers import Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
+from ehls_ros.recording.time_axis import RowName, time_axis
 from ehls_ros.units import UNITS
 
 UNITS_OF_FIELDS: Mapping[str, str] = {
@@ -65,8 +66,8 @@ class Table(NamedTuple):
         columns: its columns, in order.
         rows: number of rows examined.
         rate: samples per second; NaN if no time column is certain.
-        unevenness: largest relative deviation of a time step from the usual one.
-        remarks: layout of the file, and times that do not increase; one sentence each.
+        unevenness: largest relative deviation of a time step from the usual one, gaps left out.
+        remarks: layout of the file, and repairs, gaps or errors of the time axis; one sentence each.
     """
 
     name: str
@@ -158,13 +159,7 @@ def look(path: Path) -> list[Table]:
     if times is not None and time_headers[0].unit:
         times = times * UNITS[time_headers[0].unit].scale
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
-    backwards = np.flatnonzero(np.diff(times) <= 0.0) if times is not None else np.empty(0)
-    remarks = (
-        [f"times that do not increase: {len(backwards)}, the first in {table.place(int(backwards[0]) + 1)}"]
-        if len(backwards)
-        else []
-    )
-    return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *remarks))]
+    return [Table(path.name, seen, rows, *_axis(times, str(path), table.place, table.remarks))]
 
 
 def _topic(name: str, found: Found) -> Table:
@@ -178,7 +173,7 @@ def _topic(name: str, found: Found) -> Table:
     headers = recognised([f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)])
     named = [header._replace(column=field) for header, field in zip(headers, found.fields, strict=True)]
     seen = tuple(_seen(header, values) for header, values in zip(named, found.fields.values(), strict=True))
-    return Table(name, seen, len(found.time), *_rate(found.time))
+    return Table(name, seen, len(found.time), *_axis(found.time, name, lambda row: f"message {row + 1}"))
 
 
 def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
@@ -187,10 +182,20 @@ def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
     return Seen(header, smallest, largest, 1.0 - finite.size / max(1, values.size) if values is not None else 1.0)
 
 
-def _rate(times: NDArray[np.float64] | None) -> tuple[float, float]:
-    steps = np.diff(times) if times is not None else np.empty(0)
-    usual = float(np.median(steps)) if steps.size else 0.0
-    return (1.0 / usual, float(np.nanmax(np.abs(steps - usual))) / usual) if usual > 0.0 else (np.nan, np.nan)
+def _axis(
+    times: NDArray[np.float64] | None, where: str, row_name: RowName, remarks: tuple[str, ...] = ()
+) -> tuple[float, float, tuple[str, ...]]:
+    """Return rate, unevenness and remarks of a time axis; a wrong axis has its error as a remark."""
+    if times is None:
+        return np.nan, np.nan, remarks
+    try:
+        axis = time_axis(times, where, row_name)
+    except BadInput as error:
+        place = error.where.removeprefix(where).removeprefix(", ")
+        steps = np.diff(times)
+        usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.nan
+        return 1.0 / usual, 0.0, (*remarks, f"{place}: {error.what}; expected {error.expected}")
+    return axis.rate, axis.unevenness, (*remarks, *axis.remarks)
 
 
 class Proposal(NamedTuple):

@@ -14,7 +14,8 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
 from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name
 from ehls_ros.recording.expression import expression
-from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Trajectory
+from ehls_ros.recording.time_axis import time_axis
+from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Preparation, Trajectory
 
 Pick = Callable[[Sequence[str]], Sequence[str]]
 """Function that returns the names of the columns to read from those available."""
@@ -132,13 +133,13 @@ def trajectory_of(table: RawTable, columns: Columns, where: str) -> Trajectory:
         The trajectory, without metadata.
 
     Raises:
-        BadInput: a column is not numeric or has another length, or time is not strictly increasing.
+        BadInput: a column is not numeric or has another length, or the time axis is wrong.
     """
     chosen = choose(table.names, columns, where)
     lengths = [len(values) for values in table.values.values() if values is not None]
     values = {name: _unscaled(table, column, name, max(lengths, default=0), where) for name, column in chosen.items()}
     trajectory = assemble(values, chosen, where, table.place)
-    return replace(trajectory, preparation=trajectory.preparation.adding(*table.remarks))
+    return replace(trajectory, preparation=Preparation((*table.remarks, *trajectory.preparation.remarks)))
 
 
 def _unscaled(table: RawTable, column: Column, name: str, rows: int, where: str) -> NDArray[Any]:
@@ -168,21 +169,22 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
         row_name: returns the designation in messages of the row at an index, such as ``line 12``.
 
     Returns:
-        The trajectory, without metadata.
+        The trajectory, without metadata, with remarks on repairs of its time axis and on gaps.
 
     Raises:
-        BadInput: a column is not numeric or has another length, or time is not strictly increasing.
+        BadInput: a column is not numeric or has another length, or the time axis is wrong.
     """
     check_length(max(map(len, values.values())), len(chosen), where)
     scaled = {name: _scaled(values[name], column, name, where) for name, column in chosen.items()}
     time_s = scaled.pop(TIME)
-    _check_time(time_s, where, row_name)
+    axis = time_axis(time_s, where, row_name, values[TIME].astype(np.float64))
     for name, signal in scaled.items():
         if name in MEASURED or name in AS_RIGS_GIVE:
             _check_finite(signal, name, where, row_name)
         if len(signal) != len(time_s):
             raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)}, as {TIME} has")
-    return Trajectory(time_s, _with_elements_joined(scaled, where))
+    kept = scaled if axis.rows is None else {name: signal[axis.rows] for name, signal in scaled.items()}
+    return Trajectory(axis.time, _with_elements_joined(kept, where), preparation=Preparation(axis.remarks))
 
 
 def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDArray[np.float64]:
@@ -204,24 +206,6 @@ def _check_finite(signal: NDArray[np.float64], name: str, where: str, row_name: 
     if len(infinite):
         place = f"{where}, {row_name(int(infinite[0]))}"
         raise BadInput(f"{name} is {signal[infinite[0]]}", place, "a finite number, or an empty cell")
-
-
-def _check_time(time_s: NDArray[np.float64], where: str, row_name: Callable[[int], str]) -> None:
-    if not len(time_s):
-        raise BadInput("there is no sample", where, "at least one sample")
-    unknown = np.flatnonzero(~np.isfinite(time_s))
-    if len(unknown):
-        raise BadInput(f"{TIME} is {time_s[unknown[0]]}", f"{where}, {row_name(int(unknown[0]))}", "a finite time")
-    steps = np.diff(time_s)
-    backwards = np.flatnonzero(steps <= 0)
-    if len(backwards):
-        row = int(backwards[0]) + 1
-        what = f"{TIME} is {time_s[row]} after {time_s[row - 1]}"
-        if len(backwards) > 1:
-            repeated = int(np.count_nonzero(steps == 0))
-            what += f"; {repeated} rows repeat the time before, {len(backwards) - repeated} go back"
-        expected = f"a time that increases with every row; if rows are even, {TIME}: {{rate: ...}} in the map, in Hz"
-        raise BadInput(what, f"{where}, {row_name(row)}", expected)
 
 
 def _with_elements_joined(signals: Mapping[str, NDArray[np.float64]], where: str) -> dict[str, NDArray[np.float64]]:

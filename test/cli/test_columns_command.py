@@ -37,7 +37,7 @@ def test_the_map_is_written_with_the_valves_data_and_what_is_missing_is_said(
     assert [column.scale * current + column.offset for current in (4, 12, 20)] == pytest.approx([-1e-3, 0.0, 1e-3])
     for said in (
         "decimal comma, names in line 1, units in line 2",
-        "times that do not increase: 1, the first in line 4",
+        "line 4: time_s is 0.0 after 0.0; expected a time that increases with every row",
         "columns that are certain: 3; to be checked: 1",
         "a diagnosis can judge: nothing yet",
         "not force_balance: it needs position_m",
