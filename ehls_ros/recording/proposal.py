@@ -28,6 +28,9 @@ UNITS_OF_FIELDS: Mapping[str, str] = {
 }
 """Units that standard ROS messages have by definition, by the end of type and field."""
 
+MIN_UNEVENNESS = 0.01
+"""Relative deviation of a time step from the usual one above which it is reported."""
+
 PLAIN = ("data", "fluid_pressure", "temperature")
 """Fields whose names add no information to that of their topic."""
 
@@ -67,6 +70,7 @@ class Table(NamedTuple):
         rate: samples per second; NaN if no time column is certain.
         unevenness: largest relative deviation of a time step from the usual one.
         remarks: layout of the file, and times that do not increase; one sentence each.
+        axes: description of each time axis, if the file states the times of its columns.
     """
 
     name: str
@@ -75,6 +79,7 @@ class Table(NamedTuple):
     rate: float
     unevenness: float
     remarks: tuple[str, ...] = ()
+    axes: tuple[str, ...] = ()
 
 
 class Valve(NamedTuple):
@@ -145,7 +150,13 @@ def look(path: Path) -> list[Table]:
     table = raw(path)
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
-    headers = recognised(table.names, table.units)
+    axes = tuple(dict.fromkeys(table.time_of.values()))
+    headers = recognised([name for name in table.names if name not in axes], table.units)
+    if axes:
+        # The file's times are used unless the map replaces them.
+        headers = [
+            h._replace(certainty="unsure", open="instead of the times of the file?") if _is_time(h) else h for h in headers
+        ]
     seen = tuple(
         _seen(header, values)._replace(wrong=table.wrong.get(header.column, "") if values is None else "no cell has a value")
         for header in headers
@@ -153,18 +164,42 @@ def look(path: Path) -> list[Table]:
     )
     if not any(column.numeric for column in seen):
         raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
-    time_headers = [h for h in headers if h.signal == TIME and h.certainty in ("contract", "stated")]
-    times = table.values[time_headers[0].column] if time_headers else None
-    if times is not None and time_headers[0].unit:
-        times = times * UNITS[time_headers[0].unit].scale
+    if axes:
+        units = {axis: unit_of(table.units.get(axis, "s")) or "s" for axis in axes}
+        stated = [_Axis(axis, units[axis], table.values[axis]) for axis in axes]
+    else:
+        stated = [_Axis(h.column, h.unit or "s", table.values[h.column]) for h in headers if _is_time(h)][:1]
+    times = {axis.name: axis.values * UNITS[axis.unit].scale for axis in stated if axis.values is not None}
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
-    backwards = np.flatnonzero(np.diff(times) <= 0.0) if times is not None else np.empty(0)
-    remarks = (
-        [f"times that do not increase: {len(backwards)}, the first in {table.place(int(backwards[0]) + 1)}"]
-        if len(backwards)
-        else []
-    )
-    return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *remarks))]
+    remarks = list(table.remarks)
+    for name, values in times.items():
+        backwards = np.flatnonzero(np.diff(values) <= 0.0)
+        if len(backwards):
+            of = f" of {name}" if len(times) > 1 else ""
+            first = table.place(int(backwards[0]) + 1)
+            remarks.append(f"times{of} that do not increase: {len(backwards)}, the first in {first}")
+    shown = tuple(_axis_sentence(axis, times[axis], table.time_of) for axis in axes if axis in times)
+    common = next(iter(times.values())) if len(times) == 1 else None
+    return [Table(path.name, seen, rows, *_rate(common), tuple(remarks), shown)]
+
+
+class _Axis(NamedTuple):
+    name: str
+    unit: str
+    values: NDArray[np.float64] | None
+
+
+def _is_time(header: Recognised) -> bool:
+    return header.signal == TIME and header.certainty in ("contract", "stated")
+
+
+def _axis_sentence(axis: str, times: NDArray[np.float64], time_of: Mapping[str, str]) -> str:
+    """Describe a time axis: rate, range and columns."""
+    rate, unevenness = _rate(times)
+    uneven = f", time steps differ by up to {100 * unevenness:.2g} %" if unevenness > MIN_UNEVENNESS else ""
+    span = f", {times[0]:.6g} to {times[-1]:.6g} s" if len(times) else ""
+    columns = ", ".join(column for column, own in time_of.items() if own == axis)
+    return f"{axis}: {len(times)} rows, {rate:.4g} Hz{uneven}{span} ({columns})"
 
 
 def _topic(name: str, found: Found) -> Table:
@@ -228,7 +263,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
             time = next(
                 (_entry(c.header) for c in table.columns if c.header.signal == TIME and c.header.certainty == "stated"), ""
             )
-            lines.append(f"  {json.dumps(table.name, ensure_ascii=False)}: {time or '{name: time_s}'}")
+            own = "null  # its columns have times" if table.axes else "{name: time_s}"
+            lines.append(f"  {json.dumps(table.name, ensure_ascii=False)}: {time or own}")
     taken: dict[str, str] = {}
     for table in tables:
         if several:
@@ -238,8 +274,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
     damaged = [c for table in tables for c in table.columns if not c.numeric and c.header.certainty in ("contract", "stated")]
     ready = [header for header in headers if header.certainty == "contract"]
     times = [header for header in headers if header.certainty == "stated" and header.signal == TIME]
-    timed = [TIME] if several and (times or any(is_topic(table.name) for table in tables)) else []
-    signals = frozenset({*taken, *timed, *(header.signal for header in ready)})
+    timed = (several and bool(times)) or any(table.axes or is_topic(table.name) for table in tables)
+    signals = frozenset({*taken, *([TIME] if timed else []), *(header.signal for header in ready)})
     certain = len(ready) + len(taken) + (len(times) if several else 0)
     return Proposal("\n".join(lines) + "\n", signals, certain, len(headers) - certain + len(damaged))
 
