@@ -16,7 +16,7 @@ from ehls_ros.recording.mat_file import read_mat
 from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import read_parquet
 from ehls_ros.recording.storage_file import METADATA_FILE
-from ehls_ros.recording.table import Pick, RawTable, no_names, sources, trajectory_of
+from ehls_ros.recording.table import Pick, RawTable, no_names, sources, trajectories_of
 from ehls_ros.recording.tdms_file import read_tdms
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
@@ -55,10 +55,12 @@ def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] =
     if tables:
         return converted(_joined(tables, given, str(path)), given, str(path))
     if is_table(path):
-        return converted(_read(path, given.plain()), given, str(path))
+        axes = _read(path, given.plain())
+        named = given.columns[TIME].name if TIME in given.columns else ""
+        return converted(_on_one_clock(axes, named if named in axes else "", str(path)), given, str(path))
     if columns is None:
         return read_bag(path, wanted)
-    return converted(_on_one_clock(read_named_topics(path, given), given, str(path)), given, str(path))
+    return converted(_on_one_clock(read_named_topics(path, given), given.base, str(path)), given, str(path))
 
 
 def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
@@ -110,9 +112,10 @@ def raw(path: Path, pick: Pick | None = None) -> RawTable:
     return READERS[path.suffix.lower()](path, pick)
 
 
-def _read(path: Path, columns: Columns) -> Trajectory:
+def _read(path: Path, columns: Columns) -> dict[str, Trajectory]:
+    """Read one table; return its trajectories by time axis."""
     where = str(path)
-    return trajectory_of(raw(path, partial(sources, columns=columns, where=where)), columns, where)
+    return trajectories_of(raw(path, partial(sources, columns=columns, where=where)), columns, where)
 
 
 def _tables(path: Path, given: ColumnMap) -> list[Path]:
@@ -142,12 +145,18 @@ def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
             shown = "; ".join(f"{table}: {', '.join(header)}" for table, header in names.items())
             raise BadInput(f"column '{column.shown}' for {name} is in no table ({shown})", where, "a column of that name")
     chosen = {path.name: _columns_of(path.name, names, given, where) for path in paths}
-    read = {path.name: _read(path, chosen[path.name]) for path in paths}
-    return _on_one_clock(read, given, where)
+    read, base = dict[str, Trajectory](), given.base
+    for path in paths:
+        axes = _read(path, chosen[path.name])
+        named = {f"{path.name}, {axis}" if len(axes) > 1 else path.name: trajectory for axis, trajectory in axes.items()}
+        if path.name == given.base:
+            base = max(named, key=lambda name: len(named[name]))
+        read |= named
+    return _on_one_clock(read, base, where)
 
 
-def _on_one_clock(tables: Mapping[str, Trajectory], given: ColumnMap, where: str) -> Trajectory:
-    return next(iter(tables.values())) if len(tables) == 1 else join(tables, given.base, where)
+def _on_one_clock(tables: Mapping[str, Trajectory], base: str, where: str) -> Trajectory:
+    return next(iter(tables.values())) if len(tables) == 1 else join(tables, base, where)
 
 
 def _columns_of(table: str, names: Mapping[str, Sequence[str]], given: ColumnMap, where: str) -> dict[str, Column]:

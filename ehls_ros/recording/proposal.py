@@ -29,6 +29,9 @@ UNITS_OF_FIELDS: Mapping[str, str] = {
 }
 """Units that standard ROS messages have by definition, by the end of type and field."""
 
+MIN_UNEVENNESS = 0.01
+"""Relative deviation of a time step from the usual one above which it is reported."""
+
 PLAIN = ("data", "fluid_pressure", "temperature")
 """Fields whose names add no information to that of their topic."""
 
@@ -68,6 +71,7 @@ class Table(NamedTuple):
         rate: samples per second; NaN if no time column is certain.
         unevenness: largest relative deviation of a time step from the usual one, gaps left out.
         remarks: layout of the file, and repairs, gaps or errors of the time axis; one sentence each.
+        axes: description of each time axis, if the file states the times of its columns.
     """
 
     name: str
@@ -76,6 +80,7 @@ class Table(NamedTuple):
     rate: float
     unevenness: float
     remarks: tuple[str, ...] = ()
+    axes: tuple[str, ...] = ()
 
 
 class Valve(NamedTuple):
@@ -146,7 +151,13 @@ def look(path: Path) -> list[Table]:
     table = raw(path)
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
-    headers = recognised(table.names, table.units)
+    axes = tuple(dict.fromkeys(table.time_of.values()))
+    headers = recognised([name for name in table.names if name not in axes], table.units)
+    if axes:
+        # The file's times are used unless the map replaces them.
+        headers = [
+            h._replace(certainty="unsure", open="instead of the times of the file?") if _is_time(h) else h for h in headers
+        ]
     seen = tuple(
         _seen(header, values)._replace(wrong=table.wrong.get(header.column, "") if values is None else "no cell has a value")
         for header in headers
@@ -154,12 +165,49 @@ def look(path: Path) -> list[Table]:
     )
     if not any(column.numeric for column in seen):
         raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
-    time_headers = [h for h in headers if h.signal == TIME and h.certainty in ("contract", "stated")]
-    times = table.values[time_headers[0].column] if time_headers else None
-    if times is not None and time_headers[0].unit:
-        times = times * UNITS[time_headers[0].unit].scale
+    if axes:
+        units = {axis: unit_of(table.units.get(axis, "s")) or "s" for axis in axes}
+        stated = [_Axis(axis, units[axis], table.values[axis]) for axis in axes]
+    else:
+        stated = [_Axis(h.column, h.unit or "s", table.values[h.column]) for h in headers if _is_time(h)][:1]
+    times = {axis.name: axis.values * UNITS[axis.unit].scale for axis in stated if axis.values is not None}
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
-    return [Table(path.name, seen, rows, *_axis(times, str(path), table.place, table.remarks))]
+    found = {name: _checked(values, str(path), table.place) for name, values in times.items()}
+    remarks = list(table.remarks)
+    for name, axis in found.items():
+        remarks += [f"{name}: {remark}" if len(found) > 1 else remark for remark in axis.remarks]
+    shown = tuple(_axis_sentence(name, times[name], found[name], table.time_of) for name in axes if name in times)
+    common = next(iter(found.values())) if len(found) == 1 else UNKNOWN_AXIS
+    return [Table(path.name, seen, rows, common.rate, common.unevenness, tuple(remarks), shown)]
+
+
+class _Axis(NamedTuple):
+    name: str
+    unit: str
+    values: NDArray[np.float64] | None
+
+
+class _Checked(NamedTuple):
+    """Rate, unevenness and remarks of a time axis; the error of a wrong axis is a remark."""
+
+    rate: float
+    unevenness: float
+    remarks: tuple[str, ...]
+
+
+UNKNOWN_AXIS = _Checked(np.nan, np.nan, ())
+
+
+def _is_time(header: Recognised) -> bool:
+    return header.signal == TIME and header.certainty in ("contract", "stated")
+
+
+def _axis_sentence(name: str, times: NDArray[np.float64], axis: _Checked, time_of: Mapping[str, str]) -> str:
+    """Describe a time axis: rate, range and columns."""
+    uneven = f", time steps differ by up to {100 * axis.unevenness:.2g} %" if axis.unevenness > MIN_UNEVENNESS else ""
+    span = f", {times[0]:.6g} to {times[-1]:.6g} s" if len(times) else ""
+    columns = ", ".join(column for column, own in time_of.items() if own == name)
+    return f"{name}: {len(times)} rows, {axis.rate:.4g} Hz{uneven}{span} ({columns})"
 
 
 def _topic(name: str, found: Found) -> Table:
@@ -173,7 +221,7 @@ def _topic(name: str, found: Found) -> Table:
     headers = recognised([f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)])
     named = [header._replace(column=field) for header, field in zip(headers, found.fields, strict=True)]
     seen = tuple(_seen(header, values) for header, values in zip(named, found.fields.values(), strict=True))
-    return Table(name, seen, len(found.time), *_axis(found.time, name, lambda row: f"message {row + 1}"))
+    return Table(name, seen, len(found.time), *_checked(found.time, name, lambda row: f"message {row + 1}"))
 
 
 def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
@@ -182,20 +230,15 @@ def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
     return Seen(header, smallest, largest, 1.0 - finite.size / max(1, values.size) if values is not None else 1.0)
 
 
-def _axis(
-    times: NDArray[np.float64] | None, where: str, row_name: RowName, remarks: tuple[str, ...] = ()
-) -> tuple[float, float, tuple[str, ...]]:
-    """Return rate, unevenness and remarks of a time axis; a wrong axis has its error as a remark."""
-    if times is None:
-        return np.nan, np.nan, remarks
+def _checked(times: NDArray[np.float64], where: str, row_name: RowName) -> _Checked:
     try:
         axis = time_axis(times, where, row_name)
     except BadInput as error:
         place = error.where.removeprefix(where).removeprefix(", ")
         steps = np.diff(times)
         usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.nan
-        return 1.0 / usual, 0.0, (*remarks, f"{place}: {error.what}; expected {error.expected}")
-    return axis.rate, axis.unevenness, (*remarks, *axis.remarks)
+        return _Checked(1.0 / usual, 0.0, (f"{place}: {error.what}; expected {error.expected}".removeprefix(": "),))
+    return _Checked(axis.rate, axis.unevenness, axis.remarks)
 
 
 class Proposal(NamedTuple):
@@ -233,7 +276,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
             time = next(
                 (_entry(c.header) for c in table.columns if c.header.signal == TIME and c.header.certainty == "stated"), ""
             )
-            lines.append(f"  {json.dumps(table.name, ensure_ascii=False)}: {time or '{name: time_s}'}")
+            own = "null  # its columns have times" if table.axes else "{name: time_s}"
+            lines.append(f"  {json.dumps(table.name, ensure_ascii=False)}: {time or own}")
     taken: dict[str, str] = {}
     for table in tables:
         if several:
@@ -243,8 +287,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
     damaged = [c for table in tables for c in table.columns if not c.numeric and c.header.certainty in ("contract", "stated")]
     ready = [header for header in headers if header.certainty == "contract"]
     times = [header for header in headers if header.certainty == "stated" and header.signal == TIME]
-    timed = [TIME] if several and (times or any(is_topic(table.name) for table in tables)) else []
-    signals = frozenset({*taken, *timed, *(header.signal for header in ready)})
+    timed = (several and bool(times)) or any(table.axes or is_topic(table.name) for table in tables)
+    signals = frozenset({*taken, *([TIME] if timed else []), *(header.signal for header in ready)})
     certain = len(ready) + len(taken) + (len(times) if several else 0)
     return Proposal("\n".join(lines) + "\n", signals, certain, len(headers) - certain + len(damaged))
 

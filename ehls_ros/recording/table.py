@@ -5,20 +5,33 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
-from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name
+from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name, unit_of
 from ehls_ros.recording.expression import expression
 from ehls_ros.recording.time_axis import time_axis
 from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Preparation, Trajectory
+from ehls_ros.units import UNITS
 
-Pick = Callable[[Sequence[str]], Sequence[str]]
-"""Function that returns the names of the columns to read from those available."""
+NONE: Mapping[str, str] = MappingProxyType({})
+
+
+class Pick(Protocol):
+    """Function that returns the names of the columns to read."""
+
+    def __call__(self, available: Sequence[str], time_of: Mapping[str, str] = NONE, /) -> Sequence[str]:
+        """Return the names of the columns to read.
+
+        Args:
+            available: names of the file's columns.
+            time_of: name of the time column of each column, if the file states it; the result includes those needed.
+        """
 
 
 class RawTable(NamedTuple):
@@ -32,6 +45,8 @@ class RawTable(NamedTuple):
         units: units by name, as written, if stated separately from the name.
         remarks: remarks on the reading of the file, one sentence each.
         wrong: a non-numeric cell of a column, by name, such as ``line 12 is 'abc'``.
+        time_of: name of the time column of each column, if the file states it; those columns have no entry. Empty: one axis
+            for all, which the map or the data contract names.
     """
 
     names: tuple[str, ...]
@@ -41,32 +56,37 @@ class RawTable(NamedTuple):
     units: Mapping[str, str] = {}
     remarks: tuple[str, ...] = ()
     wrong: Mapping[str, str] = {}
+    time_of: Mapping[str, str] = {}
 
     def place(self, index: int) -> str:
         """Return the designation of a row in messages, such as ``line 12``."""
         return f"{self.row} {self.first + index}"
 
 
-def sources(available: Sequence[str], columns: Columns, where: str) -> list[str]:
-    """Return the names of the columns to read; arguments and errors as of :func:`choose`."""
-    return list(dict.fromkeys(name for column in choose(available, columns, where).values() for name in column.sources))
+def sources(
+    available: Sequence[str], time_of: Mapping[str, str] = NONE, *, columns: Columns = MappingProxyType({}), where: str = ""
+) -> list[str]:
+    """Return the names of the columns to read, with their time columns; arguments and errors as of :func:`choose`."""
+    names = [name for column in choose(available, columns, where, time_of).values() for name in column.sources]
+    return list(dict.fromkeys([*names, *(time_of[name] for name in names if name in time_of)]))
 
 
-def no_names(available: Sequence[str]) -> list[str]:
+def no_names(available: Sequence[str], time_of: Mapping[str, str] = NONE, /) -> list[str]:
     """Select no columns."""
     return []
 
 
-def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, Column]:
+def choose(available: Sequence[str], columns: Columns, where: str, time_of: Mapping[str, str] = NONE) -> dict[str, Column]:
     """Select the columns to read.
 
     Args:
         available: names of the file's columns.
         columns: the user's map; columns with a name of the contract need no entry.
         where: the file, for errors.
+        time_of: name of the time column of each column, if the file states it.
 
     Returns:
-        The columns by contract name: ``time_s`` and at least one signal.
+        The columns by contract name: at least one signal, and ``time_s`` unless the file states the times of all signals.
 
     Raises:
         BadInput: a mapped column, the time or every signal is missing, or a name occurs twice.
@@ -80,11 +100,17 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
             raise BadInput(what, where, f"a column of that name{_suggestion(source, available)}")
         if count[source] > 1:
             raise BadInput(f"column '{source}' occurs more than once", where, "one column of that name")
-    if TIME not in chosen:
+    untimed = [column.shown for column in chosen.values() if time_of.keys().isdisjoint(column.sources)]
+    if TIME not in chosen and time_of and untimed:
+        expected = (
+            f"{TIME}: {{name: ...}} with a column of times, or {TIME}: {{rate: ...}} in Hz, in the map, for all its columns"
+        )
+        raise BadInput(f"column '{untimed[0]}' has no times in the file", where, expected)
+    if TIME not in chosen and not time_of:
         mapped = f"{TIME}: {{name: ...}} with the column of times in the map, or {TIME}: {{rate: ...}} in Hz"
         expected = mapped if columns else f"a column {TIME}, or {_how_to_map(where)}"
         raise BadInput(f"column {TIME} is missing (found: {found})", where, expected)
-    if len(chosen) == 1:
+    if chosen.keys() <= {TIME}:
         expected = f"a signal by its name in the data contract, or {_how_to_map(where)}"
         raise BadInput(f"no signal is among the columns {found}", where, expected)
     return chosen
@@ -121,25 +147,68 @@ def not_numeric(column: Column, name: str, where: str) -> BadInput:
     return BadInput(f"column '{column.shown}'{wanted_for} is not numeric", where, "a column of real numbers")
 
 
-def trajectory_of(table: RawTable, columns: Columns, where: str) -> Trajectory:
-    """Build a trajectory from a table.
+def trajectories_of(table: RawTable, columns: Columns, where: str) -> dict[str, Trajectory]:
+    """Build the trajectories of a table: one for each of its time axes.
 
     Args:
         table: table with the columns named by :func:`sources`.
-        columns: the user's map.
+        columns: the user's map. If its ``time_s`` is one of several time axes, its unit and offset are those of all. If it is
+            another column, or a rate, it replaces the times of the file.
         where: the file, for errors.
 
     Returns:
-        The trajectory, without metadata.
+        The trajectories by the names of their time columns, without metadata.
 
     Raises:
         BadInput: a column is not numeric or has another length, or the time axis is wrong.
     """
-    chosen = choose(table.names, columns, where)
-    lengths = [len(values) for values in table.values.values() if values is not None]
-    values = {name: _unscaled(table, column, name, max(lengths, default=0), where) for name, column in chosen.items()}
-    trajectory = assemble(values, chosen, where, table.place)
-    return replace(trajectory, preparation=Preparation((*table.remarks, *trajectory.preparation.remarks)))
+    chosen = choose(table.names, columns, where, table.time_of)
+    axes = _by_axis(table, chosen, where)
+    remarks = [*table.remarks, *_replaced(table, chosen, axes, where)]
+    out: dict[str, Trajectory] = {}
+    for axis, group in axes.items():
+        read = [table.values[source] for column in group.values() for source in column.sources]
+        rows = max((len(values) for values in read if values is not None), default=0)
+        values = {name: _unscaled(table, column, name, rows, where) for name, column in group.items()}
+        trajectory = assemble(values, group, where, table.place)
+        preparation = Preparation((*(remarks if not out else ()), *trajectory.preparation.remarks))
+        out[axis] = replace(trajectory, preparation=preparation)
+    return out
+
+
+def _by_axis(table: RawTable, chosen: Columns, where: str) -> dict[str, dict[str, Column]]:
+    """Group the chosen columns by time axis, each with its time column."""
+    time = chosen.get(TIME)
+    if time is not None and time.name not in table.time_of.values():
+        return {time.name: dict(chosen)}
+    out: dict[str, dict[str, Column]] = {}
+    for name, column in chosen.items():
+        if name == TIME:
+            continue
+        axes = {table.time_of[source] for source in column.sources if source in table.time_of}
+        if len(axes) > 1:
+            what = f"the columns of {column.shown} for {name} have different times ({', '.join(sorted(axes))})"
+            raise BadInput(what, where, "columns of one time axis, or a signal for each")
+        axis = axes.pop() if axes else chosen[TIME].name
+        own = (
+            Column(axis, UNITS[unit_of(table.units.get(axis, "s")) or "s"].scale) if time is None else time._replace(name=axis)
+        )
+        out.setdefault(axis, {TIME: own})[name] = column
+    return out
+
+
+def _replaced(table: RawTable, chosen: Columns, used: Mapping[str, object], where: str) -> list[str]:
+    """Return a remark if the map replaces several time axes of the file by one; reject axes of different lengths."""
+    read = [source for name, column in chosen.items() if name != TIME for source in column.sources]
+    axes = {table.time_of[source]: table.values.get(table.time_of[source]) for source in read if source in table.time_of}
+    known = {axis: times for axis, times in axes.items() if times is not None and len(times)}
+    if axes.keys() & used.keys() or len(known) < 2:
+        return []
+    shown = ", ".join(f"{axis}: {len(t)} rows, {t[0]:.6g} to {t[-1]:.6g}" for axis, t in known.items())
+    if len(set(map(len, known.values()))) > 1:
+        what = f"{TIME} of the map is one axis, and the file has several ({shown})"
+        raise BadInput(what, where, f"no {TIME} in the map, as the file has the times of each column")
+    return [f"{TIME} of the map replaces the times of the file ({shown})"]
 
 
 def _unscaled(table: RawTable, column: Column, name: str, rows: int, where: str) -> NDArray[Any]:
