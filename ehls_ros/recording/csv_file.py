@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
-from ehls_ros.recording.columns import TIME
+from ehls_ros.recording.columns import TIME, unique_names
 from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.table import Pick, RawTable, check_length
@@ -50,25 +50,25 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
     try:
         layout = layout_of(path)
         names = layout.header.names
-        wanted = list(names) if pick is None else list(pick(names))
+        unique = unique_names(names)
+        wanted = unique if pick is None else pick(names)
         with path.open(encoding=layout.encoding, errors="replace") as stream:
             lines = _Lines(stream, layout, deadline, where)
-            # The first of two columns of one name; `pick` reports duplicates to users who want it.
-            places = sorted({names.index(name) for name in wanted})
+            places = sorted({unique.index(name) for name in wanted})
             columns = _Columns(layout, places, pick is None, deadline, where)
             values = columns.read(lines) if places else {}
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
     layout_remark, header = layout.sentence(), layout.header
-    clocks = {name: "s" for name, kind in zip(names, header.kinds, strict=True) if kind == "clock"}
+    clocks = {name: "s" for name, kind in zip(unique, header.kinds, strict=True) if kind == "clock"}
     return RawTable(
         names,
-        {names[place]: column for place, column in values.items()},
+        {unique[place]: column for place, column in values.items()},
         "line",
         header.first + 1,
         {**header.units, **clocks},
         (layout_remark,) if layout_remark else (),
-        {names[place]: cell for place, cell in columns.wrong.items()},
+        {unique[place]: cell for place, cell in columns.wrong.items()},
     )
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from ehls_ros.recording.columns import ELECTRICAL, TIME, is_contract_name, quantity_of, unit_of
+from ehls_ros.recording.columns import ELECTRICAL, TIME, is_contract_name, quantity_of, unique_names, unit_of
 from ehls_ros.trajectory import READABLE
 from ehls_ros.units import UNITS
 
@@ -86,7 +86,7 @@ QUALIFIERS: Mapping[str, str] = {
 }
 """Words that distinguish several signals of a quantity."""
 
-UNIT_LIKE_WORDS = ("min", "in", "h", "C", "K")
+UNIT_LIKE_WORDS = ("min", "in", "h", "d", "C", "K")
 """Suffixes that may be words or units."""
 
 LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "k": "K", "v": "V", "ma": "mA", "degc": "°C"}
@@ -107,15 +107,27 @@ def recognised(header: Sequence[str], units: Mapping[str, str] = MappingProxyTyp
     Args:
         header: the names of its columns.
         units: units by name, if stated separately in the file, such as in a row of units.
+
+    Returns:
+        The interpretations; a column whose name is empty or occurs more than once is called by its number.
     """
-    found = [_recognised(column, units.get(column, "")) for column in header]
+    found = [_recognised(name, units.get(unique, "")) for name, unique in zip(header, unique_names(header), strict=True)]
     stated = [r.signal for r in found if r.certainty in ("contract", "stated")]
     return [
         r._replace(certainty="unsure", open=f"{stated.count(r.signal)} columns state the same signal; which is right?")
         if r.certainty == "stated" and stated.count(r.signal) > 1
         else r
-        for r in found
+        for r in (_numbered(r, unique) for r, unique in zip(found, unique_names(header), strict=True))
     ]
+
+
+def _numbered(found: Recognised, unique: str) -> Recognised:
+    """Return an interpretation with the unique name of the column; one whose name occurs more than once is not certain."""
+    if unique == found.column:
+        return found
+    what = f"'{found.column}' is the name of several columns" if found.column else "it has no name"
+    certainty = "unsure" if found.certainty in ("contract", "stated") else found.certainty
+    return found._replace(column=unique, certainty=certainty, open="; ".join(filter(None, (what, found.open))))
 
 
 def _recognised(column: str, apart: str) -> Recognised:

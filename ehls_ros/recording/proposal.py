@@ -152,7 +152,7 @@ def look(path: Path) -> list[Table]:
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
     axes = tuple(dict.fromkeys(table.time_of.values()))
-    headers = recognised([name for name in table.names if name not in axes], table.units)
+    headers = [header for header in recognised(table.names, table.units) if header.column not in axes]
     if axes:
         # The file's times are used unless the map replaces them.
         headers = [

@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
-from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name, unit_of
+from ehls_ros.recording.columns import (
+    TIME,
+    Column,
+    Columns,
+    element_of,
+    is_contract_name,
+    numbered,
+    place_of,
+    unique_name,
+    unit_of,
+)
 from ehls_ros.recording.expression import expression
 from ehls_ros.recording.time_axis import time_axis
 from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Preparation, Trajectory
@@ -39,7 +49,8 @@ class RawTable(NamedTuple):
 
     Attributes:
         names: names of all columns, in order.
-        values: values of the columns read, by name, with times in seconds; None for a non-numeric column.
+        values: values of the columns read, with times in seconds; None for a non-numeric column. By name; a column whose name
+            is empty or occurs more than once by its number, such as ``column 3``, here and in the mappings below.
         row: term for a row, such as ``line``.
         first: number of the first row.
         units: units by name, as written, if stated separately from the name.
@@ -62,12 +73,17 @@ class RawTable(NamedTuple):
         """Return the designation of a row in messages, such as ``line 12``."""
         return f"{self.row} {self.first + index}"
 
+    def column(self, name: str) -> NDArray[Any] | None:
+        """Return the values of a column by its name or number."""
+        return self.values[unique_name(name, self.names)]
+
 
 def sources(
     available: Sequence[str], time_of: Mapping[str, str] = NONE, *, columns: Columns = MappingProxyType({}), where: str = ""
 ) -> list[str]:
     """Return the names of the columns to read, with their time columns; arguments and errors as of :func:`choose`."""
-    names = [name for column in choose(available, columns, where, time_of).values() for name in column.sources]
+    chosen = choose(available, columns, where, time_of).values()
+    names = [unique_name(name, available) for column in chosen for name in column.sources]
     return list(dict.fromkeys([*names, *(time_of[name] for name in names if name in time_of)]))
 
 
@@ -95,12 +111,14 @@ def choose(available: Sequence[str], columns: Columns, where: str, time_of: Mapp
     found = ", ".join(available) or "none"
     count = Counter(available)
     for name, source in ((name, source) for name, column in chosen.items() for source in column.sources):
-        if source not in count:
+        if place_of(source, available) is None:
             what = f"column '{source}' for {name} is missing (found: {found})"
-            raise BadInput(what, where, f"a column of that name{_suggestion(source, available)}")
+            expected = f"a column of that name{_suggestion(source, available)}; or a number, as 'column 3' of {len(available)}"
+            raise BadInput(what, where, expected)
         if count[source] > 1:
-            raise BadInput(f"column '{source}' occurs more than once", where, "one column of that name")
-    untimed = [column.shown for column in chosen.values() if time_of.keys().isdisjoint(column.sources)]
+            numbers = " or ".join(f"'{numbered(place)}'" for place, other in enumerate(available) if other == source)
+            raise BadInput(f"column '{source}' occurs more than once", where, f"one column of that name; or name: {numbers}")
+    untimed = [column.shown for column in chosen.values() if not any(_axes(column, available, time_of))]
     if TIME not in chosen and time_of and untimed:
         expected = (
             f"{TIME}: {{name: ...}} with a column of times, or {TIME}: {{rate: ...}} in Hz, in the map, for all its columns"
@@ -114,6 +132,12 @@ def choose(available: Sequence[str], columns: Columns, where: str, time_of: Mapp
         expected = f"a signal by its name in the data contract, or {_how_to_map(where)}"
         raise BadInput(f"no signal is among the columns {found}", where, expected)
     return chosen
+
+
+def _axes(column: Column, names: Sequence[str], time_of: Mapping[str, str]) -> list[str]:
+    """Return the time columns of the sources of a column, as far as the file states them."""
+    sources = [unique_name(source, names) for source in column.sources]
+    return [time_of[source] for source in sources if source in time_of]
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
@@ -167,7 +191,7 @@ def trajectories_of(table: RawTable, columns: Columns, where: str) -> dict[str, 
     remarks = [*table.remarks, *_replaced(table, chosen, axes, where)]
     out: dict[str, Trajectory] = {}
     for axis, group in axes.items():
-        read = [table.values[source] for column in group.values() for source in column.sources]
+        read = [table.column(source) for column in group.values() for source in column.sources]
         rows = max((len(values) for values in read if values is not None), default=0)
         values = {name: _unscaled(table, column, name, rows, where) for name, column in group.items()}
         trajectory = assemble(values, group, where, table.place)
@@ -185,7 +209,7 @@ def _by_axis(table: RawTable, chosen: Columns, where: str) -> dict[str, dict[str
     for name, column in chosen.items():
         if name == TIME:
             continue
-        axes = {table.time_of[source] for source in column.sources if source in table.time_of}
+        axes = set(_axes(column, table.names, table.time_of))
         if len(axes) > 1:
             what = f"the columns of {column.shown} for {name} have different times ({', '.join(sorted(axes))})"
             raise BadInput(what, where, "columns of one time axis, or a signal for each")
@@ -199,8 +223,8 @@ def _by_axis(table: RawTable, chosen: Columns, where: str) -> dict[str, dict[str
 
 def _replaced(table: RawTable, chosen: Columns, used: Mapping[str, object], where: str) -> list[str]:
     """Return a remark if the map replaces several time axes of the file by one; reject axes of different lengths."""
-    read = [source for name, column in chosen.items() if name != TIME for source in column.sources]
-    axes = {table.time_of[source]: table.values.get(table.time_of[source]) for source in read if source in table.time_of}
+    named = [axis for name, column in chosen.items() if name != TIME for axis in _axes(column, table.names, table.time_of)]
+    axes = {axis: table.values.get(axis) for axis in named}
     known = {axis: times for axis, times in axes.items() if times is not None and len(times)}
     if axes.keys() & used.keys() or len(known) < 2:
         return []
@@ -213,7 +237,7 @@ def _replaced(table: RawTable, chosen: Columns, used: Mapping[str, object], wher
 
 def _unscaled(table: RawTable, column: Column, name: str, rows: int, where: str) -> NDArray[Any]:
     """Return the unscaled values of a column of the map."""
-    values = {source: table.values[source] for source in column.sources}
+    values = {source: table.column(source) for source in column.sources}
     known = {source: found for source, found in values.items() if found is not None}
     if len(known) < len(values):
         raise not_numeric(column, name, where)

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
-from ehls_ros.recording.columns import unit_of
+from ehls_ros.recording.columns import unique_names, unit_of
 
 COMMENT = re.compile(r"\s*[#%]+\s*")
 """Beginning of a comment row."""
@@ -22,8 +22,8 @@ CLOCK = re.compile(r"(?:(?:\d{4}-\d\d-\d\d|\d{1,2}\.\d{1,2}\.\d{4})(?:[T ]|\Z))?
 TAIL = 30
 """Number of last rows from which the format of a table's rows is determined."""
 
-NO_UNIT = ("", "-", "1", "–")
-"""Cells that denote a missing unit in a row of units."""
+NO_UNIT = ("", "-", "--", "1", "–", "unit", "units", "einheit", "einheiten", "n/a", "none", "ohne")
+"""Cells that denote a missing unit in a row of units, or label that row, in lower case."""
 
 Item = TypeVar("Item")
 Row = Sequence[str]
@@ -37,7 +37,7 @@ class Header(NamedTuple):
 
     Attributes:
         names: column names; ``column 1`` and so on without a row of names.
-        units: units by name, as written in a row of units.
+        units: units as written in a row of units, by name, or by number where a name is empty or occurs more than once.
         row: index of the row of names; None without one.
         units_row: index of the row of units; None without one.
         first: index of the first row of values.
@@ -94,25 +94,38 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
         # Without values, the last row of this width can only be names.
         first = max((k + 1 for k in plain if len(rows[k]) == width), default=0)
     above = [k for k in plain if k < first]
-    while above and len(rows[above[-1]]) == width and any(map(is_value, rows[above[-1]])):
+    while (
+        above and len(rows[above[-1]]) == width and any(map(is_value, rows[above[-1]])) and _known_units(rows[above[-1]]) < 1.0
+    ):
         first = above.pop()  # a damaged row of values
+    if above and 1 < len(rows[above[-1]]) < width and _known_units(rows[above[-1]]) == 1.0:
+        # Delimiters after the last unit are left out.
+        rows = [*rows]
+        rows[above[-1]] = [*rows[above[-1]], *[""] * (width - len(rows[above[-1]]))]
     if not above or len(rows[above[-1]]) != width:
         commented = [k for k in range(first) if rows[k] and k not in plain and len(rows[k]) in (width, width + 1)]
         above = commented or above
-    named, units_row = _named([k for k in above[-3:] if not any(map(is_value, _uncommented(rows[k])))], rows)
+    texts = [
+        k for k in above[-3:] if not any(map(is_value, _uncommented(rows[k]))) or _known_units(_uncommented(rows[k])) == 1.0
+    ]
+    named, units_row = _named(texts, rows)
     names = _uncommented(rows[named]) if named is not None else [f"column {k + 1}" for k in range(width)]
     if len(names) == width - 1 and kinds[-1] == "text":
         names.append("")  # each row of values ends with a delimiter
     kinds = (kinds + ["text"] * len(names))[: len(names)]
     written = _uncommented(rows[units_row]) if units_row is not None else []
-    units = {name: unit.strip("[](){}<> ") for name, unit in zip(names, written, strict=False) if unit not in NO_UNIT}
+    unique = unique_names(names)
+    units = {name: unit for name, unit in zip(unique, map(_bare, written), strict=False) if unit.lower() not in NO_UNIT}
     return Header(tuple(names), units, named, units_row, first, tuple(kinds))
 
 
 def _named(texts: Sequence[int], rows: Sequence[Row]) -> tuple[int | None, int | None]:
     """Return the indices of the row of names and of the row of units among the last rows of text above the values."""
     same_width = [k for k in texts if len(rows[k]) == len(rows[texts[-1]])]
-    units_row = next((k for k in same_width[-2:] if len(same_width) > 1 and _are_units(_uncommented(rows[k]))), None)
+    known = {k: _known_units(_uncommented(rows[k])) for k in same_width}
+    # Of equal ones, the lower row: units usually are below the names.
+    most = max(same_width, key=lambda k: (known[k], k), default=None)
+    units_row = most if most is not None and len(same_width) > 1 and known[most] > 0.0 else None
     if units_row is not None and units_row - 1 in same_width:
         return units_row - 1, units_row  # a row below the units holds a comment for each channel
     return next((k for k in reversed(texts) if k != units_row), None), units_row
@@ -133,9 +146,20 @@ def _uncommented(row: Row) -> list[str]:
     return [head, *row[1:]] if head else list(row[1:])
 
 
-def _are_units(row: Row) -> bool:
-    stated = [cell for cell in row if cell not in NO_UNIT]
-    return bool(stated) and all(unit_of(cell.strip("[](){}<> ")) is not None for cell in stated)
+def _bare(cell: str) -> str:
+    """Return a cell of a row of units without brackets."""
+    return cell.strip("[](){}<> ")
+
+
+def _known_units(row: Row) -> float:
+    """Return the share of known units among the cells of a row that state one; 0 if they are fewer than half."""
+    stated = [cell for cell in map(_bare, row) if cell.lower() not in NO_UNIT]
+    share = sum(unit_of(cell) is not None for cell in stated) / len(stated) if stated else 0.0
+    return share if share >= MIN_KNOWN_UNITS else 0.0
+
+
+MIN_KNOWN_UNITS = 0.5
+"""Share of known units from which a row of text is one of units."""
 
 
 BEGINNING = 2**19
