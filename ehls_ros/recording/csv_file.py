@@ -67,7 +67,7 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
         "line",
         header.first + 1,
         {**header.units, **clocks},
-        (layout_remark,) if layout_remark else (),
+        tuple(filter(None, [layout_remark, *columns.remarks])),
         {unique[place]: cell for place, cell in columns.wrong.items()},
     )
 
@@ -140,6 +140,7 @@ class _Columns:
         kinds = {place: layout.header.kinds[place] for place in places}
         self.kinds = {place: "number" if kind == "text" and not lenient else kind for place, kind in kinds.items()}
         self.wrong: dict[int, str] = {}
+        self.remarks: list[str] = []
 
     def read(self, blocks: Iterable[_Block]) -> dict[int, NDArray[np.float64] | None]:
         """Return the columns by their positions."""
@@ -160,7 +161,11 @@ class _Columns:
         if kind == "text":
             return None
         whole = np.concatenate(pieces) if pieces else np.empty(0)
-        return seconds_of_clock(whole) if kind == "clock" else whole
+        if kind != "clock":
+            return whole
+        clock = seconds_of_clock(whole)
+        self.remarks += [clock.remark] if clock.remark else []
+        return clock.seconds
 
     def _block(self, block: _Block) -> dict[int, NDArray[Any]]:
         while True:

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
 from ehls_ros.recording.columns import unique_names, unit_of
+from ehls_ros.recording.times import CLOCK
 
 COMMENT = re.compile(r"\s*[#%]+\s*")
 """Beginning of a comment row."""
-
-CLOCK = re.compile(r"(?:(?:\d{4}-\d\d-\d\d|\d{1,2}\.\d{1,2}\.\d{4})(?:[T ]|\Z))?(?:\d{1,2}:\d\d:\d\d(?:[.,]\d+)?Z?)?")
-"""A date, a time of day or both."""
 
 TAIL = 30
 """Number of last rows from which the format of a table's rows is determined."""
@@ -54,7 +52,7 @@ class Header(NamedTuple):
 
 def is_clock(cell: str) -> bool:
     """Return whether a cell is a date, a time of day or both."""
-    return bool(cell) and CLOCK.fullmatch(cell) is not None
+    return CLOCK.match(cell) is not None
 
 
 def tail_of(items: Sequence[Item]) -> Sequence[Item]:
