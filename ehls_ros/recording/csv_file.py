@@ -4,7 +4,7 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from importlib import import_module
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
@@ -17,12 +17,19 @@ from ehls_ros.recording.columns import TIME, unique_names
 from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.table import Pick, RawTable, check_length
-from ehls_ros.recording.table_layout import SPACES, Kind, Layout, layout_of, split
+from ehls_ros.recording.table_layout import BEGINNING, SPACES, Kind, Layout, is_number, kinds_of, layout_of, split
+from ehls_ros.recording.table_sections import Table, sections_of, tables_of
 from ehls_ros.recording.times import seconds_of_clock
 from ehls_ros.trajectory import Trajectory
 
 BLOCK = 2**20
 """Length of text read between two checks of the limits [characters]."""
+
+CHECKED_LINES = 65536
+"""Number of lines between two checks of the limits, where a file has several tables."""
+
+SAMPLE = 30
+"""Number of first rows from which the kinds of the columns of such a table are determined."""
 
 ROWS_WRITTEN = 16384
 """Number of rows written together."""
@@ -34,7 +41,8 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
     """Read a table from a text file: CSV in any of the layouts of :mod:`table_layout`.
 
     Args:
-        path: the file.
+        path: the file. Of several tables in it, that with most rows is read by the names of its columns; those of the others
+            are called ``table 1/name`` and so on. Sections with the same header are one table.
         pick: returns the names of the columns to read, whose cells must be numbers, times or empty; None: all columns, where
             one with any other cell becomes None.
 
@@ -49,27 +57,139 @@ def read_csv(path: Path, pick: Pick | None = None) -> RawTable:
     deadline = Deadline(size, where)
     try:
         layout = layout_of(path)
-        names = layout.header.names
-        unique = unique_names(names)
-        wanted = unique if pick is None else pick(names)
-        with path.open(encoding=layout.encoding, errors="replace") as stream:
-            lines = _Lines(stream, layout, deadline, where)
-            places = sorted({unique.index(name) for name in wanted})
-            columns = _Columns(layout, places, pick is None, deadline, where)
-            values = columns.read(lines) if places else {}
+        if not _begins_with_several(path, layout, where):
+            try:
+                return _read_one(path, layout, pick, deadline)
+            except _WrongRow:
+                tables = _tables(path, layout, deadline)
+                if sum(len(table.ranges) for table in tables) < 2:
+                    raise
+        return _read_several(path, layout, pick, deadline)
     except OSError as error:
         raise BadInput(f"the file cannot be read ({reason(error)})", where, EXPECTED_FILE) from None
-    layout_remark, header = layout.sentence(), layout.header
+
+
+class _WrongRow(BadInput):
+    """A row with another number of cells: the file may have several tables."""
+
+
+def _read_one(path: Path, layout: Layout, pick: Pick | None, deadline: Deadline) -> RawTable:
+    """Read a file whose rows all belong to one table without interruption."""
+    where, header = str(path), layout.header
+    unique = unique_names(header.names)
+    wanted = unique if pick is None else pick(header.names)
+    with path.open(encoding=layout.encoding, errors="replace") as stream:
+        places = sorted({unique.index(name) for name in wanted})
+        columns = _Columns(layout, places, pick is None, deadline, where)
+        values = columns.read(_Lines(stream, layout, deadline, where)) if places else {}
     clocks = {name: "s" for name, kind in zip(unique, header.kinds, strict=True) if kind == "clock"}
     return RawTable(
-        names,
+        header.names,
         {unique[place]: column for place, column in values.items()},
         "line",
         header.first + 1,
         {**header.units, **clocks},
-        tuple(filter(None, [layout_remark, *columns.remarks])),
+        tuple(filter(None, [layout.sentence(), *columns.remarks])),
         {unique[place]: cell for place, cell in columns.wrong.items()},
     )
+
+
+def _physical_lines(path: Path, layout: Layout, deadline: Deadline) -> Iterator[str]:
+    """Yield the lines of a file without their ends."""
+    where = str(path)
+    with path.open(encoding=layout.encoding, errors="replace") as stream:
+        for number, line in enumerate(iter(partial(stream.readline, limits.LINE + 2), ""), start=1):
+            if len(line) > limits.LINE + 1:
+                expected = f"a CSV file with one line per sample, of at most {limits.LINE}"
+                raise BadInput(f"the line has more than {limits.LINE} characters", f"{where}, line {number}", expected)
+            if number % CHECKED_LINES == 0:
+                deadline.check()
+            yield line.removesuffix("\n")
+
+
+def _begins_with_several(path: Path, layout: Layout, where: str) -> bool:
+    """Return whether the beginning of a file has several sections."""
+    with path.open(encoding=layout.encoding, errors="replace") as stream:
+        lines = stream.read(BEGINNING).split("\n")[:-1]
+    try:
+        return len(list(islice(sections_of(lines, layout.delimiter, layout.decimal, where), 2))) > 1
+    except BadInput:
+        return False  # reading it as one table reports the reason
+
+
+def _tables(path: Path, layout: Layout, deadline: Deadline) -> list[Table]:
+    lines = _physical_lines(path, layout, deadline)
+    return tables_of(sections_of(lines, layout.delimiter, layout.decimal, str(path)))
+
+
+def _read_several(path: Path, layout: Layout, pick: Pick | None, deadline: Deadline) -> RawTable:
+    """Read a file with several tables, or with a table in several sections."""
+    where = str(path)
+    tables = _tables(path, layout, deadline)
+    main = max(range(len(tables)), key=lambda k: (tables[k].rows, k))
+    order = [main, *(k for k in range(len(tables)) if k != main)]
+    prefix = {k: "" if k == main else f"table {k + 1}/" for k in order}
+    names = tuple(prefix[k] + name for k in order for name in tables[k].header.names)
+    origin = [(k, place) for k in order for place in range(len(tables[k].header.names))]
+    unique = unique_names(names)
+    wanted = unique if pick is None else pick(names)
+    out = RawTable(names, {}, "line", tables[main].header.first + 1)
+    units, remarks, used = dict[str, str](), list[str](), list[int]()
+    for k in order:
+        table = tables[k]
+        own = unique_names(table.header.names)
+        known = {place: name for name, (table_of, place) in zip(unique, origin, strict=True) if table_of == k}
+        units |= {known[own.index(name)]: unit for name, unit in table.header.units.items()}
+        places = sorted(place for place, name in known.items() if name in wanted)
+        if not places:
+            continue
+        sample = [
+            [cell.strip() for cell in split(line, layout.delimiter)]
+            for block in islice(_ranges(path, layout, table, deadline), 1)
+            for line in block.lines[:SAMPLE]
+        ]
+        kinds = tuple(kinds_of(sample, partial(is_number, decimal=layout.decimal)))
+        header = table.header._replace(kinds=kinds)
+        units |= {known[place]: "s" for place, kind in enumerate(kinds) if kind == "clock"}
+        columns = _Columns(layout._replace(header=header), places, pick is None, deadline, where)
+        values = columns.read(_ranges(path, layout, table, deadline))
+        remarks += columns.remarks
+        used.append(k)
+        out = out._replace(
+            values={**out.values, **{known[place]: column for place, column in values.items()}},
+            wrong={**out.wrong, **{known[place]: cell for place, cell in columns.wrong.items()}},
+        )
+    chosen = tables[used[0] if used else main]
+    begins = np.cumsum([0, *(end - begin for begin, end in chosen.ranges)])
+    return out._replace(
+        first=chosen.header.first + 1,
+        blocks=tuple((int(row), begin + 1) for row, (begin, _) in zip(begins[1:-1], chosen.ranges[1:], strict=True)),
+        units=units,
+        remarks=(layout._replace(header=chosen.header).sentence(), *_remarks(tables, main), *remarks),
+    )
+
+
+def _remarks(tables: Sequence[Table], main: int) -> Iterator[str]:
+    """Describe the tables of a file with several."""
+    for k in [main, *(k for k in range(len(tables)) if k != main)]:
+        table, count = tables[k], len(tables[k].ranges)
+        extent = f"{table.rows} rows in {count} sections, the first" if count > 1 else f"{table.rows} rows"
+        if k == main:
+            of = f"table {k + 1} of {len(tables)} is read" if len(tables) > 1 else "sections with the same columns are joined"
+            yield f"{of}: {extent} from line {table.header.first + 1} on"
+        else:
+            shown = ", ".join(f"'table {k + 1}/{name}'" for name in table.header.names if name)
+            yield f"table {k + 1}, {extent} from line {table.header.first + 1} on, is read only if the map names {shown}"
+
+
+def _ranges(path: Path, layout: Layout, table: Table, deadline: Deadline) -> "Iterator[_Block]":
+    """Yield the lines of values of a table."""
+    lines, place = _physical_lines(path, layout, deadline), 0
+    for begin, end in table.ranges:
+        next(islice(lines, begin - place, begin - place), None)  # skip the lines before
+        place = end
+        for first in range(begin, end, CHECKED_LINES):
+            yield _Block(list(islice(lines, min(CHECKED_LINES, end - first))), first + 1)
 
 
 class _Block(NamedTuple):
@@ -117,7 +237,7 @@ class _Lines:
             return
         cells = len(split(line, self._layout.delimiter)) if line.strip() else 0
         what, where = f"the row has {cells} cells", f"{self._where}, line {block.first + wrong}"
-        raise BadInput(what, where, f"{self._cells}, as in the header; or no such line")
+        raise _WrongRow(what, where, f"{self._cells}, as in the header; or no such line")
 
     def _wrong(self, lines: Sequence[str]) -> int | None:
         """Return the index of the first line with another number of cells."""

@@ -58,6 +58,7 @@ class RawTable(NamedTuple):
         wrong: a non-numeric cell of a column, by name, such as ``line 12 is 'abc'``.
         time_of: name of the time column of each column, if the file states it; those columns have no entry. Empty: one axis
             for all, which the map or the data contract names.
+        blocks: index and number of the first row of each further block of rows, if they do not follow each other in the file.
     """
 
     names: tuple[str, ...]
@@ -68,10 +69,12 @@ class RawTable(NamedTuple):
     remarks: tuple[str, ...] = ()
     wrong: Mapping[str, str] = {}
     time_of: Mapping[str, str] = {}
+    blocks: tuple[tuple[int, int], ...] = ()
 
     def place(self, index: int) -> str:
         """Return the designation of a row in messages, such as ``line 12``."""
-        return f"{self.row} {self.first + index}"
+        begin, first = max(((begin, first) for begin, first in self.blocks if begin <= index), default=(0, self.first))
+        return f"{self.row} {first + index - begin}"
 
     def column(self, name: str) -> NDArray[Any] | None:
         """Return the values of a column by its name or number."""

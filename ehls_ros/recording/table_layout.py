@@ -80,7 +80,7 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     counts = [len(rows[k]) for k in last]
     width = max(counts, key=lambda count: (counts.count(count), count), default=0)
     tail = [rows[k] for k in last if len(rows[k]) == width]
-    kinds: list[Kind] = [_kind(list(filter(None, cells)), is_number) for cells in zip(*tail, strict=True)]
+    kinds = kinds_of(tail, is_number)
 
     def is_values(row: Row) -> bool:
         cells = [cell for cell, kind in zip(row, kinds, strict=False) if kind != "text"]
@@ -127,6 +127,11 @@ def _named(texts: Sequence[int], rows: Sequence[Row]) -> tuple[int | None, int |
     if units_row is not None and units_row - 1 in same_width:
         return units_row - 1, units_row  # a row below the units holds a comment for each channel
     return next((k for k in reversed(texts) if k != units_row), None), units_row
+
+
+def kinds_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> list[Kind]:
+    """Return the kinds of the columns of rows of values of one width."""
+    return [_kind(list(filter(None, cells)), is_number) for cells in zip(*rows, strict=True)]
 
 
 def _kind(cells: Sequence[str], is_number: Callable[[str], bool]) -> Kind:
