@@ -80,7 +80,7 @@ def _read_one(path: Path, layout: Layout, pick: Pick | None, deadline: Deadline)
     wanted = unique if pick is None else pick(header.names)
     with path.open(encoding=layout.encoding, errors="replace") as stream:
         places = sorted({unique.index(name) for name in wanted})
-        columns = _Columns(layout, places, pick is None, deadline, where)
+        columns = ParsedColumns(layout, places, pick is None, deadline, where)
         values = columns.read(_Lines(stream, layout, deadline, where)) if places else {}
     clocks = {name: "s" for name, kind in zip(unique, header.kinds, strict=True) if kind == "clock"}
     return RawTable(
@@ -94,10 +94,19 @@ def _read_one(path: Path, layout: Layout, pick: Pick | None, deadline: Deadline)
     )
 
 
-def _physical_lines(path: Path, layout: Layout, deadline: Deadline) -> Iterator[str]:
-    """Yield the lines of a file without their ends."""
+def physical_lines(path: Path, encoding: str, deadline: Deadline) -> Iterator[str]:
+    """Yield the lines of a file without their ends.
+
+    Args:
+        path: the file.
+        encoding: its encoding.
+        deadline: deadline for reading it.
+
+    Raises:
+        BadInput: a line is too long, or the deadline has passed.
+    """
     where = str(path)
-    with path.open(encoding=layout.encoding, errors="replace") as stream:
+    with path.open(encoding=encoding, errors="replace") as stream:
         for number, line in enumerate(iter(partial(stream.readline, limits.LINE + 2), ""), start=1):
             if len(line) > limits.LINE + 1:
                 expected = f"a CSV file with one line per sample, of at most {limits.LINE}"
@@ -118,7 +127,7 @@ def _begins_with_several(path: Path, layout: Layout, where: str) -> bool:
 
 
 def _tables(path: Path, layout: Layout, deadline: Deadline) -> list[Table]:
-    lines = _physical_lines(path, layout, deadline)
+    lines = physical_lines(path, layout.encoding, deadline)
     return tables_of(sections_of(lines, layout.delimiter, layout.decimal, str(path)))
 
 
@@ -151,7 +160,7 @@ def _read_several(path: Path, layout: Layout, pick: Pick | None, deadline: Deadl
         kinds = tuple(kinds_of(sample, partial(is_number, decimal=layout.decimal)))
         header = table.header._replace(kinds=kinds)
         units |= {known[place]: "s" for place, kind in enumerate(kinds) if kind == "clock"}
-        columns = _Columns(layout._replace(header=header), places, pick is None, deadline, where)
+        columns = ParsedColumns(layout._replace(header=header), places, pick is None, deadline, where)
         values = columns.read(_ranges(path, layout, table, deadline))
         remarks += columns.remarks
         used.append(k)
@@ -182,17 +191,17 @@ def _remarks(tables: Sequence[Table], main: int) -> Iterator[str]:
             yield f"table {k + 1}, {extent} from line {table.header.first + 1} on, is read only if the map names {shown}"
 
 
-def _ranges(path: Path, layout: Layout, table: Table, deadline: Deadline) -> "Iterator[_Block]":
+def _ranges(path: Path, layout: Layout, table: Table, deadline: Deadline) -> "Iterator[Block]":
     """Yield the lines of values of a table."""
-    lines, place = _physical_lines(path, layout, deadline), 0
+    lines, place = physical_lines(path, layout.encoding, deadline), 0
     for begin, end in table.ranges:
         next(islice(lines, begin - place, begin - place), None)  # skip the lines before
         place = end
         for first in range(begin, end, CHECKED_LINES):
-            yield _Block(list(islice(lines, min(CHECKED_LINES, end - first))), first + 1)
+            yield Block(list(islice(lines, min(CHECKED_LINES, end - first))), first + 1)
 
 
-class _Block(NamedTuple):
+class Block(NamedTuple):
     """Complete lines of a file, with the number of the first."""
 
     lines: list[str]
@@ -206,7 +215,7 @@ class _Lines:
         self._stream, self._layout, self._deadline, self._where = stream, layout, deadline, where
         self._cells = len(layout.header.names)
 
-    def __iter__(self) -> Iterator[_Block]:
+    def __iter__(self) -> Iterator[Block]:
         """Yield the blocks."""
         number, skip, rest = 1, self._layout.header.first, ""
         for piece in chain(iter(partial(self._stream.read, BLOCK), ""), [None]):
@@ -218,11 +227,11 @@ class _Lines:
                 expected = f"a CSV file with one line per sample, of at most {limits.LINE}"
                 what = f"the line has more than {limits.LINE} characters"
                 raise BadInput(what, f"{self._where}, line {number + place}", expected)
-            block = _Block(lines[skip:], number + min(skip, len(lines)))
+            block = Block(lines[skip:], number + min(skip, len(lines)))
             number, skip = number + len(lines), max(0, skip - len(lines))
             yield from self._checked(block)
 
-    def _checked(self, block: _Block) -> Iterator[_Block]:
+    def _checked(self, block: Block) -> Iterator[Block]:
         """Yield a block whose lines all have one cell per name; trailing white space of the file is dropped."""
         wrong = self._wrong(block.lines)
         if wrong is None:
@@ -233,7 +242,7 @@ class _Lines:
         following = iter(partial(self._stream.read, BLOCK), "")
         if not any(map(str.strip, block.lines[wrong:])) and not any(map(str.strip, following)):
             if wrong:
-                yield _Block(block.lines[:wrong], block.first)
+                yield Block(block.lines[:wrong], block.first)
             return
         cells = len(split(line, self._layout.delimiter)) if line.strip() else 0
         what, where = f"the row has {cells} cells", f"{self._where}, line {block.first + wrong}"
@@ -251,10 +260,24 @@ class _Lines:
         return next(k for k, count in enumerate(counts) if count != self._cells)
 
 
-class _Columns:
-    """Columns of blocks of lines, parsed by pandas."""
+class ParsedColumns:
+    """Columns of blocks of lines, parsed by pandas.
+
+    Attributes:
+        wrong: a non-numeric cell of a column, by the column's index, such as ``line 12 is 'abc'``.
+        remarks: remarks on the reading of clock times.
+    """
 
     def __init__(self, layout: Layout, places: Iterable[int], lenient: bool, deadline: Deadline, where: str) -> None:
+        """Prepare reading.
+
+        Args:
+            layout: layout of the lines, each of which has a cell per name.
+            places: indices of the columns to read.
+            lenient: whether a column with a wrong cell becomes None instead of an error.
+            deadline: deadline for reading the file.
+            where: the file, for errors.
+        """
         self._layout, self._where, self._lenient, self._deadline = layout, where, lenient, deadline
         # If every cell has to be a number, the first that is not will be reported.
         kinds = {place: layout.header.kinds[place] for place in places}
@@ -262,7 +285,7 @@ class _Columns:
         self.wrong: dict[int, str] = {}
         self.remarks: list[str] = []
 
-    def read(self, blocks: Iterable[_Block]) -> dict[int, NDArray[np.float64] | None]:
+    def read(self, blocks: Iterable[Block]) -> dict[int, NDArray[np.float64] | None]:
         """Return the columns by their positions."""
         parts: dict[int, list[NDArray[Any]]] = {place: [] for place in self.kinds}
         rows = 0
@@ -287,7 +310,7 @@ class _Columns:
         self.remarks += [clock.remark] if clock.remark else []
         return clock.seconds
 
-    def _block(self, block: _Block) -> dict[int, NDArray[Any]]:
+    def _block(self, block: Block) -> dict[int, NDArray[Any]]:
         while True:
             places = [place for place, kind in self.kinds.items() if kind != "text"]
             try:

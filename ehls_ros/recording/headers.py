@@ -35,9 +35,8 @@ class Recognised(NamedTuple):
 
 
 WORDS: Mapping[str, str] = {
-    **dict.fromkeys(
-        ("t", "time", "zeit", "timestamp", "zeitstempel", "uhrzeit", "elapsed", "laufzeit", "messzeit", "prüfzeit"), "time"
-    ),
+    **dict.fromkeys(("t", "time", "zeit", "timestamp", "zeitstempel", "uhrzeit", "elapsed"), "time"),
+    **dict.fromkeys(("laufzeit", "messzeit", "prüfzeit", "xvalue"), "time"),
     **dict.fromkeys(("x", "position", "pos", "weg", "hub", "stroke", "displacement", "kolbenweg"), "length"),
     **dict.fromkeys(("xv", "spool", "schieber", "schieberweg"), "spool"),
     **dict.fromkeys(("v", "velocity", "vel", "speed", "geschwindigkeit"), "velocity"),

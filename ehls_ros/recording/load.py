@@ -12,6 +12,7 @@ from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.csv_file import read_csv
 from ehls_ros.recording.excel_file import read_excel
 from ehls_ros.recording.joining import join
+from ehls_ros.recording.lvm_file import is_lvm, read_lvm
 from ehls_ros.recording.mat_file import read_mat
 from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import read_parquet
@@ -22,8 +23,14 @@ from ehls_ros.trajectory import SIGNALS, Trajectory
 
 Answer = TypeVar("Answer")
 
+
+def read_text(path: Path, pick: Pick | None = None) -> RawTable:
+    """Read a text file: a LabVIEW measurement file by its first line, whatever its suffix, otherwise a plain table."""
+    return read_lvm(path, pick) if is_lvm(path) else read_csv(path, pick)
+
+
 READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc"), read_csv),
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm"), read_text),
     ".mat": read_mat,
     ".parquet": read_parquet,
     **dict.fromkeys((".xlsx", ".xls"), read_excel),

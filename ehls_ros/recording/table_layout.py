@@ -221,7 +221,7 @@ def layout_of(path: Path) -> Layout:
     with path.open("rb") as stream:
         content = stream.read(BEGINNING)
         whole = not stream.read(1)
-    encoding = _encoding(content, whole)
+    encoding = encoding_of(content, whole)
     lines = re.split(r"\r\n|\r|\n", codecs.getincrementaldecoder(encoding)("replace").decode(content))
     if (whole and lines[-1] == "") or (not whole and len(lines) > 1):
         del lines[-1]
@@ -275,7 +275,13 @@ def is_number(cell: str, decimal: str) -> bool:
     return "_" not in cell  # a separator of digits in Python only
 
 
-def _encoding(content: bytes, whole: bool) -> str:
+def encoding_of(content: bytes, whole: bool) -> str:
+    """Return Python's name of the encoding of a text.
+
+    Args:
+        content: beginning of the text.
+        whole: whether that is all of it.
+    """
     for mark, encoding in MARKS.items():
         if content.startswith(mark):
             return encoding
