@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
-from ehls_ros.recording.columns import TIME, unique_names
+from ehls_ros.recording.columns import TIME, numbered, unique_names
 from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.regular_file import check_regular
 from ehls_ros.recording.table import Pick, RawTable, check_length
@@ -138,7 +138,11 @@ def _read_several(path: Path, layout: Layout, pick: Pick | None, deadline: Deadl
     main = max(range(len(tables)), key=lambda k: (tables[k].rows, k))
     order = [main, *(k for k in range(len(tables)) if k != main)]
     prefix = {k: "" if k == main else f"table {k + 1}/" for k in order}
-    names = tuple(prefix[k] + name for k in order for name in tables[k].header.names)
+    names = tuple(
+        prefix[k] + (name or numbered(place) if prefix[k] else name)
+        for k in order
+        for place, name in enumerate(tables[k].header.names)
+    )
     origin = [(k, place) for k in order for place in range(len(tables[k].header.names))]
     unique = unique_names(names)
     wanted = unique if pick is None else pick(names)

@@ -93,6 +93,9 @@ UNIT_LIKE_WORDS = ("min", "in", "h", "d", "C", "K")
 LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "k": "K", "v": "V", "ma": "mA", "degc": "°C"}
 """Units by their spelling in lower-case names."""
 
+NO_UNIT = "no unit is given"
+"""Ambiguity of a column whose quantity is known."""
+
 TWO_UNITS = ("mpa", "mn")
 """Lower-case spellings that each denote two units."""
 
@@ -152,7 +155,7 @@ def _recognised(column: str, apart: str) -> Recognised:
         what = doubt or ("the unit is known, the name is not" if unit else "no word of the name is known")
         return Recognised(column, candidate, unit, "unsure" if unit or doubt else "unknown", what)
     if doubt or not unit:
-        return Recognised(column, signal, "", "unsure", "; ".join(filter(None, (doubt or "no unit is given", left_open))))
+        return Recognised(column, signal, "", "unsure", "; ".join(filter(None, (doubt or NO_UNIT, left_open))))
     if UNITS[unit].quantity in ELECTRICAL:
         return Recognised(
             column, signal, unit, "unsure", f"needs the signal at two values in {unit}, by the data sheet: range and means"

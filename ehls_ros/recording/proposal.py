@@ -15,7 +15,7 @@ from ehls_ros.diagnosis.verdict import NEEDED_SIGNALS
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import ELECTRICAL, TABLES, TIME, is_topic, unit_of
 from ehls_ros.recording.conversion import given_by
-from ehls_ros.recording.headers import Recognised, recognised
+from ehls_ros.recording.headers import NO_UNIT, Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
 from ehls_ros.recording.time_axis import RowName, time_axis
@@ -158,6 +158,7 @@ def look(path: Path) -> list[Table]:
         headers = [
             h._replace(certainty="unsure", open="instead of the times of the file?") if _is_time(h) else h for h in headers
         ]
+    notes: list[str] = []
     seen = tuple(
         _seen(header, values)._replace(wrong=table.wrong.get(header.column, "") if values is None else "no cell has a value")
         for header in headers
@@ -169,16 +170,40 @@ def look(path: Path) -> list[Table]:
         units = {axis: unit_of(table.units.get(axis, "s")) or "s" for axis in axes}
         stated = [_Axis(axis, units[axis], table.values[axis]) for axis in axes]
     else:
-        stated = [_Axis(h.column, h.unit or "s", table.values[h.column]) for h in headers if _is_time(h)][:1]
+        sure = [h for h in headers if _is_time(h)]
+        # Without a unit, seconds are the likely ones: said, since only a rate is shown.
+        likely = [h for h in headers if h.signal == TIME and h.open == NO_UNIT and table.values[h.column] is not None]
+        used = sure[:1] or (likely if len(likely) == 1 else [])
+        stated = [_Axis(h.column, h.unit or "s", table.values[h.column]) for h in used]
+        if used and not sure:
+            notes.append(f"the rate is that of '{used[0].column}' in s, whose unit is not given")
     times = {axis.name: axis.values * UNITS[axis.unit].scale for axis in stated if axis.values is not None}
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
     found = {name: _checked(values, str(path), table.place) for name, values in times.items()}
-    remarks = list(table.remarks)
+    remarks = [*table.remarks, *notes]
     for name, axis in found.items():
         remarks += [f"{name}: {remark}" if len(found) > 1 else remark for remark in axis.remarks]
+    seen, missing = _units_asked_once(seen)
+    remarks += missing
     shown = tuple(_axis_sentence(name, times[name], found[name], table.time_of) for name in axes if name in times)
     common = next(iter(found.values())) if len(found) == 1 else UNKNOWN_AXIS
     return [Table(path.name, seen, rows, common.rate, common.unevenness, tuple(remarks), shown)]
+
+
+def _units_asked_once(seen: tuple[Seen, ...]) -> tuple[tuple[Seen, ...], list[str]]:
+    """Replace the question for the unit of each column by one sentence, if no column but the time states a unit."""
+    others = [column for column in seen if column.numeric and column.header.signal != TIME]
+    asked = [column for column in seen if column.numeric and NO_UNIT in column.header.open]
+    if len(asked) < 2 or any(column.header.unit or column.header.certainty == "contract" for column in others):
+        return seen, []
+    brief = {column.header.column: column.header.open.replace(NO_UNIT, "unit?") for column in asked}
+    out = tuple(
+        column._replace(header=column.header._replace(open=brief.get(column.header.column, column.header.open)))
+        for column in seen
+    )
+    example = f"{asked[0].header.column} [{'s' if asked[0].header.signal == TIME else 'mm'}]"
+    where = f"in place of each \"?\" in the map, or in the file behind the names, such as '{example}', or in a row below them"
+    return out, [f"no column states a unit: write it {where}"]
 
 
 class _Axis(NamedTuple):

@@ -75,7 +75,7 @@ def _summary(proposal: Proposal) -> Iterator[str]:
 
 def _print(table: Table, console: Console) -> None:
     """Print the interpretation of the columns to standard error, so that the output can be the map alone."""
-    rate = "rate unknown: no column of time is sure" if math.isnan(table.rate) else f"{table.rate:.4g} Hz"
+    rate = "rate unknown: no column of time is sure" if math.isnan(table.rate) else f"{table.rate:.5g} Hz"
     uneven = f", time steps differ by up to {100 * table.unevenness:.2g} %" if table.unevenness > MIN_UNEVENNESS else ""
     if len(table.axes) > 1:
         rate = f"{len(table.axes)} time axes"
