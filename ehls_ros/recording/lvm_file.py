@@ -6,6 +6,7 @@ segment's header (No). They count from the date and time of the segment.
 
 import datetime as dt
 import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -177,7 +178,7 @@ def _row(cells: Sequence[str], line: str, segment: _Segment, number: int, delimi
         return delimiter.join(cells[:width])
     # A column of times has no cell of its own in the header.
     samples = [text for k in range(count, width) if (text := segment.cells("Samples", k))]
-    ended = all(text.isdecimal() and int(text) <= len(segment.lines) for text in samples)
+    ended = all(_count(text) <= len(segment.lines) for text in samples)
     if 1 < count < width and ended and segment.cells("Samples", width - 1):
         return delimiter.join([*cells, *[""] * (width - count)])
     what = f"the row has {count} cells"
@@ -311,8 +312,8 @@ def _counted(file: _File, channels: Sequence[int], offsets: NDArray[np.float64],
         for segment, row in zip(file.segments, offsets, strict=True):
             count = len(segment.lines)
             samples = segment.cells("Samples", place, str(count))
-            if not longest and samples.isdecimal() and len(file.segments) == 1:
-                count = min(count, int(samples))
+            if not longest and len(file.segments) == 1:
+                count = min(count, _count(samples))
             start = row[k] + number(segment, "X0", place, "0")
             yield start + number(segment, "Delta_X", place, "1") * np.arange(count)
 
@@ -324,6 +325,11 @@ def _counted(file: _File, channels: Sequence[int], offsets: NDArray[np.float64],
     return [np.concatenate(list(parts(k, place, common))) for k, place in enumerate(channels)]
 
 
+def _count(text: str) -> int:
+    """Return a number of samples; one that cannot be, for other texts."""
+    return int(text) if text.isdecimal() and len(text) < len(str(sys.maxsize)) else sys.maxsize
+
+
 def _has_samples(segment: _Segment, place: int) -> bool:
     return segment.cells("Samples", place, "1") != "0"
 
@@ -333,7 +339,7 @@ def _start(segment: _Segment, place: int, where: str) -> dt.datetime:
     date = re.split(r"[-/.]", segment.cells("Date", place, segment.cells("Date", 1, "2000/01/01")))
     clock = re.split(r"[:]", segment.cells("Time", place, segment.cells("Time", 1, "0:00:00")).replace(",", "."))
     try:
-        year, month, day_of_month = map(int, date)
+        year, month, day_of_month = map(int, date if len(date[0]) == 4 else reversed(date))
         day = dt.datetime(year, month, day_of_month)  # noqa: DTZ001 - differences only
         return day + dt.timedelta(hours=int(clock[0]), minutes=int(clock[1]), seconds=float(clock[2]))
     except (ValueError, IndexError, OverflowError):
@@ -351,5 +357,5 @@ def _remarks(file: _File, channels: Sequence[int]) -> Iterator[str]:
         shown = " and ".join(f"{float(step):g} s ({1.0 / float(step):.6g} Hz)" for step in sorted(steps) if float(step) != 0.0)
         yield f"times are counted from Delta_X of {shown}"
         stated = first.cells("Samples", channels[0])
-        if stated.isdecimal() and len(first.lines) > int(stated) > 0:
+        if len(first.lines) > _count(stated) > 0:
             yield f"rows behind the {stated} of the header are taken to go on at its rate"

@@ -25,7 +25,7 @@ from ehls_ros.recording.columns import (
     unit_of,
 )
 from ehls_ros.recording.expression import expression
-from ehls_ros.recording.time_axis import time_axis
+from ehls_ros.recording.time_axis import copied_rows, time_axis
 from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Preparation, Trajectory
 from ehls_ros.units import UNITS
 
@@ -273,14 +273,21 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
     check_length(max(map(len, values.values())), len(chosen), where)
     scaled = {name: _scaled(values[name], column, name, where) for name, column in chosen.items()}
     time_s = scaled.pop(TIME)
-    axis = time_axis(time_s, where, row_name, values[TIME].astype(np.float64))
     for name, signal in scaled.items():
         if name in MEASURED or name in AS_RIGS_GIVE:
             _check_finite(signal, name, where, row_name)
         if len(signal) != len(time_s):
             raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)}, as {TIME} has")
-    kept = scaled if axis.rows is None else {name: signal[axis.rows] for name, signal in scaled.items()}
-    return Trajectory(axis.time, _with_elements_joined(kept, where), preparation=Preparation(axis.remarks))
+    kept, remarks = np.arange(len(time_s)), list[str]()
+    copies = copied_rows(time_s, scaled)
+    if copies is not None:
+        kept = np.flatnonzero(~copies)
+        remarks.append(f"{len(time_s) - len(kept)} rows that repeat the row before are left out")
+    axis = time_axis(time_s[kept], where, lambda row: row_name(int(kept[row])), values[TIME].astype(np.float64)[kept])
+    kept = kept if axis.rows is None else kept[axis.rows]
+    if len(kept) < len(time_s):
+        scaled = {name: signal[kept] for name, signal in scaled.items()}
+    return Trajectory(axis.time, _with_elements_joined(scaled, where), preparation=Preparation((*remarks, *axis.remarks)))
 
 
 def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDArray[np.float64]:

@@ -23,6 +23,12 @@ TAIL = 30
 NO_UNIT = ("", "-", "--", "1", "–", "unit", "units", "einheit", "einheiten", "n/a", "none", "ohne")
 """Cells that denote a missing unit in a row of units, or label that row, in lower case."""
 
+OTHER_UNITS = (
+    *("cycle", "cycles", "segment", "segments", "zyklen", "lw", "strain", "dehnung", "samples", "sample", "ticks", "pulses"),
+    *("bit", "bits", "raw", "bool", "db", "w", "kw", "j", "kj", "ohm", "Ω", "hz/s", "l/h", "m^3/h", "kg/s", "1/s", "mm^2/s"),
+)
+"""Words of a row of units without a quantity in this package, in lower case; they only show that the row is one of units."""
+
 Item = TypeVar("Item")
 Row = Sequence[str]
 
@@ -154,10 +160,15 @@ def _bare(cell: str) -> str:
     return cell.strip("[](){}<> ")
 
 
+def _in_brackets(cell: str) -> bool:
+    return (cell[:1], cell[-1:]) in (("[", "]"), ("(", ")"), ("<", ">"), ("{", "}"))
+
+
 def _known_units(row: Row) -> float:
     """Return the share of known units among the cells of a row that state one; 0 if they are fewer than half."""
-    stated = [cell for cell in map(_bare, row) if cell.lower() not in NO_UNIT]
-    share = sum(unit_of(cell) is not None for cell in stated) / len(stated) if stated else 0.0
+    stated = [cell for cell in row if _bare(cell).lower() not in NO_UNIT]
+    known = [unit_of(_bare(cell)) is not None or _bare(cell).lower() in OTHER_UNITS or _in_brackets(cell) for cell in stated]
+    share = sum(known) / len(stated) if stated else 0.0
     return share if share >= MIN_KNOWN_UNITS else 0.0
 
 

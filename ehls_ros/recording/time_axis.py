@@ -5,7 +5,7 @@ are placed or left out, both with a remark; a stray stamp, a clock that was set 
 refused before anything is allocated.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -131,6 +131,21 @@ def time_axis(time: Times, where: str, row_name: RowName, written: NDArray[np.fl
     return TimeAxis(time, rows, (*remarks, *_gaps(time, usual, named)), unevenness)
 
 
+def copied_rows(time: Times, signals: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_] | None:
+    """Return the rows that repeat time and signals of the row before, if all rows with a repeated time do and are many.
+
+    Args:
+        time: times, shape (n,) [s].
+        signals: signals, shape (n,) or (n, elements).
+    """
+    repeated = np.diff(time) == 0.0
+    if np.count_nonzero(repeated) <= max(1.0, FEW * len(time)) or not any(np.ptp(s) > 0.0 for s in signals.values()):
+        return None
+    places = np.flatnonzero(repeated)
+    same = all(np.array_equal(s[places], s[places + 1], equal_nan=True) for s in signals.values())
+    return np.concatenate([[False], repeated]) if same else None
+
+
 def shown(time: float) -> str:
     """Return a time with the digits that a float in Unix seconds resolves."""
     return repr(float(f"{time:.13g}"))
@@ -175,16 +190,18 @@ def check_jumps(time: Times, where: str, row_name: RowName) -> float:
     if len(jumps):
         begins = np.concatenate([[0], jumps + 1])
         ends = np.concatenate([jumps + 1, [len(time)]])
-        least = int(np.argmin(ends - begins))
-        begin, end = int(begins[least]), int(ends[least])
-        few = end - begin <= max(1.0, STRAY * len(time))
-        far = float(np.max(sizes[jumps])) > DAY
-        if few and (far or not np.any(time[begin:end])):
-            others = np.concatenate([time[:begin], time[end:]])
-            count = f" in {end - begin} rows" if end - begin > 1 else ""
-            what = f"{TIME} is {shown(time[begin])}{count}; the others have {shown(others.min())} to {shown(others.max())}"
+        most = int(np.argmax(ends - begins))
+        usually = float(np.median(time[begins[most] : ends[most]]))
+        stray = np.zeros(len(time), dtype=np.bool_)
+        for begin, end in zip(begins, ends, strict=True):
+            far = abs(float(time[begin]) - usually) > DAY
+            stray[begin:end] = end - begin <= max(1.0, STRAY * len(time)) and (far or not np.any(time[begin:end]))
+        if np.any(stray) and np.mean(stray) < 0.5:
+            first, others = int(np.argmax(stray)), time[~stray]
+            count = f", and {np.count_nonzero(stray) - 1} more rows are astray" if np.count_nonzero(stray) > 1 else ""
+            what = f"{TIME} is {shown(time[first])}; the others have {shown(others.min())} to {shown(others.max())}{count}"
             remedy = f"one clock for all rows: leave the row out, or {TIME}: {{rate: ...}} in the map, in Hz, if rows are even"
-            raise BadInput(what, f"{where}, {row_name(begin)}", remedy)
+            raise BadInput(what, f"{where}, {row_name(first)}", remedy)
     span = float(np.max(time) - np.min(time))
     worst = int(np.argmax(sizes))
     absurd = len(jumps) > 0 and sizes[worst] > DAY

@@ -106,6 +106,8 @@ UNITS_ROWS = {
     "delimiters at the end left out": ("Zeit;Weg;Zyklen;Notiz", "s;mm", {"Zeit": "s", "Weg": "mm"}),
     "names that look like units": ("s;V;N;F", "mm;V;1/min;kN", {"s": "mm", "V": "V", "N": "1/min", "F": "kN"}),
     "equal names": ("Zeit;Kraft;Kraft", "sec.;kip;ksi", {"Zeit": "sec.", "column 2": "kip", "column 3": "ksi"}),
+    "few known ones": ("Zeit;N;D;Q", "s;cycles;strain;-", {"Zeit": "s", "N": "cycles", "D": "strain"}),
+    "unknown ones in brackets": ("Zeit;N;D", "(s);(furlong);(foo)", {"Zeit": "s", "N": "furlong", "D": "foo"}),
     "units above the names": ("[ms];[mm];[cycles]", "t;x;n", {"t": "ms", "x": "mm", "n": "cycles"}),
 }
 """Rows of names and of units, and the units found; values are semicolon-separated numbers."""

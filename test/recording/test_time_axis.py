@@ -93,7 +93,14 @@ REFUSED = {
     "many repeats": (np.round(np.cumsum(np.random.default_rng(0).exponential(0.01, 400)), 2), ("repeat the time before",)),
     "first stamp zero": (with_values(UNIX + EVEN, r0=0.0), ("line 2: time_s is 0.0; the others have 1764000000.002 to",)),
     "a zero in the middle": (with_values(UNIX + EVEN, r77=0.0), ("line 79: time_s is 0.0; the others have 1764000000.0",)),
-    "several zeros": (with_values(UNIX + EVEN, r0=0.0, r1=0.0, r2=0.0), ("line 2: time_s is 0.0 in 3 rows",)),
+    "several zeros": (
+        with_values(UNIX + EVEN, r0=0.0, r1=0.0, r2=0.0),
+        ("line 2: time_s is 0.0; the others have 1764000000.006", "and 2 more rows are astray"),
+    ),
+    "zeros here and there": (
+        with_values(UNIX + EVEN, r7=0.0, r300=0.0),
+        ("line 9: time_s is 0.0; the others have 1764000000.0",),
+    ),
     "zero before a clock since boot": (with_values(5e4 + EVEN, r0=0.0), ("line 2: time_s is 0.0; the others have 50000.002",)),
     "a stamp in the future": (with_values(EVEN, r300=5e9), ("line 302: time_s is 5000000000.0; the others have 0.0 to 0.798",)),
     "two rows are enough": (np.array([0.0, UNIX, UNIX + 0.002]), ("line 2: time_s is 0.0",)),
@@ -141,3 +148,12 @@ def test_signals_lose_the_row_that_the_axis_loses(tmp_path: Path):
     found = load(path, ColumnMap({"time_s": Column("t"), "force_n": Column("F")}))
     assert found["force_n"].tolist() == list(range(400))
     assert found.preparation.remarks == ("line 202 repeats the time before (0.398 s) and is left out",)
+
+
+def test_rows_written_twice_are_left_out(tmp_path: Path):
+    path = tmp_path / "data.csv"
+    path.write_text("time_s,force_n\n" + "".join(2 * f"{t:.3f},{k}\n" for k, t in enumerate(EVEN)))
+    found = load(path)
+    assert found.time_s.tolist() == pytest.approx(EVEN.tolist())
+    assert found["force_n"].tolist() == list(range(400))
+    assert found.preparation.remarks == ("400 rows that repeat the row before are left out",)
