@@ -39,6 +39,7 @@ UNITS: Mapping[str, Unit] = {
     "ns": Unit("time", 1e-9),
     "min": Unit("time", 60.0),
     "h": Unit("time", 3600.0),
+    "d": Unit("time", 86400.0),
     "m": Unit("length", 1.0),
     "dm": Unit("length", 0.1),
     "cm": Unit("length", 1e-2),
@@ -58,6 +59,7 @@ UNITS: Mapping[str, Unit] = {
     "mm/min": Unit("velocity", 1e-3 / 60.0),
     "in/s": Unit("velocity", INCH),
     "m/s^2": Unit("acceleration", 1.0),
+    "gn": Unit("acceleration", 9.80665),
     "kg": Unit("mass", 1.0),
     "g": Unit("mass", 1e-3),
     "t": Unit("mass", 1e3),
@@ -69,7 +71,10 @@ UNITS: Mapping[str, Unit] = {
     "kN": Unit("force", 1e3),
     "MN": Unit("force", 1e6),
     "lbf": Unit("force", POUND_FORCE),
+    "kip": Unit("force", 1e3 * POUND_FORCE),
     "kgf": Unit("force", 9.80665),
+    "N/s": Unit("force rate", 1.0),
+    "kN/s": Unit("force rate", 1e3),
     "Pa": Unit("pressure", 1.0),
     "hPa": Unit("pressure", 1e2),
     "kPa": Unit("pressure", 1e3),
@@ -77,9 +82,11 @@ UNITS: Mapping[str, Unit] = {
     "bar": Unit("pressure", 1e5),
     "mbar": Unit("pressure", 1e2),
     "psi": Unit("pressure", POUND_FORCE / INCH**2),
+    "ksi": Unit("pressure", 1e3 * POUND_FORCE / INCH**2),
     "N/mm^2": Unit("pressure", 1e6),
     "m^3/s": Unit("flow", 1.0),
     "l/min": Unit("flow", 1e-3 / 60.0),
+    "gpm": Unit("flow", 231.0 * INCH**3 / 60.0),
     "cm^3/s": Unit("flow", 1e-6),
     "N/m": Unit("stiffness", 1.0),
     "kN/m": Unit("stiffness", 1e3),
@@ -106,6 +113,9 @@ UNITS: Mapping[str, Unit] = {
     "V": Unit("voltage", 1.0),
     "mV": Unit("voltage", 1e-3),
     "%": Unit("ratio", 1e-2),
+    "mV/V": Unit("ratio", 1e-3),
+    "mm/mm": Unit("ratio", 1.0),
+    "µm/m": Unit("ratio", 1e-6),
     "counts": Unit("counts", 1.0),
 }
 """Known units; case matters, as in mN and MN."""
@@ -119,6 +129,7 @@ QUANTITIES: Mapping[str, str] = {
     "kg": "mass",
     "kg/m^3": "density",
     "N": "force",
+    "N/s": "force rate",
     "Pa": "pressure",
     "m^3/s": "flow",
     "N/m": "stiffness",
@@ -133,11 +144,25 @@ QUANTITIES: Mapping[str, str] = {
 SPELLINGS: Mapping[str, str] = {
     **dict.fromkeys(("Bar", "BAR"), "bar"),
     **dict.fromkeys(("PSI", "Psi", "lbf/in^2"), "psi"),
+    **dict.fromkeys(("KSI", "Ksi", "kip/in^2"), "ksi"),
     "kp": "kgf",
+    **dict.fromkeys(("kips", "kip-f", "kipf", "klbf"), "kip"),
+    **dict.fromkeys(("lb", "lbs", "lbs-f", "lb-f"), "lbf"),
+    **dict.fromkeys(("Newton", "Newtons", "newton", "newtons"), "N"),
+    **dict.fromkeys(("Volt", "Volts", "volt", "volts"), "V"),
+    **dict.fromkeys(("Amps", "Ampere", "amps"), "A"),
+    **dict.fromkeys(("g_n", "g0", "gee", "gees"), "gn"),
+    **dict.fromkeys(("GPM", "gal/min"), "gpm"),
+    "m/m": "mm/mm",
+    "in/in": "mm/mm",
+    **dict.fromkeys(("µε", "microstrain", "ue"), "µm/m"),
     **dict.fromkeys(("L", "dm^3"), "l"),
     **dict.fromkeys(("L/min", "lpm", "LPM", "l/Min"), "l/min"),
     **dict.fromkeys(("1/min", "U/min", "1/Min", "min-1", "RPM", "rev/min"), "rpm"),
-    **dict.fromkeys(("sec", "Sek", "sek", "Sec", "seconds"), "s"),
+    **dict.fromkeys(("sec", "Sek", "sek", "Sec", "SEC", "second", "seconds", "Sekunde", "Sekunden"), "s"),
+    **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("hr", "hrs", "hour", "hours", "Std"), "h"),
+    **dict.fromkeys(("day", "days", "Tag", "Tage"), "d"),
     **dict.fromkeys(("msec", "milliseconds"), "ms"),
     "us": "µs",
     "um": "µm",
@@ -145,7 +170,7 @@ SPELLINGS: Mapping[str, str] = {
     "deg/s": "°/s",
     **dict.fromkeys(("degC", "C", "Grad C", "deg C", "degrees C", "Celsius"), "°C"),
     "degF": "°F",
-    **dict.fromkeys(("inch", '"'), "in"),
+    **dict.fromkeys(("inch", "inches", '"'), "in"),
     **dict.fromkeys(("mm s-1", "mm·s-1"), "mm/s"),
     **dict.fromkeys(("m s-1", "m·s-1"), "m/s"),
     **dict.fromkeys(("Ns/m", "N·s/m"), "N s/m"),
@@ -170,8 +195,8 @@ NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*"
 
 
 def unit_of(text: str) -> str | None:
-    """Return the standard spelling of a unit as users write it, such as ``[µm]`` with either code point; None if unknown."""
-    text = text.strip().removeprefix("[").removesuffix("]")
+    """Return the standard spelling of a unit as users write it, such as ``[µm]`` or ``sec.``; None if unknown."""
+    text = text.strip().removeprefix("[").removesuffix("]").removesuffix(".")
     written = " ".join(text.split()).replace("\N{GREEK SMALL LETTER MU}", "\N{MICRO SIGN}").replace("º", "°")
     written = written.replace("*", "·").replace("\N{DOT OPERATOR}", "·")
     written = written.replace("^-1", "-1").replace("²", "^2").replace("³", "^3")

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.time_axis import check_jumps
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, RESPONSE, VALVE_COMMAND
 
 CYCLE = "cycle"
@@ -33,7 +34,7 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
         The sample times, shape (n,) [s], and the signals, shape (n,) or (n, elements).
 
     Raises:
-        BadInput: the snapshots are from several runs.
+        BadInput: the snapshots are from several runs, or a stamp is on another clock.
     """
     loader = topics[LOADER_STATE.name]
     cycles, first = _first_of_each_cycle(loader)
@@ -44,6 +45,7 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
         what = f"time does not increase from cycle {cycles[backwards[0]]} to cycle {cycles[backwards[0] + 1]}"
         raise BadInput(what, where, "the snapshots of one run")
     time_s = (stamps_ns - (stamps_ns[0] if stamps_ns[0] >= UNIX_TIME_NS else 0)) / 1e9
+    check_jumps(time_s, where, lambda row: f"cycle {cycles[row]}")
 
     signals: dict[str, NDArray[np.float64]] = {}
     for topic in CYCLE_TOPICS:

@@ -1,6 +1,8 @@
 """Units of recorded signals, and the map of foreign column names and units to the names of the data contract."""
 
-from collections.abc import Collection, Mapping
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -41,15 +43,55 @@ def quantity_of(name: str) -> str:
 
 
 def unit_of(text: str) -> str | None:
-    """Return the standard spelling of a column's unit; None if it is not a permitted unit."""
+    """Return the standard spelling of a column's unit, ``g`` being an acceleration; None if it is not a permitted unit."""
     known = units.unit_of(text)
-    return known if known in RECORDED else None
+    return "gn" if known == "g" else known if known in RECORDED else None
+
+
+NUMBERED = re.compile(r"column ([1-9][0-9]{0,5})\Z")
+"""Name of a column by its number in the file, from 1."""
+
+
+def numbered(place: int) -> str:
+    """Return the name of a column by its number, from its index."""
+    return f"column {place + 1}"
+
+
+def place_of(name: str, names: Sequence[str]) -> int | None:
+    """Return the index of a column by its name, or by its number if no column has this name; None if there is none.
+
+    Args:
+        name: such as ``Kraft``, or ``column 3`` for the third column of the file.
+        names: names of all columns; of equal ones, the first is returned.
+    """
+    if name in names:
+        return list(names).index(name)
+    match = NUMBERED.match(name)
+    place = int(match[1]) - 1 if match else len(names)
+    return place if place < len(names) else None
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Return the names of the columns, by number where a name is empty or occurs more than once."""
+    count = Counter(names)
+    return [name if name and count[name] == 1 else numbered(place) for place, name in enumerate(names)]
+
+
+def unique_name(name: str, names: Sequence[str]) -> str:
+    """Return the name of :func:`unique_names` for a name or number of a column; an unknown name is kept."""
+    place = place_of(name, names)
+    return name if place is None else names[place] if names[place] and names.count(names[place]) == 1 else numbered(place)
 
 
 class Column(NamedTuple):
     """Source of a signal in a file: signal = ``gain`` · ``scale`` · value in SI units of ``unit`` + ``offset``."""
 
-    name: Annotated[str, text("name of the column in the file; of a bag, of the message's field, such as position[0]")] = ""
+    name: Annotated[
+        str,
+        text(
+            "name of the column in the file, or `column 3` by its number; of a bag, of the message's field, such as position[0]"
+        ),
+    ] = ""
     scale: Annotated[float, quantity("1", "factor; without a unit, SI units per unit of the column")] = 1.0
     offset: Annotated[float, quantity("SI", "added after scaling")] = 0.0
     unit: Annotated[str, text("unit of the column, such as mm, bar, kN, °C, mA or V")] = ""
@@ -80,9 +122,9 @@ class Column(NamedTuple):
             return expression(self.expression).names
         return (self.name,) if self.name else ()
 
-    def sources_in(self, names: Collection[str]) -> bool:
-        """Return whether all source columns are among the given names."""
-        return set(self.sources) <= set(names)
+    def sources_in(self, names: Sequence[str]) -> bool:
+        """Return whether all source columns are among the given names, or have a number of theirs."""
+        return all(place_of(source, names) is not None for source in self.sources)
 
     @property
     def shown(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.columns import unique_names
 from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.table_layout import header_of, is_number
@@ -57,11 +58,12 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
     values = rows[header.first :]
     while values and all(cell == "" for cell in values[-1]):
         values.pop()
-    wanted = [*header.names] if pick is None else pick(header.names)
+    unique = unique_names(header.names)
+    wanted = unique if pick is None else pick(header.names)
     columns: dict[str, NDArray[np.float64] | None] = {}
     texts: dict[str, str] = {}
     for column in wanted:
-        place = header.names.index(column)
+        place = unique.index(column)
         cells = [row[place] for row in values]
         wrong = next((k for k, cell in enumerate(cells) if _seconds(cell) is None), None)
         if wrong is not None:
@@ -70,7 +72,7 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
                 raise BadInput(f"column '{column}' is {cell}", f"{where}, {row_name}", "a number, a time or an empty cell")
             texts[column] = f"{row_name} is {cell}"
         columns[column] = None if wrong is not None else _numbers(cells)
-    clocks = {name: "s" for name, kind in zip(header.names, header.kinds, strict=True) if kind == "clock"}
+    clocks = {name: "s" for name, kind in zip(unique, header.kinds, strict=True) if kind == "clock"}
     others = [other for other, _ in sheets if other != name]
     remarks = [f"read from sheet '{name}'; not from {', '.join(others)}"] if others else []
     return RawTable(header.names, columns, "row", header.first + 1, {**header.units, **clocks}, tuple(remarks), texts)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from ehls_ros.recording.columns import ELECTRICAL, TIME, is_contract_name, quantity_of, unit_of
+from ehls_ros.recording.columns import ELECTRICAL, TIME, is_contract_name, quantity_of, unique_names, unit_of
 from ehls_ros.trajectory import READABLE
 from ehls_ros.units import UNITS
 
@@ -36,6 +36,7 @@ class Recognised(NamedTuple):
 
 WORDS: Mapping[str, str] = {
     **dict.fromkeys(("t", "time", "zeit", "timestamp", "zeitstempel", "uhrzeit", "elapsed"), "time"),
+    **dict.fromkeys(("laufzeit", "messzeit", "prüfzeit", "xvalue"), "time"),
     **dict.fromkeys(("x", "position", "pos", "weg", "hub", "stroke", "displacement", "kolbenweg"), "length"),
     **dict.fromkeys(("xv", "spool", "schieber", "schieberweg"), "spool"),
     **dict.fromkeys(("v", "velocity", "vel", "speed", "geschwindigkeit"), "velocity"),
@@ -86,11 +87,14 @@ QUALIFIERS: Mapping[str, str] = {
 }
 """Words that distinguish several signals of a quantity."""
 
-UNIT_LIKE_WORDS = ("min", "in", "h", "C", "K")
+UNIT_LIKE_WORDS = ("min", "in", "h", "d", "C", "K")
 """Suffixes that may be words or units."""
 
 LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "k": "K", "v": "V", "ma": "mA", "degc": "°C"}
 """Units by their spelling in lower-case names."""
+
+NO_UNIT = "no unit is given"
+"""Ambiguity of a column whose quantity is known."""
 
 TWO_UNITS = ("mpa", "mn")
 """Lower-case spellings that each denote two units."""
@@ -107,15 +111,27 @@ def recognised(header: Sequence[str], units: Mapping[str, str] = MappingProxyTyp
     Args:
         header: the names of its columns.
         units: units by name, if stated separately in the file, such as in a row of units.
+
+    Returns:
+        The interpretations; a column whose name is empty or occurs more than once is called by its number.
     """
-    found = [_recognised(column, units.get(column, "")) for column in header]
+    found = [_recognised(name, units.get(unique, "")) for name, unique in zip(header, unique_names(header), strict=True)]
     stated = [r.signal for r in found if r.certainty in ("contract", "stated")]
     return [
         r._replace(certainty="unsure", open=f"{stated.count(r.signal)} columns state the same signal; which is right?")
         if r.certainty == "stated" and stated.count(r.signal) > 1
         else r
-        for r in found
+        for r in (_numbered(r, unique) for r, unique in zip(found, unique_names(header), strict=True))
     ]
+
+
+def _numbered(found: Recognised, unique: str) -> Recognised:
+    """Return an interpretation with the unique name of the column; one whose name occurs more than once is not certain."""
+    if unique == found.column:
+        return found
+    what = f"'{found.column}' is the name of several columns" if found.column else "it has no name"
+    certainty = "unsure" if found.certainty in ("contract", "stated") else found.certainty
+    return found._replace(column=unique, certainty=certainty, open="; ".join(filter(None, (what, found.open))))
 
 
 def _recognised(column: str, apart: str) -> Recognised:
@@ -139,7 +155,7 @@ def _recognised(column: str, apart: str) -> Recognised:
         what = doubt or ("the unit is known, the name is not" if unit else "no word of the name is known")
         return Recognised(column, candidate, unit, "unsure" if unit or doubt else "unknown", what)
     if doubt or not unit:
-        return Recognised(column, signal, "", "unsure", "; ".join(filter(None, (doubt or "no unit is given", left_open))))
+        return Recognised(column, signal, "", "unsure", "; ".join(filter(None, (doubt or NO_UNIT, left_open))))
     if UNITS[unit].quantity in ELECTRICAL:
         return Recognised(
             column, signal, unit, "unsure", f"needs the signal at two values in {unit}, by the data sheet: range and means"

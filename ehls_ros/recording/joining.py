@@ -98,7 +98,10 @@ def _common(tables: Mapping[str, Trajectory], where: str) -> tuple[float, float]
     begin, end = max(b for b, _ in spans.values()), min(e for _, e in spans.values())
     if end - begin < MIN_COMMON * min(e - b for b, e in spans.values()):
         shown = ", ".join(f"{name} {b:.6g} to {e:.6g} s" for name, (b, e) in spans.items())
-        expected = "tables of the same time; 'tables: {file: {name: ..., offset: ...}}' in the map shifts a clock, in s"
+        expected = (
+            "tables of the same time; in the map, 'tables: {file: {name: ..., offset: ...}}' shifts a file's clock, in s, and"
+            " 'time_s: {rate: ...}', in Hz, replaces the times of a file whose columns have different ones"
+        )
         raise BadInput(f"the tables hardly overlap ({shown})", where, expected)
     return begin, end
 

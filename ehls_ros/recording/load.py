@@ -12,18 +12,25 @@ from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.csv_file import read_csv
 from ehls_ros.recording.excel_file import read_excel
 from ehls_ros.recording.joining import join
+from ehls_ros.recording.lvm_file import is_lvm, read_lvm
 from ehls_ros.recording.mat_file import read_mat
 from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import read_parquet
 from ehls_ros.recording.storage_file import METADATA_FILE
-from ehls_ros.recording.table import Pick, RawTable, no_names, sources, trajectory_of
+from ehls_ros.recording.table import Pick, RawTable, no_names, sources, trajectories_of
 from ehls_ros.recording.tdms_file import read_tdms
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
 Answer = TypeVar("Answer")
 
+
+def read_text(path: Path, pick: Pick | None = None) -> RawTable:
+    """Read a text file: a LabVIEW measurement file by its first line, whatever its suffix, otherwise a plain table."""
+    return read_lvm(path, pick) if is_lvm(path) else read_csv(path, pick)
+
+
 READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc"), read_csv),
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm"), read_text),
     ".mat": read_mat,
     ".parquet": read_parquet,
     **dict.fromkeys((".xlsx", ".xls"), read_excel),
@@ -55,10 +62,12 @@ def load(path: Path, columns: ColumnMap | None = None, wanted: Collection[str] =
     if tables:
         return converted(_joined(tables, given, str(path)), given, str(path))
     if is_table(path):
-        return converted(_read(path, given.plain()), given, str(path))
+        axes = _read(path, given.plain())
+        named = given.columns[TIME].name if TIME in given.columns else ""
+        return converted(_on_one_clock(axes, named if named in axes else "", str(path)), given, str(path))
     if columns is None:
         return read_bag(path, wanted)
-    return converted(_on_one_clock(read_named_topics(path, given), given, str(path)), given, str(path))
+    return converted(_on_one_clock(read_named_topics(path, given), given.base, str(path)), given, str(path))
 
 
 def recordings(paths: Sequence[Path], columns: ColumnMap | None) -> list[Path]:
@@ -110,9 +119,10 @@ def raw(path: Path, pick: Pick | None = None) -> RawTable:
     return READERS[path.suffix.lower()](path, pick)
 
 
-def _read(path: Path, columns: Columns) -> Trajectory:
+def _read(path: Path, columns: Columns) -> dict[str, Trajectory]:
+    """Read one table; return its trajectories by time axis."""
     where = str(path)
-    return trajectory_of(raw(path, partial(sources, columns=columns, where=where)), columns, where)
+    return trajectories_of(raw(path, partial(sources, columns=columns, where=where)), columns, where)
 
 
 def _tables(path: Path, given: ColumnMap) -> list[Path]:
@@ -142,12 +152,18 @@ def _joined(paths: Sequence[Path], given: ColumnMap, where: str) -> Trajectory:
             shown = "; ".join(f"{table}: {', '.join(header)}" for table, header in names.items())
             raise BadInput(f"column '{column.shown}' for {name} is in no table ({shown})", where, "a column of that name")
     chosen = {path.name: _columns_of(path.name, names, given, where) for path in paths}
-    read = {path.name: _read(path, chosen[path.name]) for path in paths}
-    return _on_one_clock(read, given, where)
+    read, base = dict[str, Trajectory](), given.base
+    for path in paths:
+        axes = _read(path, chosen[path.name])
+        named = {f"{path.name}, {axis}" if len(axes) > 1 else path.name: trajectory for axis, trajectory in axes.items()}
+        if path.name == given.base:
+            base = max(named, key=lambda name: len(named[name]))
+        read |= named
+    return _on_one_clock(read, base, where)
 
 
-def _on_one_clock(tables: Mapping[str, Trajectory], given: ColumnMap, where: str) -> Trajectory:
-    return next(iter(tables.values())) if len(tables) == 1 else join(tables, given.base, where)
+def _on_one_clock(tables: Mapping[str, Trajectory], base: str, where: str) -> Trajectory:
+    return next(iter(tables.values())) if len(tables) == 1 else join(tables, base, where)
 
 
 def _columns_of(table: str, names: Mapping[str, Sequence[str]], given: ColumnMap, where: str) -> dict[str, Column]:

@@ -19,7 +19,7 @@ from ehls_ros.recording.columns import TIME, Column, ColumnMap, is_topic
 from ehls_ros.recording.table import assemble
 from ehls_ros.recording.times import sent_evenly
 from ehls_ros.recording.typestore import typestore_of
-from ehls_ros.trajectory import Preparation, Trajectory
+from ehls_ros.trajectory import Trajectory
 
 STAMP, RECEIVED = "header.stamp", "received"
 """Sources of a topic's times: the stamp in the header, or the time of reception by the recorder."""
@@ -227,7 +227,7 @@ class _Topic:
         values = {signal: self._values(read, signal, column)[order] for signal, column in self._columns.items()}
         chosen = {TIME: self._time, **self._columns}
         out = assemble({TIME: time[order], **values}, chosen, self.where, lambda row: f"message {order[row] + 1}")
-        return Trajectory(out.time_s, out.signals, preparation=Preparation(tuple(remarks)))
+        return Trajectory(out.time_s, out.signals, preparation=out.preparation.adding(*remarks))
 
     def _values(self, read: MessageColumns, signal: str, column: Column) -> NDArray[np.float64]:
         match = ENTRY.match(column.name)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.columns import unique_names
 from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.table import Pick, RawTable, check_length
 from ehls_ros.recording.times import seconds_of_moments
@@ -44,7 +45,7 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
         raise BadInput(what, where, f"pyarrow {'.'.join(map(str, OLDEST))} or later")
     with library_errors("a Parquet file", where, EXPECTED_FILE), import_module(LIBRARY).ParquetFile(path) as file:
         schema = file.schema_arrow
-        wanted = list(schema.names if pick is None else pick(schema.names))
+        wanted = unique_names(schema.names) if pick is None else list(pick(schema.names))
         numeric = [name for name in wanted if schema.names.count(name) == 1 and _is_number(arrow, schema.field(name).type)]
         check_length(file.metadata.num_rows, len(numeric), where)
         table = file.read(columns=numeric, use_threads=False)

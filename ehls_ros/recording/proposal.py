@@ -15,9 +15,10 @@ from ehls_ros.diagnosis.verdict import NEEDED_SIGNALS
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import ELECTRICAL, TABLES, TIME, is_topic, unit_of
 from ehls_ros.recording.conversion import given_by
-from ehls_ros.recording.headers import Recognised, recognised
+from ehls_ros.recording.headers import NO_UNIT, Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
+from ehls_ros.recording.time_axis import RowName, time_axis
 from ehls_ros.units import UNITS
 
 UNITS_OF_FIELDS: Mapping[str, str] = {
@@ -27,6 +28,9 @@ UNITS_OF_FIELDS: Mapping[str, str] = {
     **{f"torque.{axis}": "N m" for axis in "xyz"},
 }
 """Units that standard ROS messages have by definition, by the end of type and field."""
+
+MIN_UNEVENNESS = 0.01
+"""Relative deviation of a time step from the usual one above which it is reported."""
 
 PLAIN = ("data", "fluid_pressure", "temperature")
 """Fields whose names add no information to that of their topic."""
@@ -65,8 +69,9 @@ class Table(NamedTuple):
         columns: its columns, in order.
         rows: number of rows examined.
         rate: samples per second; NaN if no time column is certain.
-        unevenness: largest relative deviation of a time step from the usual one.
-        remarks: layout of the file, and times that do not increase; one sentence each.
+        unevenness: largest relative deviation of a time step from the usual one, gaps left out.
+        remarks: layout of the file, and repairs, gaps or errors of the time axis; one sentence each.
+        axes: description of each time axis, if the file states the times of its columns.
     """
 
     name: str
@@ -75,6 +80,7 @@ class Table(NamedTuple):
     rate: float
     unevenness: float
     remarks: tuple[str, ...] = ()
+    axes: tuple[str, ...] = ()
 
 
 class Valve(NamedTuple):
@@ -145,7 +151,14 @@ def look(path: Path) -> list[Table]:
     table = raw(path)
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
-    headers = recognised(table.names, table.units)
+    axes = tuple(dict.fromkeys(table.time_of.values()))
+    headers = [header for header in recognised(table.names, table.units) if header.column not in axes]
+    if axes:
+        # The file's times are used unless the map replaces them.
+        headers = [
+            h._replace(certainty="unsure", open="instead of the times of the file?") if _is_time(h) else h for h in headers
+        ]
+    notes: list[str] = []
     seen = tuple(
         _seen(header, values)._replace(wrong=table.wrong.get(header.column, "") if values is None else "no cell has a value")
         for header in headers
@@ -153,18 +166,73 @@ def look(path: Path) -> list[Table]:
     )
     if not any(column.numeric for column in seen):
         raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
-    time_headers = [h for h in headers if h.signal == TIME and h.certainty in ("contract", "stated")]
-    times = table.values[time_headers[0].column] if time_headers else None
-    if times is not None and time_headers[0].unit:
-        times = times * UNITS[time_headers[0].unit].scale
+    if axes:
+        units = {axis: unit_of(table.units.get(axis, "s")) or "s" for axis in axes}
+        stated = [_Axis(axis, units[axis], table.values[axis]) for axis in axes]
+    else:
+        sure = [h for h in headers if _is_time(h)]
+        # Without a unit, seconds are the likely ones: said, since only a rate is shown.
+        likely = [h for h in headers if h.signal == TIME and h.open == NO_UNIT and table.values[h.column] is not None]
+        used = sure[:1] or (likely if len(likely) == 1 else [])
+        stated = [_Axis(h.column, h.unit or "s", table.values[h.column]) for h in used]
+        if used and not sure:
+            notes.append(f"the rate is that of '{used[0].column}' in s, whose unit is not given")
+    times = {axis.name: axis.values * UNITS[axis.unit].scale for axis in stated if axis.values is not None}
     rows = max((len(values) for values in table.values.values() if values is not None), default=0)
-    backwards = np.flatnonzero(np.diff(times) <= 0.0) if times is not None else np.empty(0)
-    remarks = (
-        [f"times that do not increase: {len(backwards)}, the first in {table.place(int(backwards[0]) + 1)}"]
-        if len(backwards)
-        else []
+    found = {name: _checked(values, str(path), table.place) for name, values in times.items()}
+    remarks = [*table.remarks, *notes]
+    for name, axis in found.items():
+        remarks += [f"{name}: {remark}" if len(found) > 1 else remark for remark in axis.remarks]
+    seen, missing = _units_asked_once(seen)
+    remarks += missing
+    shown = tuple(_axis_sentence(name, times[name], found[name], table.time_of) for name in axes if name in times)
+    common = next(iter(found.values())) if len(found) == 1 else UNKNOWN_AXIS
+    return [Table(path.name, seen, rows, common.rate, common.unevenness, tuple(remarks), shown)]
+
+
+def _units_asked_once(seen: tuple[Seen, ...]) -> tuple[tuple[Seen, ...], list[str]]:
+    """Replace the question for the unit of each column by one sentence, if no column but the time states a unit."""
+    others = [column for column in seen if column.numeric and column.header.signal != TIME]
+    asked = [column for column in seen if column.numeric and NO_UNIT in column.header.open]
+    if len(asked) < 2 or any(column.header.unit or column.header.certainty == "contract" for column in others):
+        return seen, []
+    brief = {column.header.column: column.header.open.replace(NO_UNIT, "unit?") for column in asked}
+    out = tuple(
+        column._replace(header=column.header._replace(open=brief.get(column.header.column, column.header.open)))
+        for column in seen
     )
-    return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *remarks))]
+    example = f"{asked[0].header.column} [{'s' if asked[0].header.signal == TIME else 'mm'}]"
+    where = f"in place of each \"?\" in the map, or in the file behind the names, such as '{example}', or in a row below them"
+    return out, [f"no column states a unit: write it {where}"]
+
+
+class _Axis(NamedTuple):
+    name: str
+    unit: str
+    values: NDArray[np.float64] | None
+
+
+class _Checked(NamedTuple):
+    """Rate, unevenness and remarks of a time axis; the error of a wrong axis is a remark."""
+
+    rate: float
+    unevenness: float
+    remarks: tuple[str, ...]
+
+
+UNKNOWN_AXIS = _Checked(np.nan, np.nan, ())
+
+
+def _is_time(header: Recognised) -> bool:
+    return header.signal == TIME and header.certainty in ("contract", "stated")
+
+
+def _axis_sentence(name: str, times: NDArray[np.float64], axis: _Checked, time_of: Mapping[str, str]) -> str:
+    """Describe a time axis: rate, range and columns."""
+    uneven = f", time steps differ by up to {100 * axis.unevenness:.2g} %" if axis.unevenness > MIN_UNEVENNESS else ""
+    span = f", {times[0]:.6g} to {times[-1]:.6g} s" if len(times) else ""
+    columns = ", ".join(column for column, own in time_of.items() if own == name)
+    return f"{name}: {len(times)} rows, {axis.rate:.4g} Hz{uneven}{span} ({columns})"
 
 
 def _topic(name: str, found: Found) -> Table:
@@ -178,7 +246,7 @@ def _topic(name: str, found: Found) -> Table:
     headers = recognised([f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)])
     named = [header._replace(column=field) for header, field in zip(headers, found.fields, strict=True)]
     seen = tuple(_seen(header, values) for header, values in zip(named, found.fields.values(), strict=True))
-    return Table(name, seen, len(found.time), *_rate(found.time))
+    return Table(name, seen, len(found.time), *_checked(found.time, name, lambda row: f"message {row + 1}"))
 
 
 def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
@@ -187,10 +255,15 @@ def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
     return Seen(header, smallest, largest, 1.0 - finite.size / max(1, values.size) if values is not None else 1.0)
 
 
-def _rate(times: NDArray[np.float64] | None) -> tuple[float, float]:
-    steps = np.diff(times) if times is not None else np.empty(0)
-    usual = float(np.median(steps)) if steps.size else 0.0
-    return (1.0 / usual, float(np.nanmax(np.abs(steps - usual))) / usual) if usual > 0.0 else (np.nan, np.nan)
+def _checked(times: NDArray[np.float64], where: str, row_name: RowName) -> _Checked:
+    try:
+        axis = time_axis(times, where, row_name)
+    except BadInput as error:
+        place = error.where.removeprefix(where).removeprefix(", ")
+        steps = np.diff(times)
+        usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.nan
+        return _Checked(1.0 / usual, 0.0, (f"{place}: {error.what}; expected {error.expected}".removeprefix(": "),))
+    return _Checked(axis.rate, axis.unevenness, axis.remarks)
 
 
 class Proposal(NamedTuple):
@@ -228,7 +301,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
             time = next(
                 (_entry(c.header) for c in table.columns if c.header.signal == TIME and c.header.certainty == "stated"), ""
             )
-            lines.append(f"  {json.dumps(table.name, ensure_ascii=False)}: {time or '{name: time_s}'}")
+            own = "null  # its columns have times" if table.axes else "{name: time_s}"
+            lines.append(f"  {json.dumps(table.name, ensure_ascii=False)}: {time or own}")
     taken: dict[str, str] = {}
     for table in tables:
         if several:
@@ -238,8 +312,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
     damaged = [c for table in tables for c in table.columns if not c.numeric and c.header.certainty in ("contract", "stated")]
     ready = [header for header in headers if header.certainty == "contract"]
     times = [header for header in headers if header.certainty == "stated" and header.signal == TIME]
-    timed = [TIME] if several and (times or any(is_topic(table.name) for table in tables)) else []
-    signals = frozenset({*taken, *timed, *(header.signal for header in ready)})
+    timed = (several and bool(times)) or any(table.axes or is_topic(table.name) for table in tables)
+    signals = frozenset({*taken, *([TIME] if timed else []), *(header.signal for header in ready)})
     certain = len(ready) + len(taken) + (len(times) if several else 0)
     return Proposal("\n".join(lines) + "\n", signals, certain, len(headers) - certain + len(damaged))
 

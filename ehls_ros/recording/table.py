@@ -5,19 +5,43 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
-from ehls_ros.recording.columns import TIME, Column, Columns, element_of, is_contract_name
+from ehls_ros.recording.columns import (
+    TIME,
+    Column,
+    Columns,
+    element_of,
+    is_contract_name,
+    numbered,
+    place_of,
+    unique_name,
+    unit_of,
+)
 from ehls_ros.recording.expression import expression
-from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Trajectory
+from ehls_ros.recording.time_axis import copied_rows, time_axis
+from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Preparation, Trajectory
+from ehls_ros.units import UNITS
 
-Pick = Callable[[Sequence[str]], Sequence[str]]
-"""Function that returns the names of the columns to read from those available."""
+NONE: Mapping[str, str] = MappingProxyType({})
+
+
+class Pick(Protocol):
+    """Function that returns the names of the columns to read."""
+
+    def __call__(self, available: Sequence[str], time_of: Mapping[str, str] = NONE, /) -> Sequence[str]:
+        """Return the names of the columns to read.
+
+        Args:
+            available: names of the file's columns.
+            time_of: name of the time column of each column, if the file states it; the result includes those needed.
+        """
 
 
 class RawTable(NamedTuple):
@@ -25,12 +49,16 @@ class RawTable(NamedTuple):
 
     Attributes:
         names: names of all columns, in order.
-        values: values of the columns read, by name, with times in seconds; None for a non-numeric column.
+        values: values of the columns read, with times in seconds; None for a non-numeric column. By name; a column whose name
+            is empty or occurs more than once by its number, such as ``column 3``, here and in the mappings below.
         row: term for a row, such as ``line``.
         first: number of the first row.
         units: units by name, as written, if stated separately from the name.
         remarks: remarks on the reading of the file, one sentence each.
         wrong: a non-numeric cell of a column, by name, such as ``line 12 is 'abc'``.
+        time_of: name of the time column of each column, if the file states it; those columns have no entry. Empty: one axis
+            for all, which the map or the data contract names.
+        blocks: index and number of the first row of each further block of rows, if they do not follow each other in the file.
     """
 
     names: tuple[str, ...]
@@ -40,32 +68,44 @@ class RawTable(NamedTuple):
     units: Mapping[str, str] = {}
     remarks: tuple[str, ...] = ()
     wrong: Mapping[str, str] = {}
+    time_of: Mapping[str, str] = {}
+    blocks: tuple[tuple[int, int], ...] = ()
 
     def place(self, index: int) -> str:
         """Return the designation of a row in messages, such as ``line 12``."""
-        return f"{self.row} {self.first + index}"
+        begin, first = max(((begin, first) for begin, first in self.blocks if begin <= index), default=(0, self.first))
+        return f"{self.row} {first + index - begin}"
+
+    def column(self, name: str) -> NDArray[Any] | None:
+        """Return the values of a column by its name or number."""
+        return self.values[unique_name(name, self.names)]
 
 
-def sources(available: Sequence[str], columns: Columns, where: str) -> list[str]:
-    """Return the names of the columns to read; arguments and errors as of :func:`choose`."""
-    return list(dict.fromkeys(name for column in choose(available, columns, where).values() for name in column.sources))
+def sources(
+    available: Sequence[str], time_of: Mapping[str, str] = NONE, *, columns: Columns = MappingProxyType({}), where: str = ""
+) -> list[str]:
+    """Return the names of the columns to read, with their time columns; arguments and errors as of :func:`choose`."""
+    chosen = choose(available, columns, where, time_of).values()
+    names = [unique_name(name, available) for column in chosen for name in column.sources]
+    return list(dict.fromkeys([*names, *(time_of[name] for name in names if name in time_of)]))
 
 
-def no_names(available: Sequence[str]) -> list[str]:
+def no_names(available: Sequence[str], time_of: Mapping[str, str] = NONE, /) -> list[str]:
     """Select no columns."""
     return []
 
 
-def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, Column]:
+def choose(available: Sequence[str], columns: Columns, where: str, time_of: Mapping[str, str] = NONE) -> dict[str, Column]:
     """Select the columns to read.
 
     Args:
         available: names of the file's columns.
         columns: the user's map; columns with a name of the contract need no entry.
         where: the file, for errors.
+        time_of: name of the time column of each column, if the file states it.
 
     Returns:
-        The columns by contract name: ``time_s`` and at least one signal.
+        The columns by contract name: at least one signal, and ``time_s`` unless the file states the times of all signals.
 
     Raises:
         BadInput: a mapped column, the time or every signal is missing, or a name occurs twice.
@@ -74,19 +114,33 @@ def choose(available: Sequence[str], columns: Columns, where: str) -> dict[str, 
     found = ", ".join(available) or "none"
     count = Counter(available)
     for name, source in ((name, source) for name, column in chosen.items() for source in column.sources):
-        if source not in count:
+        if place_of(source, available) is None:
             what = f"column '{source}' for {name} is missing (found: {found})"
-            raise BadInput(what, where, f"a column of that name{_suggestion(source, available)}")
+            expected = f"a column of that name{_suggestion(source, available)}; or a number, as 'column 3' of {len(available)}"
+            raise BadInput(what, where, expected)
         if count[source] > 1:
-            raise BadInput(f"column '{source}' occurs more than once", where, "one column of that name")
-    if TIME not in chosen:
+            numbers = " or ".join(f"'{numbered(place)}'" for place, other in enumerate(available) if other == source)
+            raise BadInput(f"column '{source}' occurs more than once", where, f"one column of that name; or name: {numbers}")
+    untimed = [column.shown for column in chosen.values() if not any(_axes(column, available, time_of))]
+    if TIME not in chosen and time_of and untimed:
+        expected = (
+            f"{TIME}: {{name: ...}} with a column of times, or {TIME}: {{rate: ...}} in Hz, in the map, for all its columns"
+        )
+        raise BadInput(f"column '{untimed[0]}' has no times in the file", where, expected)
+    if TIME not in chosen and not time_of:
         mapped = f"{TIME}: {{name: ...}} with the column of times in the map, or {TIME}: {{rate: ...}} in Hz"
         expected = mapped if columns else f"a column {TIME}, or {_how_to_map(where)}"
         raise BadInput(f"column {TIME} is missing (found: {found})", where, expected)
-    if len(chosen) == 1:
+    if chosen.keys() <= {TIME}:
         expected = f"a signal by its name in the data contract, or {_how_to_map(where)}"
         raise BadInput(f"no signal is among the columns {found}", where, expected)
     return chosen
+
+
+def _axes(column: Column, names: Sequence[str], time_of: Mapping[str, str]) -> list[str]:
+    """Return the time columns of the sources of a column, as far as the file states them."""
+    sources = [unique_name(source, names) for source in column.sources]
+    return [time_of[source] for source in sources if source in time_of]
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
@@ -120,30 +174,73 @@ def not_numeric(column: Column, name: str, where: str) -> BadInput:
     return BadInput(f"column '{column.shown}'{wanted_for} is not numeric", where, "a column of real numbers")
 
 
-def trajectory_of(table: RawTable, columns: Columns, where: str) -> Trajectory:
-    """Build a trajectory from a table.
+def trajectories_of(table: RawTable, columns: Columns, where: str) -> dict[str, Trajectory]:
+    """Build the trajectories of a table: one for each of its time axes.
 
     Args:
         table: table with the columns named by :func:`sources`.
-        columns: the user's map.
+        columns: the user's map. If its ``time_s`` is one of several time axes, its unit and offset are those of all. If it is
+            another column, or a rate, it replaces the times of the file.
         where: the file, for errors.
 
     Returns:
-        The trajectory, without metadata.
+        The trajectories by the names of their time columns, without metadata.
 
     Raises:
-        BadInput: a column is not numeric or has another length, or time is not strictly increasing.
+        BadInput: a column is not numeric or has another length, or the time axis is wrong.
     """
-    chosen = choose(table.names, columns, where)
-    lengths = [len(values) for values in table.values.values() if values is not None]
-    values = {name: _unscaled(table, column, name, max(lengths, default=0), where) for name, column in chosen.items()}
-    trajectory = assemble(values, chosen, where, table.place)
-    return replace(trajectory, preparation=trajectory.preparation.adding(*table.remarks))
+    chosen = choose(table.names, columns, where, table.time_of)
+    axes = _by_axis(table, chosen, where)
+    remarks = [*table.remarks, *_replaced(table, chosen, axes, where)]
+    out: dict[str, Trajectory] = {}
+    for axis, group in axes.items():
+        read = [table.column(source) for column in group.values() for source in column.sources]
+        rows = max((len(values) for values in read if values is not None), default=0)
+        values = {name: _unscaled(table, column, name, rows, where) for name, column in group.items()}
+        trajectory = assemble(values, group, where, table.place)
+        preparation = Preparation((*(remarks if not out else ()), *trajectory.preparation.remarks))
+        out[axis] = replace(trajectory, preparation=preparation)
+    return out
+
+
+def _by_axis(table: RawTable, chosen: Columns, where: str) -> dict[str, dict[str, Column]]:
+    """Group the chosen columns by time axis, each with its time column."""
+    time = chosen.get(TIME)
+    if time is not None and time.name not in table.time_of.values():
+        return {time.name: dict(chosen)}
+    out: dict[str, dict[str, Column]] = {}
+    for name, column in chosen.items():
+        if name == TIME:
+            continue
+        axes = set(_axes(column, table.names, table.time_of))
+        if len(axes) > 1:
+            what = f"the columns of {column.shown} for {name} have different times ({', '.join(sorted(axes))})"
+            raise BadInput(what, where, "columns of one time axis, or a signal for each")
+        axis = axes.pop() if axes else chosen[TIME].name
+        own = (
+            Column(axis, UNITS[unit_of(table.units.get(axis, "s")) or "s"].scale) if time is None else time._replace(name=axis)
+        )
+        out.setdefault(axis, {TIME: own})[name] = column
+    return out
+
+
+def _replaced(table: RawTable, chosen: Columns, used: Mapping[str, object], where: str) -> list[str]:
+    """Return a remark if the map replaces several time axes of the file by one; reject axes of different lengths."""
+    named = [axis for name, column in chosen.items() if name != TIME for axis in _axes(column, table.names, table.time_of)]
+    axes = {axis: table.values.get(axis) for axis in named}
+    known = {axis: times for axis, times in axes.items() if times is not None and len(times)}
+    if axes.keys() & used.keys() or len(known) < 2:
+        return []
+    shown = ", ".join(f"{axis}: {len(t)} rows, {t[0]:.6g} to {t[-1]:.6g}" for axis, t in known.items())
+    if len(set(map(len, known.values()))) > 1:
+        what = f"{TIME} of the map is one axis, and the file has several ({shown})"
+        raise BadInput(what, where, f"no {TIME} in the map, as the file has the times of each column")
+    return [f"{TIME} of the map replaces the times of the file ({shown})"]
 
 
 def _unscaled(table: RawTable, column: Column, name: str, rows: int, where: str) -> NDArray[Any]:
     """Return the unscaled values of a column of the map."""
-    values = {source: table.values[source] for source in column.sources}
+    values = {source: table.column(source) for source in column.sources}
     known = {source: found for source, found in values.items() if found is not None}
     if len(known) < len(values):
         raise not_numeric(column, name, where)
@@ -168,21 +265,29 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
         row_name: returns the designation in messages of the row at an index, such as ``line 12``.
 
     Returns:
-        The trajectory, without metadata.
+        The trajectory, without metadata, with remarks on repairs of its time axis and on gaps.
 
     Raises:
-        BadInput: a column is not numeric or has another length, or time is not strictly increasing.
+        BadInput: a column is not numeric or has another length, or the time axis is wrong.
     """
     check_length(max(map(len, values.values())), len(chosen), where)
     scaled = {name: _scaled(values[name], column, name, where) for name, column in chosen.items()}
     time_s = scaled.pop(TIME)
-    _check_time(time_s, where, row_name)
     for name, signal in scaled.items():
         if name in MEASURED or name in AS_RIGS_GIVE:
             _check_finite(signal, name, where, row_name)
         if len(signal) != len(time_s):
             raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)}, as {TIME} has")
-    return Trajectory(time_s, _with_elements_joined(scaled, where))
+    kept, remarks = np.arange(len(time_s)), list[str]()
+    copies = copied_rows(time_s, scaled)
+    if copies is not None:
+        kept = np.flatnonzero(~copies)
+        remarks.append(f"{len(time_s) - len(kept)} rows that repeat the row before are left out")
+    axis = time_axis(time_s[kept], where, lambda row: row_name(int(kept[row])), values[TIME].astype(np.float64)[kept])
+    kept = kept if axis.rows is None else kept[axis.rows]
+    if len(kept) < len(time_s):
+        scaled = {name: signal[kept] for name, signal in scaled.items()}
+    return Trajectory(axis.time, _with_elements_joined(scaled, where), preparation=Preparation((*remarks, *axis.remarks)))
 
 
 def _scaled(values: NDArray[Any], column: Column, name: str, where: str) -> NDArray[np.float64]:
@@ -204,24 +309,6 @@ def _check_finite(signal: NDArray[np.float64], name: str, where: str, row_name: 
     if len(infinite):
         place = f"{where}, {row_name(int(infinite[0]))}"
         raise BadInput(f"{name} is {signal[infinite[0]]}", place, "a finite number, or an empty cell")
-
-
-def _check_time(time_s: NDArray[np.float64], where: str, row_name: Callable[[int], str]) -> None:
-    if not len(time_s):
-        raise BadInput("there is no sample", where, "at least one sample")
-    unknown = np.flatnonzero(~np.isfinite(time_s))
-    if len(unknown):
-        raise BadInput(f"{TIME} is {time_s[unknown[0]]}", f"{where}, {row_name(int(unknown[0]))}", "a finite time")
-    steps = np.diff(time_s)
-    backwards = np.flatnonzero(steps <= 0)
-    if len(backwards):
-        row = int(backwards[0]) + 1
-        what = f"{TIME} is {time_s[row]} after {time_s[row - 1]}"
-        if len(backwards) > 1:
-            repeated = int(np.count_nonzero(steps == 0))
-            what += f"; {repeated} rows repeat the time before, {len(backwards) - repeated} go back"
-        expected = f"a time that increases with every row; if rows are even, {TIME}: {{rate: ...}} in the map, in Hz"
-        raise BadInput(what, f"{where}, {row_name(row)}", expected)
 
 
 def _with_elements_joined(signals: Mapping[str, NDArray[np.float64]], where: str) -> dict[str, NDArray[np.float64]]:

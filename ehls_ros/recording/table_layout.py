@@ -11,19 +11,23 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
-from ehls_ros.recording.columns import unit_of
+from ehls_ros.recording.columns import unique_names, unit_of
+from ehls_ros.recording.times import CLOCK
 
 COMMENT = re.compile(r"\s*[#%]+\s*")
 """Beginning of a comment row."""
 
-CLOCK = re.compile(r"(?:(?:\d{4}-\d\d-\d\d|\d{1,2}\.\d{1,2}\.\d{4})(?:[T ]|\Z))?(?:\d{1,2}:\d\d:\d\d(?:[.,]\d+)?Z?)?")
-"""A date, a time of day or both."""
-
 TAIL = 30
 """Number of last rows from which the format of a table's rows is determined."""
 
-NO_UNIT = ("", "-", "1", "–")
-"""Cells that denote a missing unit in a row of units."""
+NO_UNIT = ("", "-", "--", "1", "–", "unit", "units", "einheit", "einheiten", "n/a", "none", "ohne")
+"""Cells that denote a missing unit in a row of units, or label that row, in lower case."""
+
+OTHER_UNITS = (
+    *("cycle", "cycles", "segment", "segments", "zyklen", "lw", "strain", "dehnung", "samples", "sample", "ticks", "pulses"),
+    *("bit", "bits", "raw", "bool", "db", "w", "kw", "j", "kj", "ohm", "Ω", "hz/s", "l/h", "m^3/h", "kg/s", "1/s", "mm^2/s"),
+)
+"""Words of a row of units without a quantity in this package, in lower case; they only show that the row is one of units."""
 
 Item = TypeVar("Item")
 Row = Sequence[str]
@@ -37,7 +41,7 @@ class Header(NamedTuple):
 
     Attributes:
         names: column names; ``column 1`` and so on without a row of names.
-        units: units by name, as written in a row of units.
+        units: units as written in a row of units, by name, or by number where a name is empty or occurs more than once.
         row: index of the row of names; None without one.
         units_row: index of the row of units; None without one.
         first: index of the first row of values.
@@ -54,7 +58,7 @@ class Header(NamedTuple):
 
 def is_clock(cell: str) -> bool:
     """Return whether a cell is a date, a time of day or both."""
-    return bool(cell) and CLOCK.fullmatch(cell) is not None
+    return CLOCK.match(cell) is not None
 
 
 def tail_of(items: Sequence[Item]) -> Sequence[Item]:
@@ -82,7 +86,7 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
     counts = [len(rows[k]) for k in last]
     width = max(counts, key=lambda count: (counts.count(count), count), default=0)
     tail = [rows[k] for k in last if len(rows[k]) == width]
-    kinds: list[Kind] = [_kind(list(filter(None, cells)), is_number) for cells in zip(*tail, strict=True)]
+    kinds = kinds_of(tail, is_number)
 
     def is_values(row: Row) -> bool:
         cells = [cell for cell, kind in zip(row, kinds, strict=False) if kind != "text"]
@@ -94,28 +98,46 @@ def header_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> Header:
         # Without values, the last row of this width can only be names.
         first = max((k + 1 for k in plain if len(rows[k]) == width), default=0)
     above = [k for k in plain if k < first]
-    while above and len(rows[above[-1]]) == width and any(map(is_value, rows[above[-1]])):
+    while (
+        above and len(rows[above[-1]]) == width and any(map(is_value, rows[above[-1]])) and _known_units(rows[above[-1]]) < 1.0
+    ):
         first = above.pop()  # a damaged row of values
+    if above and 1 < len(rows[above[-1]]) < width and _known_units(rows[above[-1]]) == 1.0:
+        # Delimiters after the last unit are left out.
+        rows = [*rows]
+        rows[above[-1]] = [*rows[above[-1]], *[""] * (width - len(rows[above[-1]]))]
     if not above or len(rows[above[-1]]) != width:
         commented = [k for k in range(first) if rows[k] and k not in plain and len(rows[k]) in (width, width + 1)]
         above = commented or above
-    named, units_row = _named([k for k in above[-3:] if not any(map(is_value, _uncommented(rows[k])))], rows)
+    texts = [
+        k for k in above[-3:] if not any(map(is_value, _uncommented(rows[k]))) or _known_units(_uncommented(rows[k])) == 1.0
+    ]
+    named, units_row = _named(texts, rows)
     names = _uncommented(rows[named]) if named is not None else [f"column {k + 1}" for k in range(width)]
     if len(names) == width - 1 and kinds[-1] == "text":
         names.append("")  # each row of values ends with a delimiter
     kinds = (kinds + ["text"] * len(names))[: len(names)]
     written = _uncommented(rows[units_row]) if units_row is not None else []
-    units = {name: unit.strip("[](){}<> ") for name, unit in zip(names, written, strict=False) if unit not in NO_UNIT}
+    unique = unique_names(names)
+    units = {name: unit for name, unit in zip(unique, map(_bare, written), strict=False) if unit.lower() not in NO_UNIT}
     return Header(tuple(names), units, named, units_row, first, tuple(kinds))
 
 
 def _named(texts: Sequence[int], rows: Sequence[Row]) -> tuple[int | None, int | None]:
     """Return the indices of the row of names and of the row of units among the last rows of text above the values."""
     same_width = [k for k in texts if len(rows[k]) == len(rows[texts[-1]])]
-    units_row = next((k for k in same_width[-2:] if len(same_width) > 1 and _are_units(_uncommented(rows[k]))), None)
+    known = {k: _known_units(_uncommented(rows[k])) for k in same_width}
+    # Of equal ones, the lower row: units usually are below the names.
+    most = max(same_width, key=lambda k: (known[k], k), default=None)
+    units_row = most if most is not None and len(same_width) > 1 and known[most] > 0.0 else None
     if units_row is not None and units_row - 1 in same_width:
         return units_row - 1, units_row  # a row below the units holds a comment for each channel
     return next((k for k in reversed(texts) if k != units_row), None), units_row
+
+
+def kinds_of(rows: Sequence[Row], is_number: Callable[[str], bool]) -> list[Kind]:
+    """Return the kinds of the columns of rows of values of one width."""
+    return [_kind(list(filter(None, cells)), is_number) for cells in zip(*rows, strict=True)]
 
 
 def _kind(cells: Sequence[str], is_number: Callable[[str], bool]) -> Kind:
@@ -133,9 +155,25 @@ def _uncommented(row: Row) -> list[str]:
     return [head, *row[1:]] if head else list(row[1:])
 
 
-def _are_units(row: Row) -> bool:
-    stated = [cell for cell in row if cell not in NO_UNIT]
-    return bool(stated) and all(unit_of(cell.strip("[](){}<> ")) is not None for cell in stated)
+def _bare(cell: str) -> str:
+    """Return a cell of a row of units without brackets."""
+    return cell.strip("[](){}<> ")
+
+
+def _in_brackets(cell: str) -> bool:
+    return (cell[:1], cell[-1:]) in (("[", "]"), ("(", ")"), ("<", ">"), ("{", "}"))
+
+
+def _known_units(row: Row) -> float:
+    """Return the share of known units among the cells of a row that state one; 0 if they are fewer than half."""
+    stated = [cell for cell in row if _bare(cell).lower() not in NO_UNIT]
+    known = [unit_of(_bare(cell)) is not None or _bare(cell).lower() in OTHER_UNITS or _in_brackets(cell) for cell in stated]
+    share = sum(known) / len(stated) if stated else 0.0
+    return share if share >= MIN_KNOWN_UNITS else 0.0
+
+
+MIN_KNOWN_UNITS = 0.5
+"""Share of known units from which a row of text is one of units."""
 
 
 BEGINNING = 2**19
@@ -194,7 +232,7 @@ def layout_of(path: Path) -> Layout:
     with path.open("rb") as stream:
         content = stream.read(BEGINNING)
         whole = not stream.read(1)
-    encoding = _encoding(content, whole)
+    encoding = encoding_of(content, whole)
     lines = re.split(r"\r\n|\r|\n", codecs.getincrementaldecoder(encoding)("replace").decode(content))
     if (whole and lines[-1] == "") or (not whole and len(lines) > 1):
         del lines[-1]
@@ -248,7 +286,13 @@ def is_number(cell: str, decimal: str) -> bool:
     return "_" not in cell  # a separator of digits in Python only
 
 
-def _encoding(content: bytes, whole: bool) -> str:
+def encoding_of(content: bytes, whole: bool) -> str:
+    """Return Python's name of the encoding of a text.
+
+    Args:
+        content: beginning of the text.
+        whole: whether that is all of it.
+    """
     for mark, encoding in MARKS.items():
         if content.startswith(mark):
             return encoding

@@ -37,7 +37,7 @@ def test_the_map_is_written_with_the_valves_data_and_what_is_missing_is_said(
     assert [column.scale * current + column.offset for current in (4, 12, 20)] == pytest.approx([-1e-3, 0.0, 1e-3])
     for said in (
         "decimal comma, names in line 1, units in line 2",
-        "times that do not increase: 1, the first in line 4",
+        "line 4: time_s is 0.0 after 0.0; expected a time that increases with every row",
         "columns that are certain: 3; to be checked: 1",
         "a diagnosis can judge: nothing yet",
         "not force_balance: it needs position_m",
@@ -96,3 +96,16 @@ def test_what_has_no_columns_is_bad_input(
         (tmp_path / name).write_text(content)
     assert main(["columns", str(tmp_path / name)]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_file_without_any_unit_is_asked_for_them_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    # Five digits of 128.98 Hz: from 100 s on, some rows repeat the time before.
+    rows = "".join(f"{k / 128.98:.5g},{k % 7},{k % 5}\n" for k in range(12_000, 16_000))
+    (tmp_path / "data.csv").write_text(f"t,x,F\n{rows}")
+    assert main(["columns", str(tmp_path / "data.csv")]) == 0
+    shown = capsys.readouterr()
+    for said in ("128.98 Hz", "the rate is that of 't' in s", "even grid of 128.98 Hz", 'in place of each "?" in the map'):
+        assert said in shown.err
+    assert shown.err.count("no column states a unit") == 1
+    assert '# position_m: {name: "x", unit: "?"}  # 0 to 6; unit?' in shown.out
+    assert "no unit is given" not in shown.out + shown.err

@@ -137,7 +137,7 @@ def test_columns_of_the_friction_elements_become_one_signal(tmp_path: Path):
         ("time_s,force_n\n0,1\n2,2\n1,3\n", ", line 4: time_s is 1.0 after 2.0; expected a time that increases with every row"),
         (
             "time_s,force_n\n0,1\n0,2\n1,3\n1,4\n0.5,5\n",
-            ", line 3: time_s is 0.0 after 0.0; 2 rows repeat the time before, 1 go back; expected a time that increases",
+            ", line 6: time_s is 0.5 after 1.0; 2 rows repeat the time before, 1 go back; expected a time that increases",
         ),
         ('time_s,force_n\n0,"1\n', ", line 2: the row has 1 cells; expected 2, as in the header"),
         ("time_s,friction_elements_n_1,friction_elements_n_3\n0,1,2\n", ": friction_elements_n has columns 1, 3; expected"),

@@ -98,6 +98,55 @@ LAYOUTS: dict[str, tuple[str, str, str]] = {
 """Text, encoding and the report on it."""
 
 
+UNITS_ROWS = {
+    "one unknown unit": ("Zeit;Weg;Zyklen", "s;mm;cycles", {"Zeit": "s", "Weg": "mm", "Zyklen": "cycles"}),
+    "half of them unknown": ("Zeit;Zyklen", "s;cycles", {"Zeit": "s", "Zyklen": "cycles"}),
+    "a label in the first cell": ("Name;Zeit;Weg", "Unit;s;mm", {"Zeit": "s", "Weg": "mm"}),
+    "a number for no unit": ("Zeit;Weg;Zyklen", "s;mm;1", {"Zeit": "s", "Weg": "mm"}),
+    "delimiters at the end left out": ("Zeit;Weg;Zyklen;Notiz", "s;mm", {"Zeit": "s", "Weg": "mm"}),
+    "names that look like units": ("s;V;N;F", "mm;V;1/min;kN", {"s": "mm", "V": "V", "N": "1/min", "F": "kN"}),
+    "equal names": ("Zeit;Kraft;Kraft", "sec.;kip;ksi", {"Zeit": "sec.", "column 2": "kip", "column 3": "ksi"}),
+    "few known ones": ("Zeit;N;D;Q", "s;cycles;strain;-", {"Zeit": "s", "N": "cycles", "D": "strain"}),
+    "unknown ones in brackets": ("Zeit;N;D", "(s);(furlong);(foo)", {"Zeit": "s", "N": "furlong", "D": "foo"}),
+    "units above the names": ("[ms];[mm];[cycles]", "t;x;n", {"t": "ms", "x": "mm", "n": "cycles"}),
+}
+"""Rows of names and of units, and the units found; values are semicolon-separated numbers."""
+
+
+@pytest.mark.parametrize("name", UNITS_ROWS)
+def test_a_row_of_units_is_one_whatever_single_units_are(tmp_path: Path, name: str):
+    first, second, units = UNITS_ROWS[name]
+    width = len(first.split(";"))
+    values = "".join(";".join(f"{row},{column}" for column in range(width)) + "\n" for row in range(3))
+    table = raw(written(tmp_path / "data.txt", f"{first}\n{second}\n{values}"))
+    assert table.units == units
+    assert table.names == tuple((second if "above" in name else first).split(";"))
+    assert len(table.values) == width
+    assert all(
+        values.tolist() == [place / 10, 1 + place / 10, 2 + place / 10] for place, values in enumerate(table.values.values())
+    )
+
+
+def test_a_unit_that_is_not_known_leaves_its_column_open(tmp_path: Path):
+    path = written(tmp_path / "data.txt", "Zeit\tKraft\tZyklen\ns\tkN\tcycles\n" + "0,0\t1,5\t0\n0,1\t2,5\t0\n" * 1)
+    text = proposed_map(look(path)).text
+    assert 'force_n: {name: "Kraft", unit: "kN"}' in text
+    assert "unit 'cycles' is not known" in text
+
+
+def test_a_column_can_be_chosen_by_its_number(tmp_path: Path):
+    path = written(tmp_path / "data.csv", "t;F;F;\n0,0;1;5;\n0,1;2;6;\n")
+    columns = {"time_s": Column("column 1"), "force_n": Column("column 3")}
+    assert load(path, ColumnMap(columns))["force_n"].tolist() == [5.0, 6.0]
+    summed = {"time_s": Column("t"), "force_n": Column(expression="`column 2` + `column 3`")}
+    assert load(path, ColumnMap(summed))["force_n"].tolist() == [6.0, 8.0]
+    with pytest.raises(BadInput, match=r"column 'F' occurs more than once; expected one .* or name: 'column 2' or 'column 3'"):
+        load(path, ColumnMap({"time_s": Column("t"), "force_n": Column("F")}))
+    with pytest.raises(BadInput, match="column 'column 5' for force_n is missing"):
+        load(path, ColumnMap({"time_s": Column("t"), "force_n": Column("column 5")}))
+    assert [column.header.column for column in look(path)[0].columns] == ["t", "column 2", "column 3", "column 4"]
+
+
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_a_text_file_is_read_as_its_program_meant_it(tmp_path: Path, name: str):
     text, encoding, said = LAYOUTS[name]

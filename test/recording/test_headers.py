@@ -119,6 +119,10 @@ def test_two_columns_that_say_the_same_are_both_left_open():
         ("N/mm2", "N/mm^2"),
         ("in-lbf", "in lbf"),
         ("t", None),  # a time, not tonnes
+        ("g", "gn"),  # an acceleration, not grams
+        ("sec.", "s"),
+        ("kip", "kip"),
+        ("mV/V", "mV/V"),
     ],
 )
 def test_units_are_known_by_their_spelling(written: str, known: str | None):
@@ -130,6 +134,9 @@ def test_units_have_their_sizes():
     assert UNITS["rpm"].scale * 60.0 == pytest.approx(6.283185, rel=1e-6)
     assert UNITS["°F"].scale * 32.0 + UNITS["°F"].offset == pytest.approx(273.15)
     assert UNITS["psi"].scale == pytest.approx(6894.757, rel=1e-6)
+    assert UNITS["kip"].scale == pytest.approx(4448.222, rel=1e-6)
+    assert UNITS["ksi"].scale == pytest.approx(6.894757e6, rel=1e-6)
+    assert UNITS["gpm"].scale == pytest.approx(6.30902e-5, rel=1e-6)
     assert all(UNITS[unit] == (quantity, 1.0, 0.0) for unit, quantity in QUANTITIES.items())
     assert set(SPELLINGS.values()) <= UNITS.keys()
     assert not SPELLINGS.keys() & UNITS.keys()

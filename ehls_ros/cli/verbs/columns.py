@@ -15,7 +15,7 @@ from ehls_ros.diagnosis.stages import STAGES
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.columns import TIME
 from ehls_ros.recording.load import READERS
-from ehls_ros.recording.proposal import Proposal, Table, look, proposed_map, valve_data, with_valve
+from ehls_ros.recording.proposal import MIN_UNEVENNESS, Proposal, Table, look, proposed_map, valve_data, with_valve
 
 CERTAINTY = {"contract": "certain: by its name", "stated": "certain", "unsure": "to be checked", "unknown": "unknown"}
 """Wording of the certainty of a column."""
@@ -75,8 +75,10 @@ def _summary(proposal: Proposal) -> Iterator[str]:
 
 def _print(table: Table, console: Console) -> None:
     """Print the interpretation of the columns to standard error, so that the output can be the map alone."""
-    rate = "rate unknown: no column of time is sure" if math.isnan(table.rate) else f"{table.rate:.4g} Hz"
-    uneven = f", time steps differ by up to {100 * table.unevenness:.2g} %" if table.unevenness > 0.01 else ""
+    rate = "rate unknown: no column of time is sure" if math.isnan(table.rate) else f"{table.rate:.5g} Hz"
+    uneven = f", time steps differ by up to {100 * table.unevenness:.2g} %" if table.unevenness > MIN_UNEVENNESS else ""
+    if len(table.axes) > 1:
+        rate = f"{len(table.axes)} time axes"
     printed = Printed(title=f"{table.name}: {table.rows} rows, {rate}{uneven}")
     for heading in ("column", "smallest", "largest", "unit", "signal", "certainty", "open question"):
         printed.add_column(heading, justify="right" if heading in ("smallest", "largest") else "left")
@@ -89,5 +91,5 @@ def _print(table: Table, console: Console) -> None:
         left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else column.wrong
         printed.add_row(escape(header.column), *span, unit, header.signal or "?", sure, escape(left_open))
     console.print(printed)
-    for remark in table.remarks:
+    for remark in (*table.axes, *table.remarks):
         console.print(f"{table.name}: {remark}", markup=False, highlight=False, soft_wrap=True)
