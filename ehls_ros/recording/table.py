@@ -140,10 +140,11 @@ def check_length(rows: int, columns: int, where: str) -> None:
         raise BadInput(f"it has at least {rows} rows in {columns} columns to read", where, expected)
 
 
-def not_numeric(column: Column, name: str, where: str) -> BadInput:
+def not_numeric(column: Column, name: str, where: str, reason: str = "") -> BadInput:
     """Return the error for a column that is not numeric."""
     wanted_for = "" if column.shown == name else f" for {name}"
-    return BadInput(f"column '{column.shown}'{wanted_for} is not numeric", where, "a column of real numbers")
+    shown = f" ({reason})" if reason else ""
+    return BadInput(f"column '{column.shown}'{wanted_for} is not numeric{shown}", where, "a column of real numbers")
 
 
 def trajectories_of(table: RawTable, columns: Columns, where: str) -> dict[str, Trajectory]:
@@ -214,7 +215,7 @@ def _unscaled(table: RawTable, column: Column, name: str, rows: int, where: str)
     values = {source: table.values[source] for source in column.sources}
     known = {source: found for source, found in values.items() if found is not None}
     if len(known) < len(values):
-        raise not_numeric(column, name, where)
+        raise not_numeric(column, name, where, next((table.wrong[s] for s in column.sources if s in table.wrong), ""))
     if not values:
         return np.arange(rows, dtype=np.float64)
     if not column.expression:
