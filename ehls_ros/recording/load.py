@@ -15,6 +15,7 @@ from ehls_ros.recording.joining import join
 from ehls_ros.recording.mat_file import read_mat
 from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import read_parquet
+from ehls_ros.recording.rpc_file import read_rpc
 from ehls_ros.recording.storage_file import METADATA_FILE
 from ehls_ros.recording.table import Pick, RawTable, no_names, sources, trajectories_of
 from ehls_ros.recording.tdms_file import read_tdms
@@ -28,6 +29,7 @@ READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
     ".parquet": read_parquet,
     **dict.fromkeys((".xlsx", ".xls"), read_excel),
     ".tdms": read_tdms,
+    **dict.fromkeys((".rsp", ".drv", ".rpc", ".tim"), read_rpc),
 }
 """Readers of files with named columns, by suffix."""
 
