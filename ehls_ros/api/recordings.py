@@ -151,7 +151,7 @@ def load(path: str | Path, columns: Columns | None = None) -> Recording:
 
     * the folder of a run or a rosbag2, and its storage file ``.mcap`` or ``.db3``;
     * a table ``.csv``, ``.tsv``, ``.txt``, ``.dat``, ``.asc``, ``.xlsx``, ``.xls``, ``.mat``, ``.tdms``,
-      ``.parquet``, ``.rsp``, ``.drv``, ``.rpc`` or ``.tim``;
+      ``.parquet``, ``.mf4``, ``.mdf``, ``.rsp``, ``.drv``, ``.rpc`` or ``.tim``;
     * a folder with the tables of one recording.
 
     Args:

@@ -13,6 +13,7 @@ from ehls_ros.recording.csv_file import read_csv
 from ehls_ros.recording.excel_file import read_excel
 from ehls_ros.recording.joining import join
 from ehls_ros.recording.mat_file import read_mat
+from ehls_ros.recording.mdf_file import is_mdf, read_mdf
 from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import read_parquet
 from ehls_ros.recording.rpc_file import read_rpc
@@ -29,6 +30,7 @@ READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
     ".parquet": read_parquet,
     **dict.fromkeys((".xlsx", ".xls"), read_excel),
     ".tdms": read_tdms,
+    **dict.fromkeys((".mf4", ".mdf"), read_mdf),
     **dict.fromkeys((".rsp", ".drv", ".rpc", ".tim"), read_rpc),
 }
 """Readers of files with named columns, by suffix."""
@@ -111,7 +113,9 @@ def raw(path: Path, pick: Pick | None = None) -> RawTable:
     Raises:
         BadInput: it cannot be read.
     """
-    return READERS[path.suffix.lower()](path, pick)
+    suffix = path.suffix.lower()
+    # Older programs write MDF files with a suffix of text files.
+    return (read_mdf if suffix in OTHERS_HAVE and is_mdf(path) else READERS[suffix])(path, pick)
 
 
 def _read(path: Path, columns: Columns) -> dict[str, Trajectory]:

@@ -179,9 +179,9 @@ def look(path: Path) -> list[Table]:
             of = f" of {name}" if len(times) > 1 else ""
             first = table.place(int(backwards[0]) + 1)
             remarks.append(f"times{of} that do not increase: {len(backwards)}, the first in {first}")
-    shown = tuple(_axis_sentence(axis, times[axis], table.time_of) for axis in axes if axis in times)
+    sentences = tuple(_axis_sentence(axis, times[axis], table.time_of) for axis in axes if axis in times)
     common = next(iter(times.values())) if len(times) == 1 else None
-    return [Table(path.name, seen, rows, *_rate(common), tuple(remarks), shown)]
+    return [Table(path.name, seen, rows, *_rate(common), tuple(remarks), sentences)]
 
 
 class _Axis(NamedTuple):

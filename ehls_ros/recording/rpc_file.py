@@ -134,7 +134,7 @@ def read_rpc(path: Path, pick: Pick | None = None) -> RawTable:
     part = slice(history.margin, history.margin + history.samples - fill)
     values = {name: _scaled(found[part], header, names.index(name), where) for name, found in points.items()}
     if TIME_COLUMN in wanted:
-        values[TIME_COLUMN] = np.arange(history.samples - fill) * history.period
+        values[TIME_COLUMN] = np.arange(history.samples - fill, dtype=np.float64) * history.period
     remarks = [f"{TIME_COLUMN} is counted from DELTA_T of {history.period:g} s"]
     if history.margin:
         shown = f"the first and last {history.margin} values"

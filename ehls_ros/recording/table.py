@@ -2,7 +2,7 @@
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from types import MappingProxyType
@@ -122,6 +122,11 @@ def _suggestion(name: str, names: Sequence[str]) -> str:
 
 def _how_to_map(where: str) -> str:
     return f"a map of columns (ehls columns {shlex.quote(where)} --out columns.yaml, then --columns columns.yaml)"
+
+
+def unused(name: str, taken: Collection[str]) -> str:
+    """Return a name for a further column: the given one, or with the first number from 2 on that makes it unique."""
+    return next(free for free in (name, *(f"{name} {k}" for k in range(2, len(taken) + 3))) if free not in taken)
 
 
 def check_length(rows: int, columns: int, where: str) -> None:

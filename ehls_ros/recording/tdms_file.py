@@ -16,7 +16,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import TIME
 from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.headers import recognised
-from ehls_ros.recording.table import Pick, RawTable, check_length
+from ehls_ros.recording.table import Pick, RawTable, check_length, unused
 
 LIBRARY = "nptdms"
 """Module that reads the files."""
@@ -76,7 +76,7 @@ class _Waveform(NamedTuple):
 
     def times(self) -> NDArray[np.float64]:
         """Return the times of the samples [s]."""
-        return self.start + self.period * np.arange(self.samples)
+        return self.start + self.period * np.arange(self.samples, dtype=np.float64)
 
     def same(self, other: "_Waveform") -> bool:
         """Return whether another waveform has these times."""
@@ -112,7 +112,7 @@ def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
         after = 0.0 if start is None or zero is None else float((start - zero) / np.timedelta64(1, "s"))
         waveform = _Waveform(after + _number(channel, OFFSET), _number(channel, INCREMENT), len(channel))
         same = next((axis for axis, other in axes.items() if other.same(waveform)), None)
-        time_of[name] = same or _free(WAVEFORM_TIME, {*by_name, *axes})
+        time_of[name] = same or unused(WAVEFORM_TIME, {*by_name, *axes})
         axes.setdefault(time_of[name], waveform)
     if len(axes) == 1:
         [(axis, only)] = axes.items()
@@ -156,10 +156,6 @@ def _start(channel: Any) -> np.datetime64 | None:
     """Return the date and time of the beginning of a waveform; None if it is missing or was never set."""
     start = channel.properties.get(START)
     return start if isinstance(start, np.datetime64) and start >= UNSET_YEAR else None
-
-
-def _free(name: str, taken: set[str]) -> str:
-    return next(free for free in (name, *(f"{name} {k}" for k in range(2, len(taken) + 3))) if free not in taken)
 
 
 def _values(channel: Any, zero: np.datetime64 | None, lenient: bool) -> NDArray[Any] | None:
