@@ -35,7 +35,7 @@ READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
 }
 """Readers of files with named columns, by suffix."""
 
-OTHERS_HAVE = (".txt", ".dat", ".asc")
+OTHERS_HAVE = (".txt", ".dat", ".asc", ".rsp", ".drv", ".rpc", ".tim")
 """Suffixes also used by files other than tables: such a file in a folder is a table only if a map lists it."""
 
 

@@ -17,6 +17,9 @@ from ehls_ros.recording.table import Pick, RawTable, check_length
 
 EXPECTED_FILE = "a MAT file as written by MATLAB's save"
 
+OCTAVE = (b"# Created by", b"# name: ", b"Octave-1-L", b"Octave-1-B")
+"""First bytes of the formats in which Octave saves by default."""
+
 MAX_DEPTH = 20
 """Deepest nesting of structures in version 7.3, whose links can form cycles [1]."""
 
@@ -51,6 +54,9 @@ def read_here(path: Path, pick: Pick | None) -> RawTable:
     """Read a MAT file in this process, without a memory limit; see :func:`read_mat`."""
     where = str(path)
     with library_errors("a MAT file", where, EXPECTED_FILE), path.open("rb") as stream:
+        if stream.read(len(OCTAVE[0])).startswith(OCTAVE):
+            raise BadInput("it is in a format of Octave", where, "a MAT file, as by `save -v7` in Octave")
+        stream.seek(0)
         newest = scipy.io.matlab.matfile_version(stream)[0] == 2
         if newest:
             check_library("h5py", "h5py", path)

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import TIME
+from ehls_ros.recording.columns import TIME, unit_of
 from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.headers import recognised
 from ehls_ros.recording.table import Pick, RawTable, check_length, unused
+from ehls_ros.units import UNITS
 
 LIBRARY = "nptdms"
 """Module that reads the files."""
@@ -34,6 +35,12 @@ START, OFFSET = "wf_start_time", "wf_start_offset"
 
 UNSET_YEAR = np.datetime64("1905")
 """Year before which a date is LabVIEW's zero, 1904, of a start that was never set."""
+
+UNSET_INCREMENT = 1.0
+"""Sampling period of a waveform that was never set [s]."""
+
+ABSCISSA_UNIT = "wf_xunit_string"
+"""Property with the unit of a waveform's abscissa; missing for seconds."""
 
 SAME_START = 1e-3
 """Difference of two starts, in periods, up to which waveforms have one time axis."""
@@ -92,7 +99,13 @@ def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
     units = {name: str(c.properties[key]) for name, c in by_name.items() for key in reversed(UNIT_KEYS) if key in c.properties}
     units |= {name: "s" for name, c in by_name.items() if c.dtype.kind in "mM"}
     time_of, remarks = _time_channels(by_name, units)
-    waveforms = {name: c for name, c in by_name.items() if _is_waveform(c) and not {name} & {*time_of, *time_of.values()}}
+    others = {name: c for name, c in by_name.items() if name not in {*time_of, *time_of.values()}}
+    unset = [
+        name for name, c in others.items() if _period(c) == UNSET_INCREMENT and START in c.properties and _start(c) is None
+    ]
+    if unset:
+        remarks.append(f"{', '.join(unset)}: {INCREMENT} of {UNSET_INCREMENT:g} s and {START} were never set and are not used")
+    waveforms = {name: c for name, c in others.items() if _period(c) > 0.0 and name not in unset}
     moments = [by_name[name][0] for name in dict.fromkeys(time_of.values()) if by_name[name].dtype.kind == "M"]
     starts = {name: start for name, c in waveforms.items() if (start := _start(c)) is not None}
     zero = min([*moments, *starts.values()], default=None)
@@ -110,7 +123,7 @@ def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
             start = of_group.pop()
             remarks.append(f"{name} has no {START} and is taken to begin with its group")
         after = 0.0 if start is None or zero is None else float((start - zero) / np.timedelta64(1, "s"))
-        waveform = _Waveform(after + _number(channel, OFFSET), _number(channel, INCREMENT), len(channel))
+        waveform = _Waveform(after + _number(channel, OFFSET) * _seconds(channel), _period(channel), len(channel))
         same = next((axis for axis, other in axes.items() if other.same(waveform)), None)
         time_of[name] = same or unused(WAVEFORM_TIME, {*by_name, *axes})
         axes.setdefault(time_of[name], waveform)
@@ -142,8 +155,17 @@ def _time_channels(by_name: Mapping[str, Any], units: Mapping[str, str]) -> tupl
     return time_of, [f"{', '.join(replaced)}: times of their group, not {INCREMENT}"] if replaced else []
 
 
-def _is_waveform(channel: Any) -> bool:
-    return len(channel) > 0 and channel.dtype.kind in "fiub" and 0.0 < _number(channel, INCREMENT) < np.inf
+def _period(channel: Any) -> float:
+    """Return the sampling period of a waveform [s]; zero for any other channel."""
+    period = _number(channel, INCREMENT) * _seconds(channel)
+    return period if len(channel) and channel.dtype.kind in "fiub" and 0.0 < period < np.inf else 0.0
+
+
+def _seconds(channel: Any) -> float:
+    """Return the unit of a waveform's abscissa [s]; zero if it is no time, as that of a spectrum."""
+    unit = str(channel.properties.get(ABSCISSA_UNIT, "")) or "s"
+    known = unit_of(unit)
+    return UNITS[known].scale if known and UNITS[known].quantity == "time" else 0.0
 
 
 def _number(channel: Any, name: str) -> float:

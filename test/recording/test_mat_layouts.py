@@ -270,3 +270,10 @@ def test_a_file_of_objects_is_bad_input(tmp_path: Path, newest: bool):
             load(path, given)
     with pytest.raises(BadInput, match=said):
         look(path)
+
+
+@pytest.mark.parametrize("begin", [b"# Created by Octave 8.4.0, Mon May 04 12:00:00 2026 UTC\n", b"Octave-1-L\0\1\0\0\0x"])
+def test_a_format_of_octave_is_named(tmp_path: Path, begin: bytes):
+    (tmp_path / "a.mat").write_bytes(begin.ljust(200, b" "))
+    with pytest.raises(BadInput, match="it is in a format of Octave; expected a MAT file, as by `save -v7` in Octave"):
+        load(tmp_path / "a.mat")

@@ -150,11 +150,31 @@ def test_dates_and_starts_are_on_one_clock_over_midnight(tmp_path: Path):
     assert joined.time_s[0] == pytest.approx(86400.0)
 
 
-@pytest.mark.parametrize("increment", [0.0, -0.001, np.nan])
-def test_a_period_that_is_none_gives_no_times(tmp_path: Path, increment: float):
-    path = file(tmp_path, ("G", "Kraft", [1.0, 2.0], {"wf_increment": increment}))
+@pytest.mark.parametrize(
+    "properties",
+    [
+        {"wf_increment": 0.0},
+        {"wf_increment": -0.001},
+        {"wf_increment": np.nan},
+        {"wf_increment": 0.5, "wf_xunit_string": "Hz"},  # a spectrum
+        {"wf_increment": 1.0, "wf_start_time": UNSET},  # as LabVIEW writes them for an array that is no waveform
+    ],
+)
+def test_a_period_that_is_none_gives_no_times(tmp_path: Path, properties: dict[str, Any]):
+    path = file(tmp_path, ("G", "Kraft", [1.0, 2.0], properties))
     with pytest.raises(BadInput, match=r"column time_s is missing \(found: Kraft\)"):
         read(path, ColumnMap({"force_n": Column("Kraft")}))
+
+
+def test_properties_that_were_never_set_are_named(tmp_path: Path):
+    path = file(tmp_path, ("G", "Kraft", [1.0, 2.0], {"wf_increment": 1.0, "wf_start_time": UNSET}))
+    read = read_here(path, None)
+    assert read.remarks == ("Kraft: wf_increment of 1 s and wf_start_time were never set and are not used",)
+
+
+def test_a_period_may_be_in_another_unit_of_time(tmp_path: Path):
+    path = file(tmp_path, ("G", "Kraft", [1.0, 2.0], {"wf_increment": 10.0, "wf_start_offset": 5.0, "wf_xunit_string": "ms"}))
+    assert read(path, ColumnMap({"force_n": Column("Kraft")})).time_s.tolist() == pytest.approx([0.005, 0.015])
 
 
 def test_starts_of_different_days_are_refused_with_both_ranges(tmp_path: Path):
