@@ -101,7 +101,10 @@ def _table(file: Any, pick: Pick | None, where: str) -> RawTable:
     if not found:
         raise BadInput("it has no channel", where, EXPECTED_FILE)
     count = Counter(channel.name for *_, channel in found)
-    places = {c.name if count[c.name] == 1 else f"group {k + 1}/{c.name}": (k, index, c) for k, index, c in found}
+    places: dict[str, tuple[int, int, Any]] = {}
+    for k, index, channel in found:
+        name = channel.name if count[channel.name] == 1 else f"group {k + 1}/{channel.name}"
+        places[unused(name, places)] = (k, index, channel)
     axes: dict[int, str] = {}
     for k in dict.fromkeys(k for k, *_ in places.values() if masters[k]):
         axes[k] = unused(TIME_COLUMN, {*places, *axes.values()})

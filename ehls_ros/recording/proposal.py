@@ -31,6 +31,9 @@ UNITS_OF_FIELDS: Mapping[str, str] = {
 MIN_UNEVENNESS = 0.01
 """Relative deviation of a time step from the usual one above which it is reported."""
 
+MAX_SHOWN = 8
+"""Maximum number of columns listed for a time axis."""
+
 PLAIN = ("data", "fluid_pressure", "temperature")
 """Fields whose names add no information to that of their topic."""
 
@@ -199,8 +202,9 @@ def _axis_sentence(axis: str, times: NDArray[np.float64], time_of: Mapping[str, 
     rate, unevenness = _rate(times)
     uneven = f", time steps differ by up to {100 * unevenness:.2g} %" if unevenness > MIN_UNEVENNESS else ""
     span = f", {times[0]:.6g} to {times[-1]:.6g} s" if len(times) else ""
-    columns = ", ".join(column for column, own in time_of.items() if own == axis)
-    return f"{axis}: {len(times)} rows, {rate:.4g} Hz{uneven}{span} ({columns})"
+    columns = [column for column, own in time_of.items() if own == axis]
+    more = f" and {len(columns) - MAX_SHOWN} more" if len(columns) > MAX_SHOWN else ""
+    return f"{axis}: {len(times)} rows, {rate:.4g} Hz{uneven}{span} ({', '.join(columns[:MAX_SHOWN])}{more})"
 
 
 def _topic(name: str, found: Found) -> Table:

@@ -33,14 +33,14 @@ MAX_CHANNELS = 1024
 BYTE_ORDERS: Mapping[str, str] = {"BINARY": "<", "BINARY_IEEE_LITTLE_END": "<", "BINARY_IEEE_BIG_END": ">"}
 """Byte order by FORMAT; BINARY is that of the PC and the VAX."""
 
-TYPES: Mapping[str, str] = {"SHORT_INTEGER": "i2", "FLOATING_POINT": "f4"}
-"""Type of the values by DATA_TYPE."""
+TYPES: Mapping[str, str] = {"SHORT_INTEGER": "i2", "FLOATING_POINT": "f4", "DOUBLE_PRECISION": "f8"}
+"""Type of the values by DATA_TYPE; the last is of some writers."""
 
 TIME_COLUMN = "time"
 """Name of the time column, which is counted from DELTA_T."""
 
 
-Points = NDArray[np.int16] | NDArray[np.float32]
+Points = NDArray[np.int16] | NDArray[np.float32] | NDArray[np.float64]
 """Values as stored."""
 
 
@@ -60,7 +60,7 @@ class _History(NamedTuple):
     """
 
     begin: int
-    dtype: np.dtype[np.int16] | np.dtype[np.float32]
+    dtype: np.dtype[np.int16] | np.dtype[np.float32] | np.dtype[np.float64]
     channels: int
     group: int
     stored: int

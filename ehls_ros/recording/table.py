@@ -186,10 +186,11 @@ def _by_axis(table: RawTable, chosen: Columns, where: str) -> dict[str, dict[str
     if time is not None and time.name not in table.time_of.values():
         return {time.name: dict(chosen)}
     out: dict[str, dict[str, Column]] = {}
+    same = _equal_axes(table, "" if time is None else time.name)
     for name, column in chosen.items():
         if name == TIME:
             continue
-        axes = {table.time_of[source] for source in column.sources if source in table.time_of}
+        axes = {same[table.time_of[source]] for source in column.sources if source in table.time_of}
         if len(axes) > 1:
             what = f"the columns of {column.shown} for {name} have different times ({', '.join(sorted(axes))})"
             raise BadInput(what, where, "columns of one time axis, or a signal for each")
@@ -198,6 +199,19 @@ def _by_axis(table: RawTable, chosen: Columns, where: str) -> dict[str, dict[str
             Column(axis, UNITS[unit_of(table.units.get(axis, "s")) or "s"].scale) if time is None else time._replace(name=axis)
         )
         out.setdefault(axis, {TIME: own})[name] = column
+    return out
+
+
+def _equal_axes(table: RawTable, named: str) -> dict[str, str]:
+    """Return the first of the time columns with the same times, by time column; the one that the map names comes first."""
+    out: dict[str, str] = {}
+    known: dict[str, NDArray[Any]] = {}
+    for axis in sorted(dict.fromkeys(table.time_of.values()), key=lambda axis: axis != named):
+        times, unit = table.values.get(axis), table.units.get(axis)
+        others = (other for other in known if table.units.get(other) == unit)
+        out[axis] = axis if times is None else next((other for other in others if np.array_equal(known[other], times)), axis)
+        if times is not None:
+            known.setdefault(out[axis], times)
     return out
 
 

@@ -34,7 +34,7 @@ def written(path: Path, values: np.ndarray, *, filled: bool = True, order: str =
         changes: keywords that differ; None leaves one out.
     """
     frame, group = max(changes.get("PTS_PER_FRAME", 256), 1), max(changes.get("PTS_PER_GROUP", 1024), 1)
-    floating = changes.get("DATA_TYPE") == "FLOATING_POINT"
+    kind = {"FLOATING_POINT": "f4", "DOUBLE_PRECISION": "f8"}.get(changes.get("DATA_TYPE"), "i2")
     frames = -(-values.shape[1] // frame)
     header = {
         "FILE_TYPE": "TIME_HISTORY",
@@ -57,8 +57,8 @@ def written(path: Path, values: np.ndarray, *, filled: bool = True, order: str =
     first = {"FORMAT": header.pop("FORMAT", "BINARY"), "NUM_HEADER_BLOCKS": blocks, "NUM_PARAMS": len(header) + 3}
     first |= {key: header.pop(key) for key in ("NUM_HEADER_BLOCKS", "NUM_PARAMS") if key in header}
     text = b"".join(key.encode().ljust(32, b"\0") + str(v).encode().ljust(96, b"\0") for key, v in (first | header).items())
-    raw = values if floating else values / np.array(SCALES[: len(values)])[:, None]
-    raw = np.pad(raw, ((0, 0), (0, frames * frame - raw.shape[1]))).astype(order + ("f4" if floating else "i2"))
+    raw = values / np.array(SCALES[: len(values)])[:, None] if kind == "i2" else values
+    raw = np.pad(raw, ((0, 0), (0, frames * frame - raw.shape[1]))).astype(order + kind)
     content = text.ljust(512 * blocks, b"\0")
     for begin in range(0, raw.shape[1], group):
         part = raw[:, begin : begin + group]
@@ -75,6 +75,7 @@ def written(path: Path, values: np.ndarray, *, filled: bool = True, order: str =
         {"order": ">", "FORMAT": "BINARY_IEEE_BIG_END"},
         {"FORMAT": "BINARY_IEEE_LITTLE_END", "DATA_TYPE": None},
         {"DATA_TYPE": "FLOATING_POINT"},
+        {"DATA_TYPE": "DOUBLE_PRECISION"},
         {"PTS_PER_FRAME": 512, "PTS_PER_GROUP": 512},
         {"PTS_PER_FRAME": 256, "PTS_PER_GROUP": 4096},
     ],
@@ -144,7 +145,7 @@ def test_a_number_of_samples_in_the_header_is_used(tmp_path: Path):
         ({"NUM_PARAMS": 10**9}, "NUM_PARAMS is 1000000000"),
         ({"FORMAT": "ASCII"}, "FORMAT is ASCII; expected BINARY or BINARY_IEEE_LITTLE_END or BINARY_IEEE_BIG_END"),
         ({"FILE_TYPE": "FATIGUE"}, "FILE_TYPE is FATIGUE; expected TIME_HISTORY"),
-        ({"DATA_TYPE": "LONG_INTEGER"}, "DATA_TYPE is LONG_INTEGER; expected SHORT_INTEGER or FLOATING_POINT"),
+        ({"DATA_TYPE": "LONG_INTEGER"}, "DATA_TYPE is LONG_INTEGER; expected SHORT_INTEGER or FLOATING_POINT or"),
     ],
 )
 def test_a_wrong_header_is_bad_input_before_anything_is_read(tmp_path: Path, changes: dict[str, Any], complaint: str):
