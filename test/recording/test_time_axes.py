@@ -87,6 +87,18 @@ def test_times_that_do_not_belong_together_are_bad_input(file: Path, given: dict
     assert complaint in str(caught.value)
 
 
+@pytest.mark.parametrize("named", ["", "t2"])
+def test_axes_with_the_same_times_are_one(file: Path, monkeypatch: pytest.MonkeyPatch, named: str):
+    outlier = np.where(FAST == 1.0, 1e6, FAST)
+    same = RawTable(
+        ("t1", "Kraft", "t2", "Weg"), {"t1": FAST, "Kraft": FAST, "t2": FAST, "Weg": outlier}, time_of=TABLE.time_of
+    )
+    monkeypatch.setitem(loading.READERS, ".foreign", lambda path, pick=None: same)
+    read = load(file, ColumnMap(MAP | ({"time_s": Column(named)} if named else {})))
+    np.testing.assert_array_equal(read["position_m"], outlier)
+    assert read.preparation.remarks == ()
+
+
 def test_a_column_without_times_takes_those_that_the_map_names(file: Path):
     both = load(file, ColumnMap({"force_n": Column("Notiz"), "time_s": Column("t1", 1e-3)}))
     assert both.time_s.tolist() == pytest.approx(FAST.tolist())
