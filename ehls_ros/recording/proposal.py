@@ -15,6 +15,7 @@ from ehls_ros.diagnosis.verdict import NEEDED_SIGNALS
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import ELECTRICAL, TABLES, TIME, is_topic, unit_of
 from ehls_ros.recording.conversion import given_by
+from ehls_ros.recording.entries import KEY
 from ehls_ros.recording.headers import Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
@@ -141,7 +142,7 @@ def look(path: Path) -> list[Table]:
         BadInput: it cannot be read, or has no columns.
     """
     if not is_table(path):
-        return [_topic(name, found) for name, found in every_topic(path).items()]
+        return _topics(path)
     table = raw(path)
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
@@ -167,10 +168,29 @@ def look(path: Path) -> list[Table]:
     return [Table(path.name, seen, rows, *_rate(times), (*table.remarks, *remarks))]
 
 
+def _topics(path: Path) -> list[Table]:
+    """Interpret the topics of a bag; those left out, and remarks on the bag, are tables without columns."""
+    found, left_out, remarks = every_topic(path)
+    reasons = {name: f"left out: {reason}" for name, reason in left_out.items()}
+    if not found:
+        shown = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
+        raise BadInput(f"no topic has numbers ({shown or 'it has no topic'})", str(path), "a bag with topics of numbers")
+    topics = [_topic(name, messages) for name, messages in found.items()]
+    return [
+        *topics,
+        *(
+            Table(name, (), 0, np.nan, np.nan, (remark,))
+            for name, remark in (*reasons.items(), *((path.name, r) for r in remarks))
+        ),
+    ]
+
+
 def _topic(name: str, found: Found) -> Table:
     """Interpret a topic by its name and by the unit that its type implies."""
     last = name.rpartition("/")[2]
-    labels = [last if field in PLAIN else f"{last}_{field}" for field in found.fields]
+    # In brackets, a label would count as a unit.
+    words = {field: KEY.sub(r"_\1", field) for field in found.fields}
+    labels = [last if field in PLAIN else f"{last}_{words[field]}" for field in found.fields]
     units = [
         next((unit for ending, unit in UNITS_OF_FIELDS.items() if f"{found.type}.{field}".endswith(ending)), "")
         for field in found.fields
@@ -178,7 +198,7 @@ def _topic(name: str, found: Found) -> Table:
     headers = recognised([f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)])
     named = [header._replace(column=field) for header, field in zip(headers, found.fields, strict=True)]
     seen = tuple(_seen(header, values) for header, values in zip(named, found.fields.values(), strict=True))
-    return Table(name, seen, len(found.time), *_rate(found.time))
+    return Table(name, seen, len(found.time), *_rate(found.time), found.remarks)
 
 
 def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
@@ -245,6 +265,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
 
 
 def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
+    if is_topic(table.name) or not table.columns:
+        yield from (f"# {remark}" for remark in table.remarks)
     for column in table.columns:
         header = column.header
         name = json.dumps(header.column, ensure_ascii=False)
