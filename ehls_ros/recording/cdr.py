@@ -75,13 +75,13 @@ class Place(NamedTuple):
         field: the field.
         start: offset of the first value [B].
         length: number of values.
-        index: numbers of the entries that contain it, the outermost first.
+        within: numbers of the entries that contain it, the outermost first.
     """
 
     field: Field
     start: int
     length: int
-    index: tuple[int, ...]
+    within: tuple[int, ...]
 
     @property
     def stop(self) -> int:
@@ -149,7 +149,7 @@ def flatten(types: Typesdict, message_type: str, prefix: str = "") -> list[Field
             case (Nodetype.SEQUENCE | Nodetype.ARRAY as several, ((Nodetype.BASE, (str(kind), _)), size)) if (
                 kind in NUMPY_TYPES
             ):
-                parts = (Field(f"{path}[]", kind, many=False),) if kind == "string" else ()
+                parts: tuple[Field, ...] = (Field(f"{path}[]", kind, many=False),) if kind == "string" else ()
                 fields.append(Field(path, kind, True, size if several is Nodetype.ARRAY else None, parts))
             case (Nodetype.SEQUENCE | Nodetype.ARRAY as several, ((Nodetype.NAME, str(nested)), size)):
                 parts = tuple(flatten(types, nested, f"{path}[]."))

@@ -159,7 +159,7 @@ class _Labels:
         self._beside: dict[str, dict[tuple[str, tuple[int, ...]], list[str]]] = defaultdict(lambda: defaultdict(list))
         """Sequences of texts by the path that contains them, each by its name and the number of the enclosing entry."""
         for place in alike.places:
-            name, index = place.field.name, place.index
+            name, index = place.field.name, place.within
             self._places[name].append(place)
             parts = name.split("[]")
             for level in range(len(index)):
@@ -180,7 +180,7 @@ class _Labels:
     def matches(self, field: str, keys: Sequence[str]) -> Iterator[_Entry]:
         """Yield the entries of a field that answer to some keys."""
         for place in self._places[field]:
-            inner = keys[len(place.index) :]
+            inner = keys[len(place.within) :]
             outer = self._outer(place)
             if not all(level.answers(key) for level, key in zip(outer, keys, strict=False)):
                 continue
@@ -207,14 +207,14 @@ class _Labels:
 
     def _outer(self, place: Place) -> tuple[_Level, ...]:
         parts = place.field.name.split("[]")
-        sequences = ["[]".join(parts[: level + 1]) for level in range(len(place.index))]
+        sequences = ["[]".join(parts[: level + 1]) for level in range(len(place.within))]
         return tuple(
-            self._level(sequence, place.index[: level + 1], self._lengths[sequence, place.index[:level]], own=True)
+            self._level(sequence, place.within[: level + 1], self._lengths[sequence, place.within[:level]], own=True)
             for level, sequence in enumerate(sequences)
         )
 
     def _entry(self, place: Place, outer: tuple[_Level, ...], number: int) -> _Entry:
-        level = self._level(place.field.name, (*place.index, number), place.length, own=False)
+        level = self._level(place.field.name, (*place.within, number), place.length, own=False)
         return _Entry(place, number, (*outer, level))
 
     def _level(self, sequence: str, index: tuple[int, ...], length: int, *, own: bool) -> _Level:

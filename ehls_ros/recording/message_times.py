@@ -120,6 +120,10 @@ class Arrivals(NamedTuple):
             remarks.append(f"{len(time) - len(order)} messages repeat a time and are left out")
         return Arrived(order, (*remarks, *self._steps_ahead(steps, waits, period)))
 
+    def remarks(self) -> list[str]:
+        """Return the remarks of :meth:`arranged`."""
+        return list(self.arranged().remarks)
+
     def _period(self, steps: Times) -> float:
         """Return the usual interval between messages [s]; by the reception if many of them are out of order."""
         known = (_median(steps[steps > 0.0]), float(np.ptp(self.received)) / max(1, len(steps)))
@@ -153,8 +157,8 @@ class Arrivals(NamedTuple):
                 raise BadInput(found, self.where, expected)
         if len(late) > MANY_LATE * len(self.time) and float(np.median(lateness)) > PERIODS * period:
             what = f"{self.source} goes back {len(late)} times in {len(self.time)} messages"
-            first = f"first by {_duration(lateness[0])} in message {self.numbers[late[0]]}"
-            raise BadInput(f"{what}, {first}", self.where, expected)
+            begin = f"first by {_duration(lateness[0])} in message {self.numbers[late[0]]}"
+            raise BadInput(f"{what}, {begin}", self.where, expected)
 
     def _steps_ahead(self, steps: Times, waits: Times, period: float) -> list[str]:
         """Describe the largest step ahead of the times without a gap in the reception."""

@@ -109,7 +109,7 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
         numbers, source = np.arange(len(time)) + 1, STAMP if stamped[name] else RECEIVED
         arrivals = Arrivals(time, received, numbers, zero / 1e9, source, name, f"'tables: {{{name}: {{name: {RECEIVED}}}}}'")
         clocks[name] = Clock(source, int(stamps[name][0]) / 1e9, float(np.median(received - time)), given=False)
-        remarks = _advice(lambda of=arrivals: list(of.arranged().remarks))
+        remarks = _advice(arrivals.remarks)
         found[name] = Found(sinks[name].connections[0].msgtype, time, _numbers(columns), tuple(remarks))
     return found, left_out, _advice(lambda: check_clocks(clocks, str(path)))
 

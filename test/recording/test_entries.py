@@ -83,7 +83,7 @@ def test_messages_without_the_label_are_left_out_and_counted(tmp_path: Path):
         (
             TWO_SENDERS,
             "position[2]",
-            "missing in 2 of 3 messages, first in message 1, which has 2 entries; expected a label in the brackets, such as pos",
+            "missing in 2 of 3 messages, first in message 1, which has 2 entries; expected a label in the brackets",
         ),
         (
             TWO_SENDERS,
