@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
 
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
@@ -53,8 +53,11 @@ class BagTopic:
             entries: names of the entries of sequences to read; or the number of entries to read of every sequence.
 
         Raises:
-            BadInput: the topic has too many messages.
+            BadInput: the topic has too many messages, or they are not serialized as CDR.
         """
+        formats = {c.ext.serialization_format for c in connections if isinstance(c.ext, ConnectionExtRosbag2)} - {"cdr"}
+        if formats:
+            raise BadInput(f"its messages are serialized as {formats.pop()}", where, "cdr")
         self._where = where
         self._path, self._type = connections[0].topic, connections[0].msgtype
         self._expected = sum(connection.msgcount for connection in connections)

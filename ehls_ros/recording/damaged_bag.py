@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ehls_ros.errors import BadInput, reason
-from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES
+from ehls_ros.recording.bag_files import STORAGE_SUFFIXES
 from ehls_ros.recording.bag_writer import Storage
 from ehls_ros.recording.ledger import Ledger
 from ehls_ros.recording.limits import TEXT

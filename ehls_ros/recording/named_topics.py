@@ -50,13 +50,13 @@ def read_named_topics(path: Path, given: ColumnMap) -> dict[str, Trajectory]:
         wanted = _by_topic(given, bag.where)
         topics = {name: _Topic(bag, name, columns, given.tables.get(name)) for name, columns in wanted.items()}
         bag.read({connection.id: topic.sink for topic in topics.values() for connection in topic.connections})
-        read = {name: topic.messages() for name, topic in topics.items()}
+        read, on_bag = {name: topic.messages() for name, topic in topics.items()}, bag.remarks
     zero = min(messages.first_ns for messages in read.values())
     zero = zero if zero >= UNIX_TIME_NS else 0
     trajectories = {name: topic.trajectory(read[name], zero) for name, topic in topics.items()}
     remarks = check_clocks({name: topic.clock(read[name]) for name, topic in topics.items() if not topic.counted}, str(path))
     first = next(iter(trajectories))
-    prepared = trajectories[first].preparation.adding(*remarks)
+    prepared = trajectories[first].preparation.adding(*on_bag, *remarks)
     return trajectories | {first: replace(trajectories[first], preparation=prepared)}
 
 
@@ -99,6 +99,7 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
             except BadInput as error:
                 left_out[name] = error.what
         bag.read({c.id: sink for sink in sinks.values() for c in sink.connections})
+        on_bag = list(bag.remarks)
         read = {name: columns for name, sink in sinks.items() if (columns := sink.read(left_out)) is not None}
     stamped = {name: {SECONDS, NANOSECONDS} <= columns.keys() for name, columns in read.items()}
     stamps = {name: _stamps(columns, stamped[name]) for name, columns in read.items()}
@@ -111,7 +112,7 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
         clocks[name] = Clock(source, int(stamps[name][0]) / 1e9, float(np.median(received - time)), given=False)
         remarks = _advice(arrivals.remarks)
         found[name] = Found(sinks[name].connections[0].msgtype, time, _numbers(columns), tuple(remarks))
-    return found, left_out, _advice(lambda: check_clocks(clocks, str(path)))
+    return found, left_out, on_bag + _advice(lambda: check_clocks(clocks, str(path)))
 
 
 def _advice(check: Callable[[], list[str]]) -> list[str]:

@@ -30,6 +30,9 @@ MCAP_LEDGER = 0x80
 MCAP_CHUNK_CRC = 24
 """Offset of the checksum in a chunk's record [B]."""
 
+SQLITE_LEDGER = "ehls_ros_ledger"
+"""Table of the ledger."""
+
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 
@@ -190,7 +193,10 @@ def _sqlite_metadata(file: Path, deadline: Deadline) -> str:
         database.set_progress_handler(deadline.passed, 1000)
         check_database(database)
         _check_contents(database, file)
-        if not database.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'metadata'").fetchone():
-            return ""
-        row = database.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchone()
+        tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        last = "SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1"
+        row = database.execute(last).fetchone() if "metadata" in tables else None
+        if row is None and SQLITE_LEDGER in tables:
+            # Our recorder writes the metadata last.
+            raise _cut(file)
         return str(row[0]) if row else ""

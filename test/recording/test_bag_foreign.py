@@ -115,7 +115,7 @@ def test_a_snapshot_delivered_twice_counts_once(tmp_path: Path):
         ),
         (
             [loader_state(50), loader_state(51), loader_state(0, stamp_ns=9 * 10**7)],
-            "time does not increase from cycle 0 to cycle 50: header.stamp is 0.09 s and 0.05 s; expected the snapshots of one run",
+            "time does not increase from cycle 0 to cycle 50: header.stamp is 0.09 s and 0.05 s; expected the snapshots of one",
         ),
         (
             [loader_state(0, stamp_ns=0), message("/ehls/loader_state", "LoaderState", 1, 1_764_000_000 * 10**9, 10**6, {})],
