@@ -3,12 +3,13 @@
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, storage_mcap, storage_sqlite3
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
@@ -109,6 +110,25 @@ def _present(name: str, present: Sequence[str]) -> str:
     return next((other for other in others if other in present), name)
 
 
+@contextmanager
+def opened_file(file: Path) -> Iterator[Reader]:
+    """Open a storage file, whatever its QoS profiles: incomplete ones occur, and reading needs none."""
+    parser, modules = "parse_qos", (storage_mcap, storage_sqlite3)
+    originals = [getattr(module, parser) for module in modules]
+    reader = Reader(file)
+    try:
+        for module in modules:
+            setattr(module, parser, lambda _: [])
+        reader.open()
+    finally:
+        for module, original in zip(modules, originals, strict=True):
+            setattr(module, parser, original)
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
 class BagFiles:
     """The messages of several storage files as those of one bag."""
 
@@ -146,8 +166,7 @@ class BagFiles:
         definition = next(definitions, MessageDefinition(MessageDefinitionFormat.NONE, ""))
         extensions = [c.ext for c in found if isinstance(c.ext, ConnectionExtRosbag2)]
         formats = sorted({extension.serialization_format for extension in extensions} - {"cdr"})
-        profiles = max((extension.offered_qos_profiles for extension in extensions), key=len, default=[])
-        extension = ConnectionExtRosbag2(formats[0] if formats else "cdr", profiles)
+        extension = ConnectionExtRosbag2(formats[0] if formats else "cdr", [])
         return Connection(number, *topic, definition, digest, count, extension, self)
 
     def messages(self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:

@@ -11,12 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader
 
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, SENT, MessageColumns, align
-from ehls_ros.recording.bag_files import BagFiles, contents_of, is_storage
+from ehls_ros.recording.bag_files import BagFiles, contents_of, is_storage, opened_file
 from ehls_ros.recording.bag_topic import BLOCK, BagTopic, cycle_topic
 from ehls_ros.recording.expansion import Allowance, check_chunks, expanded_files, expanded_message
 from ehls_ros.recording.limits import Deadline
@@ -144,10 +143,7 @@ def opened(path: Path) -> Iterator[OpenBag]:
             allowance, deadline = Allowance(sum(sizes)), Deadline(sum(sizes), where)
             files = stack.enter_context(expanded_files(contents.files, allowance))
             custom_data = [_checked(file, allowance, deadline) for file in files]
-            readers = [Reader(file) for file in files]
-            for reader in readers:
-                reader.open()
-                stack.callback(reader.close)
+            readers = [stack.enter_context(opened_file(file)) for file in files]
             bag = BagFiles(readers, contents, where)
         entries = contents.information.get("custom_data") if contents.information else None
         provenance = _provenance([*custom_data, entries if isinstance(entries, dict) else {}], where)

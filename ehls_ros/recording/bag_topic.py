@@ -40,6 +40,7 @@ class BagTopic:
         where: str,
         units: Mapping[str, float] = MappingProxyType({}),
         entries: Collection[str] | int = (),
+        skip_empty: bool = False,
     ) -> None:
         """Prepare for the topic's messages.
 
@@ -51,6 +52,7 @@ class BagTopic:
             where: bag and full name of the topic, for errors.
             units: SI values of units other than 1, by field.
             entries: names of the entries of sequences to read; or the number of entries to read of every sequence.
+            skip_empty: leave out messages without content; otherwise they are refused.
 
         Raises:
             BadInput: the topic has too many messages, or they are not serialized as CDR.
@@ -69,6 +71,8 @@ class BagTopic:
         self._wanted = wanted
         self._units = units
         self._entries = entries
+        self._skip_empty = skip_empty
+        self._empty = 0
         self._checksum = 0
         self._count = 0
         self._stamps_ns: list[int] = []
@@ -94,6 +98,9 @@ class BagTopic:
         if size > limits.MESSAGE:
             expected = f"at most {limits.MESSAGE} for type {self._type}"
             raise BadInput(f"a message has {size} bytes", self._where, expected)
+        if size == 0 and self._skip_empty:
+            self._empty += 1
+            return
         self._stamps_ns.append(stamp_ns)
         self._messages.append(message)
         self._gathered += size
@@ -107,8 +114,8 @@ class BagTopic:
             BadInput: the messages differ from those in the closed bag.
         """
         self._decode()
-        if self._count != self._expected:
-            raise BadInput(f"{self._count} of {self._expected} messages are there", self._where, CLOSED_BAG)
+        if self._count + self._empty != self._expected:
+            raise BadInput(f"{self._count + self._empty} of {self._expected} messages are there", self._where, CLOSED_BAG)
         if self._seal is not None and self._seal.checksum != self._checksum:
             raise BadInput("messages have been altered since they were written", self._where, "an undamaged bag")
         names = dict.fromkeys(name for block in self._blocks for name in block)
@@ -117,6 +124,10 @@ class BagTopic:
             raise BadInput(f"it has {self._count} messages of {len(names)} different entries", self._where, expected)
         columns = {name: _stacked([_values(block, name) for block in self._blocks]) for name in names}
         return columns | {name: columns[name] * unit for name, unit in self._units.items() if name in columns}
+
+    def remarks(self) -> list[str]:
+        """Return remarks on messages left out."""
+        return [f"{self._empty} messages are empty and left out"] if self._empty else []
 
     def _decode(self) -> None:
         try:

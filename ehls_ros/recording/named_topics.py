@@ -95,9 +95,9 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
             try:
                 fields = fields_of(connections, f"{bag.where}, {name}")
                 known = [f.name for f in fields if f.kind != "string" and not f.many]
-                sinks[name] = _Lenient(connections, fields, known, bag.seal(name), f"{bag.where}, {name}", {}, SHOWN)
+                sinks[name] = _Lenient(connections, fields, known, bag.seal(name), f"{bag.where}, {name}", {}, SHOWN, True)
             except BadInput as error:
-                left_out[name] = error.what
+                left_out[name] = f"{error.what}; expected {error.expected}"
         bag.read({c.id: sink for sink in sinks.values() for c in sink.connections})
         on_bag = list(bag.remarks)
         read = {name: columns for name, sink in sinks.items() if (columns := sink.read(left_out)) is not None}
@@ -110,7 +110,7 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
         numbers, source = np.arange(len(time)) + 1, STAMP if stamped[name] else RECEIVED
         arrivals = Arrivals(time, received, numbers, zero / 1e9, source, name, f"'tables: {{{name}: {{name: {RECEIVED}}}}}'")
         clocks[name] = Clock(source, int(stamps[name][0]) / 1e9, float(np.median(received - time)), given=False)
-        remarks = _advice(arrivals.remarks)
+        remarks = sinks[name].remarks() + _advice(arrivals.remarks)
         found[name] = Found(sinks[name].connections[0].msgtype, time, _numbers(columns), tuple(remarks))
     return found, left_out, on_bag + _advice(lambda: check_clocks(clocks, str(path)))
 
@@ -172,16 +172,16 @@ def numbers_in(connection: Connection, where: str) -> list[Field]:
     Raises:
         BadInput: the definition is invalid, or has fields of a kind that is not read.
     """
-    try:
-        with damage_reported(where):
+    with damage_reported(where):
+        try:
             return flatten(typestore_of(connection.msgdef, connection.msgtype).fielddefs, connection.msgtype)
-    except CdrError as error:
-        expected = "a topic of numbers, texts and sequences of them"
-        if connection.msgdef.format is MessageDefinitionFormat.NONE:
-            expected += (
-                f"; the bag has no definition of {connection.msgtype}: `ros2 bag convert` to mcap, where it is installed"
-            )
-        raise BadInput(str(error), where, expected) from None
+        except CdrError as error:
+            expected = "a topic of numbers, texts and sequences of them"
+            if connection.msgdef.format is MessageDefinitionFormat.NONE:
+                expected = (
+                    f"its definition in the bag: `ros2 bag convert` to mcap adds it, where {connection.msgtype} is installed"
+                )
+            raise BadInput(str(error), where, expected) from None
 
 
 def fields_of(connections: Sequence[Connection], where: str) -> list[Field]:
@@ -263,7 +263,7 @@ class _Topic:
         plain = {column.name for signal, column in used.items() if signal not in self._entries}
         stamp = (SECONDS, NANOSECONDS) if stamped else ()
         entries = set(self._entries.values())
-        self.sink = BagTopic(self.connections, fields, {*plain, *stamp}, bag.seal(name), self.where, entries=entries)
+        self.sink = BagTopic(self.connections, fields, {*plain, *stamp}, bag.seal(name), self.where, {}, entries, True)
 
     def _check_field(self, signal: str, column: Column) -> None:
         """Reject a name that is no field of a number."""
@@ -292,7 +292,7 @@ class _Topic:
         every = len(signals) < len(self._columns)
         used = np.ones(count, bool) if every else np.any([present[signal] for signal in signals], axis=0)
         used &= present.get(TIME, np.True_)
-        rows, remarks = np.flatnonzero(used), list[str]()
+        rows, remarks = np.flatnonzero(used), self.sink.remarks()
         if len(rows) < count:
             names = " or ".join(self._entries.values())
             remarks.append(f"{count - len(rows)} of {count} messages have no {names} and are left out")

@@ -171,18 +171,12 @@ def look(path: Path) -> list[Table]:
 def _topics(path: Path) -> list[Table]:
     """Interpret the topics of a bag; those left out, and remarks on the bag, are tables without columns."""
     found, left_out, remarks = every_topic(path)
-    reasons = {name: f"left out: {reason}" for name, reason in left_out.items()}
     if not found:
-        shown = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
+        shown = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise BadInput(f"no topic has numbers ({shown or 'it has no topic'})", str(path), "a bag with topics of numbers")
-    topics = [_topic(name, messages) for name, messages in found.items()]
-    return [
-        *topics,
-        *(
-            Table(name, (), 0, np.nan, np.nan, (remark,))
-            for name, remark in (*reasons.items(), *((path.name, r) for r in remarks))
-        ),
-    ]
+    said = [*((name, f"left out: {reason}") for name, reason in left_out.items()), *((path.name, remark) for remark in remarks)]
+    others = (Table(name, (), 0, np.nan, np.nan, (remark,)) for name, remark in said)
+    return [*(_topic(name, messages) for name, messages in found.items()), *others]
 
 
 def _topic(name: str, found: Found) -> Table:
