@@ -183,6 +183,19 @@ def _indexed(content: bytes) -> tuple[int, _Chunk, int, int]:
     return start, _Chunk(compression, compressed, expanded), first, last
 
 
+def expanded(compression: str, data: bytes, size: int) -> bytes | None:
+    """Expand a chunk; None if it does not expand to the given size [B], or is damaged."""
+    content = bytearray()
+    try:
+        for piece in _pieces(compression, BytesIO(data)):
+            content += piece
+            if len(content) > size:
+                return None
+    except (KeyError, EOFError, RuntimeError, ValueError, OSError, zstd.ZstdError):
+        return None
+    return bytes(content) if len(content) == size else None
+
+
 def _pieces(compression: str, stream: BinaryIO) -> Iterator[bytes]:
     with STREAMS[compression](stream) as expanding:
         while piece := expanding.read(PIECE):
