@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.message_times import NEVER, moment
 from ehls_ros.recording.time_axis import check_jumps
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, RESPONSE, VALVE_COMMAND
 
@@ -34,16 +35,13 @@ def align(topics: Mapping[str, MessageColumns], where: str) -> tuple[NDArray[np.
         The sample times, shape (n,) [s], and the signals, shape (n,) or (n, elements).
 
     Raises:
-        BadInput: the snapshots are from several runs, or a stamp is on another clock.
+        BadInput: the snapshots are from several runs, or their clock was set or is another one.
     """
     loader = topics[LOADER_STATE.name]
     cycles, first = _first_of_each_cycle(loader)
     _check_duplicates(loader, first[np.searchsorted(cycles, loader[CYCLE])], where)
     stamps_ns = loader[SECONDS][first].astype(np.int64) * 10**9 + loader[NANOSECONDS][first]
-    backwards = np.flatnonzero(np.diff(stamps_ns) <= 0)
-    if len(backwards):
-        what = f"time does not increase from cycle {cycles[backwards[0]]} to cycle {cycles[backwards[0] + 1]}"
-        raise BadInput(what, where, "the snapshots of one run")
+    _check_stamps(cycles, stamps_ns, loader[SENT][first].astype(np.int64), where)
     time_s = (stamps_ns - (stamps_ns[0] if stamps_ns[0] >= UNIX_TIME_NS else 0)) / 1e9
     check_jumps(time_s, where, lambda row: f"cycle {cycles[row]}")
 
@@ -79,6 +77,22 @@ def _check_duplicates(loader: MessageColumns, original: NDArray[np.intp], where:
         if field != SENT and not same:
             cycle = loader[CYCLE][repeated[0]]
             raise BadInput(f"cycle {cycle} has two snapshots that differ", where, "the snapshots of one run")
+
+
+def _check_stamps(cycles: NDArray[np.uint64], stamps_ns: NDArray[np.int64], sent_ns: NDArray[np.int64], where: str) -> None:
+    """Reject stamps that do not increase, or that jump although the snapshots were sent without a gap."""
+    steps = np.diff(stamps_ns) / 1e9
+    excess = steps - np.diff(sent_ns) / 1e9
+    wrong = np.flatnonzero((steps <= 0.0) | ((steps > NEVER) & (excess > NEVER)))
+    if len(wrong):
+        k = int(wrong[0])
+        first, second = (moment(stamps_ns[i] / 1e9) for i in (k, k + 1))
+        change = "does not increase" if steps[k] <= 0.0 else "jumps"
+        what = f"time {change} from cycle {cycles[k]} to cycle {cycles[k + 1]}: header.stamp is {first} and {second}"
+        expected = (
+            f"the snapshots of one run, whose clock was not set; or a map of columns with {LOADER_STATE.name} as received"
+        )
+        raise BadInput(what, where, expected)
 
 
 def _matches(cycles: NDArray[np.uint64], columns: MessageColumns) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -5,30 +5,26 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader
 
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, SENT, MessageColumns, align
+from ehls_ros.recording.bag_files import BagFiles, contents_of, is_storage, opened_file
 from ehls_ros.recording.bag_topic import BLOCK, BagTopic, cycle_topic
-from ehls_ros.recording.expansion import Allowance, check_chunks, compression_mode, expanded_message, uncompressed_bag
+from ehls_ros.recording.expansion import Allowance, check_chunks, expanded_files, expanded_message
 from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.provenance import Provenance, Seal, provenance_in
 from ehls_ros.recording.recording_note import NOTE
-from ehls_ros.recording.regular_file import check_regular, read_text
-from ehls_ros.recording.storage_file import CLOSED_BAG, METADATA_FILE, custom_data_in, parse_metadata
+from ehls_ros.recording.regular_file import check_regular
+from ehls_ros.recording.storage_file import CLOSED_BAG, METADATA_FILE, custom_data_in
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE
-from ehls_ros.trajectory import SIGNALS, Trajectory
-
-STORAGE_SUFFIXES = (".mcap", ".db3")
-
-EXPECTED = "a folder of a rosbag2, or a file .mcap or .db3"
+from ehls_ros.trajectory import SIGNALS, Preparation, Trajectory
 
 
 def read_bag(path: Path, wanted: Collection[str] = SIGNALS) -> Trajectory:
@@ -52,7 +48,7 @@ def read_bag(path: Path, wanted: Collection[str] = SIGNALS) -> Trajectory:
     """
     where = str(path)
     with opened(path) as bag:
-        provenance, columns = bag.provenance, read_topics(bag, wanted)
+        provenance, remarks, columns = bag.provenance, bag.remarks, read_topics(bag, wanted)
     if not len(columns[LOADER_STATE.name][CYCLE]):
         raise BadInput(f"there is no message on {LOADER_STATE.name}", where, "at least one snapshot")
     time_s, signals = align(columns, where)
@@ -60,7 +56,8 @@ def read_bag(path: Path, wanted: Collection[str] = SIGNALS) -> Trajectory:
     if configuration.get("timing") == "realtime":
         configuration = {"wall_s": float(np.ptp(columns[LOADER_STATE.name][SENT])) / 1e9, **configuration}
     recorded = _recorded(signals, len(time_s), provenance)
-    return Trajectory(time_s, {name: values for name, values in recorded.items() if name in wanted}, configuration)
+    signals = {name: values for name, values in recorded.items() if name in wanted}
+    return Trajectory(time_s, signals, configuration, preparation=Preparation(remarks))
 
 
 class OpenBag(NamedTuple):
@@ -71,14 +68,16 @@ class OpenBag(NamedTuple):
         reader: the reader of its messages.
         provenance: the provenance written by its recorder; None for another recorder.
         deadline: time limit of the reading.
-        expand: function that expands a message; None if messages are not compressed.
+        expand: function that expands a message if it is compressed.
+        remarks: remarks on its files, one sentence each.
     """
 
     where: str
-    reader: Reader
+    reader: BagFiles
     provenance: Provenance | None
     deadline: Deadline
-    expand: Callable[[bytes], bytes] | None
+    expand: Callable[[bytes], bytes]
+    remarks: tuple[str, ...]
 
     def by_topic(self) -> dict[str, list[Connection]]:
         """Return the bag's entries by the topic's full name.
@@ -116,9 +115,8 @@ class OpenBag(NamedTuple):
             BadInput: the bag is damaged.
         """
         with damage_reported(self.where):
-            # Given no connection, rosbags reads all of them.
-            for connection, stamp_ns, message in self.reader.messages(connections) if connections else ():
-                yield connection, stamp_ns, self.expand(message) if self.expand else message
+            for connection, stamp_ns, message in self.reader.messages(connections):
+                yield connection, stamp_ns, self.expand(message)
 
 
 @contextmanager
@@ -135,58 +133,41 @@ def opened(path: Path) -> Iterator[OpenBag]:
         BadInput: the bag is missing, truncated, damaged, unclosed, or too large when expanded.
     """
     where = str(path)
-    with ExitStack() as stack:
+    with _recoverable(path), ExitStack() as stack:
         with damage_reported(where):
-            metadata = _metadata(path)
-            size = _size(path, metadata)
-            allowance, deadline = Allowance(size), Deadline(size, where)
-            bag = stack.enter_context(uncompressed_bag(path, metadata, allowance)) if metadata is not None else path
-            files = sorted(file for file in bag.iterdir() if file.suffix in STORAGE_SUFFIXES) if bag.is_dir() else [bag]
+            contents = contents_of(path)
+            sizes = [
+                check_regular(f, limits.BAG, CLOSED_BAG, f"the storage file {f.name}", limits.BAG_LARGER)
+                for f in contents.files
+            ]
+            allowance, deadline = Allowance(sum(sizes)), Deadline(sum(sizes), where)
+            files = stack.enter_context(expanded_files(contents.files, allowance))
             custom_data = [_checked(file, allowance, deadline) for file in files]
-        with damage_reported(str(bag)):
-            reader = Reader(bag)
-            reader.open()
-        stack.callback(reader.close)
-        compressed = metadata is not None and compression_mode(metadata) == "message"
-        expand = partial(expanded_message, allowance=allowance, where=where) if compressed else None
-        entries = reader.storage.metadata.custom
+            readers = [stack.enter_context(opened_file(file)) for file in files]
+            bag = BagFiles(readers, contents, where)
+        entries = contents.information.get("custom_data") if contents.information else None
         provenance = _provenance([*custom_data, entries if isinstance(entries, dict) else {}], where)
-        yield OpenBag(where, reader, provenance, deadline, expand)
+        yield OpenBag(
+            where, bag, provenance, deadline, partial(expanded_message, allowance=allowance, where=where), contents.remarks
+        )
+
+
+@contextmanager
+def _recoverable(path: Path) -> Iterator[None]:
+    """Name the command that saves the rest of a damaged bag."""
+    try:
+        yield
+    except BadInput as error:
+        if error.expected != CLOSED_BAG:
+            raise
+        damaged = error.where if is_storage(error.where) else str(path)
+        expected = f"{CLOSED_BAG}; `ehls recover {shlex.quote(damaged)}` saves the sound messages"
+        raise BadInput(error.what, error.where, expected) from error
 
 
 def is_closed(folder: Path) -> bool:
     """Return whether the recorder closed a bag."""
     return (folder / METADATA_FILE).exists() and not (folder / NOTE).exists()
-
-
-def _metadata(path: Path) -> Any:
-    """Check that a bag exists and is closed, and return the content of its metadata.yaml; None for a single storage file."""
-    if path.is_dir():
-        if (path / NOTE).exists():
-            raise BadInput("it is being recorded, or its recorder was killed", str(path), f"`ehls recover {path}` in that case")
-        if not (path / METADATA_FILE).exists():
-            raise BadInput(f"{METADATA_FILE} is missing", str(path), CLOSED_BAG)
-        # rosbags parses it again without checks.
-        return parse_metadata(read_text(path / METADATA_FILE, limits.TEXT, CLOSED_BAG), str(path / METADATA_FILE))
-    if not path.exists():
-        raise BadInput("it does not exist", str(path), EXPECTED)
-    if path.suffix not in STORAGE_SUFFIXES:
-        raise BadInput("it is not a bag", str(path), EXPECTED)
-    return None
-
-
-def _size(path: Path, metadata: Any) -> int:
-    """Return the size of a bag's storage files [B]."""
-    if metadata is None:
-        return check_regular(path, limits.BAG, CLOSED_BAG, larger=limits.BAG_LARGER)
-    names = [PurePath(name).name for name in metadata["rosbag2_bagfile_information"]["relative_file_paths"]]
-    for name in names:
-        # Other names would not be checked; a repeated name would be read repeatedly.
-        if PurePath(name.removesuffix(".zstd")).suffix not in STORAGE_SUFFIXES or names.count(name) > 1:
-            expected = f"files {' or '.join(STORAGE_SUFFIXES)}, each once"
-            raise BadInput(f"it lists the storage file {name!r}", str(path / METADATA_FILE), expected)
-    files = {name: f"the storage file {name}" for name in names}
-    return sum(check_regular(path / name, limits.BAG, CLOSED_BAG, what, limits.BAG_LARGER) for name, what in files.items())
 
 
 def _checked(file: Path, allowance: Allowance, deadline: Deadline) -> Mapping[str, str]:

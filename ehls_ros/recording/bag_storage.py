@@ -16,7 +16,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from ehls_ros.recording.ledger import LedgerWriter
-from ehls_ros.recording.storage_file import MCAP_CHUNK_CRC, MCAP_LEDGER, MCAP_RECORD
+from ehls_ros.recording.storage_file import MCAP_CHUNK_CRC, MCAP_LEDGER, MCAP_RECORD, SQLITE_LEDGER
 
 
 class McapStorage(McapWriter):
@@ -56,11 +56,11 @@ class SqliteStorage(Sqlite3Writer):
         """Create the file and the table of the ledger."""
         super().__init__(path, compression)
         self.ledger = LedgerWriter()
-        self.cursor.execute("CREATE TABLE ehls_ros_ledger(id INTEGER PRIMARY KEY, block BLOB NOT NULL)")
+        self.cursor.execute(f"CREATE TABLE {SQLITE_LEDGER}(id INTEGER PRIMARY KEY, block BLOB NOT NULL)")
 
     def write_blocks(self, blocks: Sequence[bytes]) -> None:
         """Write blocks of the ledger."""
-        self.cursor.executemany("INSERT INTO ehls_ros_ledger(block) VALUES(?)", [(block,) for block in blocks])
+        self.cursor.executemany(f"INSERT INTO {SQLITE_LEDGER}(block) VALUES(?)", [(block,) for block in blocks])
 
     def flush(self) -> None:
         """Commit."""

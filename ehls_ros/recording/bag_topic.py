@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
 
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS, SENT, MessageColumns
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
+from ehls_ros.recording.entries import decode_entries, every_entry
 from ehls_ros.recording.provenance import Seal, checksum_sum, message_checksum
 from ehls_ros.recording.storage_file import CLOSED_BAG
 from ehls_ros.recording.topics import CONTROLLER_STATUS, SENDER, Topic
@@ -38,6 +39,8 @@ class BagTopic:
         seal: Seal | None,
         where: str,
         units: Mapping[str, float] = MappingProxyType({}),
+        entries: Collection[str] | int = (),
+        skip_empty: bool = False,
     ) -> None:
         """Prepare for the topic's messages.
 
@@ -48,10 +51,15 @@ class BagTopic:
             seal: state of the topic when the bag was closed, if known.
             where: bag and full name of the topic, for errors.
             units: SI values of units other than 1, by field.
+            entries: names of the entries of sequences to read; or the number of entries to read of every sequence.
+            skip_empty: leave out messages without content; otherwise they are refused.
 
         Raises:
-            BadInput: the topic has too many messages.
+            BadInput: the topic has too many messages, or they are not serialized as CDR.
         """
+        formats = {c.ext.serialization_format for c in connections if isinstance(c.ext, ConnectionExtRosbag2)} - {"cdr"}
+        if formats:
+            raise BadInput(f"its messages are serialized as {formats.pop()}", where, "cdr")
         self._where = where
         self._path, self._type = connections[0].topic, connections[0].msgtype
         self._expected = sum(connection.msgcount for connection in connections)
@@ -62,6 +70,9 @@ class BagTopic:
         self._fields = fields
         self._wanted = wanted
         self._units = units
+        self._entries = entries
+        self._skip_empty = skip_empty
+        self._empty = 0
         self._checksum = 0
         self._count = 0
         self._stamps_ns: list[int] = []
@@ -87,6 +98,9 @@ class BagTopic:
         if size > limits.MESSAGE:
             expected = f"at most {limits.MESSAGE} for type {self._type}"
             raise BadInput(f"a message has {size} bytes", self._where, expected)
+        if size == 0 and self._skip_empty:
+            self._empty += 1
+            return
         self._stamps_ns.append(stamp_ns)
         self._messages.append(message)
         self._gathered += size
@@ -100,16 +114,28 @@ class BagTopic:
             BadInput: the messages differ from those in the closed bag.
         """
         self._decode()
-        if self._count != self._expected:
-            raise BadInput(f"{self._count} of {self._expected} messages are there", self._where, CLOSED_BAG)
+        if self._count + self._empty != self._expected:
+            raise BadInput(f"{self._count + self._empty} of {self._expected} messages are there", self._where, CLOSED_BAG)
         if self._seal is not None and self._seal.checksum != self._checksum:
             raise BadInput("messages have been altered since they were written", self._where, "an undamaged bag")
-        columns = {name: _stacked([block[name] for block in self._blocks]) for name in self._blocks[0]}
+        names = dict.fromkeys(name for block in self._blocks for name in block)
+        if len(names) * self._count > limits.VALUES:
+            expected = f"at most {limits.VALUES} values: split the recording into several bags"
+            raise BadInput(f"it has {self._count} messages of {len(names)} different entries", self._where, expected)
+        columns = {name: _stacked([_values(block, name) for block in self._blocks]) for name in names}
         return columns | {name: columns[name] * unit for name, unit in self._units.items() if name in columns}
+
+    def remarks(self) -> list[str]:
+        """Return remarks on messages left out."""
+        return [f"{self._empty} messages are empty and left out"] if self._empty else []
 
     def _decode(self) -> None:
         try:
             block = decode(self._messages, self._fields, self._wanted)
+            if isinstance(self._entries, int):
+                block |= every_entry(self._messages, self._fields, self._entries)
+            else:
+                block |= decode_entries(self._messages, self._fields, self._entries)
             block[SENT] = np.array(self._stamps_ns, np.int64)
             checksums = map(message_checksum, repeat(self._path), self._stamps_ns, self._messages)
             self._checksum = checksum_sum([self._checksum, *checksums])
@@ -167,6 +193,11 @@ def _fields(topic: Topic, connection: Connection, seal: Seal | None, where: str)
 
 def _kind(field: Field) -> str:
     return field.kind + ("[]" if field.many else "")
+
+
+def _values(block: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
+    """Return a column of a block of messages, NaN if they have no such entry."""
+    return block[name] if name in block else np.full(len(block[SENT]), np.nan)
 
 
 def _stacked(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:

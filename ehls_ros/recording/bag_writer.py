@@ -9,7 +9,16 @@ from types import MappingProxyType, TracebackType
 from typing import Any, Literal, NoReturn, Self, get_args
 
 import numpy as np
-from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import (
+    Connection,
+    MessageDefinition,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import StoragePlugin
 
 from ehls_ros.errors import BadInput, reason
@@ -19,7 +28,7 @@ from ehls_ros.recording.provenance import Provenance, Seal, as_json
 from ehls_ros.recording.recording_note import Flushed, remove_note, write_note
 from ehls_ros.recording.topics import NAMESPACE, TOPICS, Topic
 from ehls_ros.recording.trajectory_messages import streams_of
-from ehls_ros.recording.typestore import definition, typestore
+from ehls_ros.recording.typestore import definition, typestore, typestore_of
 from ehls_ros.trajectory import SIGNALS, Trajectory
 
 Storage = Literal["mcap", "sqlite3"]
@@ -91,15 +100,24 @@ class BagWriter:
             raise BadInput(f"the output cannot be created ({reason(error)})", str(where), NEW_FOLDER) from None
         return cls(writer, topics, namespace, provenance)
 
-    def add_topic(self, topic: Topic) -> None:
-        """Add a topic to those that can be written; no effect if it is already present."""
+    def add_topic(self, topic: Topic, defined: MessageDefinition | None = None) -> None:
+        """Add a topic to those that can be written; no effect if it is already present.
+
+        Args:
+            topic: the topic.
+            defined: definition of its type; None for a known type.
+
+        Raises:
+            rosbags.typesys.TypesysError: the definition is invalid.
+        """
         if topic.name in self._connections:
             return
+        store = typestore_of(defined, topic.type) if defined else typestore()
         connection = self._writer.add_connection(
             topic.resolve(self._namespace),
             topic.type,
-            msgdef=definition(topic.type),
-            rihs01=typestore().hash_rihs01(topic.type),
+            msgdef=defined.data if defined else definition(topic.type),
+            rihs01=store.hash_rihs01(topic.type),
             offered_qos_profiles=[_offered(topic)],
         )
         self._storage.ledger.add_topic(connection.id, connection.topic)

@@ -7,7 +7,6 @@ each field of all these messages is one slice of bytes.
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,11 +48,12 @@ class Field(NamedTuple):
     """A field without nested fields.
 
     Attributes:
-        name: dotted path from the message, such as ``header.stamp.sec``.
+        name: dotted path from the message, such as ``header.stamp.sec``; in the entries of a sequence, such as
+            ``transforms[].translation.x``.
         kind: ROS name of the primitive type.
         many: a sequence or an array of that type.
         length: length of an array; None for a sequence, whose length is in the message.
-        parts: fields of one entry of a sequence of texts or messages; its values are not read.
+        parts: fields of one entry of a sequence or an array of texts or messages.
     """
 
     name: str
@@ -68,18 +68,55 @@ class Field(NamedTuple):
         return int(NUMPY_TYPES[self.kind][1])
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
+    """The values of a primitive field in a message.
+
+    Attributes:
+        field: the field.
+        start: offset of the first value [B].
+        length: number of values.
+        within: numbers of the entries that contain it, the outermost first.
+    """
+
     field: Field
     start: int
     length: int
+    within: tuple[int, ...]
 
     @property
     def stop(self) -> int:
+        """Offset behind the last value [B]."""
         return self.start + self.length * self.field.width
 
 
+class Alike(NamedTuple):
+    """Messages with the same layout.
+
+    Attributes:
+        which: their indices, shape (n,).
+        rows: their bytes, shape (n, size).
+        places: places of their fields, in order.
+        order: their byte order, ``<`` or ``>``.
+    """
+
+    which: NDArray[np.intp]
+    rows: NDArray[np.uint8]
+    places: Sequence[Place]
+    order: str
+
+    def values(self, place: Place) -> NDArray[Any]:
+        """Return the values at a place, shape (n, length)."""
+        block = np.ascontiguousarray(self.rows[:, place.start : place.stop])
+        numbers = block.view(self.order + NUMPY_TYPES[place.field.kind])
+        return numbers != 0 if place.field.kind == "bool" else numbers
+
+    def text(self, place: Place) -> str:
+        """Return the text at a place in the first message."""
+        return self.rows[0, place.start : place.stop].tobytes().rstrip(b"\0").decode(errors="replace")
+
+
 class _Layout(NamedTuple):
-    places: list[_Place]
+    places: list[Place]
     lengths: dict[int, int]
     """Length words by their offset."""
     size: int
@@ -97,7 +134,7 @@ def flatten(types: Typesdict, message_type: str, prefix: str = "") -> list[Field
         The fields; nested ones by dotted path.
 
     Raises:
-        CdrError: the type is undefined, or a field is of a kind that is not read, such as an array of messages.
+        CdrError: the type is undefined, or a field is of a kind that is not read, such as ``wstring``.
     """
     if message_type not in types:
         raise CdrError(f"type {message_type} is not defined")
@@ -109,14 +146,14 @@ def flatten(types: Typesdict, message_type: str, prefix: str = "") -> list[Field
                 fields += flatten(types, nested, f"{path}.")
             case (Nodetype.BASE, (str(kind), _)) if kind in NUMPY_TYPES:
                 fields.append(Field(path, kind, many=False))
-            case (Nodetype.SEQUENCE, ((Nodetype.BASE, ("string", _)), _)):
-                fields.append(Field(path, "string", many=True, parts=(Field(path, "string", many=False),)))
-            case (Nodetype.SEQUENCE, ((Nodetype.BASE, (str(kind), _)), _)) if kind in NUMPY_TYPES:
-                fields.append(Field(path, kind, many=True))
-            case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(nested)), _)):
-                fields.append(Field(path, "string", many=True, parts=tuple(flatten(types, nested, f"{path}."))))
-            case (Nodetype.ARRAY, ((Nodetype.BASE, (str(kind), _)), int(length))) if kind in NUMPY_TYPES and kind != "string":
-                fields.append(Field(path, kind, many=True, length=length))
+            case (Nodetype.SEQUENCE | Nodetype.ARRAY as several, ((Nodetype.BASE, (str(kind), _)), size)) if (
+                kind in NUMPY_TYPES
+            ):
+                parts: tuple[Field, ...] = (Field(f"{path}[]", kind, many=False),) if kind == "string" else ()
+                fields.append(Field(path, kind, True, size if several is Nodetype.ARRAY else None, parts))
+            case (Nodetype.SEQUENCE | Nodetype.ARRAY as several, ((Nodetype.NAME, str(nested)), size)):
+                parts = tuple(flatten(types, nested, f"{path}[]."))
+                fields.append(Field(path, "string", True, size if several is Nodetype.ARRAY else None, parts))
             case _:
                 raise CdrError(f"field {path} of {message_type} is of a kind that is not read")
     return fields
@@ -136,10 +173,10 @@ def decode(messages: Sequence[bytes], fields: Sequence[Field], wanted: Collectio
     Raises:
         CdrError: a message is truncated, too long, or not plain CDR, or the lengths of strings and sequences vary too much.
     """
-    found = (part for rows, which in _by_size(messages) for part in _decode_equally_long(rows, which, fields, wanted))
-    parts = list(islice(found, LAYOUTS + 1))
-    if len(parts) > LAYOUTS:
-        raise CdrError(f"messages have strings and sequences of more than {LAYOUTS} different lengths")
+    parts = [
+        (alike.which, {place.field.name: alike.values(place) for place in alike.places if place.field.name in wanted})
+        for alike in by_layout(messages, fields)
+    ]
     arrays: dict[str, NDArray[Any]] = {}
     for field in fields:
         if field.name not in wanted:
@@ -175,7 +212,7 @@ def encode(fields: Sequence[Field], values: Mapping[str, NDArray[Any] | str]) ->
     rows[:, : len(LITTLE_ENDIAN)] = np.frombuffer(LITTLE_ENDIAN, np.uint8)
     for offset, length in layout.lengths.items():
         rows[:, offset : offset + 4] = np.frombuffer(length.to_bytes(4, "little"), np.uint8)
-    for field, start, length in layout.places:
+    for field, start, length, _ in layout.places:
         numbers = np.ascontiguousarray(encoded[field.name], "<" + NUMPY_TYPES[field.kind])
         rows[:, start : start + length * field.width] = numbers.view(np.uint8)
     blob = rows.tobytes()
@@ -197,10 +234,30 @@ def _by_size(messages: Sequence[bytes]) -> Iterator[tuple[NDArray[np.uint8], NDA
         yield np.frombuffer(joined, np.uint8).reshape(len(which), size), which
 
 
-def _decode_equally_long(
-    rows: NDArray[np.uint8], which: NDArray[np.intp], fields: Sequence[Field], wanted: Collection[str]
-) -> Iterator[tuple[NDArray[np.intp], dict[str, NDArray[Any]]]]:
-    """Yield the wanted fields, shape (messages, values), of each group of messages that share a layout."""
+def by_layout(messages: Sequence[bytes], fields: Sequence[Field], texts: Collection[str] = ()) -> Iterator[Alike]:
+    """Group messages of one type by their layout.
+
+    Args:
+        messages: n serialized messages.
+        fields: the fields of that type, from :func:`flatten`.
+        texts: names of texts that are equal within a group.
+
+    Raises:
+        CdrError: as of :func:`decode`; or the texts vary too much.
+    """
+    groups = 0
+    for rows, which in _by_size(messages):
+        for alike in _of_one_size(rows, which, fields, texts):
+            groups += 1
+            if groups > LAYOUTS:
+                labels = ", or labels," if texts else ""
+                raise CdrError(f"messages have strings and sequences of more than {LAYOUTS} different lengths{labels}")
+            yield alike
+
+
+def _of_one_size(
+    rows: NDArray[np.uint8], which: NDArray[np.intp], fields: Sequence[Field], texts: Collection[str]
+) -> Iterator[Alike]:
     while len(rows):
         first = rows[0].tobytes()
         order = BYTE_ORDERS.get(first[:2])
@@ -209,24 +266,14 @@ def _decode_equally_long(
         layout = _layout(fields, partial(_length_at, first, order))
         if not layout.size <= len(first) < layout.size + PADDING:
             raise CdrError(f"message has {len(first)} bytes where its fields need {layout.size}")
-        same_layout = (rows[:, :2] == rows[0, :2]).all(axis=1)
+        alike = (rows[:, :2] == rows[0, :2]).all(axis=1)
         for offset in layout.lengths:
-            same_layout &= (rows[:, offset : offset + 4] == rows[0, offset : offset + 4]).all(axis=1)
-        chosen = rows[same_layout]
-        yield (
-            which[same_layout],
-            {
-                place.field.name: _values(chosen[:, place.start : place.stop], place, order)
-                for place in layout.places
-                if place.field.name in wanted
-            },
-        )
-        rows, which = rows[~same_layout], which[~same_layout]
-
-
-def _values(block: NDArray[np.uint8], place: _Place, order: str) -> NDArray[Any]:
-    numbers = np.ascontiguousarray(block).view(order + NUMPY_TYPES[place.field.kind])
-    return numbers != 0 if place.field.kind == "bool" else numbers
+            alike &= (rows[:, offset : offset + 4] == rows[0, offset : offset + 4]).all(axis=1)
+        for place in layout.places:
+            if place.field.name in texts:
+                alike &= (rows[:, place.start : place.stop] == rows[0, place.start : place.stop]).all(axis=1)
+        yield Alike(which[alike], rows[alike], layout.places, order)
+        rows, which = rows[~alike], which[~alike]
 
 
 def _length_at(message: bytes, order: str, _: Field, offset: int) -> int:
@@ -238,11 +285,11 @@ def _length_at(message: bytes, order: str, _: Field, offset: int) -> int:
 
 def _layout(fields: Sequence[Field], length_at: Callable[[Field, int], int]) -> _Layout:
     """Place the fields; ``length_at`` returns a string's or sequence's length from its field and its length word's offset."""
-    places: list[_Place] = []
+    places: list[Place] = []
     lengths: dict[int, int] = {}
 
-    def placed(fields: Sequence[Field], end: int, kept: bool) -> int:
-        """Place fields from an offset on, or skip them if not kept; return the end offset."""
+    def placed(fields: Sequence[Field], end: int, index: tuple[int, ...]) -> int:
+        """Place the fields of an entry from an offset on; return the end offset."""
         for field in fields:
             length = 1 if field.length is None else field.length
             if field.length is None and (field.many or field.kind == "string"):
@@ -250,20 +297,18 @@ def _layout(fields: Sequence[Field], length_at: Callable[[Field, int], int]) -> 
                 lengths[end] = length = length_at(field, end)
                 end += 4
             if field.parts:
-                for _ in range(length):
-                    begin, end = end, placed(field.parts, end, kept=False)
+                for number in range(length):
+                    begin, end = end, placed(field.parts, end, (*index, number))
                     # The number of empty entries is not bounded by the size.
                     if end > MESSAGE or end == begin:
                         raise CdrError(f"field {field.name} has {length} entries, which no message of {MESSAGE} bytes holds")
                 continue
             # No alignment follows an empty sequence.
-            place = _Place(field, _aligned(end, field.width) if length else end, length)
-            if kept:
-                places.append(place)
-            end = place.stop
+            places.append(Place(field, _aligned(end, field.width) if length else end, length, index))
+            end = places[-1].stop
         return end
 
-    return _Layout(places, lengths, placed(fields, ENCAPSULATION, kept=True))
+    return _Layout(places, lengths, placed(fields, ENCAPSULATION, ()))
 
 
 def _aligned(offset: int, width: int) -> int:

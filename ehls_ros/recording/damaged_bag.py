@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ehls_ros.errors import BadInput, reason
-from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES
+from ehls_ros.recording.bag_files import STORAGE_SUFFIXES
 from ehls_ros.recording.bag_writer import Storage
 from ehls_ros.recording.ledger import Ledger
 from ehls_ros.recording.limits import TEXT
-from ehls_ros.recording.mcap_salvage import names_in_mcap, salvage_mcap
+from ehls_ros.recording.mcap_salvage import expand_chunks, kinds_in_mcap, names_in_mcap, salvage_mcap
 from ehls_ros.recording.provenance import Provenance, provenance_in
 from ehls_ros.recording.recording_note import Flushed, read_note
 from ehls_ros.recording.regular_file import check_regular
-from ehls_ros.recording.salvage import Found, Loss, Salvage
-from ehls_ros.recording.sqlite_salvage import names_in_sqlite, salvage_sqlite
+from ehls_ros.recording.salvage import Found, Kind, Loss, Salvage
+from ehls_ros.recording.sqlite_salvage import kinds_in_sqlite, names_in_sqlite, salvage_sqlite
 from ehls_ros.recording.storage_file import MCAP_MAGIC, METADATA_FILE, SQLITE_MAGIC, parse_metadata
 
 JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
@@ -43,6 +43,7 @@ class DamagedBag(NamedTuple):
         storage: rosbag2 storage plugin.
         content: content of the file.
         names: full names of the topics by their number in the file.
+        kinds: types of the topics, as far as they are known.
         provenance: provenance of the bag; None if it is lost.
         expected: messages written on each topic, by full name, according to the files beside the storage file.
         remarks: remarks on the state of the file.
@@ -51,6 +52,7 @@ class DamagedBag(NamedTuple):
     storage: Storage
     content: mmap
     names: Mapping[int, str]
+    kinds: Mapping[str, Kind]
     provenance: Provenance | None
     expected: Mapping[str, Flushed]
     remarks: Sequence[str]
@@ -101,10 +103,11 @@ def damaged_bag(file: Path, folder: Path) -> Iterator[tuple[DamagedBag, Ledger]]
         raise BadInput(f"it cannot be read ({reason(error)})", str(file), RECOVERABLE) from None
     if not beginning:
         raise BadInput("it is empty", str(file), RECOVERABLE)
-    readable = file if mcap else _rolled_back(file, folder)
+    readable = _expanded(file, folder) if mcap else _rolled_back(file, folder)
     with readable.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as content:
         ledger = Ledger(content)
         names = {**(names_in_mcap(content) if mcap else names_in_sqlite(content)), **ledger.names}
+        kinds = kinds_in_mcap(content) if mcap else kinds_in_sqlite(content)
         expected, remarks = _expected(file.parent)
         provenance = _provenance(ledger, str(file))
         if provenance is None:
@@ -113,7 +116,7 @@ def damaged_bag(file: Path, folder: Path) -> Iterator[tuple[DamagedBag, Ledger]]
             remarks.append("the file has no ledger: messages lost from the middle are not counted")
         elif ledger.damaged_blocks:
             remarks.append(f"{ledger.damaged_blocks} blocks of the file's ledger are damaged")
-        yield DamagedBag("mcap" if mcap else "sqlite3", content, names, provenance, expected, remarks), ledger
+        yield DamagedBag("mcap" if mcap else "sqlite3", content, names, kinds, provenance, expected, remarks), ledger
 
 
 def _is_storage(file: Path) -> bool:
@@ -123,6 +126,13 @@ def _is_storage(file: Path) -> bool:
 def _beginning(file: Path) -> bytes:
     with file.open("rb") as stream:
         return stream.read(len(SQLITE_MAGIC))
+
+
+def _expanded(file: Path, folder: Path) -> Path:
+    """Return a copy of an mcap file with its compressed chunks expanded; the file itself if there are none."""
+    copy = folder / "copy.mcap"
+    with file.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as content, copy.open("wb") as expanded:
+        return copy if expand_chunks(content, expanded) else file
 
 
 def _rolled_back(file: Path, folder: Path) -> Path:

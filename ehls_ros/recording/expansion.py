@@ -11,12 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from itertools import accumulate
-from pathlib import Path, PurePath
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, NamedTuple
 
 import lz4.frame
-import yaml
 
 from ehls_ros.errors import BadInput
 from ehls_ros.recording import limits
@@ -28,7 +27,6 @@ from ehls_ros.recording.storage_file import (
     MCAP_FOOTER,
     MCAP_MAGIC,
     MCAP_RECORD,
-    METADATA_FILE,
 )
 
 if sys.version_info >= (3, 14):
@@ -41,6 +39,9 @@ PIECE = 1 << 20
 
 STREAMS: Mapping[str, Callable[[BinaryIO], Any]] = {"zstd": zstd.open, "lz4": lz4.frame.open}
 """Readers by compression name."""
+
+FRAME = b"\x28\xb5\x2f\xfd"
+"""Magic number of a zstd frame."""
 
 MCAP_SKIPPED = (0x09, 0x0C)
 """Attachments and metadata, whose content rosbags skips."""
@@ -182,6 +183,19 @@ def _indexed(content: bytes) -> tuple[int, _Chunk, int, int]:
     return start, _Chunk(compression, compressed, expanded), first, last
 
 
+def expanded(compression: str, data: bytes, size: int) -> bytes | None:
+    """Expand a chunk; None if it does not expand to the given size [B], or is damaged."""
+    content = bytearray()
+    try:
+        for piece in _pieces(compression, BytesIO(data)):
+            content += piece
+            if len(content) > size:
+                return None
+    except (KeyError, EOFError, RuntimeError, ValueError, OSError, zstd.ZstdError):
+        return None
+    return bytes(content) if len(content) == size else None
+
+
 def _pieces(compression: str, stream: BinaryIO) -> Iterator[bytes]:
     with STREAMS[compression](stream) as expanding:
         while piece := expanding.read(PIECE):
@@ -189,16 +203,18 @@ def _pieces(compression: str, stream: BinaryIO) -> Iterator[bytes]:
 
 
 def expanded_message(message: bytes, allowance: Allowance, where: str) -> bytes:
-    """Expand one compressed message.
+    """Expand one message if it is compressed.
 
     Args:
-        message: one zstd frame.
+        message: one zstd frame, or a message as CDR, which begins differently.
         allowance: allowance of the bag.
         where: the bag, for the error.
 
     Raises:
         BadInput: the message expands beyond the allowance, or is not exactly one frame.
     """
+    if message[: len(FRAME)] != FRAME:
+        return message
     decompressor = zstd.ZstdDecompressor()
     content: bytes = decompressor.decompress(message, allowance.left + 1)
     allowance.spend(len(content), where)
@@ -208,52 +224,33 @@ def expanded_message(message: bytes, allowance: Allowance, where: str) -> bytes:
 
 
 @contextmanager
-def uncompressed_bag(folder: Path, metadata: Any, allowance: Allowance) -> Iterator[Path]:
-    """Present a compressed bag to rosbags as an uncompressed one, in a temporary folder.
-
-    Compressed files are expanded there. Compressed messages are left to :func:`expanded_message`.
+def expanded_files(files: Sequence[Path], allowance: Allowance) -> Iterator[list[Path]]:
+    """Expand the compressed ones of a bag's files into a temporary folder. Messages are left to :func:`expanded_message`.
 
     Args:
-        folder: folder of the bag.
-        metadata: content of its metadata.yaml.
+        files: the files, in one folder.
         allowance: allowance of the bag.
 
     Yields:
-        The folder to read; the given one if nothing is compressed.
+        The uncompressed files.
 
     Raises:
-        BadInput: the files expand beyond the allowance, or their compression is not zstd.
+        BadInput: the files expand beyond the allowance.
     """
-    information = metadata["rosbag2_bagfile_information"]
-    mode = compression_mode(metadata)
-    if mode not in ("file", "message"):
-        yield folder
-        return
-    if information["compression_format"] != "zstd":
-        raise BadInput(f"its compression is {information['compression_format']!r}", str(folder), "zstd")
     with TemporaryDirectory() as temporary:
-        names = []
-        for path in information["relative_file_paths"]:
-            source = folder / PurePath(path).name
-            names.append(source.stem if mode == "file" else source.name)
-            target = Path(temporary) / names[-1]
-            if mode == "message":
-                target.symlink_to(source.absolute())
+        plain = []
+        for file in files:
+            compressed = file.suffix == ".zstd"
+            plain.append(Path(temporary) / file.stem if compressed else file)
+            if not compressed:
                 continue
-            with source.open("rb") as compressed, target.open("xb") as plain:
-                for piece in _pieces("zstd", compressed):
-                    allowance.spend(len(piece), str(source))
-                    plain.write(piece)
-        uncompressed = {"compression_mode": "", "compression_format": "", "relative_file_paths": names}
-        text = yaml.safe_dump({"rosbag2_bagfile_information": {**information, **uncompressed}})
-        (Path(temporary) / METADATA_FILE).write_text(text, encoding="utf-8")
+            with file.open("rb") as source, plain[-1].open("xb") as target:
+                for piece in _pieces("zstd", source):
+                    allowance.spend(len(piece), str(file))
+                    target.write(piece)
         try:
-            yield Path(temporary)
+            yield plain
         except BadInput as error:
             # The temporary folder is of no use to the user.
-            raise BadInput(error.what, error.where.replace(temporary, str(folder)), error.expected) from None
-
-
-def compression_mode(metadata: Any) -> str:
-    """Return the compression mode in a metadata.yaml: ``file``, ``message``, ``storage`` or an empty string."""
-    return str(metadata["rosbag2_bagfile_information"].get("compression_mode") or "").lower()
+            folder = str(files[0].parent)
+            raise BadInput(error.what, error.where.replace(temporary, folder), error.expected) from None

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.bag_reader import STORAGE_SUFFIXES, read_bag
+from ehls_ros.recording.bag_files import STORAGE_SUFFIXES, is_storage
+from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.columns import TABLES, TIME, Column, ColumnMap, Columns, is_contract_name, is_topic
 from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.csv_file import read_csv
@@ -99,7 +100,8 @@ def is_table(path: Path) -> bool:
         BadInput: it is a file of another format.
     """
     suffix = path.suffix.lower()
-    if suffix not in READERS and suffix not in STORAGE_SUFFIXES and _known(path.is_file, otherwise=False):
+    bag = is_storage(path.name) or suffix == ".bag"
+    if suffix not in READERS and not bag and _known(path.is_file, otherwise=False):
         expected = f"the folder of a rosbag2 or a file {', '.join((*STORAGE_SUFFIXES, *READERS))}"
         raise BadInput("its format is unknown", str(path), expected)
     return suffix in READERS

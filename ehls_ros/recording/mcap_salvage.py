@@ -9,16 +9,23 @@ import re
 import struct
 from collections.abc import Iterator
 from mmap import mmap
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 from zlib import crc32
 
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
+from ehls_ros.recording import limits
+from ehls_ros.recording.expansion import expanded
 from ehls_ros.recording.ledger import Ledger, first_match
-from ehls_ros.recording.salvage import MAX_NAME, Budget, Found, Loss, Names
-from ehls_ros.recording.storage_file import MCAP_MESSAGE, MCAP_RECORD
+from ehls_ros.recording.salvage import MAX_NAME, Budget, Found, Kind, Loss, Names
+from ehls_ros.recording.storage_file import MCAP_CHUNK, MCAP_MESSAGE, MCAP_RECORD
 
 CHUNK_HEAD = struct.Struct("<BQQQQII")
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 CHANNEL_HEAD = struct.Struct("<BQHHI")
+SCHEMA_HEAD = struct.Struct("<BQHI")
+CHUNK_REST = CHUNK_HEAD.size - MCAP_RECORD.size + 8
+"""Length of an uncompressed chunk beside its records [B]."""
 
 MAX_COMPRESSION_NAME = 8
 """Longest compression name [characters]."""
@@ -26,6 +33,8 @@ MAX_COMPRESSION_NAME = 8
 # A record's kind and a length below 16 MiB; the rest is checked in code.
 _CHUNK = re.compile(rb"\x06[\s\S]{5}\x00{3}")
 _MESSAGE = re.compile(rb"\x05[\s\S]{3}\x00{5}")
+_SCHEMA = re.compile(rb"\x03[\s\S]{3}\x00{5}[\s\S]{2}[\s\S]{2}\x00\x00")
+_TYPE = re.compile(rb"[A-Za-z0-9_]+(/[A-Za-z0-9_]+){2}\Z")
 _CHANNEL = re.compile(rb"\x04[\s\S]{2}\x00{6}[\s\S]{4}([\s\S]{2})\x00\x00")
 
 
@@ -51,6 +60,72 @@ def names_in_mcap(content: mmap) -> dict[int, str]:
             if path.startswith(b"/") and path.isascii():
                 names.setdefault(channel, path.decode())
     return names
+
+
+def kinds_in_mcap(content: mmap) -> dict[str, Kind]:
+    """Return the types and definitions of the topics described in an mcap file, by the topic's full name."""
+    schemas: dict[int, Kind] = {}
+    offset = 0
+    while (match := first_match(_SCHEMA, content, offset, len(content), SCHEMA_HEAD.size)) is not None:
+        offset = match.start() + 1
+        _, length, number, size = SCHEMA_HEAD.unpack_from(content, match.start())
+        rest = content[match.end() : match.start() + MCAP_RECORD.size + length]
+        texts = [rest[:size], *_texts(rest[size:])]
+        if len(texts) == 3 and _TYPE.match(texts[0]) and texts[1] == b"ros2msg":
+            definition = MessageDefinition(MessageDefinitionFormat.MSG, texts[2].decode(errors="replace"))
+            schemas.setdefault(number, Kind(texts[0].decode(), definition))
+            offset = match.end() + len(rest)
+    kinds: dict[str, Kind] = {}
+    offset = 0
+    while (match := first_match(_CHANNEL, content, offset, len(content), CHANNEL_HEAD.size)) is not None:
+        offset = match.end()
+        _, length, _, schema, size = CHANNEL_HEAD.unpack_from(content, match.start())
+        path = content[match.end() : match.end() + size] if size < min(length, MAX_NAME) else b""
+        if path.startswith(b"/") and path.isascii() and schema in schemas:
+            kinds.setdefault(path.decode(), schemas[schema])
+    return kinds
+
+
+def _texts(content: bytes) -> list[bytes]:
+    """Return the texts of which the content consists, each preceded by its length; none if it does not."""
+    texts, offset = list[bytes](), 0
+    while offset + 4 <= len(content):
+        (size,) = struct.unpack_from("<I", content, offset)
+        texts.append(content[offset + 4 : offset + 4 + size])
+        offset += 4 + size
+    return texts if offset == len(content) else []
+
+
+def expand_chunks(content: mmap, copy: BinaryIO) -> bool:
+    """Write a copy of an mcap file with its compressed chunks expanded, as far as they are sound.
+
+    Args:
+        content: content of the file.
+        copy: the copy.
+
+    Returns:
+        Whether a chunk was compressed; otherwise the copy is empty.
+    """
+    chunks, behind = list[_Chunk](), 0
+    while (chunk := _next_chunk(content, behind)) is not None:
+        chunks.append(chunk)
+        behind = chunk.end
+    compressed = [chunk for chunk in chunks if chunk.compressed]
+    behind, left = 0, limits.EXPANDED + limits.EXPANSION * len(content)
+    with memoryview(content) as view:
+        for chunk in compressed:
+            _, _, first, last, size, checksum, name = CHUNK_HEAD.unpack_from(content, chunk.start)
+            compression = content[chunk.start + CHUNK_HEAD.size : chunk.start + CHUNK_HEAD.size + name].decode(errors="replace")
+            data = content[chunk.records : chunk.end]
+            records = expanded(compression, data, size) if size <= min(left, limits.CHUNK) else None
+            if records is not None:
+                left -= size
+                copy.write(view[behind : chunk.start])
+                copy.write(CHUNK_HEAD.pack(MCAP_CHUNK, CHUNK_REST + size, first, last, size, checksum, 0))
+                copy.write(struct.pack("<Q", size) + records)
+                behind = chunk.end
+        copy.write(view[behind:] if compressed else b"")
+    return bool(compressed)
 
 
 def salvage_mcap(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> Iterator[Found]:

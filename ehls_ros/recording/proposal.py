@@ -15,6 +15,7 @@ from ehls_ros.diagnosis.verdict import NEEDED_SIGNALS
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import ELECTRICAL, TABLES, TIME, is_topic, unit_of
 from ehls_ros.recording.conversion import given_by
+from ehls_ros.recording.entries import KEY
 from ehls_ros.recording.headers import NO_UNIT, Recognised, recognised
 from ehls_ros.recording.load import is_table, raw
 from ehls_ros.recording.named_topics import Found, every_topic
@@ -150,7 +151,7 @@ def look(path: Path) -> list[Table]:
         BadInput: it cannot be read, or has no columns.
     """
     if not is_table(path):
-        return [_topic(name, found) for name, found in every_topic(path).items()]
+        return _topics(path)
     table = raw(path)
     if not table.names:
         raise BadInput("it has no column", str(path), "a header row of names and a row per sample")
@@ -189,9 +190,9 @@ def look(path: Path) -> list[Table]:
         remarks += [f"{name}: {remark}" if len(found) > 1 else remark for remark in axis.remarks]
     seen, missing = _units_asked_once(seen)
     remarks += missing
-    shown = tuple(_axis_sentence(name, times[name], found[name], table.time_of) for name in axes if name in times)
+    sentences = tuple(_axis_sentence(name, times[name], found[name], table.time_of) for name in axes if name in times)
     common = next(iter(found.values())) if len(found) == 1 else UNKNOWN_AXIS
-    return [Table(path.name, seen, rows, common.rate, common.unevenness, tuple(remarks), shown)]
+    return [Table(path.name, seen, rows, common.rate, common.unevenness, tuple(remarks), sentences)]
 
 
 def _units_asked_once(seen: tuple[Seen, ...]) -> tuple[tuple[Seen, ...], list[str]]:
@@ -240,10 +241,23 @@ def _axis_sentence(name: str, times: NDArray[np.float64], axis: _Checked, time_o
     return f"{name}: {len(times)} rows, {axis.rate:.4g} Hz{uneven}{span} ({', '.join(columns[:MAX_SHOWN])}{more})"
 
 
+def _topics(path: Path) -> list[Table]:
+    """Interpret the topics of a bag; those left out, and remarks on the bag, are tables without columns."""
+    found, left_out, remarks = every_topic(path)
+    if not found:
+        shown = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+        raise BadInput(f"no topic has numbers ({shown or 'it has no topic'})", str(path), "a bag with topics of numbers")
+    said = [*((name, f"left out: {reason}") for name, reason in left_out.items()), *((path.name, remark) for remark in remarks)]
+    others = (Table(name, (), 0, np.nan, np.nan, (remark,)) for name, remark in said)
+    return [*(_topic(name, messages) for name, messages in found.items()), *others]
+
+
 def _topic(name: str, found: Found) -> Table:
     """Interpret a topic by its name and by the unit that its type implies."""
     last = name.rpartition("/")[2]
-    labels = [last if field in PLAIN else f"{last}_{field}" for field in found.fields]
+    # In brackets, a label would count as a unit.
+    words = {field: KEY.sub(r"_\1", field) for field in found.fields}
+    labels = [last if field in PLAIN else f"{last}_{words[field]}" for field in found.fields]
     units = [
         next((unit for ending, unit in UNITS_OF_FIELDS.items() if f"{found.type}.{field}".endswith(ending)), "")
         for field in found.fields
@@ -251,7 +265,8 @@ def _topic(name: str, found: Found) -> Table:
     headers = recognised([f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)])
     named = [header._replace(column=field) for header, field in zip(headers, found.fields, strict=True)]
     seen = tuple(_seen(header, values) for header, values in zip(named, found.fields.values(), strict=True))
-    return Table(name, seen, len(found.time), *_checked(found.time, name, lambda row: f"message {row + 1}"))
+    axis = _checked(found.time, name, lambda row: f"message {row + 1}")
+    return Table(name, seen, len(found.time), axis.rate, axis.unevenness, (*found.remarks, *axis.remarks))
 
 
 def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:
@@ -324,6 +339,8 @@ def proposed_map(tables: Sequence[Table]) -> Proposal:
 
 
 def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
+    if is_topic(table.name) or not table.columns:
+        yield from (f"# {remark}" for remark in table.remarks)
     for column in table.columns:
         header = column.header
         name = json.dumps(header.column, ensure_ascii=False)

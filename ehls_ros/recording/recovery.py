@@ -8,7 +8,7 @@ plausible, and reported as unverified. The new bag is read back before it is acc
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,18 +17,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import NEW_FOLDER, BagWriter
-from ehls_ros.recording.cdr import decode, flatten
+from ehls_ros.recording.cdr import CdrError, decode, flatten
 from ehls_ros.recording.damaged_bag import RECOVERABLE, DamagedBag, damaged_bag, storage_file
 from ehls_ros.recording.ledger import Ledger, Range, Tally
 from ehls_ros.recording.provenance import checksum_sum, message_checksum
 from ehls_ros.recording.salvage import Found, Loss
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, Topic, known_topic
-from ehls_ros.recording.typestore import typestore
+from ehls_ros.recording.typestore import typestore, typestore_of
 
 BLOCK = 4096
 """Messages processed together."""
@@ -39,6 +40,9 @@ MAX_NS = (1 << 63) - 1
 
 NEIGHBOURS = 17
 """Width of the median filter of the times of sending [messages]."""
+
+MAX_TOPICS = 255
+"""Maximum number of topics of the ledger."""
 
 OUTLYING_NS = 10 * 10**9
 """Largest plausible deviation from the median [ns]."""
@@ -142,21 +146,23 @@ def _recover(
     bag: DamagedBag, ledger: Ledger, out: Path, where: str, progress: Callable[[int, int], None], *, verified_only: bool
 ) -> Recovery:
     """Write the sound messages to a new bag, read it back and account for every message."""
-    namespace, topics = _topics(bag, where)
+    namespace, topics, definitions = _topics(bag, where)
     provenance = bag.provenance
     writer = BagWriter.create(
         out,
         bag.storage,
         provenance.configuration if provenance else {},
         namespace=namespace,
-        topics=list(topics.values()),
+        topics=() if definitions else list(topics.values()),
         signals=provenance.signals if provenance else None,
     )
     loss, counts, done = Loss(), {path: _Counts() for path in topics}, 0
     try:
+        for path, definition in definitions.items():
+            writer.add_topic(topics[path], definition)
         messages = bag.messages(ledger, loss)
         while block := list(islice(messages, BLOCK)):
-            for found in _plausible(block, topics, counts, loss, verified_only=verified_only):
+            for found in _plausible(block, topics, definitions, counts, loss, verified_only=verified_only):
                 writer.write(topics[found.topic].name, found.stamp_ns, found.serialized)
                 counts[found.topic].add(found)
             done += len(block)
@@ -167,10 +173,14 @@ def _recover(
     except BaseException:
         writer.abort()
         raise
-    if not counts[LOADER_STATE.resolve(namespace)].tally.messages:
-        raise BadInput(f"no sound message of {LOADER_STATE.name} is left in it", where, RECOVERABLE)
+    needed = list(topics) if definitions else [LOADER_STATE.resolve(namespace)]
+    if not any(counts[path].tally.messages for path in needed):
+        what = "no sound message" if definitions else f"no sound message of {LOADER_STATE.name}"
+        raise BadInput(f"{what} is left in it", where, RECOVERABLE)
     try:
-        _read_back(out, {path: count.tally for path, count in counts.items()})
+        if not definitions:
+            read_bag(out)
+        _check_written(out, {path: count.tally for path, count in counts.items()})
     except BadInput as error:
         if recovery.unverified:
             raise _UnreadableWithUnverified(error.what) from None
@@ -178,16 +188,30 @@ def _recover(
     return recovery
 
 
-def _topics(bag: DamagedBag, where: str) -> tuple[str, dict[str, Topic]]:
-    """Return the namespace, and the topics by full name."""
+def _topics(bag: DamagedBag, where: str) -> tuple[str, dict[str, Topic], dict[str, MessageDefinition | None]]:
+    """Return the namespace, the topics by full name, and in a bag of another recorder the definitions of their types."""
     paths = set(bag.names.values()) or set(bag.expected)
     ending = f"/{LOADER_STATE.name}"
     namespaces = sorted(path.removesuffix(ending) for path in paths if path.endswith(ending))
+    if not namespaces and (definitions := _definitions(bag)):
+        return "", {path: Topic(path, bag.kinds[path].type) for path in definitions}, definitions
     if len(namespaces) != 1:
         several = f"it contains several rigs: {', '.join(namespaces)}"
         raise BadInput(several if namespaces else f"no topic {LOADER_STATE.name} is left in it", where, RECOVERABLE)
     known = {path: known_topic(path, namespaces[0]) for path in sorted(paths)}
-    return namespaces[0], {path: topic for path, topic in known.items() if topic is not None}
+    return namespaces[0], {path: topic for path, topic in known.items() if topic is not None}, {}
+
+
+def _definitions(bag: DamagedBag) -> dict[str, MessageDefinition | None]:
+    """Return the definitions of the topics that can be written, by full name; None for a known type."""
+    found: dict[str, MessageDefinition | None] = {}
+    for path, kind in sorted(bag.kinds.items())[:MAX_TOPICS]:
+        known = kind.definition.format is MessageDefinitionFormat.NONE
+        # A damaged definition is invalid in any way.
+        with suppress(Exception):
+            typestore_of(kind.definition, kind.type).hash_rihs01(kind.type)
+            found[path] = None if known else kind.definition
+    return found
 
 
 class _Counts:
@@ -206,7 +230,13 @@ class _Counts:
 
 
 def _plausible(
-    block: Sequence[Found], topics: Mapping[str, Topic], counts: Mapping[str, _Counts], loss: Loss, *, verified_only: bool
+    block: Sequence[Found],
+    topics: Mapping[str, Topic],
+    definitions: Mapping[str, MessageDefinition | None],
+    counts: Mapping[str, _Counts],
+    loss: Loss,
+    *,
+    verified_only: bool,
 ) -> list[Found]:
     """Return the verified and the plausible messages, in the same order, and count the rest."""
     # A message without a checksum must be sent at about the time of its neighbours; a lasting step of the clock is plausible.
@@ -223,7 +253,7 @@ def _plausible(
             loss.count(found.topic)
     kept: list[int] = []
     for path, indices in by_topic.items():
-        formed = _well_formed(topics[path], [block[index].serialized for index in indices])
+        formed = _well_formed(topics[path], definitions.get(path), [block[index].serialized for index in indices])
         good = [
             index
             for index, decodes in zip(indices, formed, strict=True)
@@ -237,6 +267,11 @@ def _plausible(
 def _account(bag: DamagedBag, ledger: Ledger, loss: Loss, counts: Mapping[str, _Counts]) -> Recovery:
     """Account for every message."""
     known_lost = ledger.lost()
+    why = (
+        "is not a topic of ehls_ros"
+        if any(topic.endswith(f"/{LOADER_STATE.name}") for topic in counts)
+        else "is of an unknown type"
+    )
     topics: dict[str, TopicRecovery] = {}
     for path, count in counts.items():
         expected = bag.expected.get(path)
@@ -255,17 +290,16 @@ def _account(bag: DamagedBag, ledger: Ledger, loss: Loss, counts: Mapping[str, _
         sum(topic.unverified for topic in topics.values()),
         sum(topic.lost for topic in topics.values()),
         topics,
-        [*bag.remarks, *loss.places, *(f"{path} is not a topic of ehls_ros and is left out" for path in sorted(loss.foreign))],
+        [*bag.remarks, *loss.places, *(f"{path} {why} and is left out" for path in sorted(loss.foreign))],
     )
 
 
-def _read_back(bag: Path, written: Mapping[str, Tally]) -> None:
-    """Read a bag and compare its messages with those written.
+def _check_written(bag: Path, written: Mapping[str, Tally]) -> None:
+    """Compare the messages of a bag with those written.
 
     Raises:
-        BadInput: the bag cannot be read, or its messages differ.
+        BadInput: the messages differ.
     """
-    read_bag(bag)
     counts: dict[str, int] = dict.fromkeys(written, 0)
     checksums: dict[str, int] = dict.fromkeys(written, 0)
     with Reader(bag) as reader:
@@ -278,9 +312,14 @@ def _read_back(bag: Path, written: Mapping[str, Tally]) -> None:
             raise BadInput(what, str(bag), "a disk without faults")
 
 
-def _well_formed(topic: Topic, messages: Sequence[bytes]) -> list[bool]:
-    """Return for each message whether it decodes as the topic's type."""
+def _well_formed(topic: Topic, definition: MessageDefinition | None, messages: Sequence[bytes]) -> list[bool]:
+    """Return for each message whether it decodes as the topic's type; all do if the type has fields that are not read."""
     fields = flatten(typestore().fielddefs, topic.type) if topic in CYCLE_TOPICS else None
+    if definition is not None:
+        try:
+            fields = flatten(typestore_of(definition, topic.type).fielddefs, topic.type)
+        except CdrError:
+            return [True] * len(messages)
 
     def decodes(some: Sequence[bytes]) -> bool:
         try:

@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator, Mapping
 from mmap import mmap
 from typing import NamedTuple
 
+from rosbags.interfaces import MessageDefinition
+
 from ehls_ros.recording.ledger import Ledger
 
 MAX_NAME = 1024
@@ -18,6 +20,18 @@ would take the square of its size.
 
 SPENT = "messages begin inside each other in too many places: the rest is not searched for more"
 """Remark on a file that exceeds the bound."""
+
+
+class Kind(NamedTuple):
+    """Type of a topic's messages.
+
+    Attributes:
+        type: name of the type.
+        definition: its definition in the file; without text if it is one of the known types.
+    """
+
+    type: str
+    definition: MessageDefinition
 
 
 class Found(NamedTuple):

@@ -10,8 +10,11 @@ from collections.abc import Iterator
 from mmap import mmap
 from typing import NamedTuple
 
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
 from ehls_ros.recording.ledger import Ledger, first_match
-from ehls_ros.recording.salvage import MAX_NAME, Budget, Found, Loss, Names
+from ehls_ros.recording.salvage import MAX_NAME, Budget, Found, Kind, Loss, Names
+from ehls_ros.recording.typestore import typestore
 
 DEFAULT_PAGE = 4096
 HEADER = 100
@@ -60,6 +63,19 @@ def names_in_sqlite(content: mmap) -> dict[int, str]:
         if 0 < size < len(match[4]):
             names.setdefault(match[1][0], match[4][:size].decode())
     return names
+
+
+def kinds_in_sqlite(content: mmap) -> dict[str, Kind]:
+    """Return the types of the topics described in a SQLite file, by the topic's full name; only types that are known."""
+    kinds: dict[str, Kind] = {}
+    offset = 0
+    while (match := first_match(_TOPIC, content, offset, len(content), _LONGEST_TOPIC)) is not None:
+        offset = match.end()
+        name, kind = ((_varint(match[group]) - TEXT) // 2 for group in (2, 3))
+        text = match[4][name : name + kind].decode()
+        if 0 < name < len(match[4]) and text in typestore().fielddefs:
+            kinds.setdefault(match[4][:name].decode(), Kind(text, MessageDefinition(MessageDefinitionFormat.NONE, "")))
+    return kinds
 
 
 def salvage_sqlite(content: mmap, names: Names, ledger: Ledger, loss: Loss) -> Iterator[Found]:

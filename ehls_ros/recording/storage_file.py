@@ -24,11 +24,16 @@ CLOSED_BAG = "an undamaged bag, closed by its recorder"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 MCAP_RECORD = struct.Struct("<BQ")
 MCAP_FOOTER = struct.Struct("<BQQQI8s")
-MCAP_CHANNEL, MCAP_MESSAGE, MCAP_CHUNK, MCAP_CHUNK_INDEX, MCAP_METADATA_INDEX = 0x04, 0x05, 0x06, 0x08, 0x0D
+MCAP_ENCODINGS = ("", "ros2msg", "ros2idl", "omgidl")
+"""Readable kinds of type definitions."""
+MCAP_SCHEMA, MCAP_CHANNEL, MCAP_MESSAGE, MCAP_CHUNK, MCAP_CHUNK_INDEX, MCAP_METADATA_INDEX = 0x03, 0x04, 0x05, 0x06, 0x08, 0x0D
 MCAP_LEDGER = 0x80
 """The first kind of record reserved for applications; other readers skip it."""
 MCAP_CHUNK_CRC = 24
 """Offset of the checksum in a chunk's record [B]."""
+
+SQLITE_LEDGER = "ehls_ros_ledger"
+"""Table of the ledger."""
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 
@@ -133,6 +138,10 @@ def _mcap_metadata(file: Path) -> str:
         _, _, summary_start, _, _, magic = MCAP_FOOTER.unpack(stream.read())
         if magic != MCAP_MAGIC:
             raise _cut(file)
+        stream.seek(0)
+        profile = _mcap_text(stream.read(limits.TEXT), len(MCAP_MAGIC) + MCAP_RECORD.size)[0]
+        if profile != "ros2":
+            raise BadInput(f"its profile is {profile!r}", str(file), "a file of ROS 2, with the profile 'ros2'")
         record = b""
         if 0 < summary_start < content_end:
             stream.seek(summary_start)
@@ -144,12 +153,22 @@ def _mcap_metadata(file: Path) -> str:
             while offset < len(summary):
                 kind, length = MCAP_RECORD.unpack_from(summary, offset)
                 offset += MCAP_RECORD.size
+                if kind == MCAP_SCHEMA:
+                    _check_schema(summary, offset + 2, file)
                 if kind == MCAP_METADATA_INDEX:
                     start, size = struct.unpack_from("<QQ", summary, offset)
                     stream.seek(min(start, content_end))
                     record = stream.read(min(size, content_end, limits.TEXT))
                 offset += length
     return _mcap_entries(record[MCAP_RECORD.size :]).get("serialized_metadata", "")
+
+
+def _check_schema(summary: bytes, offset: int, file: Path) -> None:
+    name, offset = _mcap_text(summary, offset)
+    encoding, _ = _mcap_text(summary, offset)
+    if encoding not in MCAP_ENCODINGS:
+        expected = "types of ROS 2 (ros2msg or ros2idl); `mcap filter` leaves topics out"
+        raise BadInput(f"type {name} is defined as {encoding}", str(file), expected)
 
 
 def _mcap_entries(content: bytes) -> dict[str, str]:
@@ -190,7 +209,10 @@ def _sqlite_metadata(file: Path, deadline: Deadline) -> str:
         database.set_progress_handler(deadline.passed, 1000)
         check_database(database)
         _check_contents(database, file)
-        if not database.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'metadata'").fetchone():
-            return ""
-        row = database.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchone()
+        tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        last = "SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1"
+        row = database.execute(last).fetchone() if "metadata" in tables else None
+        if row is None and SQLITE_LEDGER in tables:
+            # Our recorder writes the metadata last.
+            raise _cut(file)
         return str(row[0]) if row else ""

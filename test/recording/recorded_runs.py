@@ -144,8 +144,8 @@ def record(
         connections: dict[str, Any] = {}
         for topic, type_name, received_ns, fields in messages:
             if topic not in connections:
-                own = (definition_of(type_name), store.hash_rihs01(type_name))
-                definition, type_hash = definitions.get(type_name, own)
+                known = definitions.get(type_name)
+                definition, type_hash = known or (definition_of(type_name), store.hash_rihs01(type_name))
                 connections[topic] = writer.add_connection(topic, type_name, msgdef=definition, rihs01=type_hash)
             writer.write(connections[topic], received_ns, serialized(Message(topic, type_name, received_ns, fields), store))
     return path

@@ -59,11 +59,34 @@ def test_truncated_metadata_are_refused(tmp_path: Path, kept: float):
     assert "expected an undamaged bag, closed by its recorder" in refuses(tmp_path / "bag")
 
 
-def test_a_folder_without_metadata_is_refused(tmp_path: Path):
-    write_trajectory(tmp_path / "bag", TRAJECTORY)
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_folder_without_metadata_is_read_from_its_file(tmp_path: Path, storage: Storage):
+    write_trajectory(tmp_path / "bag", TRAJECTORY, storage)
+    file = storage_file(tmp_path / "bag")
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    assert "metadata.yaml is missing; expected an undamaged bag, closed by its recorder" in refuses(tmp_path / "bag")
-    assert same(read_bag(storage_file(tmp_path / "bag")), TRAJECTORY)
+    found = read_bag(tmp_path / "bag")
+    assert same(found, TRAJECTORY)
+    [remark] = found.preparation.remarks
+    assert remark == f"metadata.yaml is missing: {file.name} read without it; the last messages may be missing too"
+    assert same(read_bag(file), TRAJECTORY)
+
+
+def test_a_database_that_our_recorder_did_not_close_is_refused(tmp_path: Path):
+    write_trajectory(tmp_path / "bag", TRAJECTORY, "sqlite3")
+    with closing(sqlite3.connect(storage_file(tmp_path / "bag"))) as database, database:
+        database.execute("DELETE FROM metadata")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    assert "bag.db3: the file is truncated or still being written" in refuses(tmp_path / "bag")
+
+
+def test_a_damaged_bag_names_the_command_that_saves_the_rest(tmp_path: Path):
+    write_trajectory(tmp_path / "my bag", TRAJECTORY)
+    file = storage_file(tmp_path / "my bag")
+    file.write_bytes(file.read_bytes()[:-1000])
+    for path in (tmp_path / "my bag", file):
+        assert refuses(path).endswith(f"closed by its recorder; `ehls recover '{file}'` saves the sound messages")
+    (tmp_path / "my bag" / "metadata.yaml").write_text("no: metadata", encoding="utf-8")
+    assert f"`ehls recover '{tmp_path / 'my bag'}'` saves" in refuses(tmp_path / "my bag")
 
 
 @pytest.mark.parametrize("ending", ["-journal", "-wal"])
@@ -120,7 +143,8 @@ def test_messages_shorter_than_their_type_are_refused(tmp_path: Path):
     ("make", "complaint"),
     [
         (lambda path: path / "nothing", "it does not exist; expected a folder of a rosbag2, or a file .mcap or .db3"),
-        (lambda path: path, "metadata.yaml is missing; expected an undamaged bag, closed by its recorder"),
+        (lambda path: path / "empty", "metadata.yaml is missing, and there is no storage file; expected a folder of a rosbag2"),
+        (lambda path: path / "old.bag", "it is a bag of ROS 1; expected one of ROS 2: `rosbags-convert --src"),
         (lambda path: path / "notes.txt", "it is not a bag; expected a folder of a rosbag2, or a file .mcap or .db3"),
         (
             lambda path: path / "notes.db3",
@@ -130,7 +154,8 @@ def test_messages_shorter_than_their_type_are_refused(tmp_path: Path):
     ],
 )
 def test_anything_but_a_bag_is_refused(tmp_path: Path, make: Callable[[Path], Path], complaint: str):
-    for name in ("notes.txt", "notes.db3", "notes.mcap"):
+    (tmp_path / "empty").mkdir()
+    for name in ("notes.txt", "notes.db3", "notes.mcap", "old.bag"):
         (tmp_path / name).write_bytes(b"not a recording at all" * 20)
     assert complaint in refuses(make(tmp_path))
 

@@ -115,7 +115,11 @@ def test_a_snapshot_delivered_twice_counts_once(tmp_path: Path):
         ),
         (
             [loader_state(50), loader_state(51), loader_state(0, stamp_ns=9 * 10**7)],
-            "time does not increase from cycle 0 to cycle 50",
+            "time does not increase from cycle 0 to cycle 50: header.stamp is 0.09 s and 0.05 s; expected the snapshots of one",
+        ),
+        (
+            [loader_state(0, stamp_ns=0), message("/ehls/loader_state", "LoaderState", 1, 1_764_000_000 * 10**9, 10**6, {})],
+            "time jumps from cycle 0 to cycle 1: header.stamp is 0 s and 2025-11-24 16:00:00.000",
         ),
         (
             [loader_state(0, "/rig1/ehls/loader_state"), loader_state(0, "/rig2/ehls/loader_state")],

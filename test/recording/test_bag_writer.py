@@ -177,7 +177,7 @@ def test_a_full_disk_is_reported_and_leaves_no_bag(tmp_path: Path, storage: Stor
         fill()
     assert caught.value.filename == str(tmp_path / "bag")
     assert caught.value.errno in {errno.EFBIG, errno.EIO, errno.ENOSPC}
-    with pytest.raises(BadInput, match=r"metadata\.yaml is missing"):
+    with pytest.raises(BadInput, match=r"the file (is truncated or still being written|was never closed)"):
         read_bag(tmp_path / "bag")
 
 
@@ -185,7 +185,7 @@ def test_a_full_disk_is_reported_and_leaves_no_bag(tmp_path: Path, storage: Stor
 def test_a_disk_that_is_full_at_the_end_is_reported_too(tmp_path: Path, storage: Storage):
     with no_file_larger_than(100_000), pytest.raises(OSError, match="the bag is incomplete after"):
         write_trajectory(tmp_path / "bag", make_trajectory(300), storage)
-    with pytest.raises(BadInput, match=r"metadata\.yaml is missing"):
+    with pytest.raises(BadInput, match=r"the file (is truncated or still being written|was never closed)"):
         read_bag(tmp_path / "bag")
 
 

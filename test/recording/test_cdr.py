@@ -155,7 +155,19 @@ def test_more_entries_than_a_message_holds_are_refused():
         decode([many], flatten(types, "it/msg/Many"), {})
 
 
-def test_an_array_of_messages_is_refused():
-    types = {"it/msg/Two": ([], [("two", (Nodetype.ARRAY, ((Nodetype.NAME, "it/msg/One"), 2)))])}
-    with pytest.raises(CdrError, match=r"field two of it/msg/Two is of a kind that is not read"):
-        flatten(types, "it/msg/Two")
+def test_what_follows_an_array_of_messages_is_read():
+    types = {
+        "it/msg/Two": (
+            [],
+            [("two", (Nodetype.ARRAY, ((Nodetype.NAME, "it/msg/One"), 2))), ("last", (Nodetype.BASE, ("int16", 0)))],
+        ),
+        "it/msg/One": ([], [("text", (Nodetype.BASE, ("string", 0))), ("number", (Nodetype.BASE, ("uint8", 0)))]),
+    }
+    message = bytes.fromhex("00010000 02000000 6100 07 00 01000000 00 09 0300")
+    assert decode([message], flatten(types, "it/msg/Two"), {"last"})["last"].tolist() == [3]
+
+
+def test_a_wide_text_is_refused():
+    types = {"it/msg/Wide": ([], [("text", (Nodetype.BASE, ("wstring", 0)))])}
+    with pytest.raises(CdrError, match=r"field text of it/msg/Wide is of a kind that is not read"):
+        flatten(types, "it/msg/Wide")

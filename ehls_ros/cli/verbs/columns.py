@@ -90,6 +90,7 @@ def _print(table: Table, console: Console) -> None:
         sure = CERTAINTY[header.certainty] if column.numeric else "not of numbers"
         left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else column.wrong
         printed.add_row(escape(header.column), *span, unit, header.signal or "?", sure, escape(left_open))
-    console.print(printed)
+    if table.columns:
+        console.print(printed)
     for remark in (*table.axes, *table.remarks):
         console.print(f"{table.name}: {remark}", markup=False, highlight=False, soft_wrap=True)
