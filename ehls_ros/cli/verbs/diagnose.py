@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ehls_ros.cli.arguments import add_columns, add_results, add_rig, check_range, columns_of
 from ehls_ros.cli.results import all_or_nothing, print_files, print_table, writable, write_json
+from ehls_ros.diagnosis.advice import advice
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
@@ -24,7 +25,7 @@ from ehls_ros.progress import progress_bar
 from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
-from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps, words
+from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps
 from ehls_ros.report.quantities import likely, percent
 from ehls_ros.trajectory import Trajectory
 
@@ -135,7 +136,7 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
     if found.causes:
         _print_causes(found.causes)
     for cause in found.causes:
-        print(f"  to confirm {cause.name}: {words(cause.name).measure}")
+        print(f"  to confirm {cause.name}: {advice(found.rig, cause).measure}")
     for step in next_steps(found):
         print(f"  {step}")
     for sentence in found.missing if found.verdict == "insufficient" else ():
