@@ -36,6 +36,9 @@ OPEN_CANDIDATE = 10.0
 RIG_FILE = "in the rig file"
 """State to which a changed value is compared, without baselines."""
 
+LACKS = "the simulation lacks"
+"""Beginning of a clause on a missing effect, once in a sentence."""
+
 CANDIDATES = 3
 """Maximum number of candidates in a sentence."""
 
@@ -185,6 +188,8 @@ def claims(found: Diagnosis, since: str = RIG_FILE) -> str:
     """
     probable = [cause for cause in found.causes if cause.probability >= LIKELY] or list(found.causes[:1])
     texts = [_claim(found, cause, since) for cause in probable[:IN_A_SENTENCE]]
+    both = f"{LACKS} "
+    texts = [text.removeprefix(both) if i and texts[0].startswith(both) else text for i, text in enumerate(texts)]
     more = len(probable) - len(texts)
     if more:
         texts.append(f"{'another cause adds' if more == 1 else f'{more} more causes add'} to the error")
@@ -216,7 +221,7 @@ def _stated(found: Diagnosis, cause: Cause, size: str, since: str) -> str:
     if spring_in_force(found.rig, cause):
         return f"the recorded force contains no force of the spring: {noun} is {size}"
     if words(cause.name).lacking:
-        return f"the simulation lacks {noun}{at}" if since == RIG_FILE else f"{noun} has appeared{at}"
+        return f"{LACKS} {noun}{at}" if since == RIG_FILE else f"{noun} has appeared{at}"
     return f"{noun} is {size}" if " than " in size else f"{noun} differs from that {since}{at}"
 
 
@@ -229,7 +234,7 @@ def rest_of(found: Diagnosis) -> list[str]:
     if found.verdict == "partial":
         closed = "a part" if found.gain is None else _most(found.gain.closed_fraction)
         unlikely = [cause for cause in found.causes if cause.probability < LIKELY]
-        less = f"less likely causes are {_in_short(unlikely)}" if 0 < len(unlikely) < len(found.causes) else ""
+        less = f"less likely: {_in_short(unlikely)}" if 0 < len(unlikely) < len(found.causes) else ""
         return [f"this explains {closed} of the error", *([less] if less else []), rest(found)]
     wrong_before = [(stage, result) for stage, result in found.stages.items() if result.judged and result.exceeds]
     if found.gain is None or not wrong_before:

@@ -222,7 +222,7 @@ def test_the_verdict_of_a_partial_answer_is_one_short_sentence():
     assert verdict_sentence(found)[0] == (
         "The simulation lacks a dead zone of the valve: positive 91.2 ± 0.8 µm, negative 80 ± 1 µm (95 %), with a"
         " probability of 80 %, the moving mass is 10 ± 2 % higher than in the rig file (95 %), and 2 more causes add to the"
-        " error; this explains more than 99.9 % of the error; less likely causes are a constant force; the rest in the flow"
+        " error; this explains more than 99.9 % of the error; less likely: a constant force; the rest in the flow"
         " balance, 4.0 times the noise, depends on velocity and position, and no known effect explains it."
     )
 

@@ -89,5 +89,6 @@ def _print(table: Table, console: Console) -> None:
         left_open = "; ".join(filter(None, [header.open, *gaps])) if column.numeric else column.wrong
         printed.add_row(escape(header.column), *span, unit, header.signal or "?", sure, escape(left_open))
     console.print(printed)
-    for remark in table.remarks:
+    absolute = [f"{column.header.column}: {column.absolute}" for column in table.columns if column.absolute]
+    for remark in (*table.remarks, *absolute):
         console.print(f"{table.name}: {remark}", markup=False, highlight=False, soft_wrap=True)

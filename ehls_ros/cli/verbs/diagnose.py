@@ -21,7 +21,7 @@ from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.yaml_files import rig_text, spec_text
 from ehls_ros.physics.rig import rig_to_mapping
-from ehls_ros.progress import progress_bar
+from ehls_ros.progress import duration_text, progress_bar
 from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
@@ -148,7 +148,7 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
         print(f"next experiment: {proposed.name}, {proposed.purpose}")
     for remark in (*found.remarks, *follows.all_remarks):
         print(f"  {remark}")
-    print(f"wall time {wall:.1f} s, diagnosis {found.wall_s:.1f} s of it")
+    print(f"wall time {duration_text(wall)}, diagnosis {duration_text(found.wall_s)} of it")
     files = {"result": RESULT, "report": REPORT, "rig": RIG, **({} if proposed is None else {"next": NEXT})}
     print_files((name, folder / file) for name, file in files.items())
 
