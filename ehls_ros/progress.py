@@ -1,4 +1,4 @@
-"""Progress bars for long work, on a terminal and in notebooks."""
+"""Progress of long work: a bar on a terminal and in notebooks, plain lines elsewhere."""
 
 import sys
 import time
@@ -9,6 +9,9 @@ from typing import Any, Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+LINE_EVERY = 10.0
+"""Shortest time between two lines of progress where standard error is no terminal [s]."""
 
 REDRAWN_EVERY = 0.2
 """Shortest time between two drawings in a notebook [s]."""
@@ -22,14 +25,15 @@ class Update(Protocol):
 
 
 @contextmanager
-def progress_bar(title: str, *, shown: bool = True) -> Iterator[Update]:
-    """Show a progress bar below a notebook's cell or on standard error; nothing if that is not a terminal.
+def progress_bar(title: str, *, shown: bool = True, lines: bool = True) -> Iterator[Update]:
+    """Show a progress bar below a notebook's cell or on standard error; where that is a file or a pipe, plain lines.
 
-    It disappears once the work is done.
+    The bar disappears once the work is done. Work of less than :data:`LINE_EVERY` gives no line.
 
     Args:
         title: description of the work.
-        shown: whether to show the bar.
+        shown: whether to show the progress.
+        lines: whether to print lines where there is neither a terminal nor a notebook.
 
     Yields:
         A function that sets the steps done and the total.
@@ -40,17 +44,53 @@ def progress_bar(title: str, *, shown: bool = True) -> Iterator[Update]:
     with Progress(*columns, console=console, disable=not terminal, transient=True) as bar:
         task = bar.add_task(title, total=None)
         cell = _Cell(bar) if shown and console.is_jupyter else None
+        printed = _Lines(title) if shown and lines and not terminal and cell is None else None
 
         def update(done: int, total: int, doing: str = "") -> None:
             bar.update(task, completed=done, total=total, description=doing or None)
             if cell is not None:
                 cell.redraw()
+            if printed is not None:
+                printed.print(done, total, doing)
 
         try:
             yield update
         finally:
             if cell is not None:
                 cell.clear()
+
+
+def announce(text: str) -> None:
+    """Print a line on standard error at once, above a progress bar if there is one."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+def duration_text(seconds: float) -> str:
+    """Write a duration: seconds, minutes and seconds, or hours and minutes."""
+    if seconds < 100.0:
+        return f"{seconds:.1f} s" if seconds < 10.0 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
+class _Lines:
+    """Progress as lines on standard error."""
+
+    def __init__(self, title: str) -> None:
+        self._doing = title
+        self._began = self._printed = time.monotonic()
+
+    def print(self, done: int, total: int, doing: str) -> None:
+        self._doing = doing or self._doing
+        now = time.monotonic()
+        if now - self._printed >= LINE_EVERY:
+            self._printed = now
+            part = f"{100 * done // total} %, " if total else ""
+            announce(f"{self._doing}: {part}{duration_text(now - self._began)}")
 
 
 class _Cell:

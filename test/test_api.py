@@ -1,5 +1,6 @@
 """`import ehls_ros as ehls`: the interface of scripts and notebooks."""
 
+import re
 import subprocess
 import sys
 from functools import partial
@@ -13,6 +14,8 @@ from rich.console import Console
 import ehls_ros as ehls
 from ehls_ros import progress
 from ehls_ros.api.recordings import by_name
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments import compiling
 from ehls_ros.physics.effects.viscous_asymmetry import Parameters as Asymmetry
 from ehls_ros.physics.rig import EffectUse
 
@@ -218,6 +221,46 @@ def test_a_bar_in_a_notebook_needs_no_widgets_and_disappears(monkeypatch):
     with progress.progress_bar("diagnosing", shown=False) as bar:
         bar(1, 4)
     assert len(cell) == 3
+
+
+def test_progress_into_a_file_is_a_line_now_and_then(monkeypatch, capsys):
+    clock = iter([0.0, 4.0, 11.0, 15.0, 7205.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))
+    with progress.progress_bar("diagnosing") as bar:
+        bar(1, 100)
+        bar(20, 100, "reading")
+        bar(30, 100)
+        bar(99, 100)
+    assert capsys.readouterr().err.splitlines() == ["reading: 20 %, 11 s", "reading: 99 %, 2 h 0 min"]
+    with progress.progress_bar("diagnosing", shown=False) as bar:
+        bar(1, 100)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.123, "0.1 s"), (42.4, "42 s"), (119.6, "2 min 0 s"), (12224.0, "3 h 24 min"), (3599.9, "1 h 0 min")],
+)
+def test_long_times_are_minutes_and_hours(seconds, text):
+    assert progress.duration_text(seconds) == text
+
+
+def test_compiling_is_announced_with_the_time_it_takes(monkeypatch, capsys):
+    jobs = [compiling.Job(partial(str, kernel), partial(str, kernel)) for kernel in ("first", "second", "third")]
+    monkeypatch.setattr(compiling, "is_compiled", lambda kernel: kernel == "first")
+    assert [task() for task in compiling.announce_compiling(jobs, 2, "a run")] == ["second", "third"]
+    said = capsys.readouterr().err
+    assert re.fullmatch(r"a run: compiling 2 kernels, once for this version; about \d.* on this machine\n", said)
+    assert compiling.announce_compiling(jobs[:1]) == []
+    assert capsys.readouterr().err == ""
+
+
+def test_a_loaded_run_has_metrics_and_other_data_say_how_to_get_them():
+    time = np.arange(0.0, 2.0, 1e-3)
+    run = ehls.Recording(time, {"force_n": np.sin(time) + 2.0, "force_reference_n": np.sin(time)})
+    assert run.metrics.max_error_n == pytest.approx(2.0)
+    with pytest.raises(BadInput, match="no force_reference_n"):
+        _ = ehls.Recording(time, {"force_n": time}).metrics
 
 
 def as_in_a_notebook(real):

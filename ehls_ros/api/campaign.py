@@ -93,7 +93,7 @@ def campaign(
         made = load_plan(configured(plan, "campaigns"))
     place = TemporaryDirectory() if out is None else nullcontext(str(out))
     with place as path, opened(Path(path)) as folder:
-        with progress_bar(made.settings.title, shown=progress) as bar:
+        with progress_bar(made.settings.title, shown=progress, lines=False) as bar:
             conduct(made, folder, local(jobs or len(os.sched_getaffinity(0))), bar)
         table = read_results(folder.results)
     return CampaignResult(**fields_of(CampaignResults, results_of(made.columns, table)), table=table)

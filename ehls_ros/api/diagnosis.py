@@ -112,7 +112,7 @@ def diagnose(
     check_least(threads, 1, "threads")
     check_least(seed, 0, "seed")
     model = rig_of(rig)
-    with progress_bar("diagnosing", shown=progress) as bar:
+    with progress_bar("diagnosing", shown=progress, lines=False) as bar:
         recording = as_recording(data, columns, USED)
         baselines = by_name(baseline, columns, USED)
         found, follows = diagnose_recording(

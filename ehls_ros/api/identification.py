@@ -170,7 +170,7 @@ def identify(
         expected = "one of them: the whole rig keeps the rig file's number of friction elements"
         raise BadInput("elements and whole_rig are given", "identify", expected)
     recordings = by_name(data, columns)
-    with progress_bar("identifying", shown=progress) as bar:
+    with progress_bar("identifying", shown=progress, lines=False) as bar:
         if whole_rig:
             return RigResult(*identify_whole_rig(recordings, known, seed=seed, progress=bar))
         found = friction.identify(

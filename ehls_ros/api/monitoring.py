@@ -115,7 +115,7 @@ def monitor(
     parameters = parse(Parameters, asked, "monitor")
     model = rig_of(rig)
     check_limits(limits or {}, model, "limits")
-    with progress_bar("watching", shown=progress) as bar:
+    with progress_bar("watching", shown=progress, lines=False) as bar:
         recordings, baselines = by_name(data, columns, USED), by_name(baseline, columns, USED)
         watched = replay(
             [MonitoredRecording(name, recording) for name, recording in recordings.items()],

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 
 from ehls_ros.api.arguments import check_kind
 from ehls_ros.api.results import fields_of, figure, html, written
-from ehls_ros.errors import one_of
+from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.causal_limit import evaluate_recording
+from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.recording import load as formats
 from ehls_ros.recording.bag_writer import write_trajectory
@@ -71,6 +73,19 @@ class Recording(Trajectory):
         if name not in self.signals:
             raise KeyError(f"there is no signal {name!r}; expected {one_of(name, self.signals)}")
         return self.signals[name]
+
+    @cached_property
+    def metrics(self) -> Metrics:
+        """Figures of merit of the run, computed from its signals as by `ehls report`.
+
+        Raises:
+            BadInput: it has no reference that was followed.
+        """
+        found = evaluate_recording(self)
+        if found is None:
+            what = "there are no metrics: the recording has no force_reference_n, or no force_n beside it"
+            raise BadInput(what, self.name, "a run with both; name their columns in the map (columns=...)")
+        return found
 
     def to_pandas(self) -> "DataFrame":
         """Return a table: one row per sample, indexed by ``time_s``, one column per signal in SI units."""

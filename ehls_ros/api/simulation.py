@@ -1,7 +1,7 @@
 """Rigs and simulated experiments."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from ehls_ros.api.recordings import Recording, with_methods
 from ehls_ros.api.results import written
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import with_causal_limit
+from ehls_ros.experiments.compiling import announce_compiling, loop_jobs
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import Metrics, evaluate
@@ -43,7 +44,7 @@ class Simulation(Recording):
         spec: the experiment.
     """
 
-    metrics: Metrics
+    metrics: Metrics = field()  # type: ignore[misc]  # computed by the run, not from its signals; without a default
     spec: Spec
 
 
@@ -117,7 +118,9 @@ def simulate(
         "compensation": compensation, "duration": duration, "seed": seed, "title": title,
     }  # fmt: skip
     made = _changed(spec, rig, controller_rig, {key: value for key, value in changes.items() if value is not None})
-    with progress_bar(made.settings.title, shown=progress) as bar:
+    if progress:
+        announce_compiling(loop_jobs(made), what=made.settings.title)
+    with progress_bar(made.settings.title, shown=progress, lines=False) as bar:
         trajectory, failure = run_as_far_as_it_goes(made, bar)
     metrics = with_failure(with_causal_limit(evaluate(trajectory), trajectory), failure)
     metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(made)))

@@ -90,6 +90,8 @@ def verify(
     inertia_mass: float | None = None,
     cell_uncertainty: float | None = None,
     settling: int | None = None,
+    begin: float | None = None,
+    end: float | None = None,
 ) -> VerificationResult:
     """Verify the force of a cyclic test, block by block.
 
@@ -100,15 +102,18 @@ def verify(
         inertia_mass: mass between load cell and specimen [kg]; None: its inertia is not corrected.
         cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None counts as zero.
         settling: cycles left out at the start of each stretch of a block. None: until the error equals that of the later half.
+        begin: start of the time to verify, since the start of the recording [s]; None: the start.
+        end: end of that time; None: the end.
 
     Returns:
         The verification: ``blocks`` with peak, valley, mean, range, amplitude and phase, their errors and uncertainties,
-        harmonic distortion and repeatability. A block that does not repeat has only its error over time, and the reason.
+        harmonic distortion and repeatability. A block that does not repeat has its error over time, the reason, and gain, lag
+        and coherence in bands of frequency.
 
     Raises:
         BadInput: data or rig cannot be read; force or reference is missing, or the position for the inertia correction.
     """
     recording = as_recording(data, columns)
-    given = Given(None if rig is None else rig_of(rig), inertia_mass, cell_uncertainty, settling)
+    given = Given(None if rig is None else rig_of(rig), inertia_mass, cell_uncertainty, settling, begin, end)
     found = verify_recording(recording, given, recording.name)
     return VerificationResult(**fields_of(Verification, found), name=recording.name)

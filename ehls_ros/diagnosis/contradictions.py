@@ -20,6 +20,9 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import notes
 from ehls_ros.trajectory import MEASURED, Trajectory
 
+OUTSIDE = 0.1
+"""Distance outside ``limits.position`` up to which a position may be measured from mid-stroke, as a fraction of the stroke."""
+
 
 class Ratio(NamedTuple):
     """Ratio of a measured quantity to the value implied by the rig file.
@@ -112,6 +115,7 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
         BadInput: they contradict each other; the error names the value or signal whose unit, sign or column is probably wrong.
     """
     seen = _seen(trajectory)
+    _check_mid_stroke(seen, rig, name)
     wrong = [ratio for ratio in _ratios(rig, seen, fitted=fitted) if ratio.impossible]
     if not wrong:
         doubtful = [ratio for ratio in _ratios(rig, seen, fitted=True) if ratio.doubtful]
@@ -123,6 +127,30 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
         raise BadInput(summary, name, "a rig file and a recording of one rig, both in SI units (see --columns)")
     doubted = "; ".join(reading.doubted for reading in readings)
     raise BadInput(f"{doubted} ({summary})", name, "; ".join(reading.meant for reading in readings))
+
+
+def _check_mid_stroke(seen: Seen, rig: Rig, name: str) -> None:
+    """Reject positions that fit into the stroke but lie outside it: they are counted from another place than mid-stroke."""
+    position, (least, most) = seen.signals.get("position_m"), rig.limits.position
+    if position is None or not math.isfinite(most - least):
+        return
+    low, high, room = float(position.min()), float(position.max()), most - least
+    if high - low > room or max(least - low, high - most) <= OUTSIDE * room:
+        return
+    counted_from_an_end = low >= 0.0 and high <= room
+    offset = float(f"{least if counted_from_an_end else 0.5 * (least + most - low - high):.4g}")
+    force = abs(rig.plant.spring_stiffness * offset)
+    effect = f"; the spring's force would be {force:.3g} N off" if force > 0.0 else ""
+    guess = "if the sensor counts from the end of the stroke" if counted_from_an_end else "if this recording is centred"
+    what = (
+        f"position_m runs from {1e3 * low:.4g} to {1e3 * high:.4g} mm, limits.position of the rig file from {1e3 * least:.4g}"
+        f" to {1e3 * most:.4g} mm: an absolute scale{effect}"
+    )
+    expected = (
+        f"0 at mid-stroke: `offset: {offset:g}` for position_m in the map of columns (--columns) {guess}, else minus the"
+        " reading at mid-stroke in m; or limits.position in the scale of the recording, if the spring is relaxed at its 0"
+    )
+    raise BadInput(what, name, expected)
 
 
 def _resolving(rig: Rig, seen: Seen) -> list[Reading]:

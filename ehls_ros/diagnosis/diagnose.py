@@ -61,7 +61,7 @@ def diagnose(
     compared = setup(record, rig)
     evidence = judge(gather(record, rig, compared, seed)) if compared.channels else None
     if evidence is None or not evidence.channels:
-        return _nothing_recorded(record, rig, compared, seed, began)
+        return _nothing_recorded(record, rig, compared if evidence is None else evidence.setup, seed, began)
     main = main_channel(evidence.channels)
     lines = spectral_lines(evidence.base.values[main], evidence.times[main])
     tried, not_tried = candidates(record, rig, lines)

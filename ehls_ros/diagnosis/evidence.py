@@ -19,7 +19,7 @@ from ehls_ros.diagnosis.loss import loss, rms
 from ehls_ros.diagnosis.noise import deviations, largest_terms, scatter, with_noise
 from ehls_ros.diagnosis.record import POSITION, VELOCITY, Record
 from ehls_ros.diagnosis.resolution import coarseness
-from ehls_ros.diagnosis.stages import Channel, Comparison, Setup, formed_of, usable
+from ehls_ros.diagnosis.stages import CHANNELS, Channel, Comparison, Setup, formed_of, usable
 from ehls_ros.duals import tangents_of, value_of
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
@@ -166,6 +166,9 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
     noise = deviations(record)
     deviation, added = scatter(comparison, rig, raw, noise, seed, realisations)
     sizes = largest_terms(comparison, rig)
+    moving = tuple(c for c in channels if sizes[c] > 0.0)
+    still = {CHANNELS[c] for c in channels} - {CHANNELS[c] for c in moving}
+    channels, setup = moving, setup._replace(why_not={**dict.fromkeys(still, "its signals are 0 throughout"), **setup.why_not})
     coarse = {c: setup.window_of(c).mean(coarseness(record, formed_of(record, c)) ** 2) for c in channels}
     floor = {c: np.sqrt(deviation[c] ** 2 + coarse[c] * (rules.TOLERANCE * sizes[c]) ** 2)[masks[c]] for c in channels}
     blocks = int(np.clip(round(len(record.time) * record.period / rules.BLOCK), rules.MIN_BLOCKS, rules.MAX_BLOCKS))
@@ -176,10 +179,10 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
         # By sample, not by time, so that the stretches of a long recording count as contiguous.
         block[c] = np.minimum(starts * blocks // len(record.time), blocks - 1)
         times[c] = record.time[np.minimum(starts + window.weights.size // 2, len(record.time) - 1)]
-    base = whitened(raw, masks, floor)
+    base = whitened({c: raw[c] for c in channels}, masks, floor)
     noisy_record = with_noise(record, noise, np.random.default_rng(seed + 1))
     noisy = whitened(Comparison(noisy_record, setup).residuals(rig, channels), masks, floor)
-    moving = POSITION in record or VELOCITY in record
+    moved = POSITION in record or VELOCITY in record
     return Evidence(
         record=record,
         rig=rig,
@@ -195,7 +198,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
         noise={c: noisy[c] - base[c] for c in channels},
         added=tuple({c: more[c][masks[c]] / floor[c] for c in channels} for more in added),
         noisy_record=noisy_record,
-        travel=float(np.ptp(comparison.motion(rig.effective()).position)) if moving else 0.0,
+        travel=float(np.ptp(comparison.motion(rig.effective()).position)) if moved else 0.0,
     )
 
 

@@ -142,9 +142,10 @@ def largest_terms(comparison: Comparison, rig: Rig) -> dict[Channel, float]:
     flow = rms(comparison.flow_terms(rig.effective())[:, 0]) if "volume" in comparison.setup.channels else 0.0
     moving = not {"force", "velocity"}.isdisjoint(comparison.setup.channels)
     speed = rms(comparison.motion(rig.effective()).velocity) if moving else 0.0
-    driving = plant.piston_area * sizes["load_pressure_pa"] if "load_pressure_pa" in sizes else sizes.get("force_n", 0.0)
+    # Beside a signal that is 0 throughout, the other one of the pair is the largest term.
+    driving = plant.piston_area * sizes.get("load_pressure_pa", 0.0) or sizes.get("force_n", 0.0)
     return {
-        "spool": sizes.get("spool_m", 0.0),
+        "spool": sizes.get("spool_m", 0.0) or plant.valve_gain * sizes.get(COMMAND, 0.0),
         "volume": max(flow, plant.piston_area * speed),
         "supply": sizes.get("supply_pressure_pa", 0.0),
         "force": max(driving, sizes.get("disturbance_force_n", 0.0)),

@@ -201,7 +201,8 @@ def remainder_as_noise(evidence: Evidence, left: Mapping[Channel, Array]) -> Evi
         beyond = max(0.0, remains - noise)
         repeats = max(1.0, len(left[c]) / rules.FORM_FREEDOMS)
         floor[c] = np.sqrt(evidence.floor[c] ** 2 + beyond)
-        correlation[c] = (noise + repeats * beyond) / max(noise + beyond, 1e-300)
+        # Without noise and remainder, no window depends on another.
+        correlation[c] = (noise + repeats * beyond) / (noise + beyond) if noise + beyond > 0.0 else 1.0
     return measured_in(evidence, floor, correlation)
 
 

@@ -1,8 +1,11 @@
-"""Compilation of the kernels of a diagnosis on all processors before it runs.
+"""Compilation of kernels before a diagnosis or a run, announced with its expected duration; for a diagnosis on all processors.
 
 A kernel is compiled once per version of this package; later runs load it.
 """
 
+import math
+import os
+import time
 from collections.abc import Callable, Iterable
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -19,9 +22,17 @@ from ehls_ros.physics.composition import is_compiled
 from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
+from ehls_ros.progress import announce, duration_text
 
 COMPILING = "compiling, once for this version"
 """Progress message."""
+
+
+PER_KERNEL = 7.0
+"""Time to compile a kernel on a machine that takes :data:`REFERENCE` for the loop of :func:`_slowness` [s]."""
+
+REFERENCE, SHORT = 0.014, 200_000
+"""Time of that loop [s], and its number of steps."""
 
 
 class Job(NamedTuple):
@@ -63,6 +74,43 @@ def consequences_jobs(diagnosis: Diagnosis) -> list[Job]:
     return [*jobs, _plant(given), _plant(extended)]
 
 
+def loop_jobs(spec: Spec) -> list[Job]:
+    """Return the kernel of an experiment in one process."""
+    return [Job(partial(loop_kernel, spec), partial(_loop, spec))]
+
+
+def graph_jobs(spec: Spec) -> list[Job]:
+    """Return the kernels of an experiment's nodes: the plant's, and that of the loop for those of its other nodes."""
+    return [_plant(spec.rig), *loop_jobs(spec)]
+
+
+def announce_compiling(jobs: Iterable[Job], processors: int = 1, what: str = "") -> list[Task]:
+    """Print the number of kernels that are not in the cache, and the expected time of their compilation, if there are any.
+
+    Args:
+        jobs: the kernels.
+        processors: number of processors that compile.
+        what: name of the work, in front.
+
+    Returns:
+        The tasks that compile them.
+    """
+    tasks = [job.compile for job in jobs if not is_compiled(job.kernel())]
+    if tasks:
+        kernels = "1 kernel" if len(tasks) == 1 else f"{len(tasks)} kernels"
+        expected = PER_KERNEL * math.ceil(len(tasks) / max(1, processors)) * _slowness()
+        before = f"{what}: " if what else ""
+        announce(f"{before}compiling {kernels}, once for this version; about {duration_text(expected)} on this machine")
+    return tasks
+
+
+def _slowness() -> float:
+    """Return the time of a short loop relative to :data:`REFERENCE`."""
+    begin = time.perf_counter()
+    sum(i * i for i in range(SHORT))
+    return max(1.0, (time.perf_counter() - begin) / REFERENCE)
+
+
 def compile_in_parallel(jobs: Iterable[Job], workers: Workers, progress: Progress) -> None:
     """Compile the kernels that are not in the cache.
 
@@ -71,7 +119,7 @@ def compile_in_parallel(jobs: Iterable[Job], workers: Workers, progress: Progres
         workers: the processes to compile in.
         progress: called with the number compiled and the total number; not called if all are in the cache.
     """
-    tasks = [job.compile for job in jobs if not is_compiled(job.kernel())]
+    tasks = announce_compiling(jobs, len(os.sched_getaffinity(0)))
     if tasks:
         progress(0, len(tasks))
         # If the processes fail, a kernel is compiled when it is first run.

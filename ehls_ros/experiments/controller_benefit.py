@@ -159,8 +159,10 @@ def _least_force(rig: EffectiveRig) -> float:
 def _no_room(rig: EffectiveRig, size: float) -> str:
     low, high = rig.limits.position
     return (
-        f"no force can be controlled: a stroke of {high - low:g} m, spring of {rig.plant.spring_stiffness:g} N/m and a largest "
-        f"force of {largest_force(rig):g} N leave {FORCE * size:.3g} N; friction and weight take {_least_force(rig):.3g} N"
+        f"the controller was not run, as no test force fits the extended rig: within its stroke of {high - low:.3g} m, on a"
+        f" spring of {rig.plant.spring_stiffness:.3g} N/m and with {largest_force(rig):.3g} N from the supply, the force is"
+        f" {FORCE * size:.3g} N, less than the {_least_force(rig):.3g} N of friction and weight that it has to overcome; check"
+        " limits.position, spring_stiffness and the friction of the rig file"
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from ehls_ros import __version__
+from ehls_ros.diagnosis.advice import advice
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import (
     Cause,
@@ -25,6 +26,7 @@ from ehls_ros.experiments.consequences import Consequences
 from ehls_ros.experiments.controller_benefit import ControllerBenefit
 from ehls_ros.experiments.next_experiment import NextExperiment
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import Rig
 
 NORMAL_95 = 1.959964
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
@@ -265,7 +267,7 @@ def diagnosis_document(
         verdict=_verdict(diagnosis),
         summary=summary,
         stages=diagnosis.stages,
-        causes=tuple(_cause(cause) for cause in diagnosis.causes) or (() if unknown is None else (unknown,)),
+        causes=tuple(_cause(cause, diagnosis.rig) for cause in diagnosis.causes) or (() if unknown is None else (unknown,)),
         remainder={
             stage: RemainderEntry(result.nrmse_after, result.noise_floor, result.depends_on)
             for stage, result in diagnosis.stages.items()
@@ -300,8 +302,8 @@ def _verdict(diagnosis: Diagnosis) -> Verdict | Literal["unchanged", "changed"]:
     return "changed" if diagnosis.names_causes else diagnosis.verdict
 
 
-def _cause(cause: Cause) -> CauseEntry:
-    effect = EFFECTS.load(cause.name)
+def _cause(cause: Cause, rig: Rig) -> CauseEntry:
+    effect, words = EFFECTS.load(cause.name), advice(rig, cause)
     rivals = tuple(RivalEntry(r.name, r.behind, r.closed_fraction, r.parameters) for r in cause.rivals)
     return CauseEntry(
         cause.name,
@@ -314,7 +316,7 @@ def _cause(cause: Cause) -> CauseEntry:
         {name: _parameter(e) for name, e in cause.parameters.items()},
         cause.fixed,
         Evidence(cause.gain, cause.sigmas, effect.EQUATION, rivals),
-        Advice(effect.WORDS.inspect, effect.WORDS.measure, effect.WORDS.change),
+        Advice(words.inspect, words.measure, words.change),
     )
 
 

@@ -42,7 +42,7 @@ WORDS: Mapping[str, str] = {
     **dict.fromkeys(("v", "velocity", "vel", "speed", "geschwindigkeit"), "velocity"),
     **dict.fromkeys(("F", "force", "kraft"), "force"),
     **dict.fromkeys(("loadcell", "kraftmessdose", "kraftaufnehmer"), "cell"),
-    **dict.fromkeys(("p", "pressure", "druck", "press"), "pressure"),
+    **dict.fromkeys(("p", "P", "pressure", "druck", "press"), "pressure"),
     **dict.fromkeys(("ps", "versorgungsdruck", "systemdruck", "pumpendruck"), "supply"),
     **dict.fromkeys(("pt", "tankdruck"), "tank"),
     **dict.fromkeys(("pL", "dp", "lastdruck", "differenzdruck"), "load pressure"),
@@ -76,7 +76,8 @@ QUALIFIERS: Mapping[str, str] = {
     "b": "B",
     "1": "1",
     "2": "2",
-    **dict.fromkeys(("s", "supply", "pump", "system", "versorgung", "pumpe"), "supply"),
+    "0": "0",
+    **dict.fromkeys(("p", "s", "supply", "pump", "system", "versorgung", "pumpe"), "supply"),
     **dict.fromkeys(("t", "tank", "return", "rücklauf"), "tank"),
     **dict.fromkeys(("l", "load", "last", "diff", "differential", "delta"), "load"),
     **dict.fromkeys(("oil", "öl", "oel", "fluid"), "oil"),
@@ -95,6 +96,9 @@ LOWER_CASE: Mapping[str, str] = {"n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa",
 
 NO_UNIT = "no unit is given"
 """Ambiguity of a column whose quantity is known."""
+
+ZERO = "is pressure 0 the supply?"
+"""Ambiguity of a pressure numbered 0."""
 
 TWO_UNITS = ("mpa", "mn")
 """Lower-case spellings that each denote two units."""
@@ -116,6 +120,9 @@ def recognised(header: Sequence[str], units: Mapping[str, str] = MappingProxyTyp
         The interpretations; a column whose name is empty or occurs more than once is called by its number.
     """
     found = [_recognised(name, units.get(unique, "")) for name, unique in zip(header, unique_names(header), strict=True)]
+    both = {"pressure_a_pa", "pressure_b_pa"} <= {r.signal for r in found if r.certainty in ("contract", "stated")}
+    # Beside both chambers, the pressure numbered 0 is the supply's.
+    found = [r._replace(certainty="stated", open="") if both and r.open == ZERO and r.unit else r for r in found]
     stated = [r.signal for r in found if r.certainty in ("contract", "stated")]
     return [
         r._replace(certainty="unsure", open=f"{stated.count(r.signal)} columns state the same signal; which is right?")
@@ -284,6 +291,8 @@ def _pressure(qualifiers: set[str]) -> tuple[str, str]:
     found = [by_name[q] for q in sorted(qualifiers) if q in by_name]
     if len(found) == 1 and len(qualifiers) == 1:
         return found[0], ""
+    if qualifiers == {"0"}:
+        return "supply_pressure_pa", ZERO
     numbered = {"1": "pressure_a_pa", "2": "pressure_b_pa"}
     for number, signal in numbered.items():
         if qualifiers == {number}:

@@ -40,6 +40,10 @@ PLAIN = ("data", "fluid_pressure", "temperature")
 """Fields whose names add no information to that of their topic."""
 
 
+ONE_SIDED, FAR = 0.75, 0.01
+"""Distance of the middle of a position from 0 above which its scale may be absolute: as a fraction of its range, and in m."""
+
+
 class Seen(NamedTuple):
     """Interpretation of a column.
 
@@ -63,6 +67,18 @@ class Seen(NamedTuple):
     def numeric(self) -> bool:
         """Whether the column is numeric."""
         return not np.isnan(self.smallest)
+
+    @property
+    def absolute(self) -> str:
+        """Remark on a position that may not be zero at mid-stroke; empty for others."""
+        header = self.header
+        if header.signal != "position_m" or header.certainty not in ("contract", "stated") or not self.numeric:
+            return ""
+        scale = UNITS[header.unit].scale if header.unit else 1.0
+        middle, span = 0.5 * scale * (self.smallest + self.largest), scale * (self.largest - self.smallest)
+        if abs(middle) < max(ONE_SIDED * span, FAR):
+            return ""
+        return f"0 has to be at mid-stroke: offset: {-middle:.4g} puts it at the middle of this recording; take the stroke's"
 
 
 class Table(NamedTuple):
@@ -354,6 +370,7 @@ def _lines(table: Table, several: bool, taken: dict[str, str]) -> Iterator[str]:
         if header.certainty == "stated" and header.signal not in taken:
             taken[header.signal] = table.name
             hint = "; if it sits between piston and load: load_cell_n" if header.signal == "force_n" else ""
+            hint += f"; {column.absolute}" if column.absolute else ""
             yield f"{header.signal}: {_entry(header)[:-1]}{column.entry}{of}}}  # {span}{hint}"
             continue
         doubt = header.open or f"{header.signal} is in {taken.get(header.signal, '')} already"

@@ -6,7 +6,7 @@ from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
-from ehls_ros.report.diagnosis_findings import CHANNEL_WORDS, STAGE_NAMES, comes_from, depends, named, rest
+from ehls_ros.report.diagnosis_findings import CHANNEL_WORDS, STAGE_NAMES, claims, depends, rest_of, sentence_of
 from ehls_ros.report.diagnosis_residuals import PREFERRED_SIGNALS, Cloud, explained, planes
 from ehls_ros.report.page import Entry, Row, listed, number
 from ehls_ros.report.plot import GREY, VERMILION
@@ -26,11 +26,9 @@ def since_sentence(found: Diagnosis) -> str:
     judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged] or ["nothing"])
     if found.verdict == "consistent":
         return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread."
-    if found.verdict == "effect":
-        causes = listed([named(found, cause) for cause in found.causes])
-        return f"Since {since}, there is a change: {causes}."
-    if found.verdict == "partial":
-        return f"Since {since}, there is a change that {comes_from(found)}; {rest(found)}, and no known effect explains it."
+    if found.names_causes:
+        rest = rest_of(found) if found.verdict == "partial" else []
+        return sentence_of([f"since {since}, {claims(found, 'then')}", *rest])
     if found.verdict == "unknown":
         where = "rig" if found.unknown_stage is None else STAGE_NAMES[found.unknown_stage]
         return f"Since {since}, the {where} has changed; the change {depends(found)}, and no known effect explains it."

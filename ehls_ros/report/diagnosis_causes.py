@@ -1,5 +1,6 @@
 """Sections of a diagnosis report on causes: named ones with their rivals, an unknown one, or insufficient data."""
 
+from ehls_ros.diagnosis.advice import advice as advice_for
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.physics.effects import EFFECTS
@@ -31,13 +32,20 @@ def what_to_do(found: Diagnosis) -> list[str]:
         rows: list[Row] = [
             [Entry(cause.name, advice.noun), advice.inspect, advice.measure, advice.change]
             for cause in found.causes
-            for advice in [words(cause.name)]
+            for advice in [advice_for(found.rig, cause)]
         ]
         blocks.append(page.table(["cause", "inspect", "confirm by a measurement", "then change"], rows))
     blocks += [page.bullets(steps)] if (steps := findings.next_steps(found)) else []
     if found.verdict == "insufficient":
         lacking = [stage for stage, result in found.stages.items() if not result.judged]
-        needed: list[Row] = [[STAGE_NAMES[stage], NEEDED_SIGNALS[stage], NEEDED_MOTION[stage]] for stage in lacking]
+        needed: list[Row] = [
+            [
+                STAGE_NAMES[stage],
+                NEEDED_SIGNALS[stage] if findings.lacks_signals(found, stage) else "recorded",
+                NEEDED_MOTION[stage],
+            ]
+            for stage in lacking
+        ]
         blocks.append(page.table(["stage of the model", "signals it needs", "excitation it needs"], needed))
     places: list[Row] = list(findings.where_to_look(found))
     return [*blocks, page.table(["the error depends on", "inspect"], places)] if places else blocks

@@ -6,14 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival, StageResult
+from ehls_ros.diagnosis.advice import spring_in_force
+from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
+from ehls_ros.diagnosis.verdict import NEEDED_MOTION
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
 from ehls_ros.report.page import listed, number
-from ehls_ros.report.quantities import estimate, percent, quantity, value
+from ehls_ros.report.quantities import ALMOST, NORMAL_95, estimate, likely, percent, quantity, value
 from ehls_ros.schema import declarations
 
 AT_NOISE = 1.5
@@ -23,10 +25,22 @@ IN_A_SENTENCE = 2
 """Maximum number of causes, or of signals, listed in the sentence of the verdict."""
 
 CERTAIN_PROBABILITY = 0.95
-"""Probability above which a cause is named without a "probably"."""
+"""Probability above which a cause is named without its probability."""
 
 LIKELY = 0.5
-"""Probability from which the sentence of a partial answer names a cause as likely."""
+"""Probability below which a cause is one of several candidates."""
+
+OPEN_CANDIDATE = 10.0
+"""Shortfall of gain up to which a rival of such a cause is a candidate [nats]."""
+
+RIG_FILE = "in the rig file"
+"""State to which a changed value is compared, without baselines."""
+
+LACKS = "the simulation lacks"
+"""Beginning of a clause on a missing effect, once in a sentence."""
+
+CANDIDATES = 3
+"""Maximum number of candidates in a sentence."""
 
 HOPELESS = 1e6
 """Odds above which a rival is excluded, and the exact figure is not shown."""
@@ -86,9 +100,36 @@ def parameter_meaning(effect: str, parameter: str) -> str:
     return next((d.description for d in declarations(EFFECTS.load(effect).Parameters) if d.name == parameter), "")
 
 
-def parameters_text(effect: str, parameters: Mapping[str, Estimate], digits: int = 1) -> str:
-    """Write the parameters of an effect for use within a sentence."""
-    return ", ".join(f"{name.replace('_', ' ')} {fitted(effect, name, e, digits)}" for name, e in parameters.items())
+def parameters_text(effect: str, parameters: Mapping[str, Estimate], digits: int = 1, errors: float = 1.0) -> str:
+    """Write the parameters of an effect for use within a sentence, with a multiple of their standard errors."""
+    return ", ".join(
+        f"{name.replace('_', ' ')} {fitted(effect, name, e._replace(std=errors * e.std), digits)}"
+        for name, e in parameters.items()
+    )
+
+
+def sized(effect: str, parameters: Mapping[str, Estimate], since: str = RIG_FILE) -> str:
+    """Write the size of an effect for use within a sentence, with the half width of its 95 % interval.
+
+    Args:
+        effect: its name.
+        parameters: its fitted parameters.
+        since: state to which a changed value is compared.
+    """
+    if not parameters:
+        return ""
+    if not words(effect).lacking and len(parameters) == 1:
+        [(name, e)] = parameters.items()
+        declared = next((d for d in declarations(EFFECTS.load(effect).Parameters) if d.name == name), None)
+        neutral = float(declared.default) if declared is not None else math.nan
+        inside = declared is None or e.value not in (declared.minimum, declared.maximum)
+        if math.isfinite(e.std) and inside and (neutral == 0.0 or (neutral == 1.0 and e.unit == "1")):
+            away, half = abs(e.value - neutral), NORMAL_95 * e.std
+            text = estimate(Estimate(away, half, e.unit), 1)
+            if neutral == 1.0:
+                text = estimate(Estimate(100.0 * away, 100.0 * half, "1"), 1) + " %"
+            return f"{text} {'higher' if e.value > neutral else 'lower'} than {since} (95 %)"
+    return f"{parameters_text(effect, parameters, 1, NORMAL_95)} (95 %)"
 
 
 def fitted(effect: str, parameter: str, e: Estimate, digits: int = 2) -> str:
@@ -122,11 +163,8 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
     Returns:
         A sentence, and whether the simulation is right; None if the data are insufficient.
     """
-    if found.verdict == "effect":
-        return f"The simulation {_probably(found.causes)}{_wrong(found)}{_closed_part(found)}.", False
-    if found.verdict == "partial":
-        closed = "Part" if found.gain is None else percent(found.gain.closed_fraction)
-        return f"{closed} of the simulation's error {comes_from(found)}; {rest(found)}, and no known effect explains it.", False
+    if found.verdict in NAMING:
+        return sentence_of([claims(found), *rest_of(found)]), False
     if found.verdict == "unknown":
         return _unknown_sentence(found), False
     if found.verdict == "consistent":
@@ -135,57 +173,102 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
     return f"The data are insufficient to assess the simulation: {missing} cannot be evaluated.", None
 
 
-def _probably(causes: Sequence[Cause]) -> str:
-    return "" if min(cause.probability for cause in causes) >= CERTAIN_PROBABILITY else "probably "
+def sentence_of(clauses: Sequence[str]) -> str:
+    """Join clauses to a sentence."""
+    text = "; ".join(clauses)
+    return f"{text[:1].upper()}{text[1:]}."
 
 
-def _wrong(found: Diagnosis) -> str:
-    lacks = [named(found, cause) for cause in found.causes if words(cause.name).lacking]
-    wrong = [named(found, cause) for cause in found.causes if not words(cause.name).lacking]
-    return " and ".join([*([f"lacks {listed(lacks)}"] if lacks else []), *([f"has {listed(wrong)} wrong"] if wrong else [])])
+def claims(found: Diagnosis, since: str = RIG_FILE) -> str:
+    """Return a clause that names the causes with their sizes, at most two; it leaves open candidates open.
+
+    Args:
+        found: a diagnosis that names causes.
+        since: state to which changed values are compared.
+    """
+    probable = [cause for cause in found.causes if cause.probability >= LIKELY] or list(found.causes[:1])
+    texts = [_claim(found, cause, since) for cause in probable[:IN_A_SENTENCE]]
+    both = f"{LACKS} "
+    texts = [text.removeprefix(both) if i and texts[0].startswith(both) else text for i, text in enumerate(texts)]
+    more = len(probable) - len(texts)
+    if more:
+        texts.append(f"{'another cause adds' if more == 1 else f'{more} more causes add'} to the error")
+    return ", and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 2 else texts)
 
 
-def comes_from(found: Diagnosis) -> str:
-    """Return a clause on the likely causes of an error, followed by those less likely than not."""
-    likely = [cause for cause in found.causes if cause.probability >= LIKELY] or found.causes[:1]
-    text = f"{_probably(likely)}comes from {_in_short(found, likely)}"
-    possible = [cause for cause in found.causes if cause not in likely]
-    return f"{text}, possibly also from {_in_short(found, possible)}" if possible else text
+def _claim(found: Diagnosis, cause: Cause, since: str) -> str:
+    """Return a clause for one cause, or for the candidates if the data do not decide between them."""
+    named = {rival.name: sized(rival.name, rival.parameters, since) for rival in cause.rivals if _is_open(cause, rival)}
+    named |= {name: "" for name in cause.equivalent_to if name not in named}
+    rivals = [_with(words(name).noun, text) for name, text in list(named.items())[: CANDIDATES - 1]]
+    noun, size, where = words(cause.name).noun, sized(cause.name, cause.parameters, since), STAGE_NAMES[CHANNELS[cause.channel]]
+    if rivals:
+        candidates = ", or ".join([_with(noun, size), *rivals])
+        return f"the error in the {where} has one of these causes, undecided by these data: {candidates}"
+    how_sure = "" if cause.probability >= CERTAIN_PROBABILITY else f", with a probability of {likely(cause.probability)}"
+    if cause.probability < LIKELY:
+        return f"the cause of the error in the {where} is uncertain: nearest is {_with(noun, size)}{how_sure}"
+    return f"{_stated(found, cause, size, since)}{how_sure}"
 
 
-def _in_short(found: Diagnosis, causes: Sequence[Cause]) -> str:
-    """List causes within a sentence, at most two of them by name."""
-    names = [named(found, cause) for cause in causes[:IN_A_SENTENCE]]
+def _is_open(cause: Cause, rival: Rival) -> bool:
+    unsure = cause.probability < LIKELY and rival.behind < OPEN_CANDIDATE
+    return unsure or rival.name in cause.equivalent_to
+
+
+def _stated(found: Diagnosis, cause: Cause, size: str, since: str) -> str:
+    noun, at = words(cause.name).noun, f": {size}" if size else ""
+    if spring_in_force(found.rig, cause):
+        return f"the recorded force contains no force of the spring: {noun} is {size}"
+    if words(cause.name).lacking:
+        return f"{LACKS} {noun}{at}" if since == RIG_FILE else f"{noun} has appeared{at}"
+    return f"{noun} is {size}" if " than " in size else f"{noun} differs from that {since}{at}"
+
+
+def _with(noun: str, size: str) -> str:
+    return f"{noun} ({size.removesuffix(' (95 %)')})" if size else noun
+
+
+def rest_of(found: Diagnosis) -> list[str]:
+    """Return a clause on the error that remains with the causes in the model; none without a gain."""
+    if found.verdict == "partial":
+        closed = "a part" if found.gain is None else _most(found.gain.closed_fraction)
+        unlikely = [cause for cause in found.causes if cause.probability < LIKELY]
+        less = f"less likely: {_in_short(unlikely)}" if 0 < len(unlikely) < len(found.causes) else ""
+        return [f"this explains {closed} of the error", *([less] if less else []), rest(found)]
+    wrong_before = [(stage, result) for stage, result in found.stages.items() if result.judged and result.exceeds]
+    if found.gain is None or not wrong_before:
+        return []
+    balances = listed([f"the {STAGE_NAMES[stage]}" for stage, _ in wrong_before])
+    if all(at_noise(result) for _, result in wrong_before):
+        return [f"the rest of {balances} is within the noise"]
+    return [f"this removes {_most(found.gain.closed_fraction)} of the error beyond the noise from {balances}"]
+
+
+def _most(closed: float) -> str:
+    """Write the closed fraction of an error, never as all of it."""
+    return "more than 99.9 %" if closed >= ALMOST else percent(closed)
+
+
+def _in_short(causes: Sequence[Cause]) -> str:
+    """List causes by name within a sentence, at most two of them."""
+    names = [words(cause.name).noun for cause in causes[:IN_A_SENTENCE]]
     more = len(causes) - len(names)
     return listed([*names, *([f"{more} more" if more > 1 else "one more"] if more else [])])
 
 
-def named(found: Diagnosis, cause: Cause) -> str:
-    """Name a cause within a sentence; a single one with its size and the effects indistinguishable from it."""
-    noun = words(cause.name).noun
-    if len(found.causes) > 1:
-        return noun
-    others = " or ".join(words(name).noun for name in cause.equivalent_to)
-    beside = [parameters_text(cause.name, cause.parameters), f"or {others}" if others else ""]
-    return f"{noun} ({'; '.join(filter(None, beside))})" if any(beside) else noun
-
-
-def _closed_part(found: Diagnosis) -> str:
-    wrong_before = [(stage, result) for stage, result in found.stages.items() if result.judged and result.exceeds]
-    if found.gain is None or not wrong_before:
-        return ""
-    with_it = "with it" if len(found.causes) == 1 else "with them"
-    balances = listed([f"the {STAGE_NAMES[stage]}" for stage, _ in wrong_before])
-    if all(at_noise(result) for _, result in wrong_before):
-        return f"; {with_it} {balances} close{'s' if len(wrong_before) == 1 else ''} to the noise"
-    closed = percent(found.gain.closed_fraction)
-    return f"; {with_it} {closed} of the error beyond the noise disappears from {balances}"
-
-
 def rest(found: Diagnosis) -> str:
-    """Return a clause on the signals on which the unexplained error depends, with its stage."""
-    where = "" if found.unknown_stage is None else f" in the {STAGE_NAMES[found.unknown_stage]}"
-    return f"the rest{where} {depends(found)}"
+    """Return a clause on the unexplained error: its stage, size, and the signals on which it depends."""
+    stage = found.unknown_stage
+    if stage is None:
+        return f"the rest {depends(found)}, and no known effect explains it"
+    result = found.stages[stage]
+    size = (
+        f", {number(result.nrmse_after / result.noise_floor, 2)} times the noise,"
+        if result.noise_floor and result.nrmse_after is not None
+        else ""
+    )
+    return f"the rest in the {STAGE_NAMES[stage]}{size} {depends(found)}, and no known effect explains it"
 
 
 def depends(found: Diagnosis) -> str:
@@ -201,8 +284,9 @@ def _unknown_sentence(found: Diagnosis) -> str:
         return "The simulation is wrong, and no known effect explains how."
     result = found.stages[found.unknown_stage]
     where = STAGE_NAMES[found.unknown_stage]
-    text = f"The simulation's {where} is wrong by {_size(result)}, and no known effect explains how"
-    return f"{text}; the error {depends(found)}."
+    text = f"The simulation's {where} is wrong by {_size(result)}; the error {depends(found)}, and no known effect explains it"
+    nearest = f"; nearest is {listed([words(name).noun for name in found.partial[:IN_A_SENTENCE]])}" if found.partial else ""
+    return f"{text}{nearest}."
 
 
 def _consistent_sentence(found: Diagnosis) -> str:
@@ -401,10 +485,15 @@ def next_steps(found: Diagnosis) -> list[str]:
     if found.verdict in ("unknown", "partial") and found.unknown_stage is not None:
         stage = STAGE_NAMES[found.unknown_stage]
         return [
-            f"Record the same motion again: an error of the {stage} that is gone was an incident, not the model.",
+            f"Record another motion, faster or larger: an error of the model of the {stage} changes with it.",
             f"Check the rig file's values for the {stage} against data sheets and drawings, or fit them by `ehls identify`.",
             "Inspect the rig at the places below, to which the signals point.",
             "If you find an effect that is not on the list, write it as one file (how-to: a new effect) and diagnose again.",
+        ]
+    if found.verdict == "insufficient" and not any(lacks_signals(found, stage) for stage in found.stages):
+        return [
+            "The signals are there, but they move too little: record them with the motion below.",
+            "Best is a minute at 1 kHz: slow and fast, small and large motions both ways, the load changing.",
         ]
     if found.verdict == "insufficient":
         return [
@@ -413,6 +502,12 @@ def next_steps(found: Diagnosis) -> list[str]:
             "`ehls columns FILE` shows which of a file's columns were understood.",
         ]
     return []
+
+
+def lacks_signals(found: Diagnosis, stage: Stage) -> bool:
+    """Return whether a stage cannot be judged for missing signals, not for too little motion."""
+    result = found.stages[stage]
+    return not result.judged and result.why_not != NEEDED_MOTION[stage]
 
 
 def where_to_look(found: Diagnosis) -> list[tuple[str, str]]:

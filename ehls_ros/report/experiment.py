@@ -8,6 +8,7 @@ import numpy as np
 
 from ehls_ros.experiments.metrics import Metrics
 from ehls_ros.hardware.pace import ADVICE
+from ehls_ros.progress import duration_text
 from ehls_ros.recording.events import Event
 from ehls_ros.report import page
 from ehls_ros.report import run_figures as drawn
@@ -17,6 +18,9 @@ from ehls_ros.report.page import limit_text, number, with_unit
 from ehls_ros.report.run_signals import error_of, known
 from ehls_ros.report.run_statistics import sampling_sentence, statistics
 from ehls_ros.trajectory import Trajectory, steady_error
+
+LONG = 600.0
+"""Time from which it is written in minutes, or in hours and minutes [s]."""
 
 MAX_EVENTS = 200
 """Maximum number of events listed."""
@@ -169,12 +173,18 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
         items.append(("Response median, 99 %, max", f"{median} / {late} / {largest} µs"))
     if metrics is not None:
         items += [
-            ("Duration", with_unit(metrics.duration_s, "s", "")),
+            ("Duration", _time(metrics.duration_s)),
             ("In real time", {None: "", True: "yes", False: "no"}[metrics.in_real_time]),
         ]
     wall = trajectory.metadata.get("wall_s", None if metrics is None else metrics.wall_s)
     recording = (metrics.bag if metrics is not None else None) or ""
-    return [*items, ("Wall time", with_unit(wall, "s", "")), ("Recording", recording)]
+    return [*items, ("Wall time", _time(wall)), ("Recording", recording)]
+
+
+def _time(seconds: object) -> str:
+    """Write a time in seconds, a long one in hours and minutes."""
+    long = isinstance(seconds, int | float) and LONG <= seconds < math.inf
+    return duration_text(float(seconds)) if long else with_unit(seconds, "s", "")
 
 
 def _pace(metrics: Metrics | None) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.result import Identification
 from ehls_ros.physics.rig import Rig
+from ehls_ros.progress import duration_text
 from ehls_ros.report import identification_figures as drawn
 from ehls_ros.report import identification_findings as findings
 from ehls_ros.report import page
@@ -179,7 +180,7 @@ def _making(found: Identification) -> list[str]:
         ("Friction elements", number(found.elements) if found.elements else ""),
         ("Branches averaged", number(found.branch.branches) if found.branch is not None else ""),
         ("Independent blocks", number(round(fit.blocks)) if math.isfinite(fit.blocks) else ""),
-        ("Wall time", f"{number(found.wall_s)} s"),
+        ("Wall time", duration_text(found.wall_s)),
     ]
     recordings = table_of(
         zip(found.motions, fit.residuals, fit.noise, strict=True),

@@ -9,6 +9,7 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.physics.rig import Rig
+from ehls_ros.progress import duration_text
 from ehls_ros.report import page
 from ehls_ros.report.identification_findings import STRONG, Pair, percent, relative_error, strong_pairs
 from ehls_ros.report.page import MISSING_NUMBER, Entry, listed, number, paragraph, signed, table_of
@@ -131,6 +132,6 @@ def _making(found: RigIdentification) -> list[str]:
         ("Coefficients fitted", number(len(found.estimates))),
         ("Friction model", found.rig.friction_model),
         ("Largest correlation", number(abs(largest.correlation), 2) if largest else MISSING_NUMBER),
-        ("Wall time", f"{number(found.wall_s)} s"),
+        ("Wall time", duration_text(found.wall_s)),
     ]
     return [page.facts(items)]

@@ -1,11 +1,12 @@
 """Report of a dynamic force verification: a section for each block, with its table and figures."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from ehls_ros.experiments.verification.response import Band
 from ehls_ros.experiments.verification.results import (
     CERTIFIES_NOTHING,
     Cyclic,
@@ -22,6 +23,11 @@ from ehls_ros.report.page import MISSING_NUMBER, Row, number, signed, with_unit
 
 SYMBOLS = {"n": "N", "deg": "°"}
 """Displayed units of quantities."""
+
+BANDS_NOTE = (
+    "Gain and lag of the force with respect to its reference, averaged over each band. Coherence: the fraction of the force's"
+    " power that follows the reference linearly; noise, friction and saturation lower it."
+)
 
 MAX_DRAWN = 12
 """Maximum number of blocks with figures; the tables have all of them."""
@@ -42,9 +48,11 @@ def answer(found: Verification) -> tuple[str, bool | None]:
     others = len(found.blocks) - len(cyclic)
     if not cyclic:
         [first, *more] = found.blocks
-        reason = first.found.reason if isinstance(first.found, NonCyclic | Refused) else ""
+        one = first.found
+        reason = one.reason if isinstance(one, NonCyclic | Refused) else ""
         rest = f" and {len(more)} more" if more else ""
-        return f"No block was judged by its cycles: {first.name}{rest} ({reason}).", None
+        over_time = f" {_over_time(one)}" if isinstance(one, NonCyclic) and not more else ""
+        return f"No block was judged by its cycles: {first.name}{rest} ({reason}).{over_time}", None
     amplitude, lag = _largest(cyclic, "amplitude"), _largest(cyclic, "phase")
     ranged = _largest(cyclic, "range")
     single = len(cyclic) == 1
@@ -55,6 +63,18 @@ def answer(found: Verification) -> tuple[str, bool | None]:
     )
     rest = f"; {others} {'is' if others == 1 else 'are'} not cyclic" if others else ""
     return f"{text}{rest}. This certifies nothing.", None
+
+
+def _over_time(one: NonCyclic) -> str:
+    """Return the error over time in a sentence, with the response in the band where the reference is largest."""
+    text = f"The force is off by {number(one.rms_error_n)} N rms and by {number(one.max_error_n)} N at most"
+    if not one.bands:
+        return f"{text}."
+    main = max(one.bands, key=lambda band: band.reference_rms_n)
+    return (
+        f"{text}; from {number(main.low_hz, 2)} to {number(main.high_hz, 2)} Hz its gain is {number(main.gain, 4)}, its lag"
+        f" {number(1e3 * main.lag_s)} ms, the coherence {number(main.coherence, 3)}."
+    )
 
 
 def _largest(blocks: list[JudgedBlock], name: str) -> Quantity:
@@ -75,9 +95,9 @@ def write_verification_report(found: Verification, path: Path, source: str = "")
         source: name of the verified recording, for the line below the heading.
     """
     sentence, good = answer(found)
-    cyclic = [block for block in found.blocks if isinstance(block.found, Cyclic)]
-    pictured = {id(block) for block in cyclic[:MAX_DRAWN]}
-    left = len(cyclic) - len(pictured)
+    shown = [block for block in found.blocks if not isinstance(block.found, Refused)]
+    pictured = {id(block) for block in shown[:MAX_DRAWN]}
+    left = len(shown) - len(pictured)
     more = page.paragraph(f"Figures of {left} more blocks are left out.") if left else ""
     parts = [
         ("Blocks", [_overview(found)] if len(found.blocks) > 1 else []),
@@ -137,6 +157,10 @@ def _block(block: JudgedBlock, *, figures: bool) -> Iterator[str]:
             ]
         )
         yield page.paragraph(f"{missing}.") if missing else ""
+        if one.response is not None:
+            yield page.table_of(one.bands, _BANDS)
+            yield page.paragraph(BANDS_NOTE)
+            yield page.figures([drawn.response(one.response)] if figures else [])
         return
     yield page.facts(_facts(block, one))
     yield page.bullets(_remarks(one, missing))
@@ -147,6 +171,17 @@ def _block(block: JudgedBlock, *, figures: bool) -> Iterator[str]:
     if figures:
         yield page.figures([drawn.one_cycle(one)])
         yield page.figures([drawn.trend(one), drawn.harmonics(one)], columns=2)
+
+
+_BANDS: Mapping[str, Callable[[Band], str]] = {
+    "band [Hz]": lambda band: f"{number(band.low_hz)} to {number(band.high_hz)}",
+    "reference, rms [N]": lambda band: number(band.reference_rms_n),
+    "error, rms [N]": lambda band: number(band.error_rms_n),
+    "gain": lambda band: number(band.gain, 4),
+    "lag [ms]": lambda band: number(1e3 * band.lag_s),
+    "phase [°]": lambda band: signed(band.phase_deg),
+    "coherence": lambda band: number(band.coherence),
+}
 
 
 def _facts(block: JudgedBlock, one: Cyclic) -> list[tuple[str, str]]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ehls_ros.experiments.verification.response import Response
 from ehls_ros.experiments.verification.results import Cyclic
 from ehls_ros.report import plot
 from ehls_ros.report.page import Panel, plane
@@ -67,3 +68,16 @@ def harmonics(found: Cyclic) -> Panel:
     panel = plane("Harmonics", traces, Axis("harmonic", Unit("order")), Axis("amplitude", PERCENT), note, 320, barmode="group")
     panel.layout["xaxis"] |= {"dtick": 1}
     return panel
+
+
+def response(found: Response) -> Panel:
+    """Draw gain, lag and coherence of the force over frequency."""
+    x = Axis("frequency", Unit("Hz"))
+    rows = (("gain", found.gain, Unit("–")), ("lag", found.lag_s, Unit("ms", 1e3)), ("coherence", found.coherence, Unit("–")))
+    traces = [
+        plot.line(found.frequency, values, name, unit, plot.BLUE, row=row)
+        for row, (name, values, unit) in enumerate(rows, start=1)
+    ]
+    layout = plot.stacked_layout(x, [Axis(name, unit) for name, _, unit in rows])
+    layout["xaxis"] |= {"type": "log"}
+    return Panel("Response", traces, layout, "Force with respect to its reference, over frequency.", 420, over_time=False)

@@ -166,7 +166,7 @@ def test_json_is_the_last_line(again, capsys):
     assert code == 0
     out = capsys.readouterr().out.strip().splitlines()
     assert json.loads(out[-1]) == result
-    assert re.match(r"The simulation has the Coulomb friction \(offset −23[345]\S* ± \S+ N\) wrong", out[0])
+    assert re.match(r"The Coulomb friction is 23[345]\S* ± \S+ N lower than in the rig file \(95 %\)", out[0])
     assert any("to confirm coulomb_shift: record a slow stroke" in line for line in out)
     assert any("report.html" in line for line in out)
 

@@ -104,6 +104,25 @@ def test_what_no_unit_explains_is_told_with_its_figures(rig_file, columns):
     assert "SI units" in error.expected
 
 
+@pytest.mark.parametrize(("low", "high", "offset"), [(92e-3, 209e-3, "-0.15"), (-0.31, -0.2, "0.255"), (1.0, 1.2, "-1.1")])
+def test_a_position_on_an_absolute_scale_is_named_with_its_offset(rig_file, columns, low, high, offset):
+    position = columns["position_m"]
+    position = low + (high - low) * (position - position.min()) / np.ptp(position)
+    rig = changed(rig_file, "limits", "position", [-0.15, 0.15])
+    error = refusal({**columns, "position_m": position}, rig)
+    assert re.match(r"position_m runs from \S+ to \S+ mm, limits.position of the rig file from -150 to 150 mm", error.what)
+    assert f"`offset: {offset}`" in error.expected
+    check_suits(trajectory({**columns, "position_m": position + float(offset)}), rig, NAME)
+
+
+def test_a_position_that_leaves_the_stroke_by_little_is_accepted(rig_file, columns):
+    position = columns["position_m"]
+    low, high = float(position.min()), float(position.max())
+    margin = 0.05 * (high - low)
+    rig = changed(rig_file, "limits", "position", [low + margin, high + margin])
+    assert check_suits(trajectory(columns), rig, NAME) == ()
+
+
 def test_what_the_rig_file_lacks_is_not_compared(rig_file, columns):
     content = {"friction": rig_file["friction"], "plant": {"supply_pressure": rig_file["plant"]["supply_pressure"]}}
     assert check_suits(trajectory(columns), rig_from_mapping(content, "rig.yaml"), NAME) == ()

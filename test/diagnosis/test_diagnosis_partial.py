@@ -1,5 +1,6 @@
 """Causes named despite a remainder, which is counted as correlated noise."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from plain_evidence import MASS, VALVE, VISCOUS, candidate, evidence_of, linear_
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import accepted
+from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.held_out import Assessment, HeldOut
@@ -54,6 +56,17 @@ def test_an_error_of_form_tells_no_more_in_a_longer_recording(rng, windows):
     independent = windows / known.correlation["force"]
     assert independent == pytest.approx(rules.FORM_FREEDOMS * 12.5 / 11.5, rel=0.05)
     assert known.correlation["volume"] == 1.0
+
+
+def test_without_noise_and_remainder_no_window_depends_on_another():
+    still = {"force": np.zeros(500)}
+    evidence = evidence_of(still, noise=still)
+    evidence = replace(evidence, allowances={"force": Allowance(still["force"], np.ones((500, 1)), still["force"])})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        known = remainder_as_noise(evidence, still)
+    assert known.correlation == {"force": 1.0}
+    assert np.all(np.isfinite(known.base.values["force"]))
 
 
 def test_the_fraction_closed_is_of_what_noise_does_not_explain(rng):

@@ -9,7 +9,7 @@ import pytest
 import ehls_ros as ehls
 from ehls_ros import trajectory
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.verification.blocks import BLOCK, PHASE, REPETITION, cycle_of
+from ehls_ros.experiments.verification.blocks import BLOCK, PHASE, REPETITION, repeating_parts
 from ehls_ros.experiments.verification.results import Cyclic, NonCyclic, Refused, verification_document
 from ehls_ros.experiments.verification.uncertainty import std_of_mean
 from ehls_ros.experiments.verification.verify import Given, verify_recording
@@ -264,7 +264,81 @@ def test_the_frequency_is_found_whatever_the_wave_and_wherever_it_starts():
     rough = {"spec": {"reference": {"frequency": 0.73}}}
     for metadata in ({}, rough, {"spec": {"reference": {"frequency": 17.0}}}):
         # To a thousandth of a cycle over the whole recording.
-        assert abs(cycle_of(time, wave, metadata).frequency - 0.7310001) * time[-1] < 1e-3
+        [part] = repeating_parts(time, wave, metadata)
+        assert part.samples == slice(0, time.size)
+        assert abs(part.sine.frequency - 0.7310001) * time[-1] < 1e-3
+
+
+def rising(time, begin, length):
+    """A ramp from 0 to 1."""
+    return np.clip((time - begin) / length, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "parts"),
+    [
+        (lambda t: np.where(t < 15.0, 0.0, sine(t - 15.0)), [(15.0, 20.0)]),
+        (lambda t: np.where(t < 15.0, sine(t), sine(15.0)), [(0.0, 15.0)]),
+        (lambda t: 2e3 + rising(t, 0.0, 6.0) * (sine(t) - 2e3), [(5.6, 20.0)]),
+        (lambda t: np.where(t < 5.0, 400.0 * t, sine(t - 5.0)) * rising(-t, -18.0, 4.0), [(5.0, 14.1)]),
+        (lambda t: np.where((t > 8.0) & (t < 14.0), sine(8.0), sine(t)), [(0.0, 8.0), (14.0, 20.0)]),
+        (lambda t: np.where(t < 6.0, 0.4, 1.0) * sine(t), [(6.0, 20.0)]),
+        (lambda t: sine(t, frequency=np.where(t < 5.0, 3.0, 1.0)), [(5.0, 20.0)]),
+    ],
+    ids=["hold first", "hold last", "taper", "ramp and taper", "hold between", "lower level", "another frequency"],
+)
+@pytest.mark.parametrize("noise", [0.0, 20.0])
+def test_parts_that_do_not_repeat_are_left_out_and_named(shape, parts, noise):
+    time = np.arange(0.0, 20.0, 2e-3)
+    exact = shape(time)
+    reference = exact + noise * np.random.default_rng(2).standard_normal(time.size)
+    late = np.interp(time - 0.02, time, exact)
+    found = verified(made(time, exact.mean() + 0.99 * (late - exact.mean()), reference))
+    [block] = found.blocks
+    assert isinstance(block.found, Cyclic)
+    assert block.found.amplitude.percent == pytest.approx(-1.0, abs=0.05)
+    assert block.found.delay_s == pytest.approx(0.02, abs=2e-4)
+    assert block.found.passes == len(parts)
+    assert block.begin_s == pytest.approx(parts[0][0], abs=0.3)
+    assert block.duration_s == pytest.approx(sum(end - begin for begin, end in parts), abs=0.6)
+    [remark] = [remark for remark in found.remarks if "repeats from" in remark]
+    assert remark.count(" to ") == len(parts)
+
+
+def test_the_time_to_verify_can_be_given():
+    time = 100.0 + np.arange(0.0, 20.0, 2e-3)
+    force = np.where(time < 108.0, 0.9, 0.98) * sine(time, mean=0.0)
+    found = verified(made(time, force, sine(time, mean=0.0)), begin=8.0, end=18.0)
+    [block] = found.blocks
+    assert (block.begin_s, block.duration_s) == (pytest.approx(8.0), pytest.approx(10.0, abs=0.01))
+    assert block.found.amplitude.percent == pytest.approx(-2.0, abs=0.01)
+    with pytest.raises(BadInput, match=r"no two samples lie from 30 to 18 s; .*0 to 19.998 s"):
+        verified(made(time, force, sine(time)), begin=30.0, end=18.0)
+
+
+def test_a_reference_that_never_repeats_has_gain_lag_and_coherence_over_frequency():
+    random = np.random.default_rng(1)
+    time = np.arange(0.0, 60.0, 2e-3)
+    tones = [(f, random.uniform(0.0, 6.0)) for f in np.geomspace(0.2, 4.0, 40) * random.uniform(0.99, 1.01, 40)]
+
+    def irregular(at):
+        return 1e3 + sum(500.0 * np.sin(2.0 * np.pi * f * at + start) for f, start in tones)
+
+    reference = irregular(time)
+    for spread, coherence in ((0.0, 1.0), (float(reference.std()), 0.9)):
+        noise = spread * random.standard_normal(time.size)
+        one = only(made(time, 0.95 * irregular(time - 0.03) + noise, reference))
+        assert isinstance(one, NonCyclic)
+        assert 2 <= len(one.bands) <= 5
+        for band in one.bands:
+            assert band.gain == pytest.approx(0.95, rel=0.05)
+            assert band.lag_s == pytest.approx(0.03, abs=0.01)
+            assert coherence - 0.05 <= band.coherence <= 1.0
+        whole = math.sqrt(sum(band.reference_rms_n**2 for band in one.bands))
+        assert whole == pytest.approx(reference.std(), rel=0.05)
+    document = verification_document(verified(made(time, reference, reference)), "made", "0")
+    [band, *_] = document["blocks"][0]["bands"]
+    assert {"low_hz", "high_hz", "gain", "lag_s", "phase_deg", "coherence", "error_rms_n"} <= band.keys()
 
 
 def test_a_triangle_s_own_harmonics_are_no_distortion_of_the_force():

@@ -16,6 +16,11 @@ STATED = {
     "pB (MPa)": ("pressure_b_pa", "MPa"),
     "ps [bar]": ("supply_pressure_pa", "bar"),
     "supply pressure [psi]": ("supply_pressure_pa", "psi"),
+    "Druck P [bar]": ("supply_pressure_pa", "bar"),
+    "p_P [bar]": ("supply_pressure_pa", "bar"),
+    "Druck S (bar)": ("supply_pressure_pa", "bar"),
+    "Druck T [bar]": ("tank_pressure_pa", "bar"),
+    "P_A [bar]": ("pressure_a_pa", "bar"),
     "Tankdruck / bar": ("tank_pressure_pa", "bar"),
     "p_T [bar]": ("tank_pressure_pa", "bar"),
     "dp_MPa": ("load_pressure_pa", "MPa"),
@@ -53,6 +58,8 @@ LEFT_OPEN = {
     # A letter behind a pressure is a chamber, not amperes.
     "p_A": "no unit",
     "p1 [bar]": "is chamber 1",
+    "p0 [bar]": "is pressure 0 the supply",
+    "Kraft P [kN]": "which one",
     "p_max [bar]": "a statistic",
     "x_filtered [mm]": "a filtered",
     "F_error [N]": "a raw signal",
@@ -96,6 +103,21 @@ def test_nothing_is_guessed(header: str):
 
 def test_names_of_the_data_contract_need_no_map():
     assert [said.certainty for said in recognised(["time_s", "force_n", "pressure_a_pa"])] == ["contract"] * 3
+
+
+def test_a_pressure_numbered_0_beside_both_chambers_is_that_of_the_supply():
+    assert recognised(["Druck A [bar]", "Druck B [bar]", "Druck 0 [bar]"])[2].certainty == "stated"
+    assert [said.certainty for said in recognised(["Druck 0 [bar]", "Druck 1 [bar]"])] == ["unsure", "unsure"]
+
+
+@pytest.mark.parametrize(("values", "remark"), [((92, 209), "offset: -0.1505"), ((-60, 57), ""), ((1.25, 1.28), "")])
+def test_a_position_that_never_comes_near_0_gets_a_remark(tmp_path: Path, values, remark):
+    low, high = values
+    (tmp_path / "data.csv").write_text(f"time [s],Weg [mm]\n0,{low}\n1,{high}\n2,{low}\n")
+    [table] = look(tmp_path / "data.csv")
+    assert remark in table.columns[1].absolute
+    assert bool(remark) == bool(table.columns[1].absolute)
+    assert ("0 has to be at mid-stroke" in proposed_map([table]).text) == bool(remark)
 
 
 def test_two_columns_that_say_the_same_are_both_left_open():

@@ -58,6 +58,17 @@ def test_a_block_without_cycles_says_why(written, without_plotly):
     assert not panels(text)
 
 
+def test_a_reference_that_never_repeats_has_its_response_in_bands(written, without_plotly):
+    irregular = sum(wave(1e3, lag=f, order=f) for f in (0.31, 0.77, 1.31, 2.03, 3.17))
+    found = verified(np.interp(TIME - 0.02, TIME, irregular), irregular)
+    text = written(lambda path: write_verification_report(found, path))
+    check(text)
+    assert "The force is off by" in text
+    assert "its lag 20.0 ms" in html.unescape(text)
+    drawn = panels(text)
+    assert [trace["name"] for trace in drawn["Response"][0]] == ["gain", "lag", "coherence"]
+
+
 def test_many_blocks_have_a_table_and_the_first_have_figures(distorted, written, without_plotly):
     [block] = distorted.blocks
     many = tuple(block._replace(name=f"block {number}", number=number) for number in range(MAX_DRAWN + 2))

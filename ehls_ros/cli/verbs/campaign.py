@@ -15,7 +15,7 @@ from ehls_ros.experiments.campaign.store import Folder, opened, read_results
 from ehls_ros.experiments.campaign.work import code_version
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.yaml_files import spec_text
-from ehls_ros.progress import progress_bar
+from ehls_ros.progress import duration_text, progress_bar
 from ehls_ros.report.campaign import write_campaign_report
 from ehls_ros.report.campaign_findings import verdict_sentence
 
@@ -52,7 +52,7 @@ def run(options: Namespace) -> int:
         making = [
             ("Runs", str(outcome.runs)),
             ("Made by the last call", str(outcome.made)),
-            ("Wall time of the last call", f"{outcome.wall_s:.1f} s"),
+            ("Wall time of the last call", duration_text(outcome.wall_s)),
             ("Seed", str(plan.settings.seed)),
             ("ehls_ros", code_version()),
         ]
@@ -64,7 +64,7 @@ def run(options: Namespace) -> int:
 def _print(plan: Plan, folder: Folder, outcome: Outcome, results: CampaignResults, *, machine: bool) -> None:
     print(plan.settings.title)
     print(f"  {verdict_sentence(results)[0]}")
-    print(f"  made now     {outcome.made} of {outcome.runs} runs in {outcome.wall_s:.1f} s")
+    print(f"  made now     {outcome.made} of {outcome.runs} runs in {duration_text(outcome.wall_s)}")
     print(f"  table        {folder.results}")
     print(f"  report       {folder.report}")
     if machine:

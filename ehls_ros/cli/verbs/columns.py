@@ -92,5 +92,6 @@ def _print(table: Table, console: Console) -> None:
         printed.add_row(escape(header.column), *span, unit, header.signal or "?", sure, escape(left_open))
     if table.columns:
         console.print(printed)
-    for remark in (*table.axes, *table.remarks):
+    absolute = [f"{column.header.column}: {column.absolute}" for column in table.columns if column.absolute]
+    for remark in (*table.axes, *table.remarks, *absolute):
         console.print(f"{table.name}: {remark}", markup=False, highlight=False, soft_wrap=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ehls_ros.cli.arguments import add_columns, add_results, add_rig, check_range, columns_of
 from ehls_ros.cli.results import all_or_nothing, print_files, print_table, writable, write_json
+from ehls_ros.diagnosis.advice import advice
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
@@ -20,11 +21,11 @@ from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.yaml_files import rig_text, spec_text
 from ehls_ros.physics.rig import rig_to_mapping
-from ehls_ros.progress import progress_bar
+from ehls_ros.progress import duration_text, progress_bar
 from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
-from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps, words
+from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps
 from ehls_ros.report.quantities import likely, percent
 from ehls_ros.trajectory import Trajectory
 
@@ -135,7 +136,7 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
     if found.causes:
         _print_causes(found.causes)
     for cause in found.causes:
-        print(f"  to confirm {cause.name}: {words(cause.name).measure}")
+        print(f"  to confirm {cause.name}: {advice(found.rig, cause).measure}")
     for step in next_steps(found):
         print(f"  {step}")
     for sentence in found.missing if found.verdict == "insufficient" else ():
@@ -147,7 +148,7 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
         print(f"next experiment: {proposed.name}, {proposed.purpose}")
     for remark in (*found.remarks, *follows.all_remarks):
         print(f"  {remark}")
-    print(f"wall time {wall:.1f} s, diagnosis {found.wall_s:.1f} s of it")
+    print(f"wall time {duration_text(wall)}, diagnosis {duration_text(found.wall_s)} of it")
     files = {"result": RESULT, "report": REPORT, "rig": RIG, **({} if proposed is None else {"next": NEXT})}
     print_files((name, folder / file) for name, file in files.items())
 

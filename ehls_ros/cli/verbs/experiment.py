@@ -15,6 +15,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.adaptation_result import Adapted, adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
+from ehls_ros.experiments.compiling import announce_compiling, graph_jobs, loop_jobs
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
@@ -27,7 +28,7 @@ from ehls_ros.recording.bag_reader import read_bag
 from ehls_ros.recording.bag_writer import write_trajectory
 from ehls_ros.recording.events import read_events
 from ehls_ros.report.experiment import write_experiment_report
-from ehls_ros.report.page import limit_text
+from ehls_ros.report.page import limit_text, number
 from ehls_ros.trajectory import Trajectory, steady_error
 
 HELP = "Run an experiment over DDS, record a bag, print metrics and write a report."
@@ -79,6 +80,7 @@ def run(options: Namespace) -> int:
     folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
     with folder.filling():
         folder.write_spec(spec)
+        announce_compiling(loop_jobs(spec) if options.in_process else graph_jobs(spec), what=spec.settings.title)
         with progress_bar(spec.settings.title) as progress:
             done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
         metrics = with_causal_limit(evaluate(done.trajectory), done.trajectory)
@@ -165,7 +167,7 @@ def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, found: tuple[st
         if metrics.convergence_s is None:
             print(f"  oscillation in the last half    {metrics.oscillation_n:10.1f} N to either side")
     print(f"  cycles, unanswered ones         {metrics.cycles:8d}, {metrics.missed_cycles}")
-    print(f"  wall time                       {wall:10.2f} s ({metrics.duration_s / wall:.1f} x real time)")
+    print(f"  wall time                       {wall:10.2f} s ({number(metrics.duration_s / wall, 2)} x real time)")
     if metrics.in_real_time is not None:
         kept = "yes" if metrics.in_real_time else "NO"
         pace = f"{metrics.cycles_per_second_reached:.0f} of {metrics.cycles_per_second_asked:.0f} cycles/s"

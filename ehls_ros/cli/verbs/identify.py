@@ -19,7 +19,7 @@ from ehls_ros.identification.result import Identification, to_json
 from ehls_ros.identification.rig_result import RigIdentification, rig_to_json
 from ehls_ros.identification.strokes import Missing
 from ehls_ros.physics.rig import Rig, rig_to_mapping
-from ehls_ros.progress import progress_bar
+from ehls_ros.progress import duration_text, progress_bar
 from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.identification import write_identification_report
@@ -140,5 +140,5 @@ def _print(found: Identification | RigIdentification, folder: Path) -> None:
         print(f"not identifiable from these data: {', '.join(found.not_identifiable)}")
     for remark in found.remarks:
         print(f"  {remark}")
-    print(f"wall time {found.wall_s:.1f} s")
+    print(f"wall time {duration_text(found.wall_s)}")
     print_files([("rig", folder / RIG), ("result", folder / RESULT), ("report", folder / REPORT)])

@@ -21,13 +21,14 @@ from ehls_ros.experiments.monitoring.trends import check_limits
 from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.yaml_files import spec_text
-from ehls_ros.progress import progress_bar
+from ehls_ros.progress import duration_text, progress_bar
 from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.events import read_pauses
 from ehls_ros.recording.load import holds_tables, load, recordings
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.report.monitor import write_monitor_report
 from ehls_ros.report.monitor_findings import HEADER, answer, duration, known, offered, table_row
+from ehls_ros.report.page import number
 from ehls_ros.schema import declarations, parse
 
 HELP = "Watch recordings of a rig for changes, with a stated rate of false alarms: monitor.json, coefficients.csv, a report."
@@ -114,7 +115,8 @@ def run(options: Namespace) -> int:
         _write(folder, watched, document, f"{', '.join(part.name for part in parts)} against {options.rig.name}", options.rig)
         for name in (RESULT, TABLE, REPORT, *([OFFER] if watched.offer else [])):
             print(f"  {folder / name}")
-    print(f"{duration(seconds)} watched in {wall:.1f} s, {seconds / (time.perf_counter() - loaded):.0f} times real time")
+    pace = seconds / (time.perf_counter() - loaded)
+    print(f"{duration(seconds)} watched in {duration_text(wall)}, {number(pace, 2)} times real time")
     if options.json:
         print(json.dumps(document))
     return 0

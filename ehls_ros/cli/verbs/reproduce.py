@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ehls_ros.cli.arguments import add_results, check_range
 from ehls_ros.cli.results import print_files, print_table, writable, write_json
-from ehls_ros.progress import progress_bar
+from ehls_ros.progress import announce, duration_text, progress_bar
 from ehls_ros.reproduction import paper
 from ehls_ros.reproduction.report import write_reproduction_report
 from ehls_ros.reproduction.report_findings import causal_limits
@@ -36,6 +36,7 @@ def run(options: Namespace) -> int:
     """Run it."""
     check_range(options, "workers", 1)
     folder = writable(options.out, TABLE)
+    announce("compiling or loading the kernels of the study; compiled once for this version, which takes a minute or more")
     with progress_bar("compiling"):
         compile_s = compile_everything(options.workers)
     with progress_bar("the paper's cases") as progress:
@@ -56,7 +57,7 @@ def _print(results: Results, folder: Path) -> None:
     rows = [[name, *(_shown(cell) for cell in results.cells if cell.controller == name)] for name in paper.CONTROLLERS]
     rows.append(["causal limit", *causal_limits(results.cells)])
     print_table("Largest steady error [N], the paper's in brackets", ["", *columns], rows, right=columns)
-    print(f"wall time {results.wall_s:.1f} s, and {results.compile_s:.1f} s to compile or load the kernels")
+    print(f"wall time {duration_text(results.wall_s)}, and {duration_text(results.compile_s)} to compile or load the kernels")
     print_files([("table", folder / TABLE), ("all", folder / EVERYTHING), ("report", folder / REPORT)])
 
 

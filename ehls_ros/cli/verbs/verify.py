@@ -44,6 +44,9 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="CYCLES",
         help="cycles to leave out at the start of each stretch (default: until it has settled, half of them at most)",
     )
+    about = "time to begin and to end, since the start of the recording [s] (default: all of it)"
+    parser.add_argument("--from", dest="begin", type=float, metavar="S", help=about)
+    parser.add_argument("--to", dest="end", type=float, metavar="S", help="likewise")
     add_results(parser, "runs/verify", RESULT)
 
 
@@ -55,6 +58,8 @@ def run(options: Namespace) -> int:
         inertia_mass=options.inertia_mass,
         cell_uncertainty=options.cell_uncertainty,
         settling=options.settling,
+        begin=options.begin,
+        end=options.end,
     )
     trajectory = load(recording_in(data), columns_of(options))
     name = data.resolve().name

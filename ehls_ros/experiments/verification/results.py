@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.json_document import json_document
+from ehls_ros.experiments.verification.response import Band, Response
 from ehls_ros.experiments.verification.uncertainty import COVERAGE, Uncertainty
 from ehls_ros.samples import Mask
 
@@ -208,6 +209,8 @@ class NonCyclic(NamedTuple):
         samples: number of samples with force and reference.
         mean_error_n, rms_error_n, max_error_n: errors over all of them [N].
         last_half_rms_error_n, last_half_max_error_n: errors over the last half of each stretch [N].
+        bands: response of the force to the reference in bands of frequency; none for a reference that does not move.
+        response: the same over frequency, for plots; None likewise.
     """
 
     reason: str
@@ -217,6 +220,8 @@ class NonCyclic(NamedTuple):
     max_error_n: float
     last_half_rms_error_n: float
     last_half_max_error_n: float
+    bands: tuple[Band, ...] = ()
+    response: Response | None = None
 
 
 class JudgedBlock(NamedTuple):
@@ -297,7 +302,7 @@ def _plain(found: Cyclic | NonCyclic | Refused | Inertia) -> Mapping[str, Any]:
         if isinstance(value, Inertia)
         else value
         for key, value in found._asdict().items()
-        if not isinstance(value, Trend | OneCycle)
+        if key not in ("trend", "last", "response")
     }
 
 

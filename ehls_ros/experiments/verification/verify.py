@@ -7,7 +7,8 @@ with its command.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from ehls_ros.experiments.verification.cycles import (
     has_usual_reference,
     settled,
 )
+from ehls_ros.experiments.verification.response import response_of
 from ehls_ros.experiments.verification.results import (
     Cyclic,
     Distortion,
@@ -58,12 +60,15 @@ class Given(NamedTuple):
         inertia_mass: mass between load cell and specimen [kg]; None: no correction.
         cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None: unknown.
         settling: number of cycles to leave out at the start of each stretch; None: determined from the data.
+        begin, end: the time to verify, since the start of the recording [s]; None: all of it.
     """
 
     rig: Rig | None = None
     inertia_mass: float | None = None
     cell_uncertainty: float | None = None
     settling: int | None = None
+    begin: float | None = None
+    end: float | None = None
 
 
 def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
@@ -75,18 +80,32 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
         name: name of the recording in errors.
 
     Raises:
-        BadInput: force or reference was not recorded, a value is out of range, or inertia is to be corrected without a
-            position.
+        BadInput: force or reference was not recorded, a value is out of range, inertia is to be corrected without a position,
+            or there is no sample between begin and end.
     """
+    start, run = float(run.time_s[0]) if len(run) else 0.0, _between(run, given, name)
     _check(run, given, name)
     rig = given.rig or _recorded_rig(run.metadata)
     blocks = blocks_of(run)
     return Verification(
-        blocks=tuple(_judged(run, block, given, rig) for block in blocks),
-        remarks=tuple(_remarks(run, given, rig)),
+        blocks=tuple(_judged(run, block, given, rig, start) for block in blocks),
+        remarks=tuple(_remarks(run, given, rig, blocks, start)),
         inertia_mass_kg=given.inertia_mass,
         cell_uncertainty_percent=given.cell_uncertainty,
     )
+
+
+def _between(run: Trajectory, given: Given, name: str) -> Trajectory:
+    """Return the time of a recording that is to be verified."""
+    if given.begin is None and given.end is None:
+        return run
+    since = run.time_s - run.time_s[0]
+    begin, end = given.begin if given.begin is not None else 0.0, given.end if given.end is not None else math.inf
+    kept = (since >= begin) & (since <= end)
+    if not kept.sum() > 1:
+        what = f"no two samples lie from {begin:g} to {end:g} s"
+        raise BadInput(what, name, f"--from and --to within 0 to {since[-1]:.6g} s, since the start of the recording")
+    return replace(run, time_s=run.time_s[kept], signals={signal: values[kept] for signal, values in run.signals.items()})
 
 
 def _check(run: Trajectory, given: Given, name: str) -> None:
@@ -111,10 +130,16 @@ def _recorded_rig(metadata: Mapping[str, Any]) -> Rig | None:
         return None
 
 
-def _remarks(run: Trajectory, given: Given, rig: Rig | None) -> Iterator[str]:
+def _remarks(run: Trajectory, given: Given, rig: Rig | None, blocks: Sequence[Block], start: float) -> Iterator[str]:
     yield from run.preparation.remarks
     if BLOCK not in run:
         yield "The recording has no programme: it is judged as one block with the cycle of its reference."
+    for block in blocks if BLOCK not in run else ():
+        parts = [run.time_s[[stretch.samples.start, stretch.samples.stop - 1]] - start for stretch in block.stretches]
+        left = float(run.time_s[-1] - run.time_s[0] - sum(float(np.ptp(part)) for part in parts))
+        if sum(part.stop - part.start for part, _ in block.stretches) < len(run):
+            spans = ", ".join(f"{begin:.4g} to {end:.4g} s" for begin, end in parts)
+            yield f"The reference repeats from {spans}; the other {left:.3g} s (hold, taper or other cycles) are left out."
     if rig is None:
         yield "No rig file was given: resolution, noise and lag of the sensors are not in the uncertainty."
     elif "force" not in rig.sensors:
@@ -125,7 +150,7 @@ def _remarks(run: Trajectory, given: Given, rig: Rig | None) -> Iterator[str]:
         yield "The inertia of the mass between load cell and specimen is not corrected: no mass is given."
 
 
-def _judged(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> JudgedBlock:
+def _judged(run: Trajectory, block: Block, given: Given, rig: Rig | None, start: float) -> JudgedBlock:
     parts = [stretch.samples for stretch in block.stretches]
     known = [np.isfinite(run["force_n"][part]) & np.isfinite(run["force_reference_n"][part]) for part in parts]
     total = sum(len(part) for part in known)
@@ -133,7 +158,7 @@ def _judged(run: Trajectory, block: Block, given: Given, rig: Rig | None) -> Jud
     return JudgedBlock(
         name=block.name,
         number=block.number,
-        begin_s=float(run.time_s[parts[0].start] - run.time_s[0]),
+        begin_s=float(run.time_s[parts[0].start] - start),
         duration_s=float(sum(run.time_s[part.stop - 1] - run.time_s[part.start] for part in parts)),
         missing_percent=100.0 * (1.0 - present / total),
         found=_found(run, block, given, rig) if present else Refused("no sample has both force and reference"),
@@ -163,6 +188,8 @@ def _over_time(run: Trajectory, block: Block, reason: str) -> NonCyclic:
     error, half = np.concatenate(parts), np.concatenate([part[len(part) // 2 :] for part in parts])
     error, half = error[np.isfinite(error)], half[np.isfinite(half)]
     half = half if half.size else error
+    longest = max((stretch.samples for stretch in block.stretches), key=lambda samples: samples.stop - samples.start)
+    response = response_of(run.time_s[longest], run["force_reference_n"][longest], run["force_n"][longest])
     return NonCyclic(
         reason=reason,
         samples=int(error.size),
@@ -171,6 +198,8 @@ def _over_time(run: Trajectory, block: Block, reason: str) -> NonCyclic:
         max_error_n=float(np.abs(error).max()),
         last_half_rms_error_n=float(np.sqrt(np.mean(half**2))),
         last_half_max_error_n=float(np.abs(half).max()),
+        bands=() if response is None else response.bands,
+        response=response,
     )
 
 
