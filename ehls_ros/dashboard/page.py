@@ -14,7 +14,7 @@ from ehls_ros.dashboard.experiment import ExperimentTab
 from ehls_ros.dashboard.graph import Graph, NodeHealth, StartProgress, Timing
 from ehls_ros.dashboard.panels import PANELS, SIGNALS, SPANS, UNITS, Panel, options
 from ehls_ros.dashboard.rig_health import RigTab
-from ehls_ros.dashboard.status import WARNING, Remedy, programme_line, status_of
+from ehls_ros.dashboard.status import WARNING, Remedy, programme_figures, programme_line, status_of
 from ehls_ros.dashboard.tuning import TuningTab
 from ehls_ros.dashboard.window import INTERVAL
 
@@ -149,7 +149,7 @@ class Page:
         self._graph_seen |= snapshot.rate > 0.0
         self._state.set_text(status.text)
         _set_level(self._state, status.level)
-        programme = programme_line(snapshot.health)
+        programme = programme_line(programme_figures(snapshot.health))
         self._programme.set_text(programme)
         self._programme.set_visibility(bool(programme))
         self._text.set_text(status.trouble)

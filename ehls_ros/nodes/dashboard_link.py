@@ -17,13 +17,11 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
-from rclpy.exceptions import InvalidNamespaceException
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
-from rclpy.validate_namespace import validate_namespace
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop
@@ -31,13 +29,13 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import MAX_NAME, Answer, NodeHealth, RigHealth, Tunable, Value, shortened, shortened_figures
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, RESPONSE, SIGNALS, VALLEY
 from ehls_ros.dashboard.window import Peaks, Window
-from ehls_ros.errors import BadInput
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.dashboard_rig import RigWatch
 from ehls_ros.nodes.graph import GOALS, LOST, REALTIME_PRIORITY
 from ehls_ros.nodes.graph_nodes import PLANTS
+from ehls_ros.nodes.parameter_requests import checked_namespace
 from ehls_ros.nodes.transport import Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
 from ehls_ros.recording.cdr import CdrError, decode, flatten
@@ -169,12 +167,7 @@ class Link:
         Raises:
             BadInput: not a valid ROS namespace.
         """
-        self.namespace = namespace.strip("/")
-        try:
-            validate_namespace(f"/{self.namespace}")
-        except InvalidNamespaceException as error:
-            expected = "letters, digits and underscores, such as rig2"
-            raise BadInput(f"'{namespace}' is not a valid ROS namespace", "--namespace", expected) from error
+        self.namespace = checked_namespace(namespace)
         self.where = f"/{self.namespace} in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.window = Window(tuple(SIGNALS))

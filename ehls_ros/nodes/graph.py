@@ -198,14 +198,24 @@ def free_domain() -> int:
     """Return a domain that no participant on this host uses; each process starts its search at a different one."""
     for offset in range(len(DOMAINS)):
         domain = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                # Discovery port of the domain's first participant, by the RTPS port mapping.
-                probe.bind(("", 7400 + 250 * domain + 10))
-            except OSError:
-                continue
-        return domain
+        if not _is_used(domain):
+            return domain
     raise WorkFailed("all ROS domains from 1 to 101 are in use on this host: stop other graphs or set ROS_DOMAIN_ID")
+
+
+def domains_in_use() -> list[int]:
+    """Return the domains from 0 to 101 with participants on this host."""
+    return [domain for domain in (0, *DOMAINS) if _is_used(domain)]
+
+
+def _is_used(domain: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # Discovery port of the domain's first participant, by the RTPS port mapping.
+            probe.bind(("", 7400 + 250 * domain + 10))
+        except OSError:
+            return True
+    return False
 
 
 def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:

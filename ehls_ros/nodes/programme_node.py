@@ -42,6 +42,9 @@ QUIET = 0.3
 """Time without a snapshot after which a rig in lockstep counts as waiting for its reference [s]."""
 
 
+UNITS = {"force": "N", "position": "m"}
+"""Unit of a programme's values, by the quantity that it prescribes."""
+
 ON_REQUEST = "on request"
 """Reason given for a programme that its operator stopped."""
 
@@ -475,10 +478,11 @@ class ProgrammeNode(AheadNode):
             "ahead": self.next - 1 - self.last,
         }
         if self.tally.newest is not None:
-            figures |= {"peak": self.tally.newest.peak, "valley": self.tally.newest.valley}
+            figures |= {"peak": self.tally.newest.peak, "valley": self.tally.newest.valley, "unit": UNITS[self.follows]}
         runner = self.runner
         if runner is not None and runner.motions[-1].rests is not None and self.state != State.FINISHED:
             reason = runner.motions[-1].reason
+            figures["stopped_because"] = reason
             return OK if reason == ON_REQUEST else WARN, f"stopped: {reason}; programme_resume continues", figures
         if not self.is_active:
             return OK, "inactive", figures
