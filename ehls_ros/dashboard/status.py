@@ -4,6 +4,7 @@ Diagnostics arrive once a second and on change, cycles a thousand times a second
 for a moment, so only the most severe finding is shown.
 """
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from enum import Enum
@@ -183,6 +184,18 @@ def programme_figures(health: Iterable[NodeHealth]) -> Mapping[str, str]:
     return next((node.figures for node in health if node.node == NODE), {})
 
 
+def programme_requests(figures: Mapping[str, str]) -> frozenset[str]:
+    """Return the requests that the programme would follow at present: ``stop``, ``resume``, ``skip``.
+
+    Args:
+        figures: diagnostics of the programme node; empty: no programme.
+    """
+    state = figures.get("programme_state", "finished")
+    if state == "finished":
+        return frozenset()
+    return frozenset({"skip", "resume" if "stopped_because" in figures else "stop"})
+
+
 def programme_line(figures: Mapping[str, str]) -> str:
     """Return title, block, load cycles, state, last peak and valley of a programme, and the reason for a stop.
 
@@ -203,6 +216,8 @@ def _last_peak(figures: Mapping[str, str]) -> str:
     try:
         values = [float(figures[name]) for name in ("peak", "valley")]
     except (KeyError, ValueError):
+        return ""
+    if not all(map(math.isfinite, values)):
         return ""
     unit, factor = _readable(figures.get("unit", ""), max(map(abs, values)))
     peak, valley = (f"{factor * value:.4g} {unit}".rstrip() for value in values)

@@ -308,6 +308,12 @@ def _throughout(signal: _Signal, duration: float) -> Array:
     return rows
 
 
+def reference_extremes(spec: Spec) -> tuple[float, float]:
+    """Return the smallest and largest value of an experiment's reference [N] or [m], as sampled for :func:`check_spec`."""
+    rows = _throughout(_Signal(repr(spec.reference), spec.reference), spec.settings.duration)
+    return float(rows[:, 0].min()), float(rows[:, 0].max())
+
+
 def _rig(data: Any, where: str, folder: Path) -> Rig:
     """Read a rig for simulation, which requires all its values."""
     file = configured(data, beside=folder) if isinstance(data, str) else None

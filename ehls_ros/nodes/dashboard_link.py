@@ -29,6 +29,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import MAX_NAME, Answer, NodeHealth, RigHealth, Tunable, Value, shortened, shortened_figures
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, RESPONSE, SIGNALS, VALLEY
 from ehls_ros.dashboard.window import Peaks, Window
+from ehls_ros.hardware.ownership import node_of
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
@@ -44,6 +45,7 @@ from ehls_ros.recording.topics import (
     DEPTH,
     FRICTION_ESTIMATE,
     LOADER_STATE,
+    OF_GATE,
     POSITION_REFERENCE,
     PROGRAMME_POINT,
     VALVE_COMMAND,
@@ -78,8 +80,11 @@ SERVICES = (
     (Trigger, "reset_trips"),
     (SetBool, "enable"),
     (Trigger, "monitor_acknowledge"),
+    (Trigger, "programme_stop"),
+    (Trigger, "programme_resume"),
+    (Trigger, "programme_skip"),
 )
-"""Services of plant and monitor that the page's buttons call."""
+"""Services of plant, monitor and programme that the page's buttons call."""
 
 RETRY_TIME = 2.0
 """Time for which a refused reset or enabling is retried [s]: the ramp to null takes time."""
@@ -257,9 +262,12 @@ class Link:
                 self._arrivals = []
 
     def tunable_nodes(self) -> tuple[str, ...]:
-        """Return the nodes with live parameters, the controller first."""
-        known = {health.node for health in self.health()}
-        return tuple(node for node in (*(law + SUFFIX for law in CONTROLLERS.names()), *PLANTS.values()) if node in known)
+        """Return the nodes with live parameters, the driving controller first."""
+        known = {health.node: health.figures for health in self.health()}
+        owner = next((figures[OF_GATE] for figures in known.values() if OF_GATE in figures), "")
+        driver = node_of(owner).rpartition("/")[2]
+        laws = sorted((law + SUFFIX for law in CONTROLLERS.names()), key=lambda node: node != driver)
+        return tuple(node for node in (*laws, *PLANTS.values()) if node in known)
 
     def parameters(self, node: str) -> tuple[Tunable, ...]:
         """Return a node's live parameters; empty if it does not answer."""
@@ -327,6 +335,10 @@ class Link:
             if not answer.done:
                 return answer
         return answer
+
+    def programme(self, request: str) -> Answer:
+        """Stop, resume or skip a block of the running programme: ``stop``, ``resume`` or ``skip``."""
+        return self._request(Trigger, f"programme_{request}", Trigger.Request(), "programme")
 
     def is_up(self, node: str) -> bool:
         """Return whether a lifecycle node is ready for requests."""

@@ -5,15 +5,19 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.cli.arguments import Configured, add_json, add_namespace, needs_ros
+from ehls_ros.cli.arguments import Configured, add_configured, add_json, add_namespace, needs_ros
 from ehls_ros.cli.results import writable
+from ehls_ros.cli.verbs import experiment
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.programme_summary import Counts, Summary, counted, in_bins, summary_of
 from ehls_ros.experiments.reference_files import load_programme
 from ehls_ros.experiments.run_folder import recording_in
-from ehls_ros.experiments.spec import load_rig
+from ehls_ros.experiments.spec import check_spec, load_rig, spec_from_mapping
 from ehls_ros.recording.load import load
+from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.report.page import number
 from ehls_ros.report.programme import write_programme_report
 
@@ -59,6 +63,20 @@ def arguments(parser: ArgumentParser) -> None:
         "--counted", type=Path, metavar="RUN", help="also count the recorded force of a run folder, bag or table"
     )
     parser.add_argument("--out", type=Path, help="HTML file with a picture of it")
+    parser.add_argument(
+        "--run",
+        nargs="?",
+        type=Path,
+        const=Path(),
+        metavar="FOLDER",
+        help="run it to its end on the graph, recorded in a run folder (default: runs/<programme>-<time>)",
+    )
+    add_configured(parser, "--spec", "experiments", "with --run: experiment whose rig, controller and disturbance are used")
+    parser.add_argument(
+        "--controller", choices=CONTROLLERS.names(), help="with --run: control law (default: the experiment's, otherwise fasmc)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="with --run: replace a run that FOLDER already holds")
+    experiment.add_graph_options(parser.add_argument_group("with --run"))
     add_json(parser, "the summary")
 
 
@@ -66,6 +84,8 @@ def run(options: Namespace) -> int:
     """Check the file, or send the request."""
     if isinstance(options.programme, str):
         return _ask(options)
+    if options.run is not None:
+        return _run(options)
     programme = load_programme(options.programme)
     summary = summary_of(programme, load_rig(configured(options.rig)))
     if options.counted is not None:
@@ -79,6 +99,27 @@ def run(options: Namespace) -> int:
     if options.json:
         print(json.dumps(json_document(summary)))
     return 0
+
+
+def _run(options: Namespace) -> int:
+    """Run the programme to its end on the graph."""
+    file = str(options.programme)
+    reference = {"name": "programme", "file": str(options.programme.resolve())}
+    if options.spec is None:
+        content: dict[str, Any] = {"rig": str(configured(options.rig).resolve()), "controller": options.controller or "fasmc"}
+        spec = spec_from_mapping({**content, "reference": reference}, file, Path())
+    else:
+        content = {**read_yaml(options.spec, "spec"), "reference": reference}
+        content |= {"controller": options.controller} if options.controller else {}
+        spec = spec_from_mapping(content, str(options.spec), options.spec.parent)
+    programme = programme_of(spec.reference.parameters)
+    settings = spec.settings._replace(title=programme.parameters.title, duration=programme.duration)
+    spec = spec._replace(settings=settings)
+    check_spec(spec, file)
+    options.out, options.in_process = options.run if options.run != Path() else None, False
+    words = ["programme", file, "--run", *(["--spec", str(options.spec)] if options.spec else ["--rig", str(options.rig)])]
+    words += ["--controller", options.controller] if options.controller else []
+    return experiment.carry_out(spec, options, file, words, until_finished=True)
 
 
 def _ask(options: Namespace) -> int:
