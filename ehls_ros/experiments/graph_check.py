@@ -99,7 +99,7 @@ def check_fit(spec: Spec, graph: Graph, where: str) -> tuple[str, ...]:
 def laws_for(follows: str, measured: Sequence[str]) -> list[str]:
     """Return the laws that follow a quantity and need no other readings than those measured."""
     laws = CONTROLLERS.usable()
-    return [name for name, law in laws.items() if law.FOLLOWS == follows and not _unmet(law, measured)]
+    return [name for name, law in laws.items() if follows == law.FOLLOWS and not _unmet(law, measured)]
 
 
 def _unmet(law: object, measured: Sequence[str]) -> list[str]:

@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import MAX_NAME, Answer, NodeHealth, RigHealth, Tunable, Value, shortened, shortened_figures
-from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, RESPONSE, SIGNALS, VALLEY
+from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, POSITION_REFERENCE, RESPONSE, SIGNALS, VALLEY
 from ehls_ros.dashboard.window import Peaks, Window
 from ehls_ros.hardware.ownership import node_of
 from ehls_ros.hardware.realtime import preferring_what_starts
@@ -46,8 +46,8 @@ from ehls_ros.recording.topics import (
     FRICTION_ESTIMATE,
     LOADER_STATE,
     OF_GATE,
-    POSITION_REFERENCE,
     PROGRAMME_POINT,
+    REFERENCE_TOPICS,
     VALVE_COMMAND,
     Topic,
 )
@@ -113,8 +113,11 @@ SILENT = 3
 CYCLES = 8192
 """Snapshots whose sending time is kept until their command arrives."""
 
-TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE, PROGRAMME_POINT)
-"""Topics read; the snapshots come first, as they set the time base of the others."""
+AHEAD = (*REFERENCE_TOPICS.values(), PROGRAMME_POINT)
+"""Topics that run ahead of the cycles; their values are shown with the snapshots."""
+
+TOPICS = (*AHEAD, LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE)
+"""Topics read; of the others, the snapshots come first, as they set the time base."""
 
 
 def observer_qos() -> QoSProfile:
@@ -192,7 +195,11 @@ class Link:
         self._newest = -1
         self._sent_at = np.zeros(CYCLES, dtype=np.int64)
         self._sent_cycle = np.full(CYCLES, -1, dtype=np.int64)
-        self._force = np.full(CYCLES, np.nan)
+        # By reference: the cycles of its last rows, and their values.
+        self._references = {
+            name: (np.full(CYCLES, -1, dtype=np.int64), np.full(CYCLES, np.nan))
+            for name in (FORCE_REFERENCE, POSITION_REFERENCE)
+        }
         self._peaks = Peaks()
         self._rig = RigWatch(self._node)
         self._arrivals: list[tuple[float, int]] = []
@@ -482,10 +489,16 @@ class Link:
         stamp_ns = columns[SECONDS].astype(np.int64) * codec.NANOSECONDS + columns[NANOSECONDS]
         values = _by_signal(topic, columns)
         if topic is LOADER_STATE:
-            self._process_snapshots(cycle, stamp_ns, sent_ns, values["force_n"])
+            self._process_snapshots(cycle, stamp_ns, sent_ns)
             values[PEAK], values[VALLEY] = self._peaks.of(cycle, values["force_n"])
+            for name, (cycles, ahead) in self._references.items():
+                values[name] = np.where(cycles[cycle % CYCLES] == cycle, ahead[cycle % CYCLES], np.nan)
         if topic is PROGRAMME_POINT:
             self._peaks.note(cycle, columns)
+        for name in values.keys() & self._references.keys() if topic in AHEAD else ():
+            cycles, ahead = self._references[name]
+            cycles[cycle % CYCLES], ahead[cycle % CYCLES] = cycle, values[name]
+        if topic in AHEAD:
             return
         if self._origin_ns is None:
             return
@@ -493,17 +506,13 @@ class Link:
             response_ns = sent_ns - self._sent_at[cycle % CYCLES]
             # A node in the plant's process has answered before either message is sent, and its command is sent first.
             values[RESPONSE] = 1e-3 * self._since_snapshot(cycle, np.where(response_ns >= 0, response_ns, np.nan))
-        if topic is CONTROLLER_STATUS:
-            values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % CYCLES] - values["force_error_n"])
         time_s = 1e-9 * (stamp_ns - self._origin_ns)
         # Drop samples of a previous graph, or too far ahead of the cycles.
         fits = (time_s >= 0.0) & (cycle <= self._newest + DEPTH) & np.isfinite(time_s)
         order = np.argsort(time_s[fits], kind="stable")
         self.window.add(time_s[fits][order], {name: column[fits][order] for name, column in values.items()})
 
-    def _process_snapshots(
-        self, cycle: NDArray[np.int64], stamp_ns: NDArray[np.int64], sent_ns: NDArray[np.int64], force: NDArray[np.float64]
-    ) -> None:
+    def _process_snapshots(self, cycle: NDArray[np.int64], stamp_ns: NDArray[np.int64], sent_ns: NDArray[np.int64]) -> None:
         now = time.monotonic()
         with self._lock:
             self._arrivals.append((now, len(cycle)))
@@ -522,7 +531,6 @@ class Link:
         self._newest = int(cycle[-1])
         self._sent_at[cycle % CYCLES] = sent_ns
         self._sent_cycle[cycle % CYCLES] = cycle
-        self._force[cycle % CYCLES] = force
 
     def _since_snapshot(self, cycle: NDArray[np.int64], values: NDArray[Any]) -> NDArray[np.float64]:
         """Return the values, with NaN where the cycle's snapshot was not received."""
