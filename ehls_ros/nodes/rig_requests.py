@@ -137,8 +137,12 @@ class RigRequests(Requests):
                 newest = taken
         if newest is None:
             return None
-        cycle = Decoder(LoaderState)(newest[0])[1]
-        return Sample(cycle, max(0.0, (time.time_ns() - newest[1]["source_timestamp"]) / NANOSECONDS))
+        decoded = Decoder(LoaderState)(newest[0])
+        return (
+            None
+            if decoded is None
+            else Sample(decoded[1], max(0.0, (time.time_ns() - newest[1]["source_timestamp"]) / NANOSECONDS))
+        )
 
     def _gate(self, service: str, kind: Any, request: Any, *, retry: bool = False) -> str:
         """Return the answer of a service of the gate; ``retry``: repeat the request while it is refused for the moment."""
