@@ -19,7 +19,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit
-from ehls_ros.experiments.spec import chosen_spec, with_programme
+from ehls_ros.experiments.spec import COMMAND_DELAY, Use, chosen_spec, for_simulated_rig, with_programme
 from ehls_ros.nodes import SUFFIX
 from ehls_ros.nodes.frames import frame_prefix, robot_description
 from ehls_ros.nodes.graph_nodes import (
@@ -122,6 +122,11 @@ def nodes(context: LaunchContext) -> list[Node]:
         MONITOR: {"baseline": chosen["baseline"]} if chosen["baseline"] else {},
         plant: {"partners": ",".join(name for name in names if name not in {*left_out, MONITOR})},
     }
+    if chosen["plant"] == "sim" and not chosen["params_file"]:
+        use = spec.controller if law == spec.controller.name else Use(law, CONTROLLERS.load(law).Parameters())
+        fitted = for_simulated_rig(spec._replace(controller=use)).controller
+        if fitted != use:
+            own[law + SUFFIX] = {COMMAND_DELAY: fitted.parameters.command_delay}
     if chosen["programme"]:
         own[PROGRAMME] = {"programme": chosen["programme"]}
         own[RECORDER]["programme"] = chosen["programme"]

@@ -15,7 +15,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.graph_check import Graph as Checked
 from ehls_ros.experiments.graph_check import check_fit
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.experiments.spec import Spec, for_simulated_rig, load_spec
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.dashboard_link import Link
 from ehls_ros.nodes.graph import (
@@ -113,6 +113,7 @@ class DashboardGraph(Link):
         with self._changing:
             if self.started_here() or self.rate():
                 return Answer(done=False, message="a graph is already running: stop it first")
+            spec = for_simulated_rig(spec)
             try:
                 check_fit(spec, Checked(lockstep=timing is not Timing.REALTIME), name)
                 folder = _folder(spec, name)

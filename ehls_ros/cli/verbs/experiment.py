@@ -24,7 +24,7 @@ from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
 from ehls_ros.experiments.programme_records import STATE, read_state
 from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, company_of, load_spec, undeclared_effects
+from ehls_ros.experiments.spec import Spec, company_of, for_simulated_rig, load_spec, undeclared_effects
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.bag_reader import read_bag
@@ -113,6 +113,8 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
         raise BadInput("--bridge was given", "command line", "--plant bridge with it")
     if options.continued is not None:
         _check_continued(options, spec)
+    if options.plant == "sim":
+        spec = for_simulated_rig(spec)
     remarks: tuple[str, ...] = ()
     if not options.in_process:
         bridge = bridge_at(options.bridge) if options.plant == "bridge" else None
