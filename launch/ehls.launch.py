@@ -6,6 +6,7 @@ its nodes are named ``rig2/...``. In lockstep it also needs a separate ``clock:=
 """
 
 import tempfile
+from pathlib import Path
 
 import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
@@ -16,7 +17,9 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.experiments.spec import check_law, chosen_spec
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit
+from ehls_ros.experiments.spec import COMMAND_DELAY, Use, chosen_spec, for_simulated_rig, with_programme
 from ehls_ros.nodes import SUFFIX
 from ehls_ros.nodes.frames import frame_prefix, robot_description
 from ehls_ros.nodes.graph_nodes import (
@@ -88,12 +91,16 @@ def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes that the arguments select.
 
     Raises:
-        BadInput: the spec is wrong, or the controller cannot follow its reference.
+        BadInput: the spec is wrong, or spec, bridge and controller do not fit together.
     """
     chosen = arguments(context)
     spec = chosen_spec(chosen["spec"], chosen["rig"])
     law = chosen["controller"] or spec.controller.name
-    check_law(spec, law, "controller")
+    if chosen["bridge"] and chosen["plant"] != "bridge":
+        raise BadInput(f"bridge is {chosen['bridge']}", "launch argument", "plant:=bridge with it")
+    bridge = bridge_at(Path(chosen["bridge"]) if chosen["bridge"] else None) if chosen["plant"] == "bridge" else None
+    checked = with_programme(spec, chosen["programme"])
+    check_fit(checked, Graph(law, bridge, lockstep=chosen["timing"] == LOCKSTEP), chosen["spec"] or "sine_fd2")
     common: dict[str, object] = {name: chosen[name] for name in ("spec", "rig", "timing")}
     common["priority"] = int(chosen["priority"])
     common |= {name: chosen[name] == "true" for name in ("autostart", "use_sim_time")}
@@ -115,6 +122,11 @@ def nodes(context: LaunchContext) -> list[Node]:
         MONITOR: {"baseline": chosen["baseline"]} if chosen["baseline"] else {},
         plant: {"partners": ",".join(name for name in names if name not in {*left_out, MONITOR})},
     }
+    if chosen["plant"] == "sim" and not chosen["params_file"]:
+        use = spec.controller if law == spec.controller.name else Use(law, CONTROLLERS.load(law).Parameters())
+        fitted = for_simulated_rig(spec._replace(controller=use)).controller
+        if fitted != use:
+            own[law + SUFFIX] = {COMMAND_DELAY: fitted.parameters.command_delay}
     if chosen["programme"]:
         own[PROGRAMME] = {"programme": chosen["programme"]}
         own[RECORDER]["programme"] = chosen["programme"]

@@ -16,7 +16,15 @@ from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import Metrics, evaluate
 from ehls_ros.experiments.run_failure import with_failure
-from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping, spec_to_mapping, undeclared_effects
+from ehls_ros.experiments.spec import (
+    Spec,
+    check_spec,
+    for_simulated_rig,
+    load_rig,
+    spec_from_mapping,
+    spec_to_mapping,
+    undeclared_effects,
+)
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.physics.rig import EffectUse, Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.progress import progress_bar
@@ -118,6 +126,7 @@ def simulate(
         "compensation": compensation, "duration": duration, "seed": seed, "title": title,
     }  # fmt: skip
     made = _changed(spec, rig, controller_rig, {key: value for key, value in changes.items() if value is not None})
+    made = for_simulated_rig(made)
     if progress:
         announce_compiling(loop_jobs(made), what=made.settings.title)
     with progress_bar(made.settings.title, shown=progress, lines=False) as bar:

@@ -74,6 +74,11 @@ def add_json(parser: ArgumentParser, document: str) -> None:
     parser.add_argument("--json", action="store_true", help=f"end with one line of JSON: {document}")
 
 
+def add_namespace(parser: ArgumentParser) -> None:
+    """Add ``--namespace``, that of a rig's nodes."""
+    parser.add_argument("--namespace", default="ehls", help="namespace of the rig (default: ehls)")
+
+
 def columns_of(options: Namespace) -> "ColumnMap | None":
     """Return the map given by ``--columns``."""
     from ehls_ros.recording.columns import read_columns  # half a second that not every verb needs

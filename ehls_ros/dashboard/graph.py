@@ -182,7 +182,7 @@ class Graph(Protocol):
         """Return the present state of the graph, without the signals."""
 
     def tunable_nodes(self) -> tuple[str, ...]:
-        """Return the nodes with live parameters, the controller first."""
+        """Return the nodes with live parameters, the driving controller first."""
 
     def parameters(self, node: str) -> tuple[Tunable, ...]:
         """Return a node's live parameters; empty if it does not answer."""
@@ -207,6 +207,9 @@ class Graph(Protocol):
 
     def reset_and_enable(self) -> Answer:
         """Reset the gate's latched trips, and enable the gate."""
+
+    def programme(self, request: str) -> Answer:
+        """Stop, resume or skip a block of the running programme: ``stop``, ``resume`` or ``skip``."""
 
     def start(self, spec: Spec, name: str, timing: Timing) -> Answer:
         """Start the nodes of a spec for a run without end; return once they run."""

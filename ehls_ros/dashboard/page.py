@@ -1,5 +1,6 @@
 """The page: plots of the signals, the nodes' diagnostics, and controls for pages that may write."""
 
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from ehls_ros.dashboard.experiment import ExperimentTab
 from ehls_ros.dashboard.graph import Graph, NodeHealth, StartProgress, Timing
 from ehls_ros.dashboard.panels import PANELS, SIGNALS, SPANS, UNITS, Panel, options
 from ehls_ros.dashboard.rig_health import RigTab
-from ehls_ros.dashboard.status import WARNING, Remedy, programme_line, status_of
+from ehls_ros.dashboard.status import WARNING, Remedy, programme_figures, programme_line, programme_requests, status_of
 from ehls_ros.dashboard.tuning import TuningTab
 from ehls_ros.dashboard.window import INTERVAL
 
@@ -34,6 +35,9 @@ MENU = '<details class="menu"><summary>{label}</summary><div id="{id}" class="ch
 
 LEVELS = ("OK", "warning", "error", "silent")
 """Names of the levels of :class:`Health`."""
+
+PROGRAMME_BUTTONS = {"stop": "Stop programme", "resume": "Resume programme", "skip": "Skip block"}
+"""Requests to the programme, and the labels of their buttons."""
 
 COMPILING_TEXT = (
     "The control law and the simulated rig are being compiled for this machine: about half a minute the first time, a few "
@@ -64,6 +68,7 @@ class Page:
         self._tuning: TuningTab | None = None
         self._experiment: ExperimentTab | None = None
         self._remedies: dict[Remedy, ui.button] = {}
+        self._requests: dict[str, ui.button] = {}
         ui.add_css(FOLDER / "style.css")
         self._head(writes=writes)
         with ui.element("div").classes("plots"):
@@ -98,18 +103,28 @@ class Page:
             ui.html(PAUSE, sanitize=False, tag="label").classes("pause")
             if writes:
                 button("Emergency stop", graph.emergency_stop, "dense color=negative")
-        self._programme = ui.label("").classes("note").props('data-name="programme"')
-        with ui.element("div").classes("trouble") as self._trouble:
-            self._text = ui.label("").props('data-name="trouble"')
+        with ui.element("div").classes("programme") as self._programme:
+            self._programme_text = ui.label("").props('data-name="programme"')
             if writes:
-                requests = {
-                    Remedy.ACKNOWLEDGE: graph.acknowledge_stop,
-                    Remedy.RESET: graph.reset_and_enable,
-                    Remedy.ENABLE: graph.enable,
+                self._requests = {
+                    request: button(text, partial(graph.programme, request), "dense outline")
+                    for request, text in PROGRAMME_BUTTONS.items()
                 }
-                self._remedies = {remedy: button(remedy.value, ask, "dense color=negative") for remedy, ask in requests.items()}
         lost = "The dashboard's server does not answer: it was stopped, the connection is lost, or the machine is too busy."
-        ui.label(lost).classes("trouble lost")
+        # The row has a fixed height; a longer text covers the plots, so that nothing moves under the pointer.
+        with ui.element("div").classes("notices"):
+            with ui.element("div").classes("trouble") as self._trouble:
+                self._text = ui.label("").props('data-name="trouble"')
+                if writes:
+                    remedies = {
+                        Remedy.ACKNOWLEDGE: graph.acknowledge_stop,
+                        Remedy.RESET: graph.reset_and_enable,
+                        Remedy.ENABLE: graph.enable,
+                    }
+                    self._remedies = {
+                        remedy: button(remedy.value, ask, "dense color=negative") for remedy, ask in remedies.items()
+                    }
+            ui.label(lost).classes("trouble lost")
 
     def _side(self, spec: Path | None, timing: Timing, *, writes: bool) -> None:
         names = ("Tune", "Experiment", "Nodes", "Rig") if writes else ("Nodes", "Rig")
@@ -141,7 +156,7 @@ class Page:
     async def _send_texts(self) -> None:
         self._show_texts()
         if self._tuning is not None:
-            await self._tuning.follow()
+            await self._tuning.follow(self._era)
 
     def _show_texts(self) -> None:
         snapshot = self._graph.snapshot()
@@ -149,9 +164,12 @@ class Page:
         self._graph_seen |= snapshot.rate > 0.0
         self._state.set_text(status.text)
         _set_level(self._state, status.level)
-        programme = programme_line(snapshot.health)
-        self._programme.set_text(programme)
-        self._programme.set_visibility(bool(programme))
+        figures = programme_figures(snapshot.health)
+        self._programme_text.set_text(programme_line(figures))
+        self._programme.set_visibility(bool(figures))
+        possible = programme_requests(figures)
+        for request, pressed in self._requests.items():
+            pressed.set_enabled(request in possible)
         self._text.set_text(status.trouble)
         self._trouble.set_visibility(bool(status.trouble))
         self._trouble.classes(

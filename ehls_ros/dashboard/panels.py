@@ -12,8 +12,8 @@ ELEMENTS = 8
 RESPONSE = "response_us"
 """Time from sending a snapshot to sending its valve command [us]; computed from the time stamps."""
 
-FORCE_REFERENCE = "force_reference_n"
-"""Force minus the controller's reported error, which saves subscribing to the reference."""
+FORCE_REFERENCE, POSITION_REFERENCE = "force_reference_n", "position_reference_m"
+"""References of the two kinds, as published for each cycle: a law's status may lack some."""
 
 PEAK, VALLEY = "peak_n", "valley_n"
 """Largest and smallest force of the last complete load cycle of a test programme."""

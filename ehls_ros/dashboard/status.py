@@ -4,7 +4,9 @@ Diagnostics arrive once a second and on change, cycles a thousand times a second
 for a moment, so only the most severe finding is shown.
 """
 
+import math
 import re
+from collections.abc import Iterable, Mapping
 from enum import Enum
 from types import MappingProxyType
 from typing import NamedTuple
@@ -177,16 +179,46 @@ def _declared() -> dict[str, str]:
     return found | {name: found[shared] for name, shared in _SHARED.items()}
 
 
-def programme_line(health: tuple[NodeHealth, ...]) -> str:
-    """Return title, block, load cycles and state of the programme; empty where none runs.
+def programme_figures(health: Iterable[NodeHealth]) -> Mapping[str, str]:
+    """Return the figures of the programme node among the nodes' diagnostics; empty where none runs."""
+    return next((node.figures for node in health if node.node == NODE), {})
+
+
+def programme_requests(figures: Mapping[str, str]) -> frozenset[str]:
+    """Return the requests that the programme would follow at present: ``stop``, ``resume``, ``skip``.
 
     Args:
-        health: the nodes' diagnostics.
+        figures: diagnostics of the programme node; empty: no programme.
     """
-    figures = next((node.figures for node in health if node.node == NODE), {})
+    state = figures.get("programme_state", "finished")
+    if state == "finished":
+        return frozenset()
+    return frozenset({"skip", "resume" if "stopped_because" in figures else "stop"})
+
+
+def programme_line(figures: Mapping[str, str]) -> str:
+    """Return title, block, load cycles, state, last peak and valley of a programme, and the reason for a stop.
+
+    Args:
+        figures: diagnostics of the programme node; empty: no programme.
+    """
     if "programme" not in figures:
         return ""
     block = f"block {figures.get('block', '')} {figures.get('block_name', '')}"
     count = f"{figures.get('load_cycles', '')} of {figures.get('of_load_cycles', '')} load cycles"
-    last = f"peak {figures['peak']}, valley {figures['valley']}" if "peak" in figures and "valley" in figures else ""
-    return " · ".join(filter(None, [figures["programme"], block, count, figures.get("programme_state", ""), last]))
+    reason = figures.get("stopped_because", "")
+    state = f"{figures.get('programme_state', '')}{f': {reason}' if reason else ''}"
+    return " · ".join(filter(None, [figures["programme"], block, count, _last_peak(figures), state]))
+
+
+def _last_peak(figures: Mapping[str, str]) -> str:
+    """Return peak and valley of the last load cycle with their unit, as text; empty before the first."""
+    try:
+        values = [float(figures[name]) for name in ("peak", "valley")]
+    except (KeyError, ValueError):
+        return ""
+    if not all(map(math.isfinite, values)):
+        return ""
+    unit, factor = _readable(figures.get("unit", ""), max(map(abs, values)))
+    peak, valley = (f"{factor * value:.4g} {unit}".rstrip() for value in values)
+    return f"peak {peak}, valley {valley}"

@@ -252,6 +252,9 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     return spec
 
 
+COMMAND_DELAY = "command_delay"
+"""Name of the effect that delays the command, and of the parameter with which a law assumes that."""
+
 SAMPLES = 4096
 """Number of times at which a signal is checked before an experiment."""
 
@@ -306,6 +309,29 @@ def _throughout(signal: _Signal, duration: float) -> Array:
     times = duration * (0.5 * (math.sqrt(5.0) - 1.0) * np.arange(SAMPLES, dtype=np.float64) % 1.0)
     rows: Array = REFERENCES.load(signal.use.name).sample(times, signal.use.parameters)
     return rows
+
+
+def for_simulated_rig(spec: Spec) -> Spec:
+    """Return an experiment whose law assumes no command delay by default if the simulated rig has none.
+
+    The default of such a law is the cycle by which a command acts late on a real rig. On a simulated rig without that delay, a
+    filter that assumes it loses the force as soon as the piston rests.
+
+    Args:
+        spec: the experiment; a value that differs from the default is kept.
+    """
+    given = spec.controller.parameters
+    default = getattr(given, "_field_defaults", {}).get(COMMAND_DELAY)
+    acting = {use.name for use in spec.loader_rig().effects}
+    if default is None or getattr(given, COMMAND_DELAY) != default or COMMAND_DELAY in acting:
+        return spec
+    return spec._replace(controller=spec.controller._replace(parameters=given._replace(**{COMMAND_DELAY: 0.0})))
+
+
+def reference_extremes(spec: Spec) -> tuple[float, float]:
+    """Return the smallest and largest value of an experiment's reference [N] or [m], as sampled for :func:`check_spec`."""
+    rows = _throughout(_Signal(repr(spec.reference), spec.reference), spec.settings.duration)
+    return float(rows[:, 0].min()), float(rows[:, 0].max())
 
 
 def _rig(data: Any, where: str, folder: Path) -> Rig:

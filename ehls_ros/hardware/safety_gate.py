@@ -80,6 +80,19 @@ CHANGES_KEPT = 20
 NO_READINGS = (math.nan,) * len(SENSED)
 
 
+def steps_to_drive(state: str, stop: str) -> tuple[str, ...]:
+    """Return the requests, in order, after which commands reach the actuator again; none if they do, or soon will.
+
+    Args:
+        state: of the gate, one of :data:`STATES`.
+        stop: name of the engaged emergency stop; empty if none is.
+    """
+    if state in DRIVING:
+        return ()
+    acknowledge = (f"acknowledge {stop}",) if stop else ()
+    return (*acknowledge, *(() if state == DISABLED else ("reset",)), "enable")
+
+
 class Cause(NamedTuple):
     """One cause of a trip.
 

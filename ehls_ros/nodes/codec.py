@@ -53,6 +53,11 @@ def decode_text(message: bytes) -> str | None:
     return text.rstrip(b"\0").decode(errors="replace") if len(text) == length else None
 
 
+def decode_flag(message: bytes) -> bool | None:
+    """Return the value of a ``std_msgs/Bool``; None if the bytes are not one."""
+    return bool(message[_ENCAPSULATION]) if len(message) > _ENCAPSULATION else None
+
+
 class Encoder:
     """Encodes one message type."""
 

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import NoReturn
 
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.graph_check import Graph, check_fit
 from ehls_ros.nodes import controller_of
 from ehls_ros.nodes.control import ControlNode
 from ehls_ros.nodes.controller import ControllerNode
@@ -189,7 +190,20 @@ def run_composed(names: Sequence[str]) -> NoReturn:
     except BadInput as error:
         print(error, file=sys.stderr)
         end(2)
-    run_nodes(makes, lambda nodes: Composition(nodes).run)
+    run_nodes(makes, lambda nodes: Composition(nodes).run, _check)
+
+
+def _check(nodes: Sequence[ControlNode]) -> None:
+    """Check that plant and law fit together; remarks go to the log.
+
+    Raises:
+        BadInput: they do not.
+    """
+    host = nodes[-1]
+    bridge = host.bridge if isinstance(host, HardwareBridgeNode) else None
+    for law in (node.law for node in nodes if isinstance(node, ControllerNode)):
+        for remark in check_fit(host.spec, Graph(law, bridge, lockstep=host.lockstep), host.get_name()):
+            host.get_logger().info(remark)
 
 
 def main() -> NoReturn:

@@ -12,8 +12,10 @@ from lifecycle_msgs.msg import Transition
 
 from ehls_ros.dashboard.graph import Answer, GraphSnapshot, NodeHealth, StartProgress, Timing
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.graph_check import Graph as Checked
+from ehls_ros.experiments.graph_check import check_fit
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.experiments.spec import Spec, for_simulated_rig, load_spec
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.dashboard_link import Link
 from ehls_ros.nodes.graph import (
@@ -111,7 +113,9 @@ class DashboardGraph(Link):
         with self._changing:
             if self.started_here() or self.rate():
                 return Answer(done=False, message="a graph is already running: stop it first")
+            spec = for_simulated_rig(spec)
             try:
+                check_fit(spec, Checked(lockstep=timing is not Timing.REALTIME), name)
                 folder = _folder(spec, name)
                 folder.logs.mkdir()
             except (BadInput, OSError) as error:

@@ -17,27 +17,26 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
-from rclpy.exceptions import InvalidNamespaceException
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
-from rclpy.validate_namespace import validate_namespace
 from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.dashboard.graph import MAX_NAME, Answer, NodeHealth, RigHealth, Tunable, Value, shortened, shortened_figures
-from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, RESPONSE, SIGNALS, VALLEY
+from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, POSITION_REFERENCE, RESPONSE, SIGNALS, VALLEY
 from ehls_ros.dashboard.window import Peaks, Window
-from ehls_ros.errors import BadInput
+from ehls_ros.hardware.ownership import node_of
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes import SUFFIX, codec, node_names
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.dashboard_rig import RigWatch
 from ehls_ros.nodes.graph import GOALS, LOST, REALTIME_PRIORITY
 from ehls_ros.nodes.graph_nodes import PLANTS
+from ehls_ros.nodes.parameter_requests import checked_namespace
 from ehls_ros.nodes.transport import Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
 from ehls_ros.recording.cdr import CdrError, decode, flatten
@@ -46,8 +45,9 @@ from ehls_ros.recording.topics import (
     DEPTH,
     FRICTION_ESTIMATE,
     LOADER_STATE,
-    POSITION_REFERENCE,
+    OF_GATE,
     PROGRAMME_POINT,
+    REFERENCE_TOPICS,
     VALVE_COMMAND,
     Topic,
 )
@@ -80,8 +80,11 @@ SERVICES = (
     (Trigger, "reset_trips"),
     (SetBool, "enable"),
     (Trigger, "monitor_acknowledge"),
+    (Trigger, "programme_stop"),
+    (Trigger, "programme_resume"),
+    (Trigger, "programme_skip"),
 )
-"""Services of plant and monitor that the page's buttons call."""
+"""Services of plant, monitor and programme that the page's buttons call."""
 
 RETRY_TIME = 2.0
 """Time for which a refused reset or enabling is retried [s]: the ramp to null takes time."""
@@ -110,8 +113,11 @@ SILENT = 3
 CYCLES = 8192
 """Snapshots whose sending time is kept until their command arrives."""
 
-TOPICS = (LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE, POSITION_REFERENCE, PROGRAMME_POINT)
-"""Topics read; the snapshots come first, as they set the time base of the others."""
+AHEAD = (*REFERENCE_TOPICS.values(), PROGRAMME_POINT)
+"""Topics that run ahead of the cycles; their values are shown with the snapshots."""
+
+TOPICS = (*AHEAD, LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE)
+"""Topics read; of the others, the snapshots come first, as they set the time base."""
 
 
 def observer_qos() -> QoSProfile:
@@ -169,12 +175,7 @@ class Link:
         Raises:
             BadInput: not a valid ROS namespace.
         """
-        self.namespace = namespace.strip("/")
-        try:
-            validate_namespace(f"/{self.namespace}")
-        except InvalidNamespaceException as error:
-            expected = "letters, digits and underscores, such as rig2"
-            raise BadInput(f"'{namespace}' is not a valid ROS namespace", "--namespace", expected) from error
+        self.namespace = checked_namespace(namespace)
         self.where = f"/{self.namespace} in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.window = Window(tuple(SIGNALS))
@@ -194,7 +195,11 @@ class Link:
         self._newest = -1
         self._sent_at = np.zeros(CYCLES, dtype=np.int64)
         self._sent_cycle = np.full(CYCLES, -1, dtype=np.int64)
-        self._force = np.full(CYCLES, np.nan)
+        # By reference: the cycles of its last rows, and their values.
+        self._references = {
+            name: (np.full(CYCLES, -1, dtype=np.int64), np.full(CYCLES, np.nan))
+            for name in (FORCE_REFERENCE, POSITION_REFERENCE)
+        }
         self._peaks = Peaks()
         self._rig = RigWatch(self._node)
         self._arrivals: list[tuple[float, int]] = []
@@ -264,9 +269,12 @@ class Link:
                 self._arrivals = []
 
     def tunable_nodes(self) -> tuple[str, ...]:
-        """Return the nodes with live parameters, the controller first."""
-        known = {health.node for health in self.health()}
-        return tuple(node for node in (*(law + SUFFIX for law in CONTROLLERS.names()), *PLANTS.values()) if node in known)
+        """Return the nodes with live parameters, the driving controller first."""
+        known = {health.node: health.figures for health in self.health()}
+        owner = next((figures[OF_GATE] for figures in known.values() if OF_GATE in figures), "")
+        driver = node_of(owner).rpartition("/")[2]
+        laws = sorted((law + SUFFIX for law in CONTROLLERS.names()), key=lambda node: node != driver)
+        return tuple(node for node in (*laws, *PLANTS.values()) if node in known)
 
     def parameters(self, node: str) -> tuple[Tunable, ...]:
         """Return a node's live parameters; empty if it does not answer."""
@@ -334,6 +342,10 @@ class Link:
             if not answer.done:
                 return answer
         return answer
+
+    def programme(self, request: str) -> Answer:
+        """Stop, resume or skip a block of the running programme: ``stop``, ``resume`` or ``skip``."""
+        return self._request(Trigger, f"programme_{request}", Trigger.Request(), "programme")
 
     def is_up(self, node: str) -> bool:
         """Return whether a lifecycle node is ready for requests."""
@@ -477,10 +489,16 @@ class Link:
         stamp_ns = columns[SECONDS].astype(np.int64) * codec.NANOSECONDS + columns[NANOSECONDS]
         values = _by_signal(topic, columns)
         if topic is LOADER_STATE:
-            self._process_snapshots(cycle, stamp_ns, sent_ns, values["force_n"])
+            self._process_snapshots(cycle, stamp_ns, sent_ns)
             values[PEAK], values[VALLEY] = self._peaks.of(cycle, values["force_n"])
+            for name, (cycles, ahead) in self._references.items():
+                values[name] = np.where(cycles[cycle % CYCLES] == cycle, ahead[cycle % CYCLES], np.nan)
         if topic is PROGRAMME_POINT:
             self._peaks.note(cycle, columns)
+        for name in values.keys() & self._references.keys() if topic in AHEAD else ():
+            cycles, ahead = self._references[name]
+            cycles[cycle % CYCLES], ahead[cycle % CYCLES] = cycle, values[name]
+        if topic in AHEAD:
             return
         if self._origin_ns is None:
             return
@@ -488,17 +506,13 @@ class Link:
             response_ns = sent_ns - self._sent_at[cycle % CYCLES]
             # A node in the plant's process has answered before either message is sent, and its command is sent first.
             values[RESPONSE] = 1e-3 * self._since_snapshot(cycle, np.where(response_ns >= 0, response_ns, np.nan))
-        if topic is CONTROLLER_STATUS:
-            values[FORCE_REFERENCE] = self._since_snapshot(cycle, self._force[cycle % CYCLES] - values["force_error_n"])
         time_s = 1e-9 * (stamp_ns - self._origin_ns)
         # Drop samples of a previous graph, or too far ahead of the cycles.
         fits = (time_s >= 0.0) & (cycle <= self._newest + DEPTH) & np.isfinite(time_s)
         order = np.argsort(time_s[fits], kind="stable")
         self.window.add(time_s[fits][order], {name: column[fits][order] for name, column in values.items()})
 
-    def _process_snapshots(
-        self, cycle: NDArray[np.int64], stamp_ns: NDArray[np.int64], sent_ns: NDArray[np.int64], force: NDArray[np.float64]
-    ) -> None:
+    def _process_snapshots(self, cycle: NDArray[np.int64], stamp_ns: NDArray[np.int64], sent_ns: NDArray[np.int64]) -> None:
         now = time.monotonic()
         with self._lock:
             self._arrivals.append((now, len(cycle)))
@@ -517,7 +531,6 @@ class Link:
         self._newest = int(cycle[-1])
         self._sent_at[cycle % CYCLES] = sent_ns
         self._sent_cycle[cycle % CYCLES] = cycle
-        self._force[cycle % CYCLES] = force
 
     def _since_snapshot(self, cycle: NDArray[np.int64], values: NDArray[Any]) -> NDArray[np.float64]:
         """Return the values, with NaN where the cycle's snapshot was not received."""

@@ -24,7 +24,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import WorkFailed
@@ -46,6 +46,7 @@ from ehls_ros.nodes.graph_nodes import (
     processes_of,
     reference_node,
 )
+from ehls_ros.nodes.operator_guide import OperatorGuide
 from ehls_ros.process import Stopping
 from ehls_ros.recording.bag_reader import is_closed
 from ehls_ros.recording.topics import ACTUATOR_TOPICS, CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
@@ -138,8 +139,15 @@ def run_graph(
     plant: Plant = SIMULATED,
     *,
     compose: bool = False,
+    end_on_trip: bool = False,
+    continued: Path | None = None,
+    until_finished: bool = False,
+    say: Callable[[str], None] = print,
 ) -> float:
     """Run an experiment over DDS, with one process per node, or with the nodes of the cycle in one process.
+
+    After an emergency stop or a trip the graph stays up, until an operator has enabled the rig again and the remaining cycles
+    are run, or until an interrupt.
 
     Args:
         spec: the experiment, already written to the run folder.
@@ -149,6 +157,10 @@ def run_graph(
         progress: called repeatedly with the number of finished cycles and the total.
         plant: simulated rig or bridge.
         compose: whether the nodes of the cycle are one process.
+        end_on_trip: whether an emergency stop or a trip ends the run.
+        continued: folder of an earlier run whose programme is continued, in its log and state; None: the programme begins.
+        until_finished: whether the run ends with its programme, whatever the number of cycles.
+        say: prints a line for the operator.
 
     Returns:
         Wall time from the plant's first to its last cycle [s].
@@ -161,12 +173,21 @@ def run_graph(
     os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
     folder.logs.mkdir()
     parameters = node_parameters(spec, plant, folder, timing, storage)
+    if until_finished:
+        parameters[plant.node]["cycles"] = parameters[RECORDER]["cycles"] = 0
+    if continued is not None:
+        parameters[PROGRAMME]["folder"] = str(continued.resolve())
+    say(f"rig of this run: {OperatorGuide.prefix()}ehls rig status")
+    guide = OperatorGuide(say, end_on_trip=end_on_trip, has_programme=PROGRAMME in parameters)
     processes = processes_of(list(parameters), compose=compose)
     # The nodes end with this process, even when it is interrupted.
     with _interrupts_noted() as interrupted, node_processes(processes, parameters, folder.logs, environment) as running:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         try:
-            wall = conduct(Conductor(running, plant, timing, interrupted), spec.cycles, progress)
+            conductor = Conductor(
+                running, plant, timing, interrupted, guide, resume=continued is not None, until_finished=until_finished
+            )
+            wall = conduct(conductor, spec.cycles, progress)
         finally:
             # Objects that refer to the middleware must be collected before it shuts down.
             gc.collect()
@@ -198,14 +219,24 @@ def free_domain() -> int:
     """Return a domain that no participant on this host uses; each process starts its search at a different one."""
     for offset in range(len(DOMAINS)):
         domain = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                # Discovery port of the domain's first participant, by the RTPS port mapping.
-                probe.bind(("", 7400 + 250 * domain + 10))
-            except OSError:
-                continue
-        return domain
+        if not _is_used(domain):
+            return domain
     raise WorkFailed("all ROS domains from 1 to 101 are in use on this host: stop other graphs or set ROS_DOMAIN_ID")
+
+
+def domains_in_use() -> list[int]:
+    """Return the domains from 0 to 101 with participants on this host."""
+    return [domain for domain in (0, *DOMAINS) if _is_used(domain)]
+
+
+def _is_used(domain: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # Discovery port of the domain's first participant, by the RTPS port mapping.
+            probe.bind(("", 7400 + 250 * domain + 10))
+        except OSError:
+            return True
+    return False
 
 
 def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, storage: str) -> dict[str, dict[str, Any]]:
@@ -328,9 +359,32 @@ def conduct(conductor: "Conductor", cycles: int, progress: Callable[[int, int], 
 class Conductor:
     """Takes running nodes through their lifecycle and watches them."""
 
-    def __init__(self, running: list[Running], plant: Plant, timing: str, interrupted: Stopping) -> None:
-        """Join the graph; once ``interrupted`` is set, the work ends with KeyboardInterrupt."""
+    def __init__(
+        self,
+        running: list[Running],
+        plant: Plant,
+        timing: str,
+        interrupted: Stopping,
+        guide: OperatorGuide,
+        *,
+        resume: bool = False,
+        until_finished: bool = False,
+    ) -> None:
+        """Join the graph.
+
+        Args:
+            running: the processes of the nodes.
+            plant: the plant.
+            timing: lockstep or realtime.
+            interrupted: once set, the work ends with KeyboardInterrupt.
+            guide: prints what the operator has to do.
+            resume: whether the programme is resumed at the start.
+            until_finished: whether the work ends with the programme.
+        """
         self._interrupted = interrupted
+        self._guide = guide
+        self._resume, self._until_finished = resume, until_finished
+        self._finished = False
         self._running = running
         self._plant = plant
         self._timing = timing
@@ -363,11 +417,17 @@ class Conductor:
             self._transition(node, Transition.TRANSITION_ACTIVATE)()
         if self._plant.kind != "sim":
             self._enable()
+        if self._resume:
+            self._resume_programme()
         state = self._state_of(self._plant.node)
         while not self._ended and not self._failure:
             self._spin()
             # The event may get lost.
             self._ended |= state() == GOALS[Transition.TRANSITION_DEACTIVATE]
+            if self._finished and self._until_finished:
+                plant = next(node for node in self._running if node.name == self._plant.node)
+                self._transition(plant, Transition.TRANSITION_DEACTIVATE)()
+                self._ended = True
             if progress is not None:
                 progress(self._cycle, cycles)
         wall = time.perf_counter() - start
@@ -429,34 +489,63 @@ class Conductor:
         return state
 
     def _enable(self) -> None:
-        """Open the rig's gate as soon as it permits."""
-        client = self._node.create_client(SetBool, "enable")
+        """Open the rig's gate as soon as it permits; after a trip that is left to the operator."""
+        refusal = self._ask_until_granted(SetBool, "enable", SetBool.Request(data=True))
+        if refusal:
+            raise WorkFailed(f"the rig's safety gate does not open: {refusal}")
+
+    def _resume_programme(self) -> None:
+        """Resume the programme of an earlier run, as soon as it has determined where it stands."""
+        refusal = self._ask_until_granted(Trigger, "programme_resume", Trigger.Request(), ("the programme is not stopped",))
+        if refusal:
+            raise WorkFailed(f"the programme does not resume: {refusal}")
+
+    def _ask_until_granted(self, kind: Any, service: str, request: Any, granted: tuple[str, ...] = ()) -> str:
+        """Repeat a request until it is granted; return the last refusal, or an empty string.
+
+        Args:
+            kind: type of the service.
+            service: its name.
+            request: the request.
+            granted: refusals of a request that was granted before.
+        """
+        client = self._node.create_client(kind, service)
         deadline = time.monotonic() + ENABLE_TIME
         refusal, ask = "the service did not come up", 0.0
-        # A plant that has run all its cycles no longer opens the gate.
-        while time.monotonic() < deadline and not self._ended:
+        # A plant that has run all its cycles grants nothing.
+        while time.monotonic() < deadline and not (self._ended or self._failure or self._guide.has_tripped):
             self._spin()
             if not client.service_is_ready() or time.monotonic() < ask:
                 continue
-            future = client.call_async(SetBool.Request(data=True))
-            # The answer may get lost; the gate may be enabled twice.
+            future = client.call_async(request)
+            # The answer may get lost; the request may be granted twice.
             again = min(deadline, time.monotonic() + LOST)
             while not future.done() and time.monotonic() < again:
                 self._spin()
-            if future.done() and future.result().success:
-                return
+            if future.done() and (future.result().success or future.result().message in granted):
+                return ""
             refusal, ask = future.result().message if future.done() else "no answer", time.monotonic() + ASK_AGAIN
-        raise WorkFailed(f"the rig's safety gate does not open: {refusal}")
+        return "" if self._guide.has_tripped or self._failure else refusal
 
     def _on_transition(self, event: TransitionEvent) -> None:
         self._ended |= (event.start_state.label, event.goal_state.label) == ("deactivating", "inactive")
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            if status.name in (self._plant.node, RECORDER) and status.level == DiagnosticStatus.ERROR:
-                self._failure = f"{status.name}: {status.message}"
+            if status.name not in (self._plant.node, RECORDER, PROGRAMME):
+                continue
+            figures = {value.key: value.value for value in status.values}
+            if status.name == PROGRAMME:
+                self._finished = figures.get("programme_state") == "finished"
+                continue
+            is_error, is_trip = status.level == DiagnosticStatus.ERROR, False
             if status.name == self._plant.node:
-                self._cycle = next((int(v.value) for v in status.values if v.key == "cycle"), self._cycle)
+                self._cycle = int(figures.get("cycle", self._cycle)) - int(figures.get("closed_cycles", 0))
+                self._guide.follow(figures)
+                # A simulator or a device that has failed is not a trip, even if the gate has tripped, too.
+                is_trip = self._guide.tripped and f"{figures.get('state')}, tripped by" in status.message
+            if is_error and (not is_trip or self._guide.end_on_trip):
+                self._failure = f"{status.name}: {status.message}"
 
 
 def last_line(log: Path) -> str:

@@ -162,7 +162,7 @@ class HardwareBridgeNode(PlantNode):
             self._check_pace()
         self._write(self.gate.step(self._time()))
         self.publish_telemetry()
-        if self.cycles and self.cycle - self.first + 1 >= self.cycles:
+        if self.have_all_run(self.cycle - self.first + 1, self.elapsed):
             self.end_cycles()
 
     def _reset_counts(self) -> None:

@@ -1,4 +1,7 @@
-"""Requests to the services of running nodes: parameters, as with `ros2 param`, and controller switches."""
+"""Requests to the services of running nodes: parameters, as with `ros2 param`, and controller switches.
+
+:mod:`ehls_ros.nodes.rig_requests` has those to the safety gate and the programme of a rig.
+"""
 
 import os
 import time
@@ -7,12 +10,16 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import rclpy
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import ParameterType
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_namespace import validate_namespace
 
 from ehls_msgs.srv import SwitchController
 from ehls_ros.errors import BadInput, WorkFailed
@@ -31,6 +38,12 @@ AGAIN = 2.0
 
 LOOK = 0.1
 """Interval between checks of the graph [s]."""
+
+STARTED = 120.0
+"""Longest wait for a controller that is starting [s]: the first time, it compiles its law."""
+
+STARTING = frozenset({State.TRANSITION_STATE_CONFIGURING, State.TRANSITION_STATE_ACTIVATING})
+"""States of a node that is on its way to become active."""
 
 WORDS: Mapping[int, tuple[str, str]] = {
     ParameterType.PARAMETER_NOT_SET: ("not set", "Parameter not set."),
@@ -88,7 +101,7 @@ class Requests:
         since = time.monotonic()
         while time.monotonic() - since < DISCOVERY_TIME:
             time.sleep(LOOK)
-            if (names := self._present()) != found:
+            if (names := self.present()) != found:
                 found, since = names, time.monotonic()
         return found
 
@@ -99,9 +112,9 @@ class Requests:
             BadInput: there is no such node, or several.
         """
         deadline = time.monotonic() + FOUND
-        while not (matching := [full for full in self._present() if full == name or full.endswith(f"/{name.strip('/')}")]):
+        while not (matching := [full for full in self.present() if full == name or full.endswith(f"/{name.strip('/')}")]):
             if time.monotonic() > deadline:
-                running = ", ".join(self._present()) or "none"
+                running = ", ".join(self.present()) or "none"
                 where = f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}"
                 raise BadInput(f"no node is named '{name}'", where, f"one of those that run: {running}")
             time.sleep(LOOK)
@@ -151,25 +164,66 @@ class Requests:
             raise WorkFailed(f"Setting parameter failed: {result.reason or 'the node gives no reason'}")
         return str(result.reason)
 
-    def switch(self, node: str) -> str:
+    def switch(self, node: str, waiting: Callable[[str], None] | None = None) -> str:
         """Let a standby controller take over; return the answer of the plant node in its namespace.
+
+        A controller that is starting is awaited, as it stands by only once its law is compiled.
 
         Args:
             node: full name of the controller's node.
+            waiting: called once with the reason for waiting, if there is any.
 
         Raises:
             WorkFailed: no plant node is there, or it refuses.
         """
         service = f"{node.rpartition('/')[0]}/switch_controller"
-        client = self._node.create_client(SwitchController, service)
-        if not client.wait_for_service(FOUND):
-            raise WorkFailed(f"no plant node offers {service}")
-        answer = self._answered(node, lambda: client.call_async(SwitchController.Request(controller=node)))
-        if not answer.success:
-            raise WorkFailed(f"Switch refused: {answer.message}")
-        return str(answer.message)
+        request = SwitchController.Request(controller=node)
+        deadline, since_active = time.monotonic() + STARTED, 0.0
+        while True:
+            answer = self.call(SwitchController, service, request)
+            if answer.success:
+                return str(answer.message)
+            state = self._state_of(node)
+            starting = state is not None and state.id in STARTING
+            if state is not None and state.id == State.PRIMARY_STATE_ACTIVE:
+                # Its first standby command may be under way.
+                since_active = since_active or time.monotonic()
+                starting = time.monotonic() - since_active < AGAIN
+            if not starting or time.monotonic() > deadline:
+                inactive = state is not None and state.id != State.PRIMARY_STATE_ACTIVE
+                reason = f"{node} is {state.label}; it stands by once it is active" if inactive else answer.message
+                raise WorkFailed(f"Switch refused: {reason}")
+            if waiting is not None:
+                waiting(f"{node} is starting: it stands by once its law is compiled")
+                waiting = None
+            time.sleep(LOOK)
 
-    def _present(self) -> list[str]:
+    def call(self, kind: Any, service: str, request: Any, *, repeat: bool = True) -> Any:
+        """Return the answer of a service.
+
+        Args:
+            kind: type of the service.
+            service: its full name.
+            request: the request.
+            repeat: whether the request may be repeated if its answer gets lost.
+
+        Raises:
+            WorkFailed: no node offers the service, or it does not answer.
+        """
+        client = self._node.create_client(kind, service)
+        if not client.wait_for_service(FOUND):
+            raise WorkFailed(f"no node offers {service}")
+        return self._answered(service, lambda: client.call_async(request), AGAIN if repeat else ANSWERED)
+
+    def _state_of(self, node: str) -> Any:
+        """Return the state of a lifecycle node; None if it does not answer."""
+        try:
+            return self.call(GetState, f"{node}/get_state", GetState.Request()).current_state
+        except WorkFailed:
+            return None
+
+    def present(self) -> list[str]:
+        """Return the full names of the nodes discovered so far."""
         present = self._node.get_node_names_and_namespaces()
         own = self._node.get_fully_qualified_name()
         # Names that begin with an underscore are hidden, such as those of this command and of ros2.
@@ -188,32 +242,54 @@ class Requests:
             raise WorkFailed(f"{node} offers no parameter services")
         return self._answered(node, lambda: request(client))
 
-    def _answered(self, node: str, request: Callable[[], Any]) -> Any:
-        """Return the first answer to a request that may safely be repeated."""
+    def _answered(self, asked_of: str, request: Callable[[], Any], again: float = AGAIN) -> Any:
+        """Return the first answer to a request, which is repeated at an interval [s]."""
         asked: list[Any] = []
         deadline = time.monotonic() + ANSWERED
         while (left := deadline - time.monotonic()) > 0.0:
             asked.append(request())
-            rclpy.spin_until_future_complete(self._node, asked[-1], self._executor, min(left, AGAIN))
+            rclpy.spin_until_future_complete(self._node, asked[-1], self._executor, min(left, again))
             for future in asked:
                 if future.done():
                     return future.result()
-        raise WorkFailed(f"{node} has not answered for {ANSWERED:g} s")
+        raise WorkFailed(f"{asked_of} has not answered for {ANSWERED:g} s")
+
+
+def checked_namespace(namespace: str) -> str:
+    """Return a namespace given on the command line, without slashes around it.
+
+    Raises:
+        BadInput: not a valid ROS namespace.
+    """
+    inner = namespace.strip("/")
+    try:
+        validate_namespace(f"/{inner}")
+    except InvalidNamespaceException as error:
+        expected = "letters, digits and underscores, such as rig2"
+        raise BadInput(f"'{namespace}' is not a valid ROS namespace", "--namespace", expected) from error
+    return inner
 
 
 @contextmanager
-def requests() -> Iterator[Requests]:
-    """Join the graph for the duration of the requests."""
+def joined() -> Iterator[tuple[Node, Executor]]:
+    """Join the graph as a node, with an executor for its context."""
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = Node(f"_ehls_param_{os.getpid()}", context=context, start_parameter_services=False)
     executor = SingleThreadedExecutor(context=context)
     try:
-        yield Requests(node, executor)
+        yield node, executor
     finally:
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown(context=context)
+
+
+@contextmanager
+def requests() -> Iterator[Requests]:
+    """Join the graph for the duration of the requests."""
+    with joined() as (node, executor):
+        yield Requests(node, executor)
 
 
 def _plain(value: Any) -> Any:

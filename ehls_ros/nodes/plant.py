@@ -176,6 +176,9 @@ class PlantNode(ControlNode):
         declare(self, Parameters, live=False)
         self.cycles = int(self.get_parameter("cycles").value)
         self.answered = -1
+        # Cycles with the valve closed since it was first open or a trip: they do not count towards `cycles`.
+        self.closed_cycles = 0
+        self.was_driving = False
         self.period = self.spec.settings.control_period
         rig, self.sensed = self.spec.rig, self.measured()
         sound = Gate(rig, self.period, None, self.sensed, bounds=self.gate_bounds).parameters
@@ -231,6 +234,7 @@ class PlantNode(ControlNode):
     def open_topics(self) -> None:
         """Open the topics."""
         self.answered = -1
+        self.closed_cycles, self.was_driving = 0, False
         self.statistics = CycleStatistics()
         self.stamps = Stamps(self.period)
         self.references = {}
@@ -372,6 +376,18 @@ class PlantNode(ControlNode):
         else:
             self.get_logger().warning(succession.text)
 
+    def have_all_run(self, cycles: int, elapsed: int = 1) -> bool:
+        """Return whether the cycles to run are done; while a trip or an operator keeps the valve closed, none is.
+
+        Args:
+            cycles: cycles so far.
+            elapsed: of these, the cycles since the last call.
+        """
+        self.was_driving |= self.gate.driving
+        if self.gate.causes or (self.was_driving and not self.gate.driving):
+            self.closed_cycles += elapsed
+        return 0 < self.cycles <= cycles - self.closed_cycles
+
     def end_cycles(self) -> None:
         """Leave the active state from the service thread: the last cycle is done."""
         self.loop.withdraw()
@@ -409,7 +425,8 @@ class PlantNode(ControlNode):
     def figures(self) -> dict[str, Any]:
         """Return values for diagnostics; subclasses add theirs."""
         statistics = self.statistics
-        return {"cycles": self.cycles, "missed": statistics.missed, **self.stamps.figures(), **statistics.latency.figures()}
+        counts = {"cycles": self.cycles, "closed_cycles": self.closed_cycles, "missed": statistics.missed}
+        return {**counts, **self.stamps.figures(), **statistics.latency.figures()}
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:
         """Report the gate's state; if that is OK, the state of the cycles."""

@@ -184,9 +184,11 @@ class PlantSimNode(PlantNode):
         self.dense_steps += self.simulator.advance(self._gated(), *row)
         self.publish_telemetry()
         self.cycle += 1
-        if self.speed > 0.0:
-            self.on_schedule = max(self.on_schedule, time.perf_counter() - LATE) + self.period / self.speed
-        if self.cycles and self.cycle >= self.cycles:
+        # A tripped rig waits for an operator: no faster than real time.
+        speed = self.speed or (1.0 if self.gate.causes else 0.0)
+        if speed > 0.0:
+            self.on_schedule = max(self.on_schedule, time.perf_counter() - LATE) + self.period / speed
+        if self.have_all_run(self.cycle):
             self.end_cycles()
             return
         self._snapshot()

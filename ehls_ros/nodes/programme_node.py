@@ -3,12 +3,14 @@
 import hashlib
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn
 
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from ehls_msgs.msg import LoaderState, ProgrammePoint
@@ -23,24 +25,36 @@ from ehls_ros.experiments.state_files.access import NotWritten
 from ehls_ros.experiments.state_files.kinds import ProgrammeState
 from ehls_ros.experiments.state_files.state_file import Origin, StateFile
 from ehls_ros.nodes.ahead import LEAD, PAUSE, AheadNode
-from ehls_ros.nodes.codec import NANOSECONDS
+from ehls_ros.nodes.codec import NANOSECONDS, decode_flag
 from ehls_ros.nodes.diagnostics import OK, WARN
 from ehls_ros.nodes.graph_nodes import PROGRAMME
 from ehls_ros.nodes.loop import WAIT
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.reference_node import MEASURED
 from ehls_ros.nodes.running import run_node
-from ehls_ros.nodes.transport import Inbox, Outbox, message_class, newest_qos
+from ehls_ros.nodes.transport import Inbox, Outbox, control_qos, message_class, newest_qos
 from ehls_ros.physics import sensors
-from ehls_ros.recording.topics import DEPTH, LOADER_STATE, PROGRAMME_POINT, REFERENCE_TOPICS
+from ehls_ros.recording.topics import DEPTH, DRIVING, LOADER_STATE, PROGRAMME_POINT, REFERENCE_TOPICS
 from ehls_ros.schema import quantity, text
 
 MARGIN = 0.05
 """Lead time before a programme begins in realtime, so that its first rows arrive in time [s]."""
 
-QUIET = 0.3
-"""Time without a snapshot after which a rig in lockstep counts as waiting for its reference [s]."""
+QUIET, FEW = 0.3, 5
+"""A rig in lockstep counts as waiting for its reference if fewer than these snapshots arrive in this time [s]: behind a bridge,
+it waits for a tenth of a second in each cycle."""
 
+
+UNITS = {"force": "N", "position": "m"}
+"""Unit of a programme's values, by the quantity that it prescribes."""
+
+WAITS = "waits for the safety gate to open the valve"
+"""Reason given for a programme that has not begun, since the rig's gate has been closed from the start."""
+
+CLOSED = "the safety gate closed the valve"
+"""Beginning of the reason given for a programme that was held by an emergency stop or a trip."""
+
+AFTER_CLOSURE = "enable the rig, then programme_resume continues"
 
 ON_REQUEST = "on request"
 """Reason given for a programme that its operator stopped."""
@@ -150,8 +164,10 @@ class ProgrammeNode(AheadNode):
         self.present: Inbox
         self.other: Inbox | None
         self.points: Outbox
+        self.driving: Inbox
+        self.valve_follows: bool | None
         self.stamp_ns: int
-        self.received: float
+        self.received: deque[float]
         for request in ("stop", "resume", "skip"):
             self.create_service(Trigger, f"programme_{request}", self._answer(request))
 
@@ -178,8 +194,10 @@ class ProgrammeNode(AheadNode):
             return f"{request} is under way"
         if self.state == State.FINISHED:
             return "the programme has finished"
-        if request == "stop" and stopped:
+        if request == "stop" and stopped and not self._waits:
             return "the programme is stopped"
+        if request == "resume" and self.valve_follows is False:
+            return f"the safety gate keeps the valve closed; {AFTER_CLOSURE}"
         return "the programme is not stopped" if request == "resume" and not stopped else ""
 
     def prepare(self) -> None:
@@ -209,8 +227,11 @@ class ProgrammeNode(AheadNode):
         topic = REFERENCE_TOPICS[self.follows]
         self.other = Inbox(self, message_class(topic.type), topic.name)
         self.points = Outbox(self, ProgrammePoint, PROGRAMME_POINT.name)
+        self.driving = Inbox(self, Bool, DRIVING.name, control_qos(DRIVING.depth), decode_flag)
+        # Unknown at first; that of a plant that does not publish it remains unknown.
+        self.valve_follows = None
         self.stamp_ns = 0
-        self.received = time.perf_counter()
+        self.received = deque(maxlen=FEW)
 
     def open_outbox(self) -> Outbox:
         """Open the topic of the reference."""
@@ -221,7 +242,7 @@ class ProgrammeNode(AheadNode):
         """Close records and topics."""
         # The records first: topics that `prepare` did not get to open do not exist.
         self.records.close()
-        for part in (self.states, self.present, self.points):
+        for part in (self.states, self.present, self.points, self.driving):
             part.destroy()
         self._ignore_other_references()
         super().release()
@@ -248,9 +269,14 @@ class ProgrammeNode(AheadNode):
             self._note_progress(cycle)
             self.stamp_ns = stamp
             self.epoch_ns = stamp - round(cycle * self.period_ns)
+        closed = self._take_driving()
         if self.runner is None:
             self._begin()
             return
+        if closed:
+            self._hold_closed()
+        elif self.valve_follows and self._waits:
+            self.runner.resume(self.next)
         self._count()
         if self.last > self.next:
             self._interrupt(self.last, f"the rig had no reference from control cycle {self.next} on")
@@ -268,6 +294,34 @@ class ProgrammeNode(AheadNode):
             finally:
                 self._save(self.next - 1, durable=True)
 
+    def _take_driving(self) -> bool:
+        """Read whether commands reach the valve; return whether they have ceased to since the last call."""
+        closed = False
+        while (driving := self.driving.take()) is not None:
+            self.valve_follows = driving
+            closed |= not driving
+        return closed
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the programme has not begun because the valve has not been opened yet."""
+        runner = self.runner
+        return runner is not None and runner.motions[-1].rests is not None and runner.motions[-1].reason == WAITS
+
+    def _hold_closed(self) -> None:
+        """Hold the programme where the safety gate closed the valve: load cycles beyond that, though published, are not run."""
+        runner, cycle = self._running(), self.tally.next
+        before = runner.motions[-1]
+        since, state = runner.at(max(cycle - 1, 0))
+        if state == State.FINISHED or self._waits:
+            return
+        said = before.reason if before.rests is not None and before.reason else f"{CLOSED} in control cycle {cycle}"
+        reference = float(runner.rows(self.next, 1).reference[0, 0])
+        held = runner.resting(self.next, since, reference, said, before.skipped)
+        runner.motions = [*(motion for motion in runner.motions if motion.first < self.next), held]
+        self.tally.samples.clear()
+        self.get_logger().warning(f"the programme is held: {said}; {AFTER_CLOSURE}")
+
     def _begin(self) -> None:
         """Determine the rig's present control cycle, and begin or continue there.
 
@@ -276,7 +330,7 @@ class ProgrammeNode(AheadNode):
         """
         # First the owner: a rig that follows another reference never pauses to reveal which snapshot is its newest.
         is_owned, now = self._owner_of_reference() is not None, self._present()
-        if now is None or is_owned:
+        if now is None or is_owned or (self.valve_follows is None and self.driving.publishers()):
             return
         self._ignore_other_references()
         measured, cycle = now[2 + MEASURED[self.follows]], now[1]
@@ -289,6 +343,9 @@ class ProgrammeNode(AheadNode):
             first = cycle if self.lockstep else cycle + round(MARGIN / self.spec.settings.control_period)
             begun = Runner.beginning(self.programme, first, measured, self.start_time)
             self.runner = Runner(self.programme, self.spec.settings.control_period, (begun,))
+            if self.valve_follows is False:
+                start = self.programme.value(0.0) if measured is None else measured
+                self.runner.motions = [self.runner.resting(first, 0.0, start, WAITS)]
             self.tally.next = cycle
         else:
             self.runner = Runner(self.programme, self.spec.settings.control_period, saved.motions)
@@ -305,6 +362,8 @@ class ProgrammeNode(AheadNode):
                     self._count()
                     self._interrupt(cycle, "no reference was published while the node was stopped", saved.published, measured)
         self.next, self.last = cycle, max(cycle, self.last)
+        if self.valve_follows is False:
+            self._hold_closed()
         self._publish_to(cycle + self.lead)
 
     def _present(self) -> tuple[Any, ...] | None:
@@ -316,13 +375,13 @@ class ProgrammeNode(AheadNode):
             return newest
         while (state := self.states.take()) is not None:
             self.tally.waiting.append(state)
-            self.received = time.perf_counter()
+            self.received.append(time.perf_counter())
         del self.tally.waiting[:-DEPTH]
         if self.last < 0 or not self.tally.waiting or self.tally.waiting[-1][1] < self.last:
             return None
-        # A rig without reference waits, and its earlier messages have arrived once no more arrive.
+        # A rig without reference waits, and its earlier messages have arrived once no more, or only few, arrive.
         newest = self.tally.waiting[-1]
-        return newest if newest[1] == 0 or time.perf_counter() - self.received > QUIET else None
+        return newest if newest[1] == 0 or time.perf_counter() - self.received[0] > QUIET else None
 
     def _identify_rig(self) -> None:
         """Determine the rig's process."""
@@ -341,6 +400,9 @@ class ProgrammeNode(AheadNode):
         until = self.tally.next - 1 if until is None else until
         since, state = runner.at(max(until, 0))
         before = runner.motions[-1]
+        if before.reason.startswith(CLOSED):
+            # Control cycles before that motion may have been published without being run.
+            since = before.since
         if measured is None or not math.isfinite(measured):
             measured = self.programme.value(since)
         if state == State.FINISHED:
@@ -367,6 +429,9 @@ class ProgrammeNode(AheadNode):
             self.tally.counter.complaint = ""
         while self.requests:
             request = self.requests.pop(0)
+            if request == "stop" and self._waits:
+                runner.motions[-1] = runner.motions[-1]._replace(reason=ON_REQUEST)
+                continue
             done = runner.stop(self.next, ON_REQUEST) if request == "stop" else getattr(runner, request)(self.next)
             self.get_logger().info(
                 f"programme {request} from control cycle {self.next} on" if done else f"nothing to {request}"
@@ -475,11 +540,15 @@ class ProgrammeNode(AheadNode):
             "ahead": self.next - 1 - self.last,
         }
         if self.tally.newest is not None:
-            figures |= {"peak": self.tally.newest.peak, "valley": self.tally.newest.valley}
+            figures |= {"peak": self.tally.newest.peak, "valley": self.tally.newest.valley, "unit": UNITS[self.follows]}
         runner = self.runner
         if runner is not None and runner.motions[-1].rests is not None and self.state != State.FINISHED:
             reason = runner.motions[-1].reason
-            return OK if reason == ON_REQUEST else WARN, f"stopped: {reason}; programme_resume continues", figures
+            figures["stopped_because"] = reason
+            if reason == WAITS:
+                return OK, WAITS, figures
+            then = AFTER_CLOSURE if self.valve_follows is False else "programme_resume continues"
+            return OK if reason == ON_REQUEST else WARN, f"stopped: {reason}; {then}", figures
         if not self.is_active:
             return OK, "inactive", figures
         if runner is None and (other := self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)):

@@ -100,15 +100,20 @@ class _Services:
             self._failures.note(error, self._blamed, "service thread")
 
 
-def _made(makes: Sequence[Callable[[], ControlNode]], failures: Failures) -> list[ControlNode]:
+def _made(
+    makes: Sequence[Callable[[], ControlNode]], check: Callable[[Sequence[ControlNode]], None], failures: Failures
+) -> list[ControlNode]:
     """Return the nodes; none if one cannot be made. As a function, it keeps no reference to a failed node."""
     try:
-        return [make() for make in makes]
+        nodes = [make() for make in makes]
+        check(nodes)
     except (BadInput, ParameterException) as error:
         print(error, file=sys.stderr)
+        nodes = []
     except Exception as error:  # noqa: BLE001
         failures.note(error, None, "start")
-    return []
+        nodes = []
+    return nodes
 
 
 def _joined() -> str:
@@ -135,6 +140,7 @@ def run_node(make: Callable[[], ControlNode]) -> NoReturn:
 def run_nodes(
     makes: Sequence[Callable[[], ControlNode]],
     join: Callable[[Sequence[ControlNode]], Callable[[Stopping], None]],
+    check: Callable[[Sequence[ControlNode]], None] = lambda _: None,
 ) -> NoReturn:
     """Run nodes as one process: their loops in the main thread, lifecycle and parameters of all in a second one.
 
@@ -143,6 +149,7 @@ def run_nodes(
     Args:
         makes: build the nodes, after ``rclpy.init``; in the order in which they configure and activate themselves.
         join: returns a function that runs the nodes' loops until an event is set.
+        check: rejects nodes that do not fit together with ``BadInput``.
     """
     limit_reserved_memory()
     stopping = Stopping()
@@ -154,7 +161,7 @@ def run_nodes(
     complaint = _joined()
     if complaint:
         print(complaint, file=sys.stderr)
-    nodes = [] if complaint else _made(makes, failures)
+    nodes = [] if complaint else _made(makes, check, failures)
     code = _work(nodes, join, failures) if nodes else 2
     # Objects that refer to the middleware must be collected before it shuts down.
     del nodes

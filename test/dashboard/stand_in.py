@@ -79,6 +79,9 @@ class StandIn:
     def reset_and_enable(self) -> Answer:
         return self._request("reset and enable")
 
+    def programme(self, request: str) -> Answer:
+        return self._request(f"programme {request}")
+
     def start(self, spec: Any, name: str, timing: Timing) -> Answer:
         return self._request("start")
 

@@ -3,7 +3,7 @@
 import pytest
 
 from ehls_ros.dashboard.graph import GraphSnapshot, NodeHealth, StartProgress
-from ehls_ros.dashboard.status import BAD, GOOD, WARNING, Remedy, explained, status_of
+from ehls_ros.dashboard.status import BAD, GOOD, WARNING, Remedy, explained, programme_line, programme_requests, status_of
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.hardware.safety_gate import LEFT, STOP, Cause, Gate
@@ -102,3 +102,33 @@ def test_one_thing_is_said_at_a_time(status, text, level, trouble):
 def test_a_closed_gate_is_not_called_running_and_can_be_enabled():
     status = said(plant(state="disabled"))
     assert (status.text, status.remedy) == ("valve closed, 1000 cycles/s", Remedy.ENABLE)
+
+
+PROGRAMME = {
+    "programme": "bracket", "programme_state": "running", "block": "1", "block_name": "service", "load_cycles": "17",
+    "of_load_cycles": "60", "peak": "12534.2", "valley": "468.75", "unit": "N",
+}  # fmt: skip
+
+
+def test_the_programmes_line_has_units_and_the_reason_of_a_stop():
+    assert programme_line({}) == ""
+    assert programme_line(PROGRAMME) == (
+        "bracket · block 1 service · 17 of 60 load cycles · peak 12.53 kN, valley 0.4688 kN · running"
+    )
+    stopped = {**PROGRAMME, "programme_state": "stopped", "stopped_because": "the error is 700, its limit 600", "peak": "nan"}
+    assert programme_line(stopped).endswith("17 of 60 load cycles · stopped: the error is 700, its limit 600")
+    position = {**PROGRAMME, "peak": "0.0125", "valley": "-0.003", "unit": "m"}
+    assert "peak 12.5 mm, valley -3 mm" in programme_line(position)
+
+
+@pytest.mark.parametrize(
+    ("figures", "requests"),
+    [
+        ({}, set()),
+        ({**PROGRAMME, "programme_state": "finished"}, set()),
+        (PROGRAMME, {"stop", "skip"}),
+        ({**PROGRAMME, "programme_state": "stopped", "stopped_because": "on request"}, {"resume", "skip"}),
+    ],
+)
+def test_the_programmes_buttons_follow_its_state(figures, requests):
+    assert programme_requests(figures) == requests

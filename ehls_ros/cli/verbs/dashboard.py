@@ -4,7 +4,7 @@ import os
 import threading
 from argparse import ArgumentParser, Namespace
 
-from ehls_ros.cli.arguments import add_configured, needs_ros
+from ehls_ros.cli.arguments import add_configured, add_namespace, needs_ros
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.extras import missing
 
@@ -22,7 +22,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="lockstep: every cycle waits for its answers, at most as fast as real time, on any machine; fastest: the same, as"
         " fast as this machine; realtime: by the wall clock, late answers count as late (default: lockstep)",
     )
-    parser.add_argument("--namespace", default="ehls", help="namespace of the rig (default: ehls)")
+    add_namespace(parser)
     parser.add_argument(
         "--host", default="127.0.0.1", help="address to serve on; from other machines, reading needs the token too"
     )

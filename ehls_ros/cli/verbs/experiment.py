@@ -2,26 +2,30 @@
 
 import json
 import math
+import shlex
 import sys
 import time
-from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
+from argparse import ArgumentParser, Namespace, _ActionsContainer
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from ehls_ros.cli.arguments import add_configured, add_json, check_duration, needs_ros
 from ehls_ros.control.controllers.base import model_of
+from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.adaptation_result import Adapted, adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.compiling import announce_compiling, graph_jobs, loop_jobs
+from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
+from ehls_ros.experiments.programme_records import STATE, read_state
 from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, company_of, load_spec, undeclared_effects
+from ehls_ros.experiments.spec import Spec, company_of, for_simulated_rig, load_spec, undeclared_effects
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.bag_reader import read_bag
@@ -40,6 +44,13 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, help="run folder (default: runs/<spec>-<time>)")
     parser.add_argument("--overwrite", action="store_true", help="replace a run that --out already holds")
     parser.add_argument("--in-process", action="store_true", help="run the same loop in one process, without ROS")
+    parser.add_argument("--duration", type=float, help="plant time in s, in place of the spec's")
+    add_graph_options(parser)
+    add_json(parser, "the metrics")
+
+
+def add_graph_options(parser: _ActionsContainer) -> None:
+    """Add the options of a run on the graph, which `ehls programme --run` shares."""
     parser.add_argument(
         "--timing",
         choices=("lockstep", "realtime"),
@@ -58,9 +69,19 @@ def arguments(parser: ArgumentParser) -> None:
         help="sim: simulated rig; bridge: the rig behind --bridge, or UDP here",
     )
     parser.add_argument("--bridge", type=Path, help="bridge file: DAQ backend, channels, calibration (with --plant bridge)")
-    parser.add_argument("--duration", type=float, help="plant time in s, in place of the spec's")
+    parser.add_argument(
+        "--end-on-trip",
+        action="store_true",
+        help="end the run after an emergency stop or a trip; by default the graph stays up until the rig is enabled again",
+    )
+    parser.add_argument(
+        "--continue",
+        dest="continued",
+        type=Path,
+        metavar="RUN",
+        help="run folder of an interrupted programme: continue it from its load cycle, in its log",
+    )
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="format of the bag")
-    add_json(parser, "the metrics")
 
 
 def run(options: Namespace) -> int:
@@ -69,20 +90,49 @@ def run(options: Namespace) -> int:
         raise BadInput("--plant bridge was given", "command line", "--plant sim with --in-process: a rig needs the graph")
     if options.compose and options.in_process:
         raise BadInput("--compose was given", "command line", "no --in-process with it, which starts no nodes")
-    if options.bridge is not None and options.plant == "sim":
-        raise BadInput("--bridge was given", "command line", "--plant bridge with it")
     check_duration(options)
     spec = load_spec(options.spec)
     if options.duration is not None:
         spec = spec._replace(settings=spec.settings._replace(duration=options.duration))
+    return carry_out(spec, options, str(options.spec), ("experiment", str(options.spec)))
+
+
+def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str], *, until_finished: bool = False) -> int:
+    """Run an experiment, evaluate it and print the result; return the exit code.
+
+    Args:
+        spec: the experiment.
+        options: those of :func:`arguments`.
+        where: its file, for errors.
+        command: words of the command line that names the experiment, without the options.
+        until_finished: whether the run ends with its programme, whatever the duration.
+
+    Raises:
+        BadInput: the options do not fit the experiment.
+    """
+    if options.bridge is not None and options.plant == "sim":
+        raise BadInput("--bridge was given", "command line", "--plant bridge with it")
+    if options.continued is not None:
+        _check_continued(options, spec)
+    if options.plant == "sim":
+        spec = for_simulated_rig(spec)
+    remarks: tuple[str, ...] = ()
+    if not options.in_process:
+        bridge = bridge_at(options.bridge) if options.plant == "bridge" else None
+        remarks = check_fit(spec, Graph(bridge=bridge, lockstep=options.timing == "lockstep"), where)
+    for remark in remarks:
+        print(f"remark: {remark}")
     # Reject an unusable companion file before anything is written or started.
-    learnt_files.recall(company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), str(options.spec)), spec)
-    folder = RunFolder.create(options.out, options.spec.stem, overwrite=options.overwrite)
+    learnt_files.recall(company_of(spec, model_of(spec.controller_rig, spec.settings.control_period), where), spec)
+    folder = RunFolder.create(options.out, Path(where).stem, overwrite=options.overwrite)
     with folder.filling():
         folder.write_spec(spec)
         announce_compiling(loop_jobs(spec) if options.in_process else graph_jobs(spec), what=spec.settings.title)
         with progress_bar(spec.settings.title) as progress:
-            done = (_in_process if options.in_process else _over_dds)(spec, folder, options, progress)
+            if options.in_process:
+                done = _in_process(spec, folder, options, progress)
+            else:
+                done = _over_dds(spec, folder, options, progress, command, until_finished=until_finished)
         metrics = with_causal_limit(evaluate(done.trajectory), done.trajectory)
         metrics = metrics._replace(wall_s=done.wall_s, bag=str(folder.bag), report=str(folder.report))
         metrics = with_failure(metrics, done.failure)
@@ -127,20 +177,75 @@ def _in_process(spec: Spec, folder: RunFolder, options: Namespace, progress: Cal
     return _Done(trajectory, wall, failure)
 
 
-def _over_dds(spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]) -> _Done:
+def _over_dds(
+    spec: Spec,
+    folder: RunFolder,
+    options: Namespace,
+    progress: Callable[[int, int], None],
+    command: Sequence[str],
+    *,
+    until_finished: bool,
+) -> _Done:
     with needs_ros("; or --in-process"):
         from ehls_ros.nodes.graph import Plant, run_graph
     plant = Plant(options.plant, options.bridge)
     failure = None
     try:
-        wall = run_graph(spec, folder, options.timing, options.storage, progress, plant, compose=options.compose)
+        wall = run_graph(
+            spec,
+            folder,
+            options.timing,
+            options.storage,
+            progress,
+            plant,
+            compose=options.compose,
+            end_on_trip=options.end_on_trip,
+            continued=options.continued,
+            until_finished=until_finished,
+            say=lambda line: print(line, flush=True),
+        )
     except NodeFailed as error:
         wall, failure = error.wall_s, error
     except KeyboardInterrupt:
         if folder.bag.exists():
             print(f"the recording so far is kept in {folder.bag}", file=sys.stderr)
         raise
+    finally:
+        _print_continuation(spec, options, folder, command)
     return _Done(read_bag(folder.bag), wall, failure)
+
+
+def _check_continued(options: Namespace, spec: Spec) -> None:
+    """Check that ``--continue`` names the folder of a programme, and that the run does not replace it.
+
+    Raises:
+        BadInput: it does not.
+    """
+    folder = options.continued
+    if spec.reference.name != "programme" or options.in_process:
+        raise BadInput("--continue was given", "command line", "an experiment whose reference is a programme, over DDS")
+    if read_state(folder) is None:
+        raise BadInput(f"there is no {STATE}", str(folder), "the run folder of an interrupted programme")
+    if options.out is not None and options.out.resolve() == folder.resolve():
+        raise BadInput("--out and --continue name one folder", "command line", "another folder for this run's recording")
+
+
+def _print_continuation(spec: Spec, options: Namespace, folder: RunFolder, command: Sequence[str]) -> None:
+    """Print how to continue a programme that has not finished, from its load cycle."""
+    records = options.continued or folder.path
+    if spec.reference.name != "programme" or not (records / STATE).exists():
+        return
+    try:
+        state = read_state(records)
+    except BadInput:
+        return  # the programme node has reported it
+    total = programme_of(spec.reference.parameters).load_cycles
+    if state is None or state.counted >= total:
+        return
+    words = ["ehls", *command, "--plant", options.plant]
+    words += ["--bridge", str(options.bridge)] if options.bridge else []
+    words += ["--timing", options.timing, *(["--compose"] if options.compose else []), "--continue", str(records)]
+    print(f"  programme at load cycle {state.counted} of {total}; to continue: {shlex.join(words)}", flush=True)
 
 
 def _print(spec: Spec, metrics: Metrics, trajectory: Trajectory, found: tuple[str, ...], *, machine: bool) -> None:

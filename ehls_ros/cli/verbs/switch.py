@@ -1,6 +1,7 @@
 """`ehls switch`: hand the valve over to another running controller, without `ros2 service`."""
 
 import json
+import sys
 from argparse import ArgumentParser, Namespace
 
 from ehls_ros.cli.arguments import needs_ros
@@ -20,6 +21,6 @@ def run(options: Namespace) -> int:
         from ehls_ros.nodes.parameter_requests import requests
     with requests() as ask:
         node = ask.resolve(options.node)
-        answer = ask.switch(node)
+        answer = ask.switch(node, lambda reason: print(reason, file=sys.stderr, flush=True))
     print(json.dumps({"node": node, "answer": answer}) if options.json else answer)
     return 0

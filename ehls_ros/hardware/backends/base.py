@@ -88,7 +88,10 @@ class Device(Protocol):
 
 
 class Backend(Protocol):
-    """The attributes of a backend's file."""
+    """The attributes of a backend's file.
+
+    A device that waits for the answer to each sample, as lockstep requires, has ``WAITS = True``.
+    """
 
     Parameters: Any
 

@@ -19,6 +19,9 @@ from ehls_ros.schema import quantity, text
 
 WHERE = "backend: udp"
 
+WAITS = True
+"""The target may be ``ehls rig-emulator --lockstep``."""
+
 HELLO_INTERVAL = 0.02
 """Silence of the target after which it is greeted, and interval between greetings [s]."""
 
