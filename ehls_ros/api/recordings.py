@@ -150,7 +150,8 @@ def load(path: str | Path, columns: Columns | None = None) -> Recording:
     Supported are:
 
     * the folder of a run or a rosbag2, and its storage file ``.mcap`` or ``.db3``;
-    * a table ``.csv``, ``.tsv``, ``.txt``, ``.dat``, ``.asc``, ``.xlsx``, ``.xls``, ``.mat``, ``.tdms`` or ``.parquet``;
+    * a table ``.csv``, ``.tsv``, ``.txt``, ``.dat``, ``.asc``, ``.xlsx``, ``.xls``, ``.mat``, ``.tdms``,
+      ``.parquet``, ``.mf4``, ``.mdf``, ``.rsp``, ``.drv``, ``.rpc`` or ``.tim``;
     * a folder with the tables of one recording.
 
     Args:

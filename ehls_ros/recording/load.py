@@ -14,8 +14,10 @@ from ehls_ros.recording.excel_file import read_excel
 from ehls_ros.recording.joining import join
 from ehls_ros.recording.lvm_file import is_lvm, read_lvm
 from ehls_ros.recording.mat_file import read_mat
+from ehls_ros.recording.mdf_file import is_mdf, read_mdf
 from ehls_ros.recording.named_topics import read_named_topics
 from ehls_ros.recording.parquet_file import read_parquet
+from ehls_ros.recording.rpc_file import read_rpc
 from ehls_ros.recording.storage_file import METADATA_FILE
 from ehls_ros.recording.table import Pick, RawTable, no_names, sources, trajectories_of
 from ehls_ros.recording.tdms_file import read_tdms
@@ -35,10 +37,12 @@ READERS: Mapping[str, Callable[[Path, Pick | None], RawTable]] = {
     ".parquet": read_parquet,
     **dict.fromkeys((".xlsx", ".xls"), read_excel),
     ".tdms": read_tdms,
+    **dict.fromkeys((".mf4", ".mdf"), read_mdf),
+    **dict.fromkeys((".rsp", ".drv", ".rpc", ".tim"), read_rpc),
 }
 """Readers of files with named columns, by suffix."""
 
-OTHERS_HAVE = (".txt", ".dat", ".asc")
+OTHERS_HAVE = (".txt", ".dat", ".asc", ".rsp", ".drv", ".rpc", ".tim")
 """Suffixes also used by files other than tables: such a file in a folder is a table only if a map lists it."""
 
 
@@ -116,7 +120,9 @@ def raw(path: Path, pick: Pick | None = None) -> RawTable:
     Raises:
         BadInput: it cannot be read.
     """
-    return READERS[path.suffix.lower()](path, pick)
+    suffix = path.suffix.lower()
+    # Older programs write MDF files with a suffix of text files.
+    return (read_mdf if suffix in OTHERS_HAVE and is_mdf(path) else READERS[suffix])(path, pick)
 
 
 def _read(path: Path, columns: Columns) -> dict[str, Trajectory]:

@@ -32,6 +32,9 @@ UNITS_OF_FIELDS: Mapping[str, str] = {
 MIN_UNEVENNESS = 0.01
 """Relative deviation of a time step from the usual one above which it is reported."""
 
+MAX_SHOWN = 8
+"""Maximum number of columns listed for a time axis."""
+
 PLAIN = ("data", "fluid_pressure", "temperature")
 """Fields whose names add no information to that of their topic."""
 
@@ -165,7 +168,8 @@ def look(path: Path) -> list[Table]:
         for values in [table.values.get(header.column)]
     )
     if not any(column.numeric for column in seen):
-        raise BadInput(f"no column has numbers (found: {', '.join(table.names)})", str(path), "a row of numbers per sample")
+        shown = ", ".join(f"{name}: {table.wrong[name]}" if name in table.wrong else name for name in table.names)
+        raise BadInput(f"no column has numbers (found: {shown})", str(path), "a row of numbers per sample")
     if axes:
         units = {axis: unit_of(table.units.get(axis, "s")) or "s" for axis in axes}
         stated = [_Axis(axis, units[axis], table.values[axis]) for axis in axes]
@@ -185,9 +189,9 @@ def look(path: Path) -> list[Table]:
         remarks += [f"{name}: {remark}" if len(found) > 1 else remark for remark in axis.remarks]
     seen, missing = _units_asked_once(seen)
     remarks += missing
-    shown = tuple(_axis_sentence(name, times[name], found[name], table.time_of) for name in axes if name in times)
+    sentences = tuple(_axis_sentence(name, times[name], found[name], table.time_of) for name in axes if name in times)
     common = next(iter(found.values())) if len(found) == 1 else UNKNOWN_AXIS
-    return [Table(path.name, seen, rows, common.rate, common.unevenness, tuple(remarks), shown)]
+    return [Table(path.name, seen, rows, common.rate, common.unevenness, tuple(remarks), sentences)]
 
 
 def _units_asked_once(seen: tuple[Seen, ...]) -> tuple[tuple[Seen, ...], list[str]]:
@@ -231,8 +235,9 @@ def _axis_sentence(name: str, times: NDArray[np.float64], axis: _Checked, time_o
     """Describe a time axis: rate, range and columns."""
     uneven = f", time steps differ by up to {100 * axis.unevenness:.2g} %" if axis.unevenness > MIN_UNEVENNESS else ""
     span = f", {times[0]:.6g} to {times[-1]:.6g} s" if len(times) else ""
-    columns = ", ".join(column for column, own in time_of.items() if own == name)
-    return f"{name}: {len(times)} rows, {axis.rate:.4g} Hz{uneven}{span} ({columns})"
+    columns = [column for column, own in time_of.items() if own == name]
+    more = f" and {len(columns) - MAX_SHOWN} more" if len(columns) > MAX_SHOWN else ""
+    return f"{name}: {len(times)} rows, {axis.rate:.4g} Hz{uneven}{span} ({', '.join(columns[:MAX_SHOWN])}{more})"
 
 
 def _topic(name: str, found: Found) -> Table:

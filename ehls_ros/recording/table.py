@@ -2,7 +2,7 @@
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from types import MappingProxyType
@@ -152,6 +152,11 @@ def _how_to_map(where: str) -> str:
     return f"a map of columns (ehls columns {shlex.quote(where)} --out columns.yaml, then --columns columns.yaml)"
 
 
+def unused(name: str, taken: Collection[str]) -> str:
+    """Return a name for a further column: the given one, or with the first number from 2 on that makes it unique."""
+    return next(free for free in (name, *(f"{name} {k}" for k in range(2, len(taken) + 3))) if free not in taken)
+
+
 def check_length(rows: int, columns: int, where: str) -> None:
     """Reject a table that is too long.
 
@@ -168,10 +173,11 @@ def check_length(rows: int, columns: int, where: str) -> None:
         raise BadInput(f"it has at least {rows} rows in {columns} columns to read", where, expected)
 
 
-def not_numeric(column: Column, name: str, where: str) -> BadInput:
+def not_numeric(column: Column, name: str, where: str, reason: str = "") -> BadInput:
     """Return the error for a column that is not numeric."""
     wanted_for = "" if column.shown == name else f" for {name}"
-    return BadInput(f"column '{column.shown}'{wanted_for} is not numeric", where, "a column of real numbers")
+    shown = f" ({reason})" if reason else ""
+    return BadInput(f"column '{column.shown}'{wanted_for} is not numeric{shown}", where, "a column of real numbers")
 
 
 def trajectories_of(table: RawTable, columns: Columns, where: str) -> dict[str, Trajectory]:
@@ -179,8 +185,8 @@ def trajectories_of(table: RawTable, columns: Columns, where: str) -> dict[str, 
 
     Args:
         table: table with the columns named by :func:`sources`.
-        columns: the user's map. If its ``time_s`` is one of several time axes, its unit and offset are those of all. If it is
-            another column, or a rate, it replaces the times of the file.
+        columns: the user's map. If its ``time_s`` is one of several time axes, its offset is that of all, and its unit that of
+            those without one. If it is another column, or a rate, it replaces the times of the file.
         where: the file, for errors.
 
     Returns:
@@ -209,18 +215,34 @@ def _by_axis(table: RawTable, chosen: Columns, where: str) -> dict[str, dict[str
     if time is not None and time.name not in table.time_of.values():
         return {time.name: dict(chosen)}
     out: dict[str, dict[str, Column]] = {}
+    same = _equal_axes(table, "" if time is None else time.name)
     for name, column in chosen.items():
         if name == TIME:
             continue
-        axes = set(_axes(column, table.names, table.time_of))
+        axes = {same[axis] for axis in _axes(column, table.names, table.time_of)}
         if len(axes) > 1:
             what = f"the columns of {column.shown} for {name} have different times ({', '.join(sorted(axes))})"
             raise BadInput(what, where, "columns of one time axis, or a signal for each")
         axis = axes.pop() if axes else chosen[TIME].name
-        own = (
-            Column(axis, UNITS[unit_of(table.units.get(axis, "s")) or "s"].scale) if time is None else time._replace(name=axis)
-        )
+        unit = unit_of(table.units.get(axis, ""))
+        if time is None:
+            own = Column(axis, UNITS[unit or "s"].scale)
+        else:
+            own = Column(axis, UNITS[unit].scale, time.offset) if unit and axis != time.name else time._replace(name=axis)
         out.setdefault(axis, {TIME: own})[name] = column
+    return out
+
+
+def _equal_axes(table: RawTable, named: str) -> dict[str, str]:
+    """Return the first of the time columns with the same times, by time column; the one that the map names comes first."""
+    out: dict[str, str] = {}
+    known: dict[str, NDArray[Any]] = {}
+    for axis in sorted(dict.fromkeys(table.time_of.values()), key=lambda axis: axis != named):
+        times, unit = table.values.get(axis), table.units.get(axis)
+        others = (other for other in known if table.units.get(other) == unit)
+        out[axis] = axis if times is None else next((other for other in others if np.array_equal(known[other], times)), axis)
+        if times is not None:
+            known.setdefault(out[axis], times)
     return out
 
 
@@ -243,7 +265,7 @@ def _unscaled(table: RawTable, column: Column, name: str, rows: int, where: str)
     values = {source: table.column(source) for source in column.sources}
     known = {source: found for source, found in values.items() if found is not None}
     if len(known) < len(values):
-        raise not_numeric(column, name, where)
+        raise not_numeric(column, name, where, next((table.wrong[s] for s in column.sources if s in table.wrong), ""))
     if not values:
         return np.arange(rows, dtype=np.float64)
     if not column.expression:

@@ -54,6 +54,7 @@ def test_a_map_that_names_one_of_the_axes_takes_its_clock_for_all(file: Path):
     joined = load(file, ColumnMap({**MAP, "time_s": Column("t2", offset=1.0)}))
     np.testing.assert_allclose(joined.time_s, 1.0 + SLOW)
     np.testing.assert_allclose(joined["position_m"], 2.0 * (joined.time_s - 1.0))
+    np.testing.assert_allclose(joined["force_n"], 5.0 * (joined.time_s - 1.0))
 
 
 def test_signals_of_one_axis_are_not_resampled(file: Path):
@@ -85,6 +86,18 @@ def test_times_that_do_not_belong_together_are_bad_input(file: Path, given: dict
     with pytest.raises(BadInput) as caught:
         load(file, ColumnMap(given))
     assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize("named", ["", "t2"])
+def test_axes_with_the_same_times_are_one(file: Path, monkeypatch: pytest.MonkeyPatch, named: str):
+    outlier = np.where(FAST == 1.0, 1e6, FAST)
+    same = RawTable(
+        ("t1", "Kraft", "t2", "Weg"), {"t1": FAST, "Kraft": FAST, "t2": FAST, "Weg": outlier}, time_of=TABLE.time_of
+    )
+    monkeypatch.setitem(loading.READERS, ".foreign", lambda path, pick=None: same)
+    read = load(file, ColumnMap(MAP | ({"time_s": Column(named)} if named else {})))
+    np.testing.assert_array_equal(read["position_m"], outlier)
+    assert read.preparation.remarks == ()
 
 
 def test_a_column_without_times_takes_those_that_the_map_names(file: Path):

@@ -41,7 +41,7 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="DATA",
-        help="one recording: a bag, a run folder, a table (text, Excel, MAT, TDMS, Parquet), or the tables of the map",
+        help="one recording: bag, run folder, table (text, Excel, MAT, TDMS, MDF, RPC III, Parquet), or the tables of the map",
     )
     add_rig(parser, "rig file of the simulation")
     about = "recordings of the healthy rig: find the changes since then, whatever errors the rig file has"

@@ -34,7 +34,9 @@ RIG, RESULT, REPORT = "rig_identified.yaml", "identification.json", "report.html
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("data", type=Path, nargs="+", help="recordings: bags, or tables (text, Excel, MAT, TDMS, Parquet)")
+    parser.add_argument(
+        "data", type=Path, nargs="+", help="recordings: bags, or tables (text, Excel, MAT, TDMS, MDF, RPC III, Parquet)"
+    )
     add_rig(parser, "rig file as starting point of the search, with friction model, piston area and volume")
     parser.add_argument(
         "--whole-rig",

@@ -47,7 +47,7 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="DATA",
-        help="recordings in the order of their making: bags, run folders or tables (text, Excel, MAT, TDMS, Parquet)",
+        help="recordings in order of time: bags, run folders or tables (text, Excel, MAT, TDMS, MDF, RPC III, Parquet)",
     )
     add_rig(parser, "rig file of the healthy rig")
     parser.add_argument(
