@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.columns import unique_names
+from ehls_ros.recording.csv_file import EXPECTED_FILE as EXPECTED_TEXT
 from ehls_ros.recording.csv_file import SAMPLE, Block, ParsedColumns, physical_lines
 from ehls_ros.recording.limits import Deadline
 from ehls_ros.recording.regular_file import check_regular
@@ -68,13 +69,14 @@ def is_lvm(path: Path) -> bool:
     """Return whether a file begins as a LabVIEW measurement file does; if not, it is a plain table.
 
     Raises:
-        BadInput: the file cannot be read.
+        BadInput: the file cannot be read, or is a pipe or a device.
     """
+    check_regular(path, limits.TABLE, EXPECTED_TEXT, larger=limits.TABLE_LARGER)
     try:
         with path.open("rb") as stream:
             content = stream.read(200)
     except OSError as error:
-        raise BadInput(f"the file cannot be read ({reason(error)})", str(path), EXPECTED_FILE) from None
+        raise BadInput(f"the file cannot be read ({reason(error)})", str(path), EXPECTED_TEXT) from None
     return MAGIC in content.decode(encoding_of(content, whole=False), errors="replace")[: len(MAGIC) + 2]
 
 

@@ -182,7 +182,7 @@ def look(path: Path) -> list[Table]:
     seen = tuple(
         _seen(header, values)._replace(wrong=table.wrong.get(header.column, "") if values is None else "no cell has a value")
         for header in headers
-        for values in [table.values[header.column]]
+        for values in [table.values.get(header.column)]
     )
     if not any(column.numeric for column in seen):
         shown = ", ".join(f"{name}: {table.wrong[name]}" if name in table.wrong else name for name in table.names)
@@ -193,9 +193,9 @@ def look(path: Path) -> list[Table]:
     else:
         sure = [h for h in headers if _is_time(h)]
         # Without a unit, seconds are the likely ones: said, since only a rate is shown.
-        likely = [h for h in headers if h.signal == TIME and h.open == NO_UNIT and table.values[h.column] is not None]
+        likely = [h for h in headers if h.signal == TIME and h.open == NO_UNIT and table.values.get(h.column) is not None]
         used = sure[:1] or (likely if len(likely) == 1 else [])
-        stated = [_Axis(h.column, h.unit or "s", table.values[h.column]) for h in used]
+        stated = [_Axis(h.column, h.unit or "s", table.values.get(h.column)) for h in used]
         if used and not sure:
             notes.append(f"the rate is that of '{used[0].column}' in s, whose unit is not given")
     times = {axis.name: axis.values * UNITS[axis.unit].scale for axis in stated if axis.values is not None}

@@ -185,8 +185,8 @@ def trajectories_of(table: RawTable, columns: Columns, where: str) -> dict[str, 
 
     Args:
         table: table with the columns named by :func:`sources`.
-        columns: the user's map. If its ``time_s`` is one of several time axes, its unit and offset are those of all. If it is
-            another column, or a rate, it replaces the times of the file.
+        columns: the user's map. If its ``time_s`` is one of several time axes, its offset is that of all, and its unit that of
+            those without one. If it is another column, or a rate, it replaces the times of the file.
         where: the file, for errors.
 
     Returns:
@@ -224,9 +224,11 @@ def _by_axis(table: RawTable, chosen: Columns, where: str) -> dict[str, dict[str
             what = f"the columns of {column.shown} for {name} have different times ({', '.join(sorted(axes))})"
             raise BadInput(what, where, "columns of one time axis, or a signal for each")
         axis = axes.pop() if axes else chosen[TIME].name
-        own = (
-            Column(axis, UNITS[unit_of(table.units.get(axis, "s")) or "s"].scale) if time is None else time._replace(name=axis)
-        )
+        unit = unit_of(table.units.get(axis, ""))
+        if time is None:
+            own = Column(axis, UNITS[unit or "s"].scale)
+        else:
+            own = Column(axis, UNITS[unit].scale, time.offset) if unit and axis != time.name else time._replace(name=axis)
         out.setdefault(axis, {TIME: own})[name] = column
     return out
 

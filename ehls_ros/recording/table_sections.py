@@ -9,7 +9,7 @@ from functools import partial
 from typing import NamedTuple
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.table_layout import TAIL, Header, Row, header_of, is_clock, is_number, split
+from ehls_ros.recording.table_layout import SPACES, TAIL, Header, Row, header_of, is_clock, is_number, split
 
 VALUE_BEGINS = frozenset("0123456789+-.,")
 """First characters of lines that are values without a closer look, if their width is that of the section."""
@@ -83,8 +83,8 @@ def sections_of(lines: Iterable[str], delimiter: str, decimal: str, where: str) 
     width, last, begin = 0, -1, 0
     pending: list[Sequence[str]] = []
     for place, line in enumerate(lines):
-        plain = current is not None and not pending and line[:1] in VALUE_BEGINS
-        if plain and line.count(delimiter) == width - 1 and '"' not in line:
+        plain = current is not None and not pending and line.lstrip(" ")[:1] in VALUE_BEGINS and '"' not in line
+        if plain and (len(line.split()) if delimiter == SPACES else line.count(delimiter) + 1) == width:
             last = place
             continue
         row = [cell.strip() for cell in split(line, delimiter)] if line.strip() else []

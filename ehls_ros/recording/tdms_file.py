@@ -143,16 +143,35 @@ def _table(channels: list[Any], pick: Pick | None, where: str) -> RawTable:
 
 def _time_channels(by_name: Mapping[str, Any], units: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
     """Return the channel of times of each channel of the groups that have one, and remarks."""
-    times: dict[tuple[str, int], str] = {}
+    stated: dict[tuple[str, int], str] = {}
+    without_unit: dict[tuple[str, int], str] = {}
     for name, channel in by_name.items():
-        [header] = recognised([channel.name], {channel.name: units.get(name, "")})
-        stated = header.signal == TIME and header.certainty in ("contract", "stated") and channel.dtype.kind in "fiu"
-        if (stated or channel.dtype.kind == "M") and len(channel):
-            times.setdefault((channel.group_name, len(channel)), name)
+        unit, place = units.get(name, ""), (channel.group_name, len(channel))
+        if not len(channel):
+            continue
+        if channel.dtype.kind == "M" or _is_time(channel, unit):
+            stated.setdefault(place, name)
+        elif not unit and _is_time(channel, "s"):
+            without_unit.setdefault(place, name)
+    # A map can name one column of times, and with it the unit, but not one of each group.
+    guessed = {place: name for place, name in without_unit.items() if place not in stated}
+    if len({channel.group_name for channel in by_name.values()}) < 2:
+        guessed = {}
+    times = stated | guessed
     of_channels = {name: times.get((c.group_name, len(c))) for name, c in by_name.items()}
     time_of = {name: time for name, time in of_channels.items() if time is not None and time != name}
     replaced = [name for name in time_of if INCREMENT in by_name[name].properties]
-    return time_of, [f"{', '.join(replaced)}: times of their group, not {INCREMENT}"] if replaced else []
+    remarks = [f"{', '.join(replaced)}: times of their group, not {INCREMENT}"] if replaced else []
+    if guessed:
+        names = ", ".join(guessed.values())
+        remarks.append(f"{names}: taken as times in s; {TIME} in the map, with the name of one and its unit, states another")
+    return time_of, remarks
+
+
+def _is_time(channel: Any, unit: str) -> bool:
+    """Return whether a channel states with this unit that it holds times."""
+    [header] = recognised([channel.name], {channel.name: unit})
+    return header.signal == TIME and header.certainty in ("contract", "stated") and channel.dtype.kind in "fiu"
 
 
 def _period(channel: Any) -> float:

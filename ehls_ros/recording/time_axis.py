@@ -218,9 +218,14 @@ def _goes_back(time: Times, steps: Times, usual: float, where: str, row_name: Ro
     """Return the error for a time that goes back: a stray stamp, a clock set back by one size, or rows out of order."""
     backwards = np.flatnonzero(steps < 0.0)
     row = int(backwards[0]) + 1
+    remedy = "split the file there"
+    # A stamp ahead of its time is followed by one that goes back, though that one is right.
+    ahead = row > 1 and time[row] > time[row - 2] and time[row - 1] - time[row - 2] > GAP * usual
+    row -= int(ahead)
     what = f"{TIME} is {shown(time[row])} after {shown(time[row - 1])}"
-    if row + 1 < len(time) and time[row + 1] > time[row - 1]:
+    if ahead or (row + 1 < len(time) and time[row + 1] > time[row - 1]):
         what += f" and before {shown(time[row + 1])}"
+        remedy = "leave the row out"
     else:
         sizes = usual - steps[backwards]
         if np.any(steps == 0.0) or (len(backwards) > 1 and float(np.ptp(sizes)) > usual):
@@ -229,7 +234,7 @@ def _goes_back(time: Times, steps: Times, usual: float, where: str, row_name: Ro
             often = f" in {len(backwards)} rows" if len(backwards) > 1 else ""
             what += f"; the clock is set back by {float(f'{np.median(sizes):.6g}')} s{often}"
     rate = f"{1.0 / usual:.6g}" if usual > 0.0 else "..."
-    expected = f"{INCREASING}: split the file there; or if rows are even, {TIME}: {{rate: {rate}}} in the map, in Hz"
+    expected = f"{INCREASING}: {remedy}; or if rows are even, {TIME}: {{rate: {rate}}} in the map, in Hz"
     return BadInput(what, f"{where}, {row_name(row)}", expected)
 
 

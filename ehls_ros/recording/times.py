@@ -36,7 +36,7 @@ CLOCK = re.compile(
     r"|(?P<one>\d{1,2})(?P<mark>[-/.])(?P<two>\d{1,2})(?P=mark)(?P<years>\d{4}|\d\d)"
     r"|(?P<date>\d{1,2})[- .](?P<word>[A-Za-zä]{3})\.?[- ](?P<wordyear>\d{4}))(?:[T ]\s*|\Z))?"
     r"(?:(?P<hour>\d{1,2}):(?P<minute>\d\d)"
-    r"(?::(?P<second>\d\d)(?:(?P<sign>[.,:])(?P<part>\d{1,9}))?|(?(dated)|(?=\s*[AaPp]\.?[Mm])))"
+    r"(?::(?P<second>\d\d)(?:(?P<sign>[.,:])(?P<part>\d{1,9})\d*)?|(?(dated)|(?=\s*[AaPp]\.?[Mm])))"
     r"(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?(?:\s*(?P<zone>Z|UTC|GMT|[-+]\d\d:?\d\d))?)?\Z"
 )
 """A date, a time of day or both. A time without seconds needs a date or a half of the day."""
@@ -90,7 +90,7 @@ def seconds_of_clock(cells: NDArray[Any]) -> Clock:
     hours = number("hour", 0.0)
     hours = np.where(pandas.isna(half), hours, hours % 12.0 + 12.0 * (half == "p"))
     digits = parts["part"].str.len().fillna(0.0).to_numpy(dtype=np.float64)
-    # Behind a colon, there are milliseconds, or microseconds of six digits, that need not be padded.
+    # Digits beyond nanoseconds are left out. Behind a colon are milliseconds, or microseconds of six digits, maybe not padded.
     colon = 3.0 * np.ceil(max(digits.max(initial=0.0), 1.0) / 3.0)
     fraction = number("part", 0.0) / 10.0 ** np.where(parts["sign"].to_numpy() == ":", colon, digits)
     seconds = 3600.0 * hours + 60.0 * number("minute", 0.0) + number("second", 0.0) + fraction

@@ -12,6 +12,7 @@ CLOCKS = {
     "milliseconds behind a colon": ("12:00:01:000 12:00:01:005", (NOON + 1.0, NOON + 1.005)),
     "milliseconds that are not padded": ("12:00:01:5 12:00:01:10", (NOON + 1.005, NOON + 1.01)),
     "microseconds behind a colon": ("12:00:01:000250 12:00:01:000500", (NOON + 1.00025, NOON + 1.0005)),
+    "more digits than nanoseconds": ("12:00:01,0000000000000000000 12:00:01.5000000000000000001", (NOON + 1.0, NOON + 1.5)),
     "halves of the day": ("11:59:59.5_AM 12:00:00.0_PM 12:00:00.5_PM", (NOON - 0.5, NOON, NOON + 0.5)),
     "halves of the day over midnight": ("11:59:59_p.m. 12:00:00_a.m.", (2 * NOON - 1.0, 2 * NOON)),
     "minutes only": ("11:59_AM 12:00_PM", (NOON - 60.0, NOON)),

@@ -136,6 +136,23 @@ def test_each_group_may_have_a_channel_of_times(tmp_path: Path):
     np.testing.assert_allclose(joined["force_n"], joined["position_m"], atol=1e-9)
 
 
+def test_times_of_groups_without_a_unit_are_seconds_unless_the_map_states_another(tmp_path: Path):
+    path = file(
+        tmp_path,
+        ("fast", "Time", 1e3 * ramp(100.0, 200), {}),
+        ("fast", "Kraft", ramp(100.0, 200), {}),
+        ("slow", "Time", 1e3 * ramp(20.0, 30, 0.5), {}),
+        ("slow", "Weg", 1e3 * ramp(20.0, 30, 0.5), {}),
+        ("none", "Uhrzeit", np.array([], dtype="datetime64[us]"), {}),
+    )
+    taken = "fast/Time, slow/Time: taken as times in s; time_s in the map, with the name of one and its unit, states another"
+    assert read_here(path, None).remarks == (taken,)
+    assert read(path).time_s[-1] == pytest.approx(1950.0)
+    joined = read(path, ColumnMap({**BOTH.columns, "time_s": Column("fast/Time", unit="ms")}))
+    np.testing.assert_allclose(joined["force_n"], joined.time_s, atol=1e-9)
+    np.testing.assert_allclose(joined["position_m"], joined.time_s, atol=1e-9)
+
+
 def test_dates_and_starts_are_on_one_clock_over_midnight(tmp_path: Path):
     evening, night = np.datetime64("2026-05-04T23:59:59", "us"), np.datetime64("2026-05-05T00:00:00", "us")
     steps = np.arange(200) * np.timedelta64(10_000, "us")

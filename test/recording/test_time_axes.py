@@ -54,6 +54,7 @@ def test_a_map_that_names_one_of_the_axes_takes_its_clock_for_all(file: Path):
     joined = load(file, ColumnMap({**MAP, "time_s": Column("t2", offset=1.0)}))
     np.testing.assert_allclose(joined.time_s, 1.0 + SLOW)
     np.testing.assert_allclose(joined["position_m"], 2.0 * (joined.time_s - 1.0))
+    np.testing.assert_allclose(joined["force_n"], 5.0 * (joined.time_s - 1.0))
 
 
 def test_signals_of_one_axis_are_not_resampled(file: Path):

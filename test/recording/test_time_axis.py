@@ -113,6 +113,7 @@ REFUSED = {
     "clock set back": (EVEN - 0.1013 * (np.arange(400) >= 200), ("line 202: time_s is 0.2987 after 0.398", "back by 0.1013 s")),
     "runs one after another": (np.tile(EVEN, 3), ("the clock is set back by 0.8 s in 2 rows", "time_s: {rate: 500}")),
     "one time out of order": (with_values(EVEN, r7=0.001), ("line 9: time_s is 0.001 after 0.012 and before 0.016",)),
+    "one time ahead": (with_values(EVEN, r7=3600.014), ("line 9: time_s is 3600.014 after 0.012 and before 0.016",)),
     "a missing time": (with_values(EVEN, r7=np.nan), ("line 9: time_s is nan",)),
 }
 
