@@ -1,5 +1,6 @@
 """Reading of the topics of a bag that a map of columns names, each as a table with separate rate and time stamps."""
 
+import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +18,7 @@ from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.cdr import CdrError, Field, flatten
 from ehls_ros.recording.columns import TIME, Column, ColumnMap, is_topic
 from ehls_ros.recording.entries import ABSENT, count_of, depth, label_of, numeric, split
-from ehls_ros.recording.message_times import Arrivals, Clock, check_clocks
+from ehls_ros.recording.message_times import Arrivals, Clock, check_clocks, set_back
 from ehls_ros.recording.table import assemble
 from ehls_ros.recording.times import sent_evenly
 from ehls_ros.recording.typestore import typestore_of
@@ -49,7 +50,7 @@ def read_named_topics(path: Path, given: ColumnMap) -> dict[str, Trajectory]:
     with opened(path) as bag:
         wanted = _by_topic(given, bag.where)
         topics = {name: _Topic(bag, name, columns, given.tables.get(name)) for name, columns in wanted.items()}
-        bag.read({connection.id: topic.sink for topic in topics.values() for connection in topic.connections})
+        bag.read({connection.id: topic.sink for topic in topics.values() for connection in topic.connections}, as_written=True)
         read, on_bag = {name: topic.messages() for name, topic in topics.items()}, bag.remarks
     zero = min(messages.first_ns for messages in read.values())
     zero = zero if zero >= UNIX_TIME_NS else 0
@@ -98,7 +99,7 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
                 sinks[name] = _Lenient(connections, fields, known, bag.seal(name), f"{bag.where}, {name}", {}, SHOWN, True)
             except BadInput as error:
                 left_out[name] = f"{error.what}; expected {error.expected}"
-        bag.read({c.id: sink for sink in sinks.values() for c in sink.connections})
+        bag.read({c.id: sink for sink in sinks.values() for c in sink.connections}, as_written=True)
         on_bag = list(bag.remarks)
         read = {name: columns for name, sink in sinks.items() if (columns := sink.read(left_out)) is not None}
     stamped = {name: {SECONDS, NANOSECONDS} <= columns.keys() for name, columns in read.items()}
@@ -142,7 +143,7 @@ class _Lenient(BagTopic):
         """Return the messages; None, with the reason, if they cannot be read or have no numbers."""
         columns: MessageColumns = {}
         try:
-            columns = {} if self._wrong else self.columns()
+            columns = {} if self._wrong else in_order(self.columns())
         except BadInput as error:
             self._wrong = f"{error.what}; expected {error.expected}"
         if not self._wrong and not len(columns[SENT]):
@@ -152,6 +153,15 @@ class _Lenient(BagTopic):
         if self._wrong:
             left_out[self.connections[0].topic] = self._wrong
         return None if self._wrong else columns
+
+
+def in_order(read: MessageColumns) -> MessageColumns:
+    """Sort messages by the times of reception, unless these go back because the recorder's clock was set back."""
+    times = (read[SENT] - read[SENT][:1]) / 1e9
+    if np.all(np.diff(times) >= 0.0) or set_back(times):
+        return read
+    order = np.argsort(read[SENT], kind="stable")
+    return {name: values[order] for name, values in read.items()}
 
 
 def _numbers(read: MessageColumns) -> dict[str, NDArray[np.float64]]:
@@ -281,7 +291,7 @@ class _Topic:
         Raises:
             BadInput: there is none, or an entry changes its meaning from one message to another.
         """
-        read = self.sink.columns()
+        read = in_order(self.sink.columns())
         count = len(read[SENT])
         if not count:
             raise BadInput("there is no message", self.where, "a topic with messages")
@@ -316,9 +326,8 @@ class _Topic:
             expected = f"a label of its messages; `ehls columns {shlex.quote(self._bag)}` lists them"
             raise BadInput(f"{what} is missing: no message has this label", self.where, expected)
         field, keys = split(name)
-        by_label = (
-            f"a label in the brackets, such as {field}[{labels[known[0]]}]" if len(keys) == 1 else "labels in the brackets"
-        )
+        such = f", such as name: {json.dumps(f'{field}[{labels[known[0]]}]', ensure_ascii=False)}" if len(keys) == 1 else ""
+        by_label = f"a label in the brackets{such}"
         other = known[np.flatnonzero(labels[known] != labels[known[0]])]
         if len(other):
             first, second = (f"{_quoted(labels[k])} in message {k + 1}" for k in (known[0], other[0]))

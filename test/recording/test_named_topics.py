@@ -193,3 +193,41 @@ def test_the_proposed_map_names_topics_and_leaves_open_what_they_do_not_say(tmp_
     [force] = [line for line in text.splitlines() if "wrench.force.z" in line]
     assert force.startswith("# ")
     assert "0 to 4" in force
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("source", ["header.stamp", "received"])
+def test_a_clock_of_sender_and_recorder_that_was_set_back_is_refused(tmp_path: Path, storage: str, source: str):
+    """Sorted by the time of reception, the samples before and after the step would lie between each other."""
+    times = [k / 500 - (0.1013 if k >= 200 else 0.0) for k in range(400)]
+    bag = record(tmp_path / "theirs", [wrench(t, k) for k, t in enumerate(times)], storage)
+    text = f"force_n: {{table: /cell, name: wrench.force.z}}\ntables: {{/cell: {{name: {source}}}}}"
+    complaint = f"{source} goes back by 99.3 ms from message 200 to 201: its clock was set back by about 101.3 ms, and that of"
+    with pytest.raises(BadInput, match=complaint):
+        load(bag, mapped(tmp_path, text))
+    [table] = look(bag)
+    assert "header.stamp goes back by 99.3 ms from message 200 to 201" in table.remarks[0]
+
+
+def test_messages_that_were_written_in_another_order_are_sorted(tmp_path: Path):
+    """As after the merging of bags."""
+    times = [*range(200, 400), *range(200)]
+    bag = record(tmp_path / "theirs", [wrench(k / 500, k) for k in times])
+    read = load(bag, mapped(tmp_path, "force_n: {table: /cell, name: wrench.force.z}"))
+    assert read["force_n"].tolist() == list(range(400))
+    assert read.preparation.remarks == ()
+
+
+def test_a_clock_of_one_topic_that_differs_is_refused_and_given_ones_are_a_remark(tmp_path: Path):
+    def late(k: int) -> Message:
+        return wrench(k / 500 - 90.0, k, late=90.0)
+
+    bag = record(tmp_path / "theirs", [each for k in range(400) for each in (late(k), joints(k / 500, k))])
+    text = "force_n: {table: /cell, name: wrench.force.z}\nposition_m: {table: /joint_states, name: 'position[boom]'}\n"
+    with pytest.raises(BadInput) as error:
+        load(bag, mapped(tmp_path, text))
+    assert "header.stamp of /joint_states is 0 ms before its reception and header.stamp of /cell is 90 s" in str(error.value)
+    assert "expected one clock: 'tables: {/cell: {name: received}}' in the map, or an offset" in str(error.value)
+    for mended in ("{name: received}", "{name: header.stamp, offset: 90.0}"):
+        read = load(bag, mapped(tmp_path, f"{text}tables: {{/cell: {mended}}}"))
+        assert len(read) > 390
