@@ -231,3 +231,36 @@ def test_a_clock_of_one_topic_that_differs_is_refused_and_given_ones_are_a_remar
     for mended in ("{name: received}", "{name: header.stamp, offset: 90.0}"):
         read = load(bag, mapped(tmp_path, f"{text}tables: {{/cell: {mended}}}"))
         assert len(read) > 390
+
+
+def test_senders_that_differ_in_their_frame_alone_are_chosen_by_it(tmp_path: Path):
+    def pressure(k: int) -> Message:
+        header = stamped(k / 1000)
+        header.frame_id = "left" if k % 2 else "right"
+        fields = {"header": header, "fluid_pressure": 1e5 * (k % 2), "variance": 0.0}
+        return Message("/p", "sensor_msgs/msg/FluidPressure", received(k / 1000), fields)
+
+    bag = record(tmp_path / "theirs", [pressure(k) for k in range(40)])
+    with pytest.raises(BadInput) as error:
+        load(bag, mapped(tmp_path, "load_pressure_pa: {table: /p, name: fluid_pressure}"))
+    assert (
+        "/p: header.frame_id is 'right' in message 1 and 'left' in message 2; 20 of 40 messages differ from the first; "
+        'expected one sender for load_pressure_pa: a frame in brackets, such as name: "fluid_pressure[right]"'
+    ) in str(error.value)
+    read = load(bag, mapped(tmp_path, 'load_pressure_pa: {table: /p, name: "fluid_pressure[left]"}'))
+    assert read["load_pressure_pa"].tolist() == [1e5] * 20
+    assert read.preparation.remarks == ("load_pressure_pa: 20 of 40 messages have no fluid_pressure[left] and are left out",)
+    [table] = look(bag)
+    assert [c.header.column for c in table.columns][:2] == ["fluid_pressure[left]", "fluid_pressure[right]"]
+    with pytest.raises(BadInput, match=r"fluid_pressure\[top\]' for .* is missing: header.frame_id is 'left', 'right'"):
+        load(bag, mapped(tmp_path, 'load_pressure_pa: {table: /p, name: "fluid_pressure[top]"}'))
+
+
+def test_frames_that_are_no_labels_do_not_matter(tmp_path: Path):
+    def force(k: int) -> Message:
+        message = wrench(k / 1000, k)
+        message.fields["header"].frame_id = f"frame {k:04}"
+        return message
+
+    bag = record(tmp_path / "theirs", [force(k) for k in range(200)])
+    assert len(load(bag, mapped(tmp_path, "force_n: {table: /cell, name: wrench.force.z}"))) == 200
