@@ -169,8 +169,14 @@ class BagFiles:
         extension = ConnectionExtRosbag2(formats[0] if formats else "cdr", [])
         return Connection(number, *topic, definition, digest, count, extension, self)
 
-    def messages(self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Return the messages of some connections, in the order of the files, with their times of reception [ns]."""
+    def messages(self, connections: Sequence[Connection], *, as_written: bool) -> Iterator[tuple[Connection, int, bytes]]:
+        """Return the messages of some connections with their times of reception [ns], file by file.
+
+        Args:
+            connections: of the bag.
+            as_written: in the order of writing; else each file's in the order of their times, which is another one if the
+                clock of the recorder was set back.
+        """
         for reader in self._readers:
             wanted = {
                 own.id: connection
@@ -180,8 +186,22 @@ class BagFiles:
             }
             chosen = [own for own in reader.connections if own.id in wanted]
             # Given no connection, rosbags reads all of them.
-            for own, stamp_ns, message in reader.messages(chosen) if chosen else ():
+            read = _as_written(reader, chosen) if as_written else reader.messages(chosen)
+            for own, stamp_ns, message in read if chosen else ():
                 yield wanted[own.id], stamp_ns, message
+
+
+def _as_written(reader: Reader, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+    """Return the messages of a file in the order of writing, which the readers of rosbags sort by time."""
+    storage = reader.storage
+    if isinstance(storage, storage_mcap.McapReader):
+        yield from storage.messages_scan(connections)
+    elif isinstance(storage, storage_sqlite3.Sqlite3Reader) and storage.dbconn is not None:
+        own = {connection.id: connection for connection in connections}
+        chosen = ",".join("?" * len(own))
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({chosen}) ORDER BY id"  # noqa: S608
+        for topic, stamp_ns, message in storage.dbconn.execute(query, tuple(own)):
+            yield own[topic], stamp_ns, message
 
 
 def _in_order(readers: Sequence[Reader], files: Sequence[Path], where: str) -> list[Reader]:

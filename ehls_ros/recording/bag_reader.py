@@ -96,26 +96,32 @@ class OpenBag(NamedTuple):
         """Return a topic's state when the bag was closed, if known."""
         return self.provenance.seals.get(topic) if self.provenance else None
 
-    def read(self, sinks: Mapping[int, BagTopic]) -> None:
+    def read(self, sinks: Mapping[int, BagTopic], *, as_written: bool = False) -> None:
         """Pass each message to the sink of its connection's number; those without a sink are skipped.
+
+        Args:
+            sinks: by the connection's number.
+            as_written: pass the messages in the order of writing instead of the order of their times.
 
         Raises:
             BadInput: the bag is damaged, or a message is not of its type.
         """
         connections = [connection for connection in self.reader.connections if connection.id in sinks]
-        for number, (connection, stamp_ns, message) in enumerate(self.messages(connections)):
+        for number, (connection, stamp_ns, message) in enumerate(self.messages(connections, as_written=as_written)):
             if number % BLOCK == 0:
                 self.deadline.check()
             sinks[connection.id].add(stamp_ns, message)
 
-    def messages(self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Return each message of some connections with its time of sending [ns].
+    def messages(
+        self, connections: Sequence[Connection], *, as_written: bool = False
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Return each message of some connections with its time of sending [ns]; arguments as of :meth:`read`.
 
         Raises:
             BadInput: the bag is damaged.
         """
         with damage_reported(self.where):
-            for connection, stamp_ns, message in self.reader.messages(connections):
+            for connection, stamp_ns, message in self.reader.messages(connections, as_written=as_written):
                 yield connection, stamp_ns, self.expand(message)
 
 

@@ -13,7 +13,7 @@ from ehls_ros.errors import BadInput, reason
 from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS, SENT, MessageColumns
 from ehls_ros.recording.cdr import CdrError, Field, decode, flatten
-from ehls_ros.recording.entries import decode_entries, every_entry
+from ehls_ros.recording.entries import FRAME, decode_entries, every_entry, frames
 from ehls_ros.recording.provenance import Seal, checksum_sum, message_checksum
 from ehls_ros.recording.storage_file import CLOSED_BAG
 from ehls_ros.recording.topics import CONTROLLER_STATUS, SENDER, Topic
@@ -51,7 +51,8 @@ class BagTopic:
             seal: state of the topic when the bag was closed, if known.
             where: bag and full name of the topic, for errors.
             units: SI values of units other than 1, by field.
-            entries: names of the entries of sequences to read; or the number of entries to read of every sequence.
+            entries: names of the entries of sequences to read, and :data:`FRAME` for the frames; or the number of entries to
+                read of every sequence.
             skip_empty: leave out messages without content; otherwise they are refused.
 
         Raises:
@@ -133,9 +134,11 @@ class BagTopic:
         try:
             block = decode(self._messages, self._fields, self._wanted)
             if isinstance(self._entries, int):
-                block |= every_entry(self._messages, self._fields, self._entries)
+                block |= every_entry(self._messages, self._fields, self._entries) | frames(self._messages, self._fields)
             else:
-                block |= decode_entries(self._messages, self._fields, self._entries)
+                names = [name for name in self._entries if name != FRAME]
+                block |= decode_entries(self._messages, self._fields, names)
+                block |= frames(self._messages, self._fields) if FRAME in self._entries else {}
             block[SENT] = np.array(self._stamps_ns, np.int64)
             checksums = map(message_checksum, repeat(self._path), self._stamps_ns, self._messages)
             self._checksum = checksum_sum([self._checksum, *checksums])

@@ -20,6 +20,9 @@ KEY = re.compile(r"\[([^\]]*)\]")
 ABSENT = "\0absent"
 """Label of an entry that a message does not have; a text of CDR has no null."""
 
+FRAME = "header.frame_id"
+"""Text that labels the plain fields of a message."""
+
 LONGEST_LABEL = 255
 """Longest label used in a name [characters]."""
 
@@ -82,6 +85,29 @@ def decode_entries(messages: Sequence[bytes], fields: Sequence[Field], wanted: C
                 out[name][alike.which] = alike.values(entry.place)[:, entry.offset]
                 out[label_of(name)][alike.which] = entry.label
     return out
+
+
+def frames(messages: Sequence[bytes], fields: Sequence[Field]) -> dict[str, NDArray[Any]]:
+    """Read the frames in the headers: the senders of one topic often differ in them alone.
+
+    Args:
+        messages: n serialized messages of one type.
+        fields: the fields of that type.
+
+    Returns:
+        The texts as :func:`label_of` :data:`FRAME`, shape (n,); empty texts if they vary too much to be labels; nothing if the
+        type has no header.
+    """
+    if not any(field.name == FRAME and not field.many for field in fields):
+        return {}
+    found = np.full(len(messages), "", object)
+    try:
+        for alike in by_layout(messages, fields, (FRAME,)):
+            [text] = (alike.text(place) for place in alike.places if place.field.name == FRAME)
+            found[alike.which] = text
+    except CdrError:
+        found[:] = ""
+    return {label_of(FRAME): found}
 
 
 def every_entry(messages: Sequence[bytes], fields: Sequence[Field], most: int) -> dict[str, NDArray[Any]]:

@@ -5,7 +5,7 @@ clock of another computer; stamps may be unset. The recorder received all messag
 except for a few.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -126,7 +126,8 @@ class Arrivals(NamedTuple):
 
     def _period(self, steps: Times) -> float:
         """Return the usual interval between messages [s]; by the reception if many of them are out of order."""
-        known = (_median(steps[steps > 0.0]), float(np.ptp(self.received)) / max(1, len(steps)))
+        waits = np.diff(self.received)
+        known = (_median(steps[steps > 0.0]), float(np.sum(waits[waits > 0.0])) / max(1, len(steps)))
         return min((period for period in known if period > 0.0), default=0.0)
 
     def _check_jumps(self, steps: Times, waits: Times) -> None:
@@ -142,18 +143,17 @@ class Arrivals(NamedTuple):
     def _check_back(self, late: NDArray[np.intp], latest: Times, period: float) -> None:
         """Reject times that go back for good; messages that arrived late fill a gap in the times of the others."""
         expected = f"messages of one sender whose clock is not set, or {self.remedy}"
-        lateness, ordered = latest[late] - self.time[late], np.sort(self.time)
-        for run in np.split(late, np.flatnonzero(np.diff(late) > 1) + 1) if len(late) else ():
-            low, high = float(np.min(self.time[run])), float(np.max(self.time[run]))
-            first, behind = np.searchsorted(ordered, low), np.searchsorted(ordered, high, side="right")
-            between, following = int(behind - first) - len(run), float(ordered[behind : behind + 1].sum()) - high
-            overlapping = len(run) > 1 and between >= min(2.0, 0.5 * len(run))
+        lateness = latest[late] - self.time[late]
+        for run, overlapping, following in _late_runs(self.time, late):
             if overlapping or following > HOLE * period or len(run) > max(AROUND, MANY_LATE * len(self.time)):
                 k = int(run[0])
-                back, apart = _duration(latest[k] - self.time[k]), _duration(self.received[k] - self.received[k - 1])
-                size = _duration(latest[k] - self.time[k] + period)
-                what = f"{self.source} goes back by {back} from message {self.numbers[k - 1]} to {self.numbers[k]}"
-                found = f"{what}, received {apart} apart: its clock was set back by about {size}"
+                back, size = latest[k] - self.time[k], latest[k] - self.time[k] + period
+                what = f"{self.source} goes back by {_duration(back)} from message {self.numbers[k - 1]} to {self.numbers[k]}"
+                if set_back(self.received):
+                    found = f"{what}: its clock was set back by about {_duration(size)}, and that of the recorder as well"
+                    raise BadInput(found, self.where, "a recording during which no clock is set, or its part before or after")
+                apart = _duration(self.received[k] - self.received[k - 1])
+                found = f"{what}, received {apart} apart: its clock was set back by about {_duration(size)}"
                 raise BadInput(found, self.where, expected)
         if len(late) > MANY_LATE * len(self.time) and float(np.median(lateness)) > PERIODS * period:
             what = f"{self.source} goes back {len(late)} times in {len(self.time)} messages"
@@ -171,6 +171,27 @@ class Arrivals(NamedTuple):
                 place = f"from message {self.numbers[k]} to {self.numbers[k + 1]}"
                 return [f"{size} {place}, but not the reception: messages were lost, or the clock was set"]
         return []
+
+
+def set_back(time: Times) -> bool:
+    """Return whether times in order of writing go back among earlier ones, as those of a clock that was set back.
+
+    Args:
+        time: the times, shape (n,) [s].
+    """
+    late = np.flatnonzero(time < np.maximum.accumulate(time))
+    return any(overlapping for _, overlapping, _ in _late_runs(time, late))
+
+
+def _late_runs(time: Times, late: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], bool, float]]:
+    """Yield each run of late messages, whether others lie between its times, and the interval to the next one [s]."""
+    ordered = np.sort(time)
+    for run in np.split(late, np.flatnonzero(np.diff(late) > 1) + 1) if len(late) else ():
+        low, high = float(np.min(time[run])), float(np.max(time[run]))
+        first, behind = np.searchsorted(ordered, low), np.searchsorted(ordered, high, side="right")
+        between = int(behind - first) - len(run)
+        following = float(ordered[behind]) - high if behind < len(ordered) else 0.0
+        yield run, len(run) > 1 and between >= min(2.0, 0.5 * len(run)), following
 
 
 def check_clocks(clocks: Mapping[str, Clock], where: str) -> list[str]:

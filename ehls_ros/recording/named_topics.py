@@ -1,5 +1,6 @@
 """Reading of the topics of a bag that a map of columns names, each as a table with separate rate and time stamps."""
 
+import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -11,13 +12,14 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 
 from ehls_ros.errors import BadInput
+from ehls_ros.recording import limits
 from ehls_ros.recording.alignment import NANOSECONDS, SECONDS, SENT, UNIX_TIME_NS, MessageColumns
 from ehls_ros.recording.bag_reader import OpenBag, damage_reported, opened
 from ehls_ros.recording.bag_topic import BagTopic
 from ehls_ros.recording.cdr import CdrError, Field, flatten
 from ehls_ros.recording.columns import TIME, Column, ColumnMap, is_topic
-from ehls_ros.recording.entries import ABSENT, count_of, depth, label_of, numeric, split
-from ehls_ros.recording.message_times import Arrivals, Clock, check_clocks
+from ehls_ros.recording.entries import ABSENT, FRAME, count_of, depth, label_of, numeric, split
+from ehls_ros.recording.message_times import Arrivals, Clock, check_clocks, set_back
 from ehls_ros.recording.table import assemble
 from ehls_ros.recording.times import sent_evenly
 from ehls_ros.recording.typestore import typestore_of
@@ -49,7 +51,7 @@ def read_named_topics(path: Path, given: ColumnMap) -> dict[str, Trajectory]:
     with opened(path) as bag:
         wanted = _by_topic(given, bag.where)
         topics = {name: _Topic(bag, name, columns, given.tables.get(name)) for name, columns in wanted.items()}
-        bag.read({connection.id: topic.sink for topic in topics.values() for connection in topic.connections})
+        bag.read({connection.id: topic.sink for topic in topics.values() for connection in topic.connections}, as_written=True)
         read, on_bag = {name: topic.messages() for name, topic in topics.items()}, bag.remarks
     zero = min(messages.first_ns for messages in read.values())
     zero = zero if zero >= UNIX_TIME_NS else 0
@@ -98,7 +100,7 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
                 sinks[name] = _Lenient(connections, fields, known, bag.seal(name), f"{bag.where}, {name}", {}, SHOWN, True)
             except BadInput as error:
                 left_out[name] = f"{error.what}; expected {error.expected}"
-        bag.read({c.id: sink for sink in sinks.values() for c in sink.connections})
+        bag.read({c.id: sink for sink in sinks.values() for c in sink.connections}, as_written=True)
         on_bag = list(bag.remarks)
         read = {name: columns for name, sink in sinks.items() if (columns := sink.read(left_out)) is not None}
     stamped = {name: {SECONDS, NANOSECONDS} <= columns.keys() for name, columns in read.items()}
@@ -142,21 +144,38 @@ class _Lenient(BagTopic):
         """Return the messages; None, with the reason, if they cannot be read or have no numbers."""
         columns: MessageColumns = {}
         try:
-            columns = {} if self._wrong else self.columns()
+            columns = {} if self._wrong else in_order(self.columns())
         except BadInput as error:
             self._wrong = f"{error.what}; expected {error.expected}"
         if not self._wrong and not len(columns[SENT]):
             self._wrong = "it has no message"
-        if not self._wrong and columns.keys() <= {SECONDS, NANOSECONDS, SENT}:
+        if not self._wrong and columns.keys() <= {SECONDS, NANOSECONDS, SENT, label_of(FRAME)}:
             self._wrong = f"type {self.connections[0].msgtype} has no number"
         if self._wrong:
             left_out[self.connections[0].topic] = self._wrong
         return None if self._wrong else columns
 
 
+def in_order(read: MessageColumns) -> MessageColumns:
+    """Sort messages by the times of reception, unless these go back because the recorder's clock was set back."""
+    times = (read[SENT] - read[SENT][:1]) / 1e9
+    if np.all(np.diff(times) >= 0.0) or set_back(times):
+        return read
+    order = np.argsort(read[SENT], kind="stable")
+    return {name: values[order] for name, values in read.items()}
+
+
 def _numbers(read: MessageColumns) -> dict[str, NDArray[np.float64]]:
-    """Return the fields of a topic without its stamps."""
-    return {name: values.astype(np.float64) for name, values in read.items() if name not in (SECONDS, NANOSECONDS, SENT)}
+    """Return the fields of a topic without its stamps, plain ones by frame if there are several."""
+    others = (SECONDS, NANOSECONDS, SENT, label_of(FRAME))
+    fields = {name: values.astype(np.float64) for name, values in read.items() if name not in others}
+    labels = read.get(label_of(FRAME), np.empty(0))
+    known = sorted(set(labels.tolist()))
+    if not 2 <= len(known) <= SHOWN:
+        return fields
+    plain = {name: values for name, values in fields.items() if "[" not in name}
+    by_frame = {f"{name}[{f}]": np.where(labels == f, values, np.nan) for name, values in plain.items() for f in known}
+    return by_frame | {name: values for name, values in fields.items() if name not in plain}
 
 
 def _stamps(read: MessageColumns, stamped: bool) -> NDArray[np.int64]:
@@ -259,17 +278,21 @@ class _Topic:
         used = {**columns, TIME: self._time} if self.counted else columns
         for signal, column in used.items():
             self._check_field(signal, column)
-        self._entries = {signal: column.name for signal, column in used.items() if "[" in column.name}
-        plain = {column.name for signal, column in used.items() if signal not in self._entries}
+        named = {signal: column.name for signal, column in used.items()}
+        self._plain = {signal: name for signal, name in named.items() if not depth(self._known[split(name)[0]])}
+        self._entries = {signal: name for signal, name in named.items() if signal not in self._plain}
+        plain = {split(name)[0] for name in self._plain.values()}
         stamp = (SECONDS, NANOSECONDS) if stamped else ()
-        entries = set(self._entries.values())
+        self._framed = any(field.name == FRAME for field in fields) and bool(self._plain)
+        entries = {*self._entries.values(), *([FRAME] if self._framed else [])}
         self.sink = BagTopic(self.connections, fields, {*plain, *stamp}, bag.seal(name), self.where, {}, entries, True)
 
     def _check_field(self, signal: str, column: Column) -> None:
         """Reject a name that is no field of a number."""
         name, keys = split(column.name)
         field = self._known.get(name)
-        if field is None or depth(field) != len(keys) or not all(keys):
+        # A key of a plain field is the frame.
+        if field is None or len(keys) not in ({depth(field)} if depth(field) else {0, 1}) or not all(keys):
             shown = (f"{f.name.replace('[]', '[0]')}{'[0]' if f.many else ''}" for f in self._known.values())
             what = f"field '{column.name}' for {signal} is missing (found: {', '.join(shown) or 'none'})"
             expected = "the name of one of its fields, with a number or a label in brackets for one of many"
@@ -281,26 +304,45 @@ class _Topic:
         Raises:
             BadInput: there is none, or an entry changes its meaning from one message to another.
         """
-        read = self.sink.columns()
+        read = in_order(self.sink.columns())
         count = len(read[SENT])
         if not count:
             raise BadInput("there is no message", self.where, "a topic with messages")
         for signal, name in self._entries.items():
             self._check_entry(read, signal, name)
         present = {signal: read[label_of(name)] != ABSENT for signal, name in self._entries.items()}
+        present |= self._framed_messages(read, count)
         signals = [signal for signal in present if signal != TIME]
         every = len(signals) < len(self._columns)
         used = np.ones(count, bool) if every else np.any([present[signal] for signal in signals], axis=0)
         used &= present.get(TIME, np.True_)
         rows, remarks = np.flatnonzero(used), self.sink.remarks()
         if len(rows) < count:
-            names = " or ".join(self._entries.values())
+            names = " or ".join(dict.fromkeys({**self._entries, **self._plain}[signal] for signal in present))
             remarks.append(f"{count - len(rows)} of {count} messages have no {names} and are left out")
         for signal in signals:
             lacking = int(np.count_nonzero(~present[signal][rows]))
             if lacking:
-                remarks.append(f"{lacking} messages have no {self._entries[signal]}: {signal} is missing there")
+                remarks.append(f"{lacking} messages have no {self._columns[signal].name}: {signal} is missing there")
         return _Messages(read, rows, _stamps(read, self._time.name == STAMP)[rows], tuple(remarks))
+
+    def _framed_messages(self, read: MessageColumns, count: int) -> dict[str, NDArray[np.bool_]]:
+        """Return the messages of the frame of each plain field, if there are several; reject a field without one then."""
+        labels = read[label_of(FRAME)] if self._framed else np.full(count, "", object)
+        varied = len(set(labels.tolist())) > limits.LAYOUTS
+        other = np.flatnonzero(labels != labels[0]) if not varied else np.empty(0, np.intp)
+        for signal, name in self._plain.items():
+            field, keys = split(name)
+            if keys and keys[0] not in set(labels.tolist()):
+                shown = ", ".join(map(_quoted, sorted(set(labels.tolist()))[:SHOWN]))
+                what = f"field '{name}' for {signal} is missing: {FRAME} is {shown}"
+                raise BadInput(what, self.where, "the field, or with a frame in brackets")
+            if len(other) and not keys and signal != TIME:
+                first, second = (f"{_quoted(labels[k])} in message {k + 1}" for k in (0, other[0]))
+                what = f"{FRAME} is {first} and {second}; {len(other)} of {count} messages differ from the first"
+                such = json.dumps(f"{field}[{labels[0] or labels[other[0]]}]", ensure_ascii=False)
+                raise BadInput(what, self.where, f"one sender for {signal}: a frame in brackets, such as name: {such}")
+        return {signal: labels == split(name)[1][0] for signal, name in self._plain.items() if split(name)[1] and len(other)}
 
     def _check_entry(self, read: MessageColumns, signal: str, name: str) -> None:
         """Reject an entry that no message has, whose label changes, or that some messages are too short for."""
@@ -316,9 +358,8 @@ class _Topic:
             expected = f"a label of its messages; `ehls columns {shlex.quote(self._bag)}` lists them"
             raise BadInput(f"{what} is missing: no message has this label", self.where, expected)
         field, keys = split(name)
-        by_label = (
-            f"a label in the brackets, such as {field}[{labels[known[0]]}]" if len(keys) == 1 else "labels in the brackets"
-        )
+        such = f", such as name: {json.dumps(f'{field}[{labels[known[0]]}]', ensure_ascii=False)}" if len(keys) == 1 else ""
+        by_label = f"a label in the brackets{such}"
         other = known[np.flatnonzero(labels[known] != labels[known[0]])]
         if len(other):
             first, second = (f"{_quoted(labels[k])} in message {k + 1}" for k in (known[0], other[0]))
@@ -333,8 +374,16 @@ class _Topic:
     def _times(self, read: _Messages, zero_ns: int) -> NDArray[np.float64]:
         """Return the unscaled times of the messages, from a zero [ns] unless a field of theirs holds them."""
         if self.counted:
-            return read.columns[self._time.name].astype(np.float64)[read.rows]
+            return self._values(read, self._time)
         return np.asarray((read.stamps - zero_ns) / 1e9, dtype=np.float64)
+
+    def _values(self, read: _Messages, column: Column) -> NDArray[np.float64]:
+        """Return the unscaled values of a column in the messages used."""
+        field, keys = split(column.name)
+        if depth(self._known[field]) or not keys:
+            return read.columns[column.name].astype(np.float64)[read.rows]
+        values = read.columns[field].astype(np.float64)[read.rows]
+        return np.where(read.columns[label_of(FRAME)][read.rows] == keys[0], values, np.nan)
 
     def clock(self, read: _Messages) -> Clock:
         """Return the clock of the topic's times."""
@@ -362,9 +411,7 @@ class _Topic:
             what = f"its {len(time)} messages have only {len(order)} different times ({self._time.name})"
             raise BadInput(what, self.where, f"another time under 'tables' in the map, such as {{name: {RECEIVED}}}")
         chosen = {TIME: self._time, **self._columns}
-        values = {
-            signal: read.columns[column.name].astype(np.float64)[read.rows][order] for signal, column in self._columns.items()
-        }
+        values = {signal: self._values(read, column)[order] for signal, column in self._columns.items()}
         numbers = read.rows[order] + 1
         out = assemble({TIME: time[order], **values}, chosen, self.where, lambda row: f"message {numbers[row]}")
         said = tuple(f"{names}: {remark}" for remark in (*remarks, *found))

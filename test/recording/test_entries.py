@@ -63,7 +63,7 @@ def test_an_entry_whose_label_changes_is_refused_and_read_by_label(tmp_path: Pat
         read(bag, position_m="position[0]")
     assert (
         "/t: field 'position[0]' for position_m is 'rod' in message 1 and 'boom' in message 2; 1 of 3 messages differ from the "
-        "first; expected one meaning: a label in the brackets, such as position[rod]"
+        'first; expected one meaning: a label in the brackets, such as name: "position[rod]"'
     ) in str(error.value)
     both = read(bag, position_m="position[rod]", force_n="position[hook]")
     np.testing.assert_array_equal(both["position_m"], [1.0, 2.0, 3.0])

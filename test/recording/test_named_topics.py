@@ -193,3 +193,74 @@ def test_the_proposed_map_names_topics_and_leaves_open_what_they_do_not_say(tmp_
     [force] = [line for line in text.splitlines() if "wrench.force.z" in line]
     assert force.startswith("# ")
     assert "0 to 4" in force
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("source", ["header.stamp", "received"])
+def test_a_clock_of_sender_and_recorder_that_was_set_back_is_refused(tmp_path: Path, storage: str, source: str):
+    """Sorted by the time of reception, the samples before and after the step would lie between each other."""
+    times = [k / 500 - (0.1013 if k >= 200 else 0.0) for k in range(400)]
+    bag = record(tmp_path / "theirs", [wrench(t, k) for k, t in enumerate(times)], storage)
+    text = f"force_n: {{table: /cell, name: wrench.force.z}}\ntables: {{/cell: {{name: {source}}}}}"
+    complaint = f"{source} goes back by 99.3 ms from message 200 to 201: its clock was set back by about 101.3 ms, and that of"
+    with pytest.raises(BadInput, match=complaint):
+        load(bag, mapped(tmp_path, text))
+    [table] = look(bag)
+    assert "header.stamp goes back by 99.3 ms from message 200 to 201" in table.remarks[0]
+
+
+def test_messages_that_were_written_in_another_order_are_sorted(tmp_path: Path):
+    """As after the merging of bags."""
+    times = [*range(200, 400), *range(200)]
+    bag = record(tmp_path / "theirs", [wrench(k / 500, k) for k in times])
+    read = load(bag, mapped(tmp_path, "force_n: {table: /cell, name: wrench.force.z}"))
+    assert read["force_n"].tolist() == list(range(400))
+    assert read.preparation.remarks == ()
+
+
+def test_a_clock_of_one_topic_that_differs_is_refused_and_given_ones_are_a_remark(tmp_path: Path):
+    def late(k: int) -> Message:
+        return wrench(k / 500 - 90.0, k, late=90.0)
+
+    bag = record(tmp_path / "theirs", [each for k in range(400) for each in (late(k), joints(k / 500, k))])
+    text = "force_n: {table: /cell, name: wrench.force.z}\nposition_m: {table: /joint_states, name: 'position[boom]'}\n"
+    with pytest.raises(BadInput) as error:
+        load(bag, mapped(tmp_path, text))
+    assert "header.stamp of /joint_states is 0 ms before its reception and header.stamp of /cell is 90 s" in str(error.value)
+    assert "expected one clock: 'tables: {/cell: {name: received}}' in the map, or an offset" in str(error.value)
+    for mended in ("{name: received}", "{name: header.stamp, offset: 90.0}"):
+        read = load(bag, mapped(tmp_path, f"{text}tables: {{/cell: {mended}}}"))
+        assert len(read) > 390
+
+
+def test_senders_that_differ_in_their_frame_alone_are_chosen_by_it(tmp_path: Path):
+    def pressure(k: int) -> Message:
+        header = stamped(k / 1000)
+        header.frame_id = "left" if k % 2 else "right"
+        fields = {"header": header, "fluid_pressure": 1e5 * (k % 2), "variance": 0.0}
+        return Message("/p", "sensor_msgs/msg/FluidPressure", received(k / 1000), fields)
+
+    bag = record(tmp_path / "theirs", [pressure(k) for k in range(40)])
+    with pytest.raises(BadInput) as error:
+        load(bag, mapped(tmp_path, "load_pressure_pa: {table: /p, name: fluid_pressure}"))
+    assert (
+        "/p: header.frame_id is 'right' in message 1 and 'left' in message 2; 20 of 40 messages differ from the first; "
+        'expected one sender for load_pressure_pa: a frame in brackets, such as name: "fluid_pressure[right]"'
+    ) in str(error.value)
+    read = load(bag, mapped(tmp_path, 'load_pressure_pa: {table: /p, name: "fluid_pressure[left]"}'))
+    assert read["load_pressure_pa"].tolist() == [1e5] * 20
+    assert read.preparation.remarks == ("load_pressure_pa: 20 of 40 messages have no fluid_pressure[left] and are left out",)
+    [table] = look(bag)
+    assert [c.header.column for c in table.columns][:2] == ["fluid_pressure[left]", "fluid_pressure[right]"]
+    with pytest.raises(BadInput, match=r"fluid_pressure\[top\]' for .* is missing: header.frame_id is 'left', 'right'"):
+        load(bag, mapped(tmp_path, 'load_pressure_pa: {table: /p, name: "fluid_pressure[top]"}'))
+
+
+def test_frames_that_are_no_labels_do_not_matter(tmp_path: Path):
+    def force(k: int) -> Message:
+        message = wrench(k / 1000, k)
+        message.fields["header"].frame_id = f"frame {k:04}"
+        return message
+
+    bag = record(tmp_path / "theirs", [force(k) for k in range(200)])
+    assert len(load(bag, mapped(tmp_path, "force_n: {table: /cell, name: wrench.force.z}"))) == 200
