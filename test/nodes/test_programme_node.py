@@ -8,8 +8,9 @@ import pytest
 pytest.importorskip("ehls_msgs.msg._programme_point", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
+from emulated_rig import acknowledged
 from patience import PATIENCE
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from benchmarks.spoilt_memory import PROGRAMME as PROGRAMME_OF_FATIGUE
 from ehls_msgs.msg import LoaderState, ProgrammePoint
@@ -163,3 +164,40 @@ def test_a_programme_stops_where_its_records_cannot_be_written():
     assert runner.resume(900)
     ProgrammeNode._follow_requests(node)
     assert runner.motions[-1].kind == "resume"
+
+
+def test_a_programme_holds_where_an_emergency_stop_closed_the_valve(graph, participant, spec_file, tmp_path):
+    """Load cycles that were published but not applied are not counted; none is lost, and none is counted twice."""
+    file, spec = tmp_path / "programme.yaml", spec_file(duration=1000.0, controller="sic")
+    file.write_text(STEADY, encoding="utf-8")
+    points = participant.collect(ProgrammePoint, "programme_point")
+    common = {"spec": spec, "timing": "lockstep"}
+    graph.start("programme_node", **common, programme=file, folder=tmp_path / "run")
+    for name in ("disturbance_node", "sic_node"):
+        graph.start(name, **common)
+    graph.start("plant_sim_node", **common, partners="programme_node,disturbance_node,sic_node", speed=1.0)
+
+    def granted(kind, service, request):
+        participant.until(lambda: participant.call(kind, service, request).success)
+
+    participant.until(lambda: points and points[-1].load_cycles >= 5)
+    stop = participant.call(Trigger, "emergency_stop", Trigger.Request()).message.partition(";")[0]
+    participant.until(lambda: points[-1].state == State.STOPPED)
+    refused = participant.call(Trigger, "programme_resume", Trigger.Request())
+    assert not refused.success
+    assert "enable the rig" in refused.message
+    held = points[-1].load_cycles
+    participant.until(lambda: not (stop_ := acknowledged(participant, stop)) or stop_ != stop)
+    granted(Trigger, "reset_trips", Trigger.Request())
+    granted(SetBool, "enable", SetBool.Request(data=True))
+    participant.rest(0.2)
+    assert points[-1].load_cycles == held
+    granted(Trigger, "programme_resume", Trigger.Request())
+    participant.until(lambda: points[-1].load_cycles >= held + 5)
+    assert graph.stop("programme_node") == 0, graph.log("programme_node")
+    heading, *lines = (tmp_path / "run" / "load_cycles.csv").read_text(encoding="utf-8").splitlines()
+    rows = [dict(zip(heading.split(","), line.split(","), strict=True)) for line in lines]
+    assert [int(row["load_cycle"]) for row in rows] == list(range(1, len(rows) + 1))
+    assert len(rows) > held
+    assert all(int(row["samples"]) >= CYCLES_PER_LOAD_CYCLE for row in rows), [row["samples"] for row in rows]
+    assert not any(row["peak_n"] == "nan" for row in rows)

@@ -79,7 +79,7 @@ def _status(rig: "RigRequests") -> tuple[Any, str]:
     if causes and lasting:
         obstacle = f"{', '.join(lasting)} persists"
     steps = [command_line(f"rig {step}", rig.namespace) for step in steps_to_drive(state, stop)]
-    if programme is not None and programme.figures.get("programme_state") in {"stopped", "stopping"}:
+    if programme is not None and "stopped_because" in programme.figures:
         steps.append(command_line("programme resume", rig.namespace))
     content = {
         "namespace": rig.namespace,
