@@ -282,7 +282,9 @@ def _topic(name: str, found: Found) -> Table:
     named = [header._replace(column=field) for header, field in zip(headers, found.fields, strict=True)]
     seen = tuple(_seen(header, values) for header, values in zip(named, found.fields.values(), strict=True))
     axis = _checked(found.time, name, lambda row: f"message {row + 1}")
-    return Table(name, seen, len(found.time), axis.rate, axis.unevenness, (*found.remarks, *axis.remarks))
+    # A clock that was set is already among the remarks, with the times of reception.
+    own = () if found.remarks and np.any(np.diff(found.time) < 0.0) else axis.remarks
+    return Table(name, seen, len(found.time), axis.rate, axis.unevenness, (*found.remarks, *own))
 
 
 def _seen(header: Recognised, values: NDArray[np.float64] | None) -> Seen:

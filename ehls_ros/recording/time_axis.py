@@ -160,7 +160,8 @@ def length(seconds: float) -> str:
 
 
 def _unevenness(steps: Times, usual: float) -> float:
-    plain = steps[steps <= GAP * usual] if np.count_nonzero(steps > GAP * usual) <= FEW_GAPS * len(steps) else steps
+    gaps = steps > GAP * usual
+    plain = steps[~gaps] if np.count_nonzero(gaps) <= max(1.0, FEW_GAPS * len(steps)) else steps
     return float(np.max(np.abs(plain - usual))) / usual if len(plain) and usual > 0.0 else 0.0
 
 
