@@ -73,7 +73,7 @@ def dialogue(rig, answers):
         while True:
             if not select.select([terminal], [], [], REPEATED_AFTER)[0]:
                 # Python loses an interrupt between its prompt and its wait for the answer; a user presses again.
-                if sent == INTERRUPT:
+                if sent == INTERRUPT and "interrupted" not in shown:
                     os.write(terminal, sent.encode())
                 continue
             if not (more := os.read(terminal, 4096)):
