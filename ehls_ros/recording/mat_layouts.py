@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.columns import is_contract_name
+from ehls_ros.recording.columns import TIME, is_contract_name
+from ehls_ros.recording.headers import recognised
+from ehls_ros.recording.table import TIMES_IN_SECONDS
 
 MAX_COLUMNS = 1000
 """Largest number of columns of a matrix that are listed; a larger one is no table [1]."""
@@ -187,7 +189,45 @@ def layout_of(tree: Node) -> Layout:
     assert isinstance(tree, Mapping)  # noqa: S101 - the variables of a file have names
     for name, node in tree.items():
         _walk(layout, name, node)
+    _with_separate_times(layout)
     return layout
+
+
+def _with_separate_times(layout: Layout) -> None:
+    """Find the times of structures such as ``fast.t`` and ``slow.t``; a single one is left to the map."""
+    taken = {*layout.time_of, *layout.time_of.values(), *layout.wrong}
+    fields: dict[str, list[str]] = {}
+    times: dict[str, dict[str, str]] = {}
+    for name in layout.sources:
+        path, _, last = name.rpartition(".")
+        if path and name not in taken:
+            fields.setdefault(path, []).append(name)
+            unit = _time_unit(last)
+            if unit is not None:
+                times.setdefault(path, {})[name] = unit
+    certain = {path: found for path, found in times.items() if len(found) == 1}
+    if len(certain) < 2:
+        return
+    without = list[str]()
+    for path, found in certain.items():
+        [(time, unit)] = found.items()
+        rows = layout.sources[time].length
+        layout.time_of |= {name: time for name in fields[path] if name != time and layout.sources[name].length == rows}
+        if unit:
+            layout.units[time] = unit
+        else:
+            without.append(time)
+    if without:
+        layout.remarks.append(f"{', '.join(without)}: {TIMES_IN_SECONDS}")
+
+
+def _time_unit(name: str) -> str | None:
+    """Return the unit that a name of times states, empty if none; None for another name."""
+    for unit in ("", "s"):
+        [header] = recognised([name], {name: unit})
+        if header.signal == TIME and header.certainty in ("contract", "stated"):
+            return "" if unit else header.unit or "s"
+    return None
 
 
 def _walk(layout: Layout, path: str, node: Node) -> None:

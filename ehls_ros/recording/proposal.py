@@ -185,8 +185,8 @@ def look(path: Path) -> list[Table]:
         for values in [table.values.get(header.column)]
     )
     if not any(column.numeric for column in seen):
-        shown = ", ".join(f"{name}: {table.wrong[name]}" if name in table.wrong else name for name in table.names)
-        raise BadInput(f"no column has numbers (found: {shown})", str(path), "a row of numbers per sample")
+        listed = ", ".join(f"{name}: {table.wrong[name]}" if name in table.wrong else name for name in table.names)
+        raise BadInput(f"no column has numbers (found: {listed})", str(path), "a row of numbers per sample")
     if axes:
         units = {axis: unit_of(table.units.get(axis, "s")) or "s" for axis in axes}
         stated = [_Axis(axis, units[axis], table.values[axis]) for axis in axes]

@@ -31,6 +31,9 @@ from ehls_ros.units import UNITS
 
 NONE: Mapping[str, str] = MappingProxyType({})
 
+TIMES_IN_SECONDS = f"taken as times in s; {TIME} in the map, with the name of one and its unit, states another"
+"""Remark on time columns without a unit, of several in a file: a map can name one of them, and with it the unit of all."""
+
 
 class Pick(Protocol):
     """Function that returns the names of the columns to read."""

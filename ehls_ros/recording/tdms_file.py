@@ -16,7 +16,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import TIME, unit_of
 from ehls_ros.recording.contained import check_library, contained, library_errors
 from ehls_ros.recording.headers import recognised
-from ehls_ros.recording.table import Pick, RawTable, check_length, unused
+from ehls_ros.recording.table import TIMES_IN_SECONDS, Pick, RawTable, check_length, unused
 from ehls_ros.units import UNITS
 
 LIBRARY = "nptdms"
@@ -163,8 +163,7 @@ def _time_channels(by_name: Mapping[str, Any], units: Mapping[str, str]) -> tupl
     replaced = [name for name in time_of if INCREMENT in by_name[name].properties]
     remarks = [f"{', '.join(replaced)}: times of their group, not {INCREMENT}"] if replaced else []
     if guessed:
-        names = ", ".join(guessed.values())
-        remarks.append(f"{names}: taken as times in s; {TIME} in the map, with the name of one and its unit, states another")
+        remarks.append(f"{', '.join(guessed.values())}: {TIMES_IN_SECONDS}")
     return time_of, remarks
 
 

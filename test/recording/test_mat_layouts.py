@@ -122,6 +122,18 @@ def test_paths_of_a_structure_with_time_serve_older_maps(tmp_path: Path):
     np.testing.assert_allclose(read["force_n"], 3.0 * T)
 
 
+def test_structures_with_times_of_their_own_are_several_axes(tmp_path: Path):
+    path = saved(tmp_path, fast={"t": T, "x": 2.0 * T, "gain": 3.0}, slow={"Zeit_ms": 1e3 * SLOW, "F": 5.0 * SLOW})
+    table = read_here(path, None)
+    assert table.time_of == {"fast.x": "fast.t", "slow.F": "slow.Zeit_ms"}
+    assert table.remarks == (
+        "fast.t: taken as times in s; time_s in the map, with the name of one and its unit, states another",
+    )
+    joined = load(path, ColumnMap({"position_m": Column("fast.x"), "force_n": Column("slow.F")}))
+    np.testing.assert_allclose(joined["position_m"], 2.0 * joined.time_s)
+    np.testing.assert_allclose(joined["force_n"], 5.0 * joined.time_s)
+
+
 # --- ControlDesk -------------------------------------------------------------------------------
 
 
