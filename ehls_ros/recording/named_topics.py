@@ -269,6 +269,7 @@ class _Topic:
         fields = fields_of(self.connections, self.where)
         self._known = numeric(fields)
         stamped = {SECONDS, NANOSECONDS} <= self._known.keys()
+        self._mend = time is not None and time.mend
         self._given, self._received = time is not None, f"'tables: {{{name}: {{name: {RECEIVED}}}}}' in the map"
         self._time = time.plain() if time is not None else Column(STAMP if stamped else RECEIVED)
         if self._time.name == STAMP and not stamped:
@@ -406,6 +407,10 @@ class _Topic:
             remarks.append(f"sent evenly, received with delays that differ by {1e3 * float(np.std(time - even)):.2g} ms")
             time = even
             arrivals = arrivals._replace(time=self._time.scale * even + self._time.offset)
+        if self._mend:
+            arrivals, mended = arrivals.mended()
+            remarks += mended
+            time = (arrivals.time - self._time.offset) / self._time.scale
         order, found = arrivals.arranged()
         if len(order) < MIN_DISTINCT * len(time):
             what = f"its {len(time)} messages have only {len(order)} different times ({self._time.name})"
