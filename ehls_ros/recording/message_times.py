@@ -144,10 +144,6 @@ class Arrivals(NamedTuple):
                 return int(run[0])
         return None
 
-    def remarks(self) -> list[str]:
-        """Return the remarks of :meth:`arranged`."""
-        return list(self.arranged().remarks)
-
     def _period(self, steps: Times) -> float:
         """Return the usual interval between messages [s]; by the reception if many of them are out of order."""
         waits = np.diff(self.received)

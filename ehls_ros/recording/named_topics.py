@@ -2,7 +2,7 @@
 
 import json
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,7 +67,8 @@ class Found(NamedTuple):
 
     Attributes:
         type: message type.
-        time: time of each message, by its stamp if there is one, from the bag's beginning, shape (n,) [s].
+        time: time of each message, by its stamp if there is one, from the bag's beginning, shape (n,) [s]; increasing unless
+            a remark says why not.
         fields: values by the field's name in a map.
         remarks: remarks on the times, one sentence each.
     """
@@ -112,17 +113,18 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
         numbers, source = np.arange(len(time)) + 1, STAMP if stamped[name] else RECEIVED
         arrivals = Arrivals(time, received, numbers, zero / 1e9, source, name, f"'tables: {{{name}: {{name: {RECEIVED}}}}}'")
         clocks[name] = Clock(source, int(stamps[name][0]) / 1e9, float(np.median(received - time)), given=False)
-        remarks = sinks[name].remarks() + _advice(arrivals.remarks)
-        found[name] = Found(sinks[name].connections[0].msgtype, time, _numbers(columns), tuple(remarks))
-    return found, left_out, on_bag + _advice(lambda: check_clocks(clocks, str(path)))
-
-
-def _advice(check: Callable[[], list[str]]) -> list[str]:
-    """Return the remarks of a check, or the error if it fails."""
+        try:
+            order, remarks = arrivals.arranged()
+        except BadInput as error:
+            order, remarks = np.arange(len(time)), (f"{error.what}; expected {error.expected}",)
+        numeric_fields = {field: values[order] for field, values in _numbers(columns).items()}
+        said = (*sinks[name].remarks(), *remarks)
+        found[name] = Found(sinks[name].connections[0].msgtype, time[order], numeric_fields, said)
     try:
-        return check()
+        on_bag += check_clocks(clocks, str(path))
     except BadInput as error:
-        return [f"{error.what}; expected {error.expected}"]
+        on_bag.append(f"{error.what}; expected {error.expected}")
+    return found, left_out, on_bag
 
 
 class _Lenient(BagTopic):
