@@ -62,20 +62,20 @@ class Clock(NamedTuple):
 
     Attributes:
         source: the stamp, the time of reception, or the field that holds the time.
-        first: first time [s].
+        time: one of its times [s]; not the first, which is the likeliest to be unset.
         delay: median time from it to the reception [s].
         given: the map names the source, so a different clock is intended.
     """
 
     source: str
-    first: float
+    time: float
     delay: float
     given: bool
 
     @property
     def unix(self) -> bool:
         """Whether it counts from 1970."""
-        return self.first >= UNIX_TIME
+        return self.time >= UNIX_TIME
 
 
 class Arrivals(NamedTuple):
@@ -232,9 +232,9 @@ def check_clocks(clocks: Mapping[str, Clock], where: str) -> list[str]:
     unix = {name: clock for name, clock in clocks.items() if clock.unix}
     if others and unix:
         found = "; ".join(
-            f"{name}: {clock.source} counts from boot or start ({moment(clock.first)})" for name, clock in others.items()
+            f"{name}: {clock.source} counts from boot or start ({moment(clock.time)})" for name, clock in others.items()
         )
-        rest = "; ".join(f"{name}: {clock.source} is Unix time ({moment(clock.first)})" for name, clock in unix.items())
+        rest = "; ".join(f"{name}: {clock.source} is Unix time ({moment(clock.time)})" for name, clock in unix.items())
         raise BadInput(f"its topics have different clocks: {found}; {rest}", where, remedy.format(_received(others)))
     ordered = sorted(clocks, key=lambda name: clocks[name].delay)
     first, last = (clocks[name] for name in (ordered[0], ordered[-1]))

@@ -112,7 +112,7 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
         time, received = (stamps[name] - zero) / 1e9, (columns[SENT] - zero) / 1e9
         numbers, source = np.arange(len(time)) + 1, STAMP if stamped[name] else RECEIVED
         arrivals = Arrivals(time, received, numbers, zero / 1e9, source, name, f"'tables: {{{name}: {{name: {RECEIVED}}}}}'")
-        clocks[name] = Clock(source, int(stamps[name][0]) / 1e9, float(np.median(received - time)), given=False)
+        clocks[name] = Clock(source, int(stamps[name][len(time) // 2]) / 1e9, float(np.median(received - time)), given=False)
         try:
             order, remarks = arrivals.arranged()
         except BadInput as error:
@@ -392,7 +392,7 @@ class _Topic:
         """Return the clock of the topic's times."""
         received = read.columns[SENT][read.rows]
         delay = float(np.median((received - read.stamps) / 1e9)) - self._time.offset
-        return Clock(self._time.name, read.first_ns / 1e9 + self._time.offset, delay, self._given)
+        return Clock(self._time.name, int(read.stamps[len(received) // 2]) / 1e9 + self._time.offset, delay, self._given)
 
     def trajectory(self, read: _Messages, zero_ns: int) -> Trajectory:
         """Return the topic's signals in the order of their times."""
