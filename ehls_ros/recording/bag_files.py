@@ -78,6 +78,11 @@ def contents_of(path: Path) -> Contents:
             expected = "a bag of ROS 2; `rosbags-convert` converts one of ROS 1" if list(path.glob("*.bag")) else EXPECTED
             raise BadInput(f"{METADATA_FILE} is missing, and there is no storage file", str(path), expected)
         remark = f"{METADATA_FILE} is missing: {', '.join(present)} read without it; the last messages may be missing too"
+        matches = [NUMBERED.match(name.partition(".")[0]) for name in present]
+        numbers = {int(match["number"]) for match in matches if match} if all(matches) else set[int]()
+        lacking = sorted(set(range(max(numbers, default=0))) - numbers)
+        if lacking and len(lacking) < len(numbers):
+            remark += f"; there is no file of number {', '.join(map(str, lacking))}"
         return Contents([path / name for name in present], None, (remark,))
     text = read_text(path / METADATA_FILE, limits.TEXT, CLOSED_BAG)
     information = parse_metadata(text, str(path / METADATA_FILE))["rosbag2_bagfile_information"]

@@ -104,6 +104,7 @@ class Column(NamedTuple):
     rate: Annotated[float, quantity("Hz", "of time: sampling rate; name is the column of sample numbers, if there is one")] = (
         0.0
     )
+    mend: Annotated[bool, text("of a topic's time: shift the messages after the clock was set back")] = False
 
     def plain(self) -> "Column":
         """Return the column with its unit, range and rate in scale and offset."""
@@ -287,6 +288,8 @@ def _check_source(name: str, column: Column, entry: Mapping[str, object], where:
         except ValueError as error:
             expected = "arithmetic of columns such as pA - pB; other names between backticks"
             raise BadInput(f"expression is {column.expression!r}: {error}", where, expected) from None
+    elif column.mend and where.partition(f", {TABLES}, ")[2][:1] != "/":
+        raise BadInput("mend is given", where, f"it only under '{TABLES}', for a topic")
     elif not column.name and not column.rate:
         note = "the name of the column in the file, an expression of several columns, or of time a rate"
         raise BadInput("key 'name' is missing", where, note)

@@ -41,6 +41,10 @@ APART, NOTED = 1.0, 0.05
 """Differences of the topics' delays above which their clocks differ, and above which they may [s]."""
 
 
+MEND = "mend: true beside the name there shifts the later ones"
+"""Advice for a clock that was set back."""
+
+
 class Arrived(NamedTuple):
     """Messages of a topic in the order of their times.
 
@@ -58,20 +62,20 @@ class Clock(NamedTuple):
 
     Attributes:
         source: the stamp, the time of reception, or the field that holds the time.
-        first: first time [s].
+        time: one of its times [s]; not the first, which is the likeliest to be unset.
         delay: median time from it to the reception [s].
         given: the map names the source, so a different clock is intended.
     """
 
     source: str
-    first: float
+    time: float
     delay: float
     given: bool
 
     @property
     def unix(self) -> bool:
         """Whether it counts from 1970."""
-        return self.first >= UNIX_TIME
+        return self.time >= UNIX_TIME
 
 
 class Arrivals(NamedTuple):
@@ -120,9 +124,25 @@ class Arrivals(NamedTuple):
             remarks.append(f"{len(time) - len(order)} messages repeat a time and are left out")
         return Arrived(order, (*remarks, *self._steps_ahead(steps, waits, period)))
 
-    def remarks(self) -> list[str]:
-        """Return the remarks of :meth:`arranged`."""
-        return list(self.arranged().remarks)
+    def mended(self) -> tuple["Arrivals", list[str]]:
+        """Return the messages as if their clock had not been set back, with a remark for each time it was."""
+        arrivals, remarks = self, list[str]()
+        steps, both = np.diff(self.time), set_back(self.received)
+        usual, period = _median(steps[steps > 0.0]), self._period(steps)
+        while len(remarks) < AROUND and (k := arrivals._set_back(period)) is not None:
+            time, wait = arrivals.time, float(self.received[k] - self.received[k - 1])
+            size = time[k - 1] + (usual if both else wait) - time[k]
+            arrivals = arrivals._replace(time=np.concatenate([time[:k], time[k:] + size]))
+            remarks.append(f"{self.source} was set back by {_duration(size)} at message {self.numbers[k]}; this is mended")
+        return arrivals, remarks
+
+    def _set_back(self, period: float) -> int | None:
+        """Return the first message after the clock was set back. Messages that only arrived late fill a gap among others."""
+        late = np.flatnonzero(self.time < np.maximum.accumulate(self.time))
+        for run, overlapping, following in _late_runs(self.time, late):
+            if overlapping or following > HOLE * period or len(run) > max(AROUND, MANY_LATE * len(self.time)):
+                return int(run[0])
+        return None
 
     def _period(self, steps: Times) -> float:
         """Return the usual interval between messages [s]; by the reception if many of them are out of order."""
@@ -141,20 +161,18 @@ class Arrivals(NamedTuple):
             raise BadInput(what, self.where, f"the times of one clock, or {self.remedy}")
 
     def _check_back(self, late: NDArray[np.intp], latest: Times, period: float) -> None:
-        """Reject times that go back for good; messages that arrived late fill a gap in the times of the others."""
+        """Reject times that go back for good."""
         expected = f"messages of one sender whose clock is not set, or {self.remedy}"
-        lateness = latest[late] - self.time[late]
-        for run, overlapping, following in _late_runs(self.time, late):
-            if overlapping or following > HOLE * period or len(run) > max(AROUND, MANY_LATE * len(self.time)):
-                k = int(run[0])
-                back, size = latest[k] - self.time[k], latest[k] - self.time[k] + period
-                what = f"{self.source} goes back by {_duration(back)} from message {self.numbers[k - 1]} to {self.numbers[k]}"
-                if set_back(self.received):
-                    found = f"{what}: its clock was set back by about {_duration(size)}, and that of the recorder as well"
-                    raise BadInput(found, self.where, "a recording during which no clock is set, or its part before or after")
-                apart = _duration(self.received[k] - self.received[k - 1])
-                found = f"{what}, received {apart} apart: its clock was set back by about {_duration(size)}"
-                raise BadInput(found, self.where, expected)
+        lateness, k = latest[late] - self.time[late], self._set_back(period)
+        if k is not None:
+            back, size = latest[k] - self.time[k], latest[k] - self.time[k] + period
+            what = f"{self.source} goes back by {_duration(back)} from message {self.numbers[k - 1]} to {self.numbers[k]}"
+            if set_back(self.received):
+                found = f"{what}: its clock was set back by about {_duration(size)}, and that of the recorder as well"
+                raise BadInput(found, self.where, f"a recording during which no clock is set; {MEND}")
+            apart = _duration(self.received[k] - self.received[k - 1])
+            found = f"{what}, received {apart} apart: its clock was set back by about {_duration(size)}"
+            raise BadInput(found, self.where, f"{expected}; {MEND}")
         if len(late) > MANY_LATE * len(self.time) and float(np.median(lateness)) > PERIODS * period:
             what = f"{self.source} goes back {len(late)} times in {len(self.time)} messages"
             begin = f"first by {_duration(lateness[0])} in message {self.numbers[late[0]]}"
@@ -214,9 +232,9 @@ def check_clocks(clocks: Mapping[str, Clock], where: str) -> list[str]:
     unix = {name: clock for name, clock in clocks.items() if clock.unix}
     if others and unix:
         found = "; ".join(
-            f"{name}: {clock.source} counts from boot or start ({moment(clock.first)})" for name, clock in others.items()
+            f"{name}: {clock.source} counts from boot or start ({moment(clock.time)})" for name, clock in others.items()
         )
-        rest = "; ".join(f"{name}: {clock.source} is Unix time ({moment(clock.first)})" for name, clock in unix.items())
+        rest = "; ".join(f"{name}: {clock.source} is Unix time ({moment(clock.time)})" for name, clock in unix.items())
         raise BadInput(f"its topics have different clocks: {found}; {rest}", where, remedy.format(_received(others)))
     ordered = sorted(clocks, key=lambda name: clocks[name].delay)
     first, last = (clocks[name] for name in (ordered[0], ordered[-1]))

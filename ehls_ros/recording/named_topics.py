@@ -2,7 +2,7 @@
 
 import json
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,7 +67,8 @@ class Found(NamedTuple):
 
     Attributes:
         type: message type.
-        time: time of each message, by its stamp if there is one, from the bag's beginning, shape (n,) [s].
+        time: time of each message, by its stamp if there is one, from the bag's beginning, shape (n,) [s]; increasing unless
+            a remark says why not.
         fields: values by the field's name in a map.
         remarks: remarks on the times, one sentence each.
     """
@@ -111,18 +112,19 @@ def every_topic(path: Path) -> tuple[dict[str, Found], dict[str, str], list[str]
         time, received = (stamps[name] - zero) / 1e9, (columns[SENT] - zero) / 1e9
         numbers, source = np.arange(len(time)) + 1, STAMP if stamped[name] else RECEIVED
         arrivals = Arrivals(time, received, numbers, zero / 1e9, source, name, f"'tables: {{{name}: {{name: {RECEIVED}}}}}'")
-        clocks[name] = Clock(source, int(stamps[name][0]) / 1e9, float(np.median(received - time)), given=False)
-        remarks = sinks[name].remarks() + _advice(arrivals.remarks)
-        found[name] = Found(sinks[name].connections[0].msgtype, time, _numbers(columns), tuple(remarks))
-    return found, left_out, on_bag + _advice(lambda: check_clocks(clocks, str(path)))
-
-
-def _advice(check: Callable[[], list[str]]) -> list[str]:
-    """Return the remarks of a check, or the error if it fails."""
+        clocks[name] = Clock(source, int(stamps[name][len(time) // 2]) / 1e9, float(np.median(received - time)), given=False)
+        try:
+            order, remarks = arrivals.arranged()
+        except BadInput as error:
+            order, remarks = np.arange(len(time)), (f"{error.what}; expected {error.expected}",)
+        numeric_fields = {field: values[order] for field, values in _numbers(columns).items()}
+        said = (*sinks[name].remarks(), *remarks)
+        found[name] = Found(sinks[name].connections[0].msgtype, time[order], numeric_fields, said)
     try:
-        return check()
+        on_bag += check_clocks(clocks, str(path))
     except BadInput as error:
-        return [f"{error.what}; expected {error.expected}"]
+        on_bag.append(f"{error.what}; expected {error.expected}")
+    return found, left_out, on_bag
 
 
 class _Lenient(BagTopic):
@@ -269,6 +271,7 @@ class _Topic:
         fields = fields_of(self.connections, self.where)
         self._known = numeric(fields)
         stamped = {SECONDS, NANOSECONDS} <= self._known.keys()
+        self._mend = time is not None and time.mend
         self._given, self._received = time is not None, f"'tables: {{{name}: {{name: {RECEIVED}}}}}' in the map"
         self._time = time.plain() if time is not None else Column(STAMP if stamped else RECEIVED)
         if self._time.name == STAMP and not stamped:
@@ -389,7 +392,7 @@ class _Topic:
         """Return the clock of the topic's times."""
         received = read.columns[SENT][read.rows]
         delay = float(np.median((received - read.stamps) / 1e9)) - self._time.offset
-        return Clock(self._time.name, read.first_ns / 1e9 + self._time.offset, delay, self._given)
+        return Clock(self._time.name, int(read.stamps[len(received) // 2]) / 1e9 + self._time.offset, delay, self._given)
 
     def trajectory(self, read: _Messages, zero_ns: int) -> Trajectory:
         """Return the topic's signals in the order of their times."""
@@ -406,6 +409,10 @@ class _Topic:
             remarks.append(f"sent evenly, received with delays that differ by {1e3 * float(np.std(time - even)):.2g} ms")
             time = even
             arrivals = arrivals._replace(time=self._time.scale * even + self._time.offset)
+        if self._mend:
+            arrivals, mended = arrivals.mended()
+            remarks += mended
+            time = (arrivals.time - self._time.offset) / self._time.scale
         order, found = arrivals.arranged()
         if len(order) < MIN_DISTINCT * len(time):
             what = f"its {len(time)} messages have only {len(order)} different times ({self._time.name})"

@@ -38,6 +38,12 @@ def test_files_without_metadata_are_read_in_the_order_of_their_numbers(tmp_path:
     assert "metadata.yaml is missing: run_0." in read.preparation.remarks[0]
 
 
+def test_a_missing_number_is_a_remark(tmp_path: Path):
+    parts = {f"run_{k}": part(tmp_path / f"p{k}", range(10 * k, 10 * k + 10)) for k in (0, 2, 3)}
+    [remark] = read_bag(together(tmp_path / "bag", **parts)).preparation.remarks
+    assert remark.endswith("; there is no file of number 1")
+
+
 def test_files_of_other_names_are_read_in_the_order_of_their_times(tmp_path: Path):
     bag = together(tmp_path / "bag", b=part(tmp_path / "p0", range(10)), a=part(tmp_path / "p1", range(10, 20)))
     assert read_bag(bag)["force_n"].tolist() == list(range(20))

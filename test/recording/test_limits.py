@@ -193,6 +193,8 @@ def test_a_bag_that_lists_a_file_twice(tmp_path: Path):
 def test_a_pipe_beside_the_files_of_a_bag(tmp_path: Path):
     bag = as_bag(tmp_path, "mcap")
     os.mkfifo(bag / "more.mcap")
+    assert read_bag(bag).preparation.remarks == ("more.mcap is not listed in metadata.yaml and left out",)
+    (bag / "metadata.yaml").unlink()
     with pytest.raises(BadInput, match="it is a pipe"):
         read_bag(bag)
 

@@ -151,6 +151,11 @@ def test_what_is_not_in_the_bag_is_named_with_its_topic(tmp_path: Path, text: st
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
+        (
+            "force_n: {table: /cell, name: x, mend: true}",
+            "force_n: mend is given; expected it only under 'tables', for a topic",
+        ),
+        ("tables: {a.csv: {name: t, mend: true}}", "mend is given; expected it only under 'tables', for a topic"),
         (f"{MAP}tables: [/cell, slow.csv]", "its tables are /cell, slow.csv; expected files alone, or topics (/name) alone"),
         (f"{MAP}base: /other", "base is '/other'; expected one of the tables /cell, /joint_states, /pressure_bar"),
     ],
@@ -205,6 +210,9 @@ def test_a_clock_of_sender_and_recorder_that_was_set_back_is_refused(tmp_path: P
     complaint = f"{source} goes back by 99.3 ms from message 200 to 201: its clock was set back by about 101.3 ms, and that of"
     with pytest.raises(BadInput, match=complaint):
         load(bag, mapped(tmp_path, text))
+    read = load(bag, mapped(tmp_path, text.replace("}}", ", mend: true}}")))
+    np.testing.assert_allclose(read["force_n"], 500.0 * read.time_s, atol=1e-3)
+    assert any("was set back by 101.3 ms at message 201; this is mended" in remark for remark in read.preparation.remarks)
     [table] = look(bag)
     assert "header.stamp goes back by 99.3 ms from message 200 to 201" in table.remarks[0]
 
