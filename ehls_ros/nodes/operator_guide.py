@@ -9,7 +9,7 @@ from ehls_ros.recording.topics import TRIPPED_BY
 
 
 class OperatorGuide:
-    """Tells the operator of a run what to do after an emergency stop or a trip.
+    """Guidance after an emergency stop or a trip, printed once for each.
 
     Attributes:
         end_on_trip: whether a trip ends the run.
