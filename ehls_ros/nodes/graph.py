@@ -139,15 +139,15 @@ def run_graph(
     plant: Plant = SIMULATED,
     *,
     compose: bool = False,
-    end_on_trip: bool = False,
+    end_on_trip: bool = True,
     continued: Path | None = None,
     until_finished: bool = False,
-    say: Callable[[str], None] = print,
+    say: Callable[[str], None] = lambda _: None,
 ) -> float:
     """Run an experiment over DDS, with one process per node, or with the nodes of the cycle in one process.
 
-    After an emergency stop or a trip the graph stays up, until an operator has enabled the rig again and the remaining cycles
-    are run, or until an interrupt.
+    Unless ``end_on_trip``, the graph stays up after an emergency stop or a trip, until an operator has enabled the rig again
+    and the remaining cycles are run, or until an interrupt.
 
     Args:
         spec: the experiment, already written to the run folder.

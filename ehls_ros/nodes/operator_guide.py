@@ -4,12 +4,12 @@ import os
 from collections.abc import Callable, Mapping
 
 from ehls_ros.dashboard.status import explained
-from ehls_ros.hardware.safety_gate import DRIVING, steps_to_drive
+from ehls_ros.hardware.safety_gate import DRIVING, LEFT, steps_to_drive
 from ehls_ros.recording.topics import TRIPPED_BY
 
 
 class OperatorGuide:
-    """Tells the operator of a run what to do after an emergency stop or a trip.
+    """Guidance after an emergency stop or a trip, printed once for each.
 
     Attributes:
         end_on_trip: whether a trip ends the run.
@@ -43,7 +43,8 @@ class OperatorGuide:
             figures: diagnostics of the node with the gate.
         """
         state, stop, cause = (figures.get(key, "") for key in ("state", "stop", TRIPPED_BY))
-        self.tripped = bool(cause)
+        # At the end of a run the plant closes the valve itself.
+        self.tripped = bool(cause) and not cause.startswith(LEFT.replace("_", " "))
         self.has_tripped |= self.tripped
         steps = [f"rig {step}" for step in steps_to_drive(state, stop)]
         if self._has_programme and self.has_tripped:

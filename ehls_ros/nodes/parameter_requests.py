@@ -42,6 +42,9 @@ LOOK = 0.1
 STARTED = 120.0
 """Longest wait for a controller that is starting [s]: the first time, it compiles its law."""
 
+FIRST_COMMAND = 12.0
+"""Longest wait for the first standby command of an active controller [s]: in lockstep it waits ten seconds for an estimate."""
+
 STARTING = frozenset({State.TRANSITION_STATE_CONFIGURING, State.TRANSITION_STATE_ACTIVATING})
 """States of a node that is on its way to become active."""
 
@@ -186,9 +189,8 @@ class Requests:
             state = self._state_of(node)
             starting = state is not None and state.id in STARTING
             if state is not None and state.id == State.PRIMARY_STATE_ACTIVE:
-                # Its first standby command may be under way.
                 since_active = since_active or time.monotonic()
-                starting = time.monotonic() - since_active < AGAIN
+                starting = time.monotonic() - since_active < FIRST_COMMAND
             if not starting or time.monotonic() > deadline:
                 inactive = state is not None and state.id != State.PRIMARY_STATE_ACTIVE
                 reason = f"{node} is {state.label}; it stands by once it is active" if inactive else answer.message

@@ -3,7 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import rclpy
@@ -15,6 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from ehls_msgs.msg import LoaderState
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.hardware.realtime import prefer, threads
 from ehls_ros.nodes.codec import NANOSECONDS, Decoder
 from ehls_ros.nodes.graph_nodes import PROGRAMME
 from ehls_ros.nodes.parameter_requests import FOUND, LOOK, Requests, checked_namespace, joined
@@ -29,6 +30,10 @@ SAMPLED = 1.0
 
 RETRY_TIME = 3.0
 """Time for which a refused request is repeated [s]: a ramp, or the shortest emergency stop, may not be over."""
+
+PRIORITY = 1
+"""SCHED_FIFO priority of the requests, where permitted: below the loops of a rig in real time, which leave ordinary processes
+little time, such as one that is to stop the rig."""
 
 REPORT_DEPTH = 100
 """Queue depth for diagnostics."""
@@ -207,6 +212,8 @@ def rig_requests(namespace: str) -> Iterator[RigRequests]:
         BadInput: not a valid ROS namespace.
     """
     inner = checked_namespace(namespace)
+    with suppress(PermissionError):
+        prefer(threads(), PRIORITY)
     with joined() as (node, executor):
         rig = RigRequests(node, executor, inner)
         try:

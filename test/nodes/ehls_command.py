@@ -11,7 +11,9 @@ from ehls_ros.recording.bag_reader import read_bag
 
 
 def ehls(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
+    # A run that trips waits for its operator.
+    more = ["--end-on-trip"] if arguments[0] == "experiment" else []
+    command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments), *more]
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
 
 

@@ -48,6 +48,14 @@ def test_each_stop_is_told_once_with_the_commands_and_the_domain(monkeypatch):
     assert not guide.tripped
 
 
+def test_the_end_of_a_run_is_no_trip():
+    lines = []
+    guide = OperatorGuide(lines.append)
+    guide.follow({"state": "cut", "stop": "", "cause_1": "left active at 5.000000 s, cut"})
+    assert not lines
+    assert not guide.has_tripped
+
+
 def test_another_trip_is_told_again():
     lines = []
     guide = OperatorGuide(lines.append)

@@ -9,16 +9,19 @@ import pytest
 pytest.importorskip("ehls_msgs.msg._driver", reason="needs ehls_msgs built, as `make setup` does")
 
 from diagnostic_msgs.msg import DiagnosticArray
+from patience import PATIENCE
 from std_msgs.msg import Bool
 
 from ehls_msgs.msg import ControllerStatus, Driver, LoaderState, ValveCommand
 from ehls_msgs.srv import SwitchController
+from ehls_ros.cli.main import main
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.experiments.loop import run_in_process, sampled, simulator_of
 from ehls_ros.experiments.spec import Use, load_spec
+from ehls_ros.nodes import parameter_requests
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import SENSED
 
@@ -139,3 +142,19 @@ def test_a_controller_takes_over_gives_back_and_succeeds_one_that_leaves(graph, 
         after = slice(first, first + PHASE // 2)
         assert np.max(np.abs(forces[after] - wanted[after])) <= 1.2 * usual_error
         assert np.max(np.abs(np.diff(sent[first - 1 : first + 5]))) <= 1.2 * usual_change
+
+
+@pytest.mark.long
+def test_the_command_waits_for_a_controller_that_starts_and_names_one_that_does_not(graph, spec_file, capsys, monkeypatch):
+    monkeypatch.setattr(parameter_requests, "FOUND", PATIENCE)
+    path = spec_file(duration=1000.0, controller=SECOND)
+    for name in ("reference_node", "disturbance_node", f"{SECOND}_node"):
+        graph.start(name, spec=path, timing="lockstep")
+    graph.start("plant_sim_node", spec=path, timing="lockstep", speed=1.0)
+    graph.start("fasmc_node", spec=path, timing="lockstep", autostart=False)
+    assert main(["switch", "fasmc_node"]) == 1
+    assert "fasmc_node is unconfigured; it stands by once it is active" in capsys.readouterr().err
+    graph.stop("fasmc_node")
+    graph.start("fasmc_node", spec=path, timing="lockstep")
+    assert main(["switch", "fasmc_node"]) == 0, capsys.readouterr().err
+    assert "takes over" in capsys.readouterr().out
