@@ -44,7 +44,7 @@ class Simulation(Recording):
         spec: the experiment.
     """
 
-    metrics: Metrics = field()  # type: ignore[misc]  # computed by the run, not from its signals; without a default
+    metrics: Metrics = field()  # without the inherited property as its default
     spec: Spec
 
 

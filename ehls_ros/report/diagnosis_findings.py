@@ -265,7 +265,7 @@ def rest(found: Diagnosis) -> str:
     result = found.stages[stage]
     size = (
         f", {number(result.nrmse_after / result.noise_floor, 2)} times the noise,"
-        if result.noise_floor and result.nrmse_after is not None
+        if result.noise_floor and result.nrmse_after is not None and not at_noise(result)
         else ""
     )
     return f"the rest in the {STAGE_NAMES[stage]}{size} {depends(found)}, and no known effect explains it"

@@ -169,5 +169,5 @@ def _spectra(x: Array, y: Array, step: float) -> _Spectra:
     turned = of_y * np.exp(2j * np.pi * spacing * delay * np.arange(len(of_y)))
     # Mean squares of the signals, which the taper lowers.
     scale = 2.0 / (count * float(np.sum(taper**2)))
-    powers = [scale * np.abs(values) ** 2 for values in (of_x, of_y, of_y - of_x)]
-    return _Spectra(spacing, delay, *powers, cross=scale * turned * np.conj(of_x))
+    reference, force, error = (scale * np.abs(values) ** 2 for values in (of_x, of_y, of_y - of_x))
+    return _Spectra(spacing, delay, reference, force, error, scale * turned * np.conj(of_x))
