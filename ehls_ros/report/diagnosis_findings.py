@@ -118,11 +118,11 @@ def sized(effect: str, parameters: Mapping[str, Estimate], since: str = RIG_FILE
     """
     if not parameters:
         return ""
-    if not words(effect).lacking and len(parameters) == 1:
-        [(name, e)] = parameters.items()
-        declared = next((d for d in declarations(EFFECTS.load(effect).Parameters) if d.name == name), None)
-        neutral = float(declared.default) if declared is not None else math.nan
-        inside = declared is None or e.value not in (declared.minimum, declared.maximum)
+    every = tuple(declarations(EFFECTS.load(effect).Parameters))
+    if not words(effect).lacking and len(every) == len(parameters) == 1:
+        [declared], [e] = every, parameters.values()
+        neutral = float(declared.default)
+        inside = e.value not in (declared.minimum, declared.maximum)
         if math.isfinite(e.std) and inside and (neutral == 0.0 or (neutral == 1.0 and e.unit == "1")):
             away, half = abs(e.value - neutral), NORMAL_95 * e.std
             text = estimate(Estimate(away, half, e.unit), 1)
