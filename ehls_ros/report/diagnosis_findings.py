@@ -36,6 +36,9 @@ OPEN_CANDIDATE = 10.0
 RIG_FILE = "in the rig file"
 """State to which a changed value is compared, without baselines."""
 
+UNDECIDED = "undecided by these data"
+"""Mark of a clause with several candidates."""
+
 LACKS = "the simulation lacks"
 """Beginning of a clause on a missing effect, once in a sentence."""
 
@@ -193,6 +196,8 @@ def claims(found: Diagnosis, since: str = RIG_FILE) -> str:
     more = len(probable) - len(texts)
     if more:
         texts.append(f"{'another cause adds' if more == 1 else f'{more} more causes add'} to the error")
+    if any(UNDECIDED in text for text in texts):
+        return "; ".join(texts)
     return ", and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 2 else texts)
 
 
@@ -204,7 +209,7 @@ def _claim(found: Diagnosis, cause: Cause, since: str) -> str:
     noun, size, where = words(cause.name).noun, sized(cause.name, cause.parameters, since), STAGE_NAMES[CHANNELS[cause.channel]]
     if rivals:
         candidates = ", or ".join([_with(noun, size), *rivals])
-        return f"the error in the {where} has one of these causes, undecided by these data: {candidates}"
+        return f"the error in the {where} has one of these causes, {UNDECIDED}: {candidates}"
     how_sure = "" if cause.probability >= CERTAIN_PROBABILITY else f", with a probability of {likely(cause.probability)}"
     if cause.probability < LIKELY:
         return f"the cause of the error in the {where} is uncertain: nearest is {_with(noun, size)}{how_sure}"
