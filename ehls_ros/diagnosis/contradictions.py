@@ -20,9 +20,6 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import notes
 from ehls_ros.trajectory import MEASURED, Trajectory
 
-OUTSIDE = 0.1
-"""Distance outside ``limits.position`` up to which a position may be measured from mid-stroke, as a fraction of the stroke."""
-
 
 class Ratio(NamedTuple):
     """Ratio of a measured quantity to the value implied by the rig file.
@@ -136,7 +133,7 @@ def _check_mid_stroke(seen: Seen, rig: Rig, name: str) -> None:
     if position is None or not math.isfinite(most - least):
         return
     low, high, room = float(position.min()), float(position.max()), most - least
-    if high - low > room or max(least - low, high - most) <= OUTSIDE * room:
+    if high - low > room or max(least - low, high - most) <= rules.SIZE_OUTSIDE * room:
         return
     counted_from_an_end = low >= 0.0 and high <= room
     offset = float(f"{least if counted_from_an_end else 0.5 * (least + most - low - high):.4g}")
