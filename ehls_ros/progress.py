@@ -1,5 +1,6 @@
 """Progress of long work: a bar on a terminal and in notebooks, plain lines elsewhere."""
 
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -68,8 +69,10 @@ def announce(text: str) -> None:
 
 def duration_text(seconds: float) -> str:
     """Write a duration: seconds, minutes and seconds, or hours and minutes."""
+    if not math.isfinite(seconds):
+        return "–"
     if seconds < 100.0:
-        return f"{seconds:.1f} s" if seconds < 10.0 else f"{seconds:.0f} s"
+        return f"{seconds:.3g} s"
     minutes, rest = divmod(round(seconds), 60)
     if minutes < 60:
         return f"{minutes} min {rest} s"

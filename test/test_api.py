@@ -239,7 +239,7 @@ def test_progress_into_a_file_is_a_line_now_and_then(monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(0.123, "0.1 s"), (42.4, "42 s"), (119.6, "2 min 0 s"), (12224.0, "3 h 24 min"), (3599.9, "1 h 0 min")],
+    [(0.123, "0.123 s"), (42.4, "42.4 s"), (119.6, "2 min 0 s"), (12224.0, "3 h 24 min"), (3599.9, "1 h 0 min")],
 )
 def test_long_times_are_minutes_and_hours(seconds, text):
     assert progress.duration_text(seconds) == text

@@ -52,7 +52,7 @@ class Simulation(Recording):
         spec: the experiment.
     """
 
-    metrics: Metrics = field()  # computed by the run, not from its signals; without a default
+    metrics: Metrics = field()  # without the inherited property as its default
     spec: Spec
 
 

@@ -1,5 +1,6 @@
 """Advice for a named cause: that of its effect's file, unless the recording itself explains the cause."""
 
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.result import Cause
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
@@ -7,12 +8,6 @@ from ehls_ros.physics.rig import Rig
 
 SPRING, ADDED = "spring_rate_shift", "added"
 """The effect that changes the spring's stiffness, and its parameter."""
-
-NONE_LEFT = 0.05
-"""Fitted stiffness up to which no spring acts in the recorded force, as a fraction of the rig file's."""
-
-DEVIATIONS = 2.0
-"""The same in standard errors."""
 
 
 def advice(rig: Rig, cause: Cause) -> Words:
@@ -38,4 +33,4 @@ def spring_in_force(rig: Rig, cause: Cause) -> bool:
     if cause.name != SPRING or added is None or not stiffness > 0.0:
         return False
     # A fit beyond zero stiffness has no effect.
-    return added.value + stiffness <= max(NONE_LEFT * stiffness, DEVIATIONS * added.std)
+    return added.value + stiffness <= max(rules.SPRING_LEFT * stiffness, rules.SPRING_SIGMAS * added.std)

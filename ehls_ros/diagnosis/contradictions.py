@@ -20,9 +20,6 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import notes
 from ehls_ros.trajectory import MEASURED, Trajectory
 
-OUTSIDE = 0.1
-"""Distance outside ``limits.position`` up to which a position may be measured from mid-stroke, as a fraction of the stroke."""
-
 
 class Ratio(NamedTuple):
     """Ratio of a measured quantity to the value implied by the rig file.
@@ -119,7 +116,8 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
     wrong = [ratio for ratio in _ratios(rig, seen, fitted=fitted) if ratio.impossible]
     if not wrong:
         doubtful = [ratio for ratio in _ratios(rig, seen, fitted=True) if ratio.doubtful]
-        return tuple(f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in doubtful)
+        doubts = tuple(f"{ratio}: are rig file and recording of one rig, in SI units?" for ratio in doubtful)
+        return (*doubts, *_doubtful_zero(seen, rig))
     # A ratio that involves the recording is more informative than a range.
     summary = "; ".join(map(str, wrong[:-3:-1]))
     readings = _resolving(rig, seen)
@@ -135,7 +133,7 @@ def _check_mid_stroke(seen: Seen, rig: Rig, name: str) -> None:
     if position is None or not math.isfinite(most - least):
         return
     low, high, room = float(position.min()), float(position.max()), most - least
-    if high - low > room or max(least - low, high - most) <= OUTSIDE * room:
+    if high - low > room or max(least - low, high - most) <= rules.SIZE_OUTSIDE * room:
         return
     counted_from_an_end = low >= 0.0 and high <= room
     offset = float(f"{least if counted_from_an_end else 0.5 * (least + most - low - high):.4g}")
@@ -151,6 +149,25 @@ def _check_mid_stroke(seen: Seen, rig: Rig, name: str) -> None:
         " reading at mid-stroke in m; or limits.position in the scale of the recording, if the spring is relaxed at its 0"
     )
     raise BadInput(what, name, expected)
+
+
+def _doubtful_zero(seen: Seen, rig: Rig) -> Iterator[str]:
+    """Yield a remark on a position at whose middle the spring would exert more than all recorded forces."""
+    position, reach = seen.signals.get("position_m"), seen.reach
+    if position is None:
+        return
+    low, high = float(position.min()), float(position.max())
+    middle = 0.5 * (low + high)
+    spring = rig.plant.spring_stiffness * abs(middle)
+    recorded = max(reach.get("force_n", 0.0), rig.plant.piston_area * reach.get("load_pressure_pa", 0.0))
+    recorded += reach.get("disturbance_force_n", 0.0)
+    # At rest, friction may hold the spring.
+    if abs(middle) > high - low and recorded > 0.0 and spring > recorded + rig.friction_level(0.0):
+        yield (
+            f"position_m runs from {1e3 * low:.4g} to {1e3 * high:.4g} mm, where the spring of the rig file exerts {spring:.3g}"
+            f" N, more than the recorded {recorded:.3g} N: is its 0 at mid-stroke? If this recording is centred, `offset:"
+            f" {-middle:.4g}` in the map of columns puts it there"
+        )
 
 
 def _resolving(rig: Rig, seen: Seen) -> list[Reading]:

@@ -148,6 +148,21 @@ SIZE_FEWEST: Annotated[int, Rule("record", "1", "Fewest blocks that determine a 
 
 SIZE_READINGS: Annotated[int, Rule("record", "1", "Most values and signals that are taken to be wrong at once.")] = 3
 
+SIZE_OUTSIDE: Annotated[
+    float,
+    Rule(
+        "record",
+        "1",
+        "Distance outside the rig's stroke up to which a position may count from mid-stroke, as a fraction of the stroke.",
+    ),
+] = 0.1
+
+SPRING_LEFT: Annotated[
+    float, Rule("verdict", "1", "Fitted stiffness up to which no spring acts in the force, as a fraction of the rig file's.")
+] = 0.05
+
+SPRING_SIGMAS: Annotated[float, Rule("verdict", "1", "The same in standard errors.")] = 2.0
+
 RESOLUTION_SAMPLES: Annotated[int, Rule("record", "1", "Samples in which a signal's resolution is looked for.")] = 20000
 
 RESOLUTION_MISFIT: Annotated[

@@ -99,7 +99,7 @@ def announce_compiling(jobs: Iterable[Job], processors: int = 1, what: str = "")
     if tasks:
         kernels = "1 kernel" if len(tasks) == 1 else f"{len(tasks)} kernels"
         expected = PER_KERNEL * math.ceil(len(tasks) / max(1, processors)) * _slowness()
-        before = f"{what}: " if what else ""
+        before, expected = f"{what}: " if what else "", float(f"{expected:.2g}")
         announce(f"{before}compiling {kernels}, once for this version; about {duration_text(expected)} on this machine")
     return tasks
 

@@ -36,6 +36,9 @@ OPEN_CANDIDATE = 10.0
 RIG_FILE = "in the rig file"
 """State to which a changed value is compared, without baselines."""
 
+UNDECIDED = "undecided by these data"
+"""Mark of a clause with several candidates."""
+
 LACKS = "the simulation lacks"
 """Beginning of a clause on a missing effect, once in a sentence."""
 
@@ -118,11 +121,11 @@ def sized(effect: str, parameters: Mapping[str, Estimate], since: str = RIG_FILE
     """
     if not parameters:
         return ""
-    if not words(effect).lacking and len(parameters) == 1:
-        [(name, e)] = parameters.items()
-        declared = next((d for d in declarations(EFFECTS.load(effect).Parameters) if d.name == name), None)
-        neutral = float(declared.default) if declared is not None else math.nan
-        inside = declared is None or e.value not in (declared.minimum, declared.maximum)
+    every = tuple(declarations(EFFECTS.load(effect).Parameters))
+    if not words(effect).lacking and len(every) == len(parameters) == 1:
+        [declared], [e] = every, parameters.values()
+        neutral = float(declared.default)
+        inside = e.value not in (declared.minimum, declared.maximum)
         if math.isfinite(e.std) and inside and (neutral == 0.0 or (neutral == 1.0 and e.unit == "1")):
             away, half = abs(e.value - neutral), NORMAL_95 * e.std
             text = estimate(Estimate(away, half, e.unit), 1)
@@ -193,6 +196,8 @@ def claims(found: Diagnosis, since: str = RIG_FILE) -> str:
     more = len(probable) - len(texts)
     if more:
         texts.append(f"{'another cause adds' if more == 1 else f'{more} more causes add'} to the error")
+    if any(UNDECIDED in text for text in texts):
+        return "; ".join(texts)
     return ", and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 2 else texts)
 
 
@@ -204,7 +209,7 @@ def _claim(found: Diagnosis, cause: Cause, since: str) -> str:
     noun, size, where = words(cause.name).noun, sized(cause.name, cause.parameters, since), STAGE_NAMES[CHANNELS[cause.channel]]
     if rivals:
         candidates = ", or ".join([_with(noun, size), *rivals])
-        return f"the error in the {where} has one of these causes, undecided by these data: {candidates}"
+        return f"the error in the {where} has one of these causes, {UNDECIDED}: {candidates}"
     how_sure = "" if cause.probability >= CERTAIN_PROBABILITY else f", with a probability of {likely(cause.probability)}"
     if cause.probability < LIKELY:
         return f"the cause of the error in the {where} is uncertain: nearest is {_with(noun, size)}{how_sure}"
@@ -265,7 +270,7 @@ def rest(found: Diagnosis) -> str:
     result = found.stages[stage]
     size = (
         f", {number(result.nrmse_after / result.noise_floor, 2)} times the noise,"
-        if result.noise_floor and result.nrmse_after is not None
+        if result.noise_floor and result.nrmse_after is not None and not at_noise(result)
         else ""
     )
     return f"the rest in the {STAGE_NAMES[stage]}{size} {depends(found)}, and no known effect explains it"

@@ -184,7 +184,7 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
 def _time(seconds: object) -> str:
     """Write a time in seconds, a long one in hours and minutes."""
     if isinstance(seconds, int | float) and LONG <= seconds < math.inf:
-        return duration_text(float(seconds))
+        return duration_text(seconds)
     return with_unit(seconds, "s", "")
 
 

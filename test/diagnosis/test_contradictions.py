@@ -115,6 +115,15 @@ def test_a_position_on_an_absolute_scale_is_named_with_its_offset(rig_file, colu
     check_suits(trajectory({**columns, "position_m": position + float(offset)}), rig, NAME)
 
 
+def test_a_position_far_from_0_within_the_stroke_gets_a_remark(rig_file, columns):
+    rig = changed(rig_file, "limits", "position", [-1.0, 1.0])
+    shifted = {name: values for name, values in columns.items() if name in ("position_m", "force_n", "load_pressure_pa")}
+    shifted["position_m"] = 0.1 * columns["position_m"] + 0.8
+    [doubt] = [d for d in check_suits(trajectory(shifted), rig, NAME) if "mid-stroke" in d]
+    assert re.search(r"exerts \S+ N, more than the recorded", doubt)
+    assert "`offset: -0." in doubt
+
+
 def test_a_position_that_leaves_the_stroke_by_little_is_accepted(rig_file, columns):
     position = columns["position_m"]
     low, high = float(position.min()), float(position.max())

@@ -1,12 +1,16 @@
 """Spoilt data and wrong rig files: the right verdict or an inconclusive one, never a wrong name with confidence."""
 
+import warnings
+
 import numpy as np
 import pytest
 from test_hidden_effects import CONFIDENT, class_of, told
 from tiers import tiered
 
+from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import rig_from_mapping
+from ehls_ros.trajectory import Trajectory
 from truth_generator import degrade
 
 DURATION = 8.0
@@ -166,3 +170,14 @@ def test_three_seconds_do_no_harm(names, recorded, diagnosed):
 def test_too_few_samples_are_refused(recorded, diagnosed):
     with pytest.raises(BadInput, match="samples"):
         diagnosed(recorded({}, "rich", seed=209, duration=0.1))
+
+
+def test_signals_at_0_are_not_divided_by(rig_file):
+    time = np.arange(0.0, 4.0, 1e-3)
+    still = {name: np.zeros(len(time)) for name in ("position_m", "velocity_m_s", "load_pressure_pa", "force_n", "spool_m")}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        found = diagnose(Trajectory(time, still), rig_from_mapping(rig_file, "rig.yaml"))
+    assert found.verdict == "insufficient"
+    assert "valve: its signals are 0 throughout" not in found.missing  # without a command, there is no valve to judge
+    assert "sensors: its signals are 0 throughout" in found.missing
