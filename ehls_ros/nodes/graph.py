@@ -140,6 +140,7 @@ def run_graph(
     *,
     compose: bool = False,
     end_on_trip: bool = True,
+    attended: bool = True,
     continued: Path | None = None,
     until_finished: bool = False,
     say: Callable[[str], None] = lambda _: None,
@@ -158,6 +159,7 @@ def run_graph(
         plant: simulated rig or bridge.
         compose: whether the nodes of the cycle are one process.
         end_on_trip: whether an emergency stop or a trip ends the run.
+        attended: whether an operator may be present; otherwise a trip without an emergency stop ends the run.
         continued: folder of an earlier run whose programme is continued, in its log and state; None: the programme begins.
         until_finished: whether the run ends with its programme, whatever the number of cycles.
         say: prints a line for the operator.
@@ -178,7 +180,7 @@ def run_graph(
     if continued is not None:
         parameters[PROGRAMME]["folder"] = str(continued.resolve())
     say(f"rig of this run: {OperatorGuide.prefix()}ehls rig status")
-    guide = OperatorGuide(say, end_on_trip=end_on_trip, has_programme=PROGRAMME in parameters)
+    guide = OperatorGuide(say, end_on_trip=end_on_trip, attended=attended, has_programme=PROGRAMME in parameters)
     processes = processes_of(list(parameters), compose=compose)
     # The nodes end with this process, even when it is interrupted.
     with _interrupts_noted() as interrupted, node_processes(processes, parameters, folder.logs, environment) as running:
@@ -544,7 +546,7 @@ class Conductor:
                 self._guide.follow(figures)
                 # A simulator or a device that has failed is not a trip, even if the gate has tripped, too.
                 is_trip = self._guide.tripped and f"{figures.get('state')}, tripped by" in status.message
-            if is_error and (not is_trip or self._guide.end_on_trip):
+            if is_error and (not is_trip or self._guide.ends_run):
                 self._failure = f"{status.name}: {status.message}"
 
 

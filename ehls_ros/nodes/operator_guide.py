@@ -12,24 +12,33 @@ class OperatorGuide:
     """Guidance after an emergency stop or a trip, printed once for each.
 
     Attributes:
-        end_on_trip: whether a trip ends the run.
         tripped: whether the gate is tripped.
         has_tripped: whether it has been since the start.
     """
 
-    def __init__(self, say: Callable[[str], None], *, end_on_trip: bool = False, has_programme: bool = False) -> None:
+    def __init__(
+        self, say: Callable[[str], None], *, end_on_trip: bool = False, attended: bool = True, has_programme: bool = False
+    ) -> None:
         """Begin without a trip.
 
         Args:
             say: prints a line.
-            end_on_trip: whether a trip ends the run.
+            end_on_trip: whether an emergency stop or a trip ends the run.
+            attended: whether an operator may be present; otherwise a trip ends the run, but no emergency stop, which
+                someone has given.
             has_programme: whether a programme has to be resumed.
         """
         self._say = say
         self._has_programme = has_programme
-        self.end_on_trip = end_on_trip
+        self._end_on_trip, self._attended = end_on_trip, attended
+        self._stop = ""
         self.tripped = self.has_tripped = False
         self._said: tuple[str, str] | None = None
+
+    @property
+    def ends_run(self) -> bool:
+        """Whether the present stop or trip ends the run."""
+        return self._end_on_trip or not (self._attended or self._stop)
 
     @staticmethod
     def prefix() -> str:
@@ -43,6 +52,7 @@ class OperatorGuide:
             figures: diagnostics of the node with the gate.
         """
         state, stop, cause = (figures.get(key, "") for key in ("state", "stop", TRIPPED_BY))
+        self._stop = stop
         # At the end of a run the plant closes the valve itself.
         self.tripped = bool(cause) and not cause.startswith(LEFT.replace("_", " "))
         self.has_tripped |= self.tripped
@@ -50,7 +60,7 @@ class OperatorGuide:
         if self._has_programme and self.has_tripped:
             steps.append("programme resume")
         is_new = self._said is None or self._said[0] != cause or stop not in {"", self._said[1]}
-        if self.tripped and is_new:
+        if self.tripped and is_new and not self.ends_run:
             self._said = cause, stop
             self._say(
                 f"{explained(cause)} The valve is closed; the graph and the recording go on. To go on, in another terminal:"

@@ -11,10 +11,8 @@ from ehls_ros.recording.bag_reader import read_bag
 
 
 def ehls(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    # A run that trips waits for its operator.
-    more = ["--end-on-trip"] if arguments[0] == "experiment" else []
-    command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments), *more]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
+    return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PATIENCE, check=False)
 
 
 def trajectory_of(done: subprocess.CompletedProcess[str]):

@@ -63,3 +63,20 @@ def test_another_trip_is_told_again():
     guide.follow({**TRIP, "cause_1": "velocity: 2 m/s, limit 1.8 m/s at 4.000000 s, ramp"})
     assert sum(line.startswith("Tripped: ") for line in lines) == 2
     assert not any("programme" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("options", "after", "ends"),
+    [
+        ({}, TRIP, False),
+        ({"attended": False}, TRIP, True),
+        ({"attended": False}, STOP, False),
+        ({"end_on_trip": True}, STOP, True),
+    ],
+)
+def test_only_a_trip_that_nobody_would_clear_ends_a_run_unasked(options, after, ends):
+    lines = []
+    guide = OperatorGuide(lines.append, **options)
+    guide.follow(after)
+    assert guide.ends_run is ends
+    assert bool(lines) is not ends

@@ -72,7 +72,8 @@ def add_graph_options(parser: _ActionsContainer) -> None:
     parser.add_argument(
         "--end-on-trip",
         action="store_true",
-        help="end the run after an emergency stop or a trip; by default the graph stays up until the rig is enabled again",
+        help="end the run after an emergency stop or a trip; by default the graph stays up until the rig is enabled again, but"
+        " not after a trip of a simulated rig without a terminal",
     )
     parser.add_argument(
         "--continue",
@@ -200,6 +201,8 @@ def _over_dds(
             plant,
             compose=options.compose,
             end_on_trip=options.end_on_trip,
+            # Nobody would ever enable the simulated rig of a script.
+            attended=options.plant == "bridge" or sys.stdin.isatty(),
             continued=options.continued,
             until_finished=until_finished,
             say=lambda line: print(line, flush=True),
