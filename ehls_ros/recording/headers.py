@@ -231,6 +231,7 @@ _IGNORED = (
     "ist",
     "actual",
     "act",
+    "axial",
     "piston",
     "kolben",
     "cylinder",
