@@ -238,6 +238,7 @@ _IGNORED = (
     "ist",
     "actual",
     "act",
+    "axial",
     "piston",
     "kolben",
     "cylinder",

@@ -259,15 +259,20 @@ class _Axes(NamedTuple):
 def _distinct(times: Sequence[NDArray[np.float64]]) -> _Axes:
     values, of_channel = list[NDArray[np.float64]](), list[int]()
     for time in times:
-        step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 1.0
-        same = (
-            k for k, v in enumerate(values) if len(v) == len(time) and np.allclose(v, time, rtol=0.0, atol=SAME + SAME * step)
-        )
-        place = next(same, len(values))
+        place = next((k for k, other in enumerate(values) if _same(other, time)), len(values))
         if place == len(values):
             values.append(time)
         of_channel.append(place)
     return _Axes(values, of_channel)
+
+
+def _same(time: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Return whether two time axes are the same, apart from rounding."""
+    if len(time) != len(other) or not np.array_equal(np.isfinite(time), np.isfinite(other)):
+        return False
+    known = time[np.isfinite(time)]
+    step = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 1.0
+    return bool(np.all(np.abs(known - other[np.isfinite(other)]) <= SAME * (1.0 + step)))
 
 
 def _times(file: _File, channels: Sequence[int], reader: _Reader, where: str) -> list[NDArray[np.float64]]:

@@ -159,9 +159,16 @@ def length(seconds: float) -> str:
     raise AssertionError
 
 
+def _in_gaps(steps: Times, usual: float) -> NDArray[np.bool_]:
+    """Return the steps that are gaps: few long ones, or up to half of them if all others are even, as between blocks."""
+    long = steps > GAP * usual
+    count = np.count_nonzero(long)
+    even = count <= 0.5 * len(steps) and bool(np.all(np.abs(steps[~long] - usual) <= FITS * usual))
+    return long if count <= max(1.0, FEW_GAPS * len(steps)) or even else np.zeros(len(steps), dtype=np.bool_)
+
+
 def _unevenness(steps: Times, usual: float) -> float:
-    gaps = steps > GAP * usual
-    plain = steps[~gaps] if np.count_nonzero(gaps) <= max(1.0, FEW_GAPS * len(steps)) else steps
+    plain = steps[~_in_gaps(steps, usual)]
     return float(np.max(np.abs(plain - usual))) / usual if len(plain) and usual > 0.0 else 0.0
 
 
@@ -366,8 +373,8 @@ def _repaired(time: Times, steps: Times, usual: float, row_name: RowName) -> tup
 def _gaps(time: Times, usual: float, row_name: RowName) -> list[str]:
     """Describe the gaps of an increasing axis; none if its steps are uneven anyway."""
     steps = np.diff(time)
-    gaps = np.flatnonzero(steps > GAP * usual)
-    if not len(gaps) or len(gaps) > max(1.0, FEW_GAPS * len(steps)):
+    gaps = np.flatnonzero(_in_gaps(steps, usual))
+    if not len(gaps):
         return []
     worst = int(gaps[np.argmax(steps[gaps])])
     count = "a gap" if len(gaps) == 1 else f"{len(gaps)} gaps, the longest"

@@ -173,3 +173,10 @@ def test_a_wrong_cell_is_named_by_its_line(tmp_path: Path):
     assert raw(path).wrong == {"Kraft": "line 27 is 'saturated'"}
     with pytest.raises(BadInput, match="line 27: column 'Kraft' is 'saturated'; expected a number"):
         load(path, ColumnMap({"time_s": Column("time"), "force_n": Column("Kraft")}))
+
+
+def test_a_missing_time_is_named_by_its_line(tmp_path: Path):
+    rows = [(t if k != 5 else "", k, -k) for k, t in enumerate(TIMES)]
+    path = written(tmp_path / "a.lvm", header("One") + segment(rows))
+    with pytest.raises(BadInput, match="line 27: time_s is nan; expected a finite time"):
+        by_proposal(path)

@@ -89,6 +89,12 @@ def test_a_gap_is_described():
     assert found.unevenness < 1e-9
 
 
+def test_gaps_between_short_blocks_are_no_unevenness():
+    found = axis([block + 0.002 * row for block in (10.0, 30.0, 50.0) for row in range(3)])
+    assert found.remarks == ("time_s has 2 gaps, the longest before line 5, from 10.004 to 30.0 s (19.996 s)",)
+    assert (found.rate, found.unevenness) == (pytest.approx(500.0), pytest.approx(0.0, abs=1e-9))
+
+
 REFUSED = {
     "many repeats": (np.round(np.cumsum(np.random.default_rng(0).exponential(0.01, 400)), 2), ("repeat the time before",)),
     "first stamp zero": (with_values(UNIX + EVEN, r0=0.0), ("line 2: time_s is 0.0; the others have 1764000000.002 to",)),
