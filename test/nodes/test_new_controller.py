@@ -112,8 +112,10 @@ def test_the_specs_controller_is_the_default_and_one_that_cannot_follow_is_refus
     defaults = {name: default for name, (default, _, _) in found["ARGUMENTS"].items()}
     measured = {**defaults, "plant": "bridge", "spec": str(ROOT / "config" / "experiments" / "measured_sine_fd1.yaml")}
     assert ["run", "fasmc_output_feedback_node"] in [node.arguments for node in found["nodes"](measured)]
-    assert ["run", "sic_node"] in [node.arguments for node in found["nodes"]({**measured, "controller": "sic"})]
-    with pytest.raises(BadInput, match=r"controller: the spec's reference is a force .* as pid does"):
+    assert ["run", "fasmc_predictive_node"] in [
+        node.arguments for node in found["nodes"]({**measured, "controller": "fasmc_predictive"})
+    ]
+    with pytest.raises(BadInput, match=r"the spec's reference is a force .* as pid does"):
         found["nodes"]({**measured, "controller": "pid"})
 
 
