@@ -115,12 +115,14 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
         raise BadInput("--bridge was given", "command line", "--plant bridge with it")
     if options.continued is not None:
         _check_continued(options, spec)
-    if options.plant == "sim":
-        spec = for_simulated_rig(spec)
     remarks: tuple[str, ...] = ()
+    if options.plant == "sim" and (simulated := for_simulated_rig(spec)) is not spec:
+        law = spec.controller.name
+        remarks = (f"{law} assumes no command delay instead of its default, as the simulated rig has no effect command_delay",)
+        spec = simulated
     if not options.in_process:
         bridge = bridge_at(options.bridge) if options.plant == "bridge" else None
-        remarks = check_fit(spec, Graph(bridge=bridge, lockstep=options.timing == "lockstep"), where)
+        remarks += check_fit(spec, Graph(bridge=bridge, lockstep=options.timing == "lockstep"), where)
     for remark in remarks:
         print(f"remark: {remark}")
     # Reject an unusable companion file before anything is written or started.
