@@ -22,6 +22,11 @@ Health = tuple[bytes, str, Mapping[str, Any]]
 """Level, message and figures."""
 
 
+def figures_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a node's diagnostics by name."""
+    return {pair.key: pair.value for pair in status.values}
+
+
 class Diagnostics:
     """Diagnostics of one node."""
 

@@ -33,6 +33,7 @@ from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, signal_kind, uses_actuator
 from ehls_ros.hardware.realtime import preferring_what_starts
 from ehls_ros.nodes.control import CLOCK_TOPIC, NAMESPACE, PARENT
+from ehls_ros.nodes.diagnostics import figures_of
 from ehls_ros.nodes.graph_nodes import (
     BACKGROUND,
     COMPOSED,
@@ -536,7 +537,7 @@ class Conductor:
         for status in array.status:
             if status.name not in (self._plant.node, RECORDER, PROGRAMME):
                 continue
-            figures = {value.key: value.value for value in status.values}
+            figures = figures_of(status)
             if status.name == PROGRAMME:
                 self._finished = figures.get("programme_state") == "finished"
                 continue

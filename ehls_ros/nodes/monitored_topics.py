@@ -15,6 +15,7 @@ from ehls_ros.experiments.monitoring.benefit import Benefit
 from ehls_ros.experiments.monitoring.cycle_assembly import CycleAssembler, LoaderSnapshot, Stretch
 from ehls_ros.nodes.codec import Decoder
 from ehls_ros.nodes.control import ControlNode
+from ehls_ros.nodes.diagnostics import figures_of
 from ehls_ros.nodes.transport import RECORDER_DEPTH, Inbox, control_qos
 from ehls_ros.recording.topics import (
     ACCEPTED_RIG,
@@ -92,7 +93,7 @@ class MonitoredTopics:
             if GATE not in raw:
                 continue
             for status in deserialize_message(raw, DiagnosticArray).status:
-                figures = {value.key: value.value for value in status.values}
+                figures = figures_of(status)
                 if status.hardware_id != self._rig or OF_GATE not in figures:
                     continue
                 cause = figures.get(TRIPPED_BY, "")

@@ -17,6 +17,7 @@ from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.hardware.realtime import prefer, threads
 from ehls_ros.nodes.codec import NANOSECONDS, Decoder
+from ehls_ros.nodes.diagnostics import figures_of
 from ehls_ros.nodes.graph_nodes import PROGRAMME
 from ehls_ros.nodes.parameter_requests import FOUND, LOOK, Requests, checked_namespace, joined
 from ehls_ros.nodes.transport import Inbox, control_qos
@@ -197,8 +198,8 @@ class RigRequests(Requests):
         for status in array.status:
             if status.hardware_id == self.namespace:
                 name = status.name.removeprefix(f"{self.namespace}/")
-                figures = {pair.key: pair.value for pair in status.values}
-                self._reports[name] = Report(name, int.from_bytes(status.level, "little"), status.message, figures)
+                level = int.from_bytes(status.level, "little")
+                self._reports[name] = Report(name, level, status.message, figures_of(status))
 
 
 @contextmanager

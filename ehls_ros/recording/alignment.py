@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.errors import BadInput
-from ehls_ros.recording.message_times import NEVER, moment
+from ehls_ros.recording.message_times import NEVER, UNIX_TIME, moment
 from ehls_ros.recording.time_axis import check_jumps
 from ehls_ros.recording.topics import CYCLE_TOPICS, LOADER_STATE, RESPONSE, VALVE_COMMAND
 
@@ -16,7 +16,7 @@ SECONDS = "header.stamp.sec"
 NANOSECONDS = "header.stamp.nanosec"
 SENT = "sent_ns"
 
-UNIX_TIME_NS = 10**18
+UNIX_TIME_NS = round(UNIX_TIME * 1e9)
 """Stamp from which times are wall-clock times; these are made relative, as the time since 1970 has a resolution of only 0.2 µs
 as a float in seconds."""
 

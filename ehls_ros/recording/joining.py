@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.errors import BadInput
+from ehls_ros.recording.time_axis import GAP
 from ehls_ros.samples import inliers, noise_between_moves
 from ehls_ros.trajectory import Own, Preparation, Trajectory
 
@@ -24,10 +25,6 @@ MIN_PERIOD = 4e-4
 
 SAME_RATE = 0.02
 """Relative difference of periods up to which a table counts as neither faster nor slower than the clock."""
-
-MAX_GAP = 3.5
-"""Gap between two samples above which the signal in between is unknown, in periods of the table. For averages over a period of
-the clock, gaps up to that period do not matter."""
 
 MIN_COMMON = 0.5
 """Minimum fraction of the shortest table that all tables must have in common."""
@@ -132,7 +129,8 @@ def _at(clock: _Clock, time: Signal, values: Signal, period: float, ratio: float
     else:
         out = scipy.interpolate.CubicSpline(t, known)(clock.time)
     after = np.clip(np.searchsorted(t, clock.time), 1, len(t) - 1)
-    longest = max(MAX_GAP * period, clock.period) if faster else MAX_GAP * period
+    # Across a gap the signal is unknown. To averages over a period of the clock, gaps up to that period do not matter.
+    longest = max(GAP * period, clock.period) if faster else GAP * period
     unknown = (t[after] - t[after - 1] > longest) & (t[after] != clock.time) & (t[after - 1] != clock.time)
     outside = (clock.time < t[0]) | (clock.time > t[-1])
     return np.where((unknown & ~np.bool_(held)) | outside, np.nan, out)

@@ -48,7 +48,7 @@ FITS = 0.25
 """Largest distance of a time from an even step, in steps, for a repeated time to be placed."""
 
 GAP = 3.5
-"""Step from which an axis has a gap, in usual steps; as for joined tables."""
+"""Step from which an axis has a gap, in usual steps; in joined tables the signal is unknown there."""
 
 FEW_GAPS = 0.05
 """Fraction of steps up to which long ones are gaps; more are an uneven axis."""
