@@ -100,15 +100,17 @@ class RemainderTerms(NamedTuple):
         evidence, signals = recording.evidence, recording.signals[channel]
         count = len(evidence.floor[channel])
         by_name = {OFFSET: np.ones(count)} | {term.name: term.column / self.size for term in recording.errors[channel]}
-        # The piston's area is known from its drawing.
-        by_name[SCALE] = by_name.get(SCALE, np.zeros(count)) * rules.AREA_ERROR / rules.LEFT_ERROR
+        residual = evidence.base.values[channel] * evidence.floor[channel] / self.size
+        if SCALE in by_name:
+            # All coefficients larger by the same factor change the residual by itself. That would allow a share of any fault.
+            by_name[SCALE] = (by_name[SCALE] - residual) * rules.AREA_ERROR / rules.LEFT_ERROR
         columns = np.column_stack([by_name.get(name, np.zeros(count)) for name in self.spreads])
         if self.temperature is not None:
             warmer = (signals.get(TEMPERATURE, np.full(count, self.temperature)) - self.temperature) / rules.WARMER
             follow = np.array(list(self.spreads.values())) / rules.SPREAD_WITH_OIL
             columns = np.hstack([columns, columns * follow * warmer[:, None]])
         return Windows(
-            residual=evidence.base.values[channel] * evidence.floor[channel] / self.size,
+            residual=residual,
             noise=evidence.floor[channel] / self.size,
             terms=columns,
             # A missing signal is taken to be zero.
