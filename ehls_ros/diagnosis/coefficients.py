@@ -52,12 +52,6 @@ def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
         yield name, rig._replace(friction=friction)
 
 
-def value_of(rig: Rig, name: str) -> float | None:
-    """Return a coefficient of the plant or the friction; None for a list of them."""
-    value = rig.plant._asdict().get(name, rig.friction._asdict().get(name))
-    return None if isinstance(value, tuple) or value is None else float(value)
-
-
 def unit_of(rig: Rig, name: str) -> str:
     """Return the unit of a coefficient."""
     declared = (*declarations(type(rig.plant)), *declarations(type(rig.friction)))

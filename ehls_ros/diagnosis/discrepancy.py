@@ -84,8 +84,6 @@ class Learnt(NamedTuple):
         spread: relative standard deviation of each coefficient from recording to recording, shape (terms,).
         changing: the same of each function, relative to its size, shape (functions,).
         power: mean square of the residual, and of its rest on held-out stretches.
-        errors: estimated relative error of each coefficient, shape (terms,).
-        deviations: standard error of each, shape (terms,).
     """
 
     windows: Windows
@@ -99,13 +97,6 @@ class Learnt(NamedTuple):
     spread: Array
     changing: Array
     power: tuple[float, float]
-    errors: Array
-    deviations: Array
-
-    @property
-    def identified(self) -> Mask:
-        """Mask of the coefficients whose errors the recordings identify, shape (terms,)."""
-        return self.deviations < rules.MAX_IDENTIFIED_STD * rules.LEFT_ERROR
 
     def expected(self, terms: Array, signals: Array, factor: Array, growth: Array) -> Expected:
         """Return the expected remainder of a healthy rig in other windows.
@@ -180,7 +171,6 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
     now = Learnt(
         data, recording, middle, scale, np.full(count, size), size, rules.TOGETHER, fitted,
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
-        np.zeros_like(default_spread), np.full_like(default_spread, rules.LEFT_ERROR),
     )  # fmt: skip
     features, y = _features(now.warped(data.signals), data.factor, data.terms, len(data.residual)), data.residual
     fold = _folds(len(y))
@@ -324,7 +314,7 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     data, terms = found.windows, found.windows.terms.shape[1]
     functions, own = features.sized(found.sizes)
     columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
-    mean, inverse = _posterior(columns, data.residual, found.variance(data, own), found.fitted)
+    mean, _ = _posterior(columns, data.residual, found.variance(data, own), found.fitted)
     group = np.concatenate([np.arange(terms), terms + features.group])
     default = np.concatenate([default_spread / rules.LEFT_ERROR, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
@@ -339,8 +329,6 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     return found._replace(
         spread=spread[:terms] * rules.LEFT_ERROR,
         changing=spread[terms:],
-        errors=-mean[:terms] * rules.LEFT_ERROR,
-        deviations=np.sqrt(np.diag(inverse)[:terms]) * rules.LEFT_ERROR,
     )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,7 +76,28 @@ def extended(rig: Rig, hypothesis: Hypothesis, values: Array) -> Rig:
         hypothesis: the candidates to add.
         values: the joint vector of their free parameters.
     """
-    return rig.with_effects(tuple(c.use(values[part]) for c, part in zip(hypothesis, parts(hypothesis), strict=True)))
+    for cause, part in zip(hypothesis, parts(hypothesis), strict=True):
+        rig = grown(rig, cause.use(values[part]))
+    return rig
+
+
+def grown(rig: Rig, more: EffectUse) -> Rig:
+    """Return a rig with one more effect; one that the rig has already grows by the additional one.
+
+    Coefficients can be shifted repeatedly. For other effects, parameters that are neutral at 0 are summed.
+    """
+    present = next((i for i, use in enumerate(rig.effects) if use.name == more.name), None)
+    if present is None or _shifts(more.name):
+        return rig.with_effects((more,))
+    old, new = rig.effects[present].parameters, more.parameters._asdict()
+    neutral = type(old)()._asdict()
+    total = old._replace(**{k: v + new[k] for k, v in old._asdict().items() if neutral[k] == 0.0})
+    return rig._replace(effects=(*rig.effects[:present], more._replace(parameters=total), *rig.effects[present + 1 :]))
+
+
+def _shifts(name: str) -> bool:
+    """Return whether an effect shifts coefficients of the rig."""
+    return hasattr(EFFECTS.load(name), "shift")
 
 
 def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
@@ -91,7 +112,7 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
 
     Args:
         record: the recording.
-        rig: the given model; an effect it already has is not tried.
+        rig: the given model; an effect that it has already is tried as a growth of it, if it can grow.
         lines: frequencies of the strongest lines in the residuals' spectra [Hz].
 
     Returns:
@@ -104,15 +125,24 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
         if missing:
             out[name] = f"needs {', '.join(missing)}"
             continue
-        if any(use.name == name for use in rig.effects):
-            out[name] = "the rig file has it already"
-            continue
         tried = [_candidate(name, number, form, record, lines) for number, form in enumerate(effect.forms(rig))]
+        present = next((use.parameters for use in rig.effects if use.name == name), None)
+        if present is not None and not _shifts(name):
+            if any(candidate.separates_load or np.any(candidate.neutral) or candidate.fixed for candidate in tried):
+                out[name] = "the rig file has it already"
+                continue
+            tried = [_growth(candidate, present) for candidate in tried]
         if not all(np.all(np.isfinite(candidate.starts)) for candidate in tried):
             out[name] = "needs values missing from the rig file"
             continue
         found += tried
     return found, out
+
+
+def _growth(candidate: Candidate, present: Any) -> Candidate:
+    """Return a candidate whose parameters, added to those of the same effect in the rig, stay within their ranges."""
+    already = np.array([getattr(present, name) for name in candidate.free])
+    return candidate._replace(lower=candidate.lower - already, upper=candidate.upper - already)
 
 
 def at_lines(found: Sequence[Candidate], record: Record, rig: Rig, lines: Sequence[float]) -> list[Candidate]:

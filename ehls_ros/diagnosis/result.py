@@ -220,12 +220,13 @@ class Fitted(NamedTuple):
     Attributes:
         given: its value in the rig file.
         fitted: its value for the baselines, with its standard error.
-        spread: relative standard deviation from recording to recording that counts as no change.
+        spread: relative standard deviation from recording to recording that counts as no change; None for a bias, whose spread
+            is that of its channel's offset.
     """
 
     given: float
     fitted: Estimate
-    spread: float
+    spread: float | None
 
 
 class BaselineSummary(NamedTuple):

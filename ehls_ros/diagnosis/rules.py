@@ -890,18 +890,6 @@ COEFFICIENT_STEP: Annotated[
     float, Rule("baseline", "1", "Relative change of a coefficient by which the derivative of a residual is taken.")
 ] = 0.01
 
-BASELINE_STEPS: Annotated[int, Rule("baseline", "1", "Most steps in which the rig is fitted to the baselines.")] = 20
-
-BASELINE_FREEDOMS: Annotated[
-    float,
-    Rule(
-        "baseline",
-        "1",
-        "Windows of a channel, in effect, over which errors of form average out in that fit.",
-        "rig files 30 % off in three values: fewer leave much of the error, more drag static friction away",
-    ),
-] = 30.0
-
 LEFT_ERROR: Annotated[
     float,
     Rule(
@@ -995,10 +983,6 @@ ROBUST_STEPS: Annotated[int, Rule("baseline", "1", "Rounds of Huber's weights in
 MAX_MEMORY: Annotated[int, Rule("baseline", "1", "Windows over which the remainder may be correlated, at most.")] = 40
 
 UNCORRELATED: Annotated[float, Rule("baseline", "1", "Correlation below which windows no longer err together.")] = 0.05
-
-MAX_IDENTIFIED_STD: Annotated[
-    float, Rule("baseline", "1", "Standard error of a coefficient, relative to LEFT_ERROR, below which baselines identify it.")
-] = 0.125
 
 SEEN: Annotated[
     float,

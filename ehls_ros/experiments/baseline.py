@@ -7,24 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.coefficients import unit_of, value_of
 from ehls_ros.diagnosis.coverage import covered, ranges, remarks
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.discrepancy import Expected
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.healthy_variation import HealthyVariation, describe, learn_healthy_variation
-from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy, trace
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, setup
 from ehls_ros.errors import BadInput
-from ehls_ros.estimate import Estimate
-from ehls_ros.identification.rig_coefficients import BIASES, COULOMB, VISCOUS, coefficients
-from ehls_ros.identification.rig_fit import Stack, fit
-from ehls_ros.identification.rig_stages import sizes, without_signals
+from ehls_ros.identification.rig_coefficients import read
+from ehls_ros.identification.rig_result import RigIdentification
+from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -66,9 +62,9 @@ def diagnose_against(
         raise BadInput("no baseline is given", name, "at least one recording of the healthy rig")
     called = tuple(names or (f"baseline {i}" for i in range(1, len(baselines) + 1)))
     progress("learning the baselines", 0.0)
-    first = [_evidence(recording, rig, what, seed) for recording, what in zip(baselines, called, strict=True)]
-    fitted = _fitted(first, rig)
-    progress("learning the baselines", 0.3 * LEARNING)
+    identified = identify_rig(dict(zip(called, baselines, strict=True)), rig, seed=seed)
+    fitted = identified.rig
+    progress("learning the baselines", 0.5 * LEARNING)
     healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in zip(baselines, called, strict=True)]
     variation = learn_healthy_variation(healthy)
     judged = list[tuple[Evidence, dict[Channel, Expected]]]()
@@ -92,14 +88,14 @@ def diagnose_against(
     not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in variation.channels)
     summary = BaselineSummary(
         recordings=called,
-        coefficients=_coefficients(rig, fitted, variation),
+        coefficients=_coefficients(rig, identified, variation),
         channels=_channels(variation, expected),
         coverage=coverage,
         not_compared=not_compared,
         old=_traces(healthy[0].evidence, variation.expected(healthy[0]), variation),
         new={} if evidence is None else _traces(evidence, expected, variation),
     )
-    all_remarks = (*found.remarks, *remarks(coverage))
+    all_remarks = (*found.remarks, *identified.remarks, *remarks(coverage))
     return replace(found, baseline=summary, remarks=all_remarks, wall_s=time.perf_counter() - began)
 
 
@@ -111,44 +107,16 @@ def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence
     return gather(record, rig, compared, seed)
 
 
-def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
-    """Return the rig with the coefficients of plant and friction that fit the baselines best.
-
-    Constant errors are fitted jointly to avoid bias, but then left to the learnt model of each channel. The shape of the
-    friction near rest rarely matters, and model errors would distort it: it is kept as given unless its fit improves the
-    likelihood sufficiently.
-    """
-    stack, records = Stack(baselines), [e.record for e in baselines]
-    known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
-    missing = without_signals(records, stack, known)
-    wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
-    determined = [c for c in wanted if c.path not in missing]
-    basic = [c for c in determined if not c.path.startswith("friction.") or c.path in (COULOMB, VISCOUS)]
-    steps, freedoms = rules.BASELINE_STEPS, rules.BASELINE_FREEDOMS
-    few = fit(stack, rig, basic, stack.channels, steps, freedoms=freedoms)
-    every = fit(stack, few.rig, determined, stack.channels, steps, freedoms=freedoms)
-    gained = few.loss - float(np.sum(loss(every.e * every.scales / few.scales)))
-    # A nat for each coefficient (Akaike, 1974).
-    better = every if gained > len(determined) - len(basic) else few
-    return better.rig._replace(effects=rig.effects)
-
-
-def _coefficients(given: Rig, fitted: Rig, variation: HealthyVariation) -> dict[str, Fitted]:
-    """Return the coefficients determined by the baselines, each from all channels combined."""
-    precision, spread = dict[str, float](), dict[str, float]()
+def _coefficients(given: Rig, found: RigIdentification, variation: HealthyVariation) -> dict[str, Fitted]:
+    """Return the identified coefficients, with their spread between the baselines where it is a coefficient of a balance."""
+    spread = dict[str, float]()
     for own in variation.channels.values():
-        learnt = own.learnt
-        for name, determined, deviation, varies in zip(
-            own.terms.spreads, learnt.identified, learnt.deviations, learnt.spread, strict=False
-        ):
-            if determined:
-                precision[name] = precision.get(name, 0.0) + 1.0 / max(float(deviation), 1e-12) ** 2
-                spread[name] = max(spread.get(name, 0.0), float(varies))
+        for name, varies in zip(own.terms.spreads, own.learnt.spread, strict=False):
+            spread[name] = max(spread.get(name, 0.0), float(varies))
     out = {}
-    for name, sharpness in precision.items():
-        before, after = value_of(given, name), value_of(fitted, name)
-        if before is not None and after is not None:
-            out[name] = Fitted(before, Estimate(after, abs(after) / math.sqrt(sharpness), unit_of(given, name)), spread[name])
+    for path, estimate in found.estimates.items():
+        name = path.removeprefix("plant.").removeprefix("friction.")
+        out[name] = Fitted(read(given, path), estimate, spread.get(name))
     return out
 
 

@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import NamedTuple, TypeVar
 
 from ehls_ros.diagnosis.free_run import FreeRun, free_run
+from ehls_ros.diagnosis.hypotheses import grown
 from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival
 from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.errors import BadInput
@@ -156,9 +157,11 @@ def open_candidates(diagnosis: Diagnosis) -> dict[str, Rig]:
     for cause in sorted(diagnosis.causes, key=lambda cause: cause.probability):
         rivals = open_rivals(cause)
         if rivals:
+            before = [use for use in diagnosis.rig.effects if use.name == cause.name]
             others = [use for use in diagnosis.extended.effects if use.name != cause.name]
+            without = diagnosis.extended._replace(effects=(*before, *others))
             return {cause.name: diagnosis.extended} | {
-                rival.name: diagnosis.extended._replace(effects=(*others, _use(rival, diagnosis.rig))) for rival in rivals
+                rival.name: grown(without, _use(rival, diagnosis.rig)) for rival in rivals
             }
     return {}
 

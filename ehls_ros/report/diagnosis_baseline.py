@@ -118,7 +118,7 @@ def _coefficients(baseline: BaselineSummary) -> list[str]:
             "coefficient": lambda item: item[0],
             "rig file": lambda item: value(item[1].given, item[1].fitted.unit),
             "fitted to the baselines": lambda item: estimate(item[1].fitted),
-            "spread that is no change": lambda item: f"± {percent(item[1].spread)}",
+            "spread that is no change": lambda item: "" if item[1].spread is None else f"± {percent(item[1].spread)}",
         },
     )
     return [table]

@@ -10,7 +10,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Worker
-from ehls_ros.diagnosis.hypotheses import Candidate, candidates
+from ehls_ros.diagnosis.hypotheses import Candidate, candidates, extended
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
 
@@ -54,7 +54,7 @@ class Direction(NamedTuple):
 
     def rig(self, rig: Rig) -> Rig:
         """Return the rig with this departure."""
-        return rig.with_effects((self.cause.use(self.values),))
+        return extended(rig, (self.cause,), self.values)
 
 
 def directions(evidence: Evidence, always: Container[tuple[str, str]] = ()) -> tuple[Direction, ...]:
@@ -69,8 +69,7 @@ def directions(evidence: Evidence, always: Container[tuple[str, str]] = ()) -> t
         always: effects and parameters to keep even if collinear with others.
     """
     worker = Worker(evidence)
-    # An effect already in the model may grow, so it is a candidate as well.
-    found, _ = candidates(evidence.record, evidence.rig._replace(effects=()), ())
+    found, _ = candidates(evidence.record, evidence.rig, ())
     out = dict[tuple[str, str], Direction]()
     for cause in found:
         if not cause.parts_mass and all((cause.name, parameter) not in out for parameter in cause.free):
