@@ -14,6 +14,10 @@ from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.stages import Stage
 
 
+NINE_OF_TEN = 1.2816
+"""Standard deviations below which a normal variable lies in nine of ten cases."""
+
+
 class Key(NamedTuple):
     """Key parameter by which the excitation of a stage is judged."""
 
@@ -58,15 +62,20 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitiv
 
 
 def smallest_detectable(information: float, effect: float) -> float | None:
-    """Return the smallest parameter that is significant, gains enough and is relevant; None without information.
+    """Return the smallest parameter that is significant, gains enough and is relevant, in nine of ten recordings.
 
     Args:
         information: sum of squared derivatives of the whitened residuals.
         effect: derivative of the balance's rms, as a fraction of its largest term.
+
+    Returns:
+        The parameter; None without information.
     """
     if information <= 0.0:
         return None
-    smallest = max(rules.MIN_SIGMAS, math.sqrt(2.0 * rules.NEEDED_GAIN)) / math.sqrt(information)
+    # At the threshold itself, the scatter would hide every other one.
+    sigmas = max(rules.MIN_SIGMAS, math.sqrt(2.0 * rules.NEEDED_GAIN)) + NINE_OF_TEN
+    smallest = sigmas / math.sqrt(information)
     return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
 
 

@@ -207,7 +207,7 @@ def _sensitivity(found: Diagnosis) -> list[str]:
     if items:
         blocks.append(
             page.paragraph(
-                "The smallest size at which this recording would have revealed an effect, for effects that enter smoothly and"
+                "The smallest size at which nine of ten such recordings reveal an effect, for effects that enter smoothly and"
                 " were not named. For effects with a threshold, such as play or a stop, no such size can be predicted."
             )
         )

@@ -6,7 +6,7 @@ from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
-from ehls_ros.report.diagnosis_findings import CHANNEL_WORDS, STAGE_NAMES, claims, depends, rest_of, sentence_of
+from ehls_ros.report.diagnosis_findings import CHANNEL_WORDS, STAGE_NAMES, claims, depends, rest_of, sentence_of, visible
 from ehls_ros.report.diagnosis_residuals import PREFERRED_SIGNALS, Cloud, explained, planes
 from ehls_ros.report.page import Entry, Row, listed, number
 from ehls_ros.report.plot import GREY, VERMILION
@@ -25,7 +25,7 @@ def since_sentence(found: Diagnosis) -> str:
     since = "the baseline" if count == 1 else f"the {count} baselines"
     judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged] or ["nothing"])
     if found.verdict == "consistent":
-        return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread."
+        return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread.{visible(found)}"
     if found.names_causes:
         rest = rest_of(found) if found.verdict == "partial" else []
         return sentence_of([f"since {since}, {claims(found, 'then')}", *rest])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis.advice import spring_in_force
-from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, Sensitivity, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION
@@ -15,7 +15,7 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
 from ehls_ros.report.page import listed, number
-from ehls_ros.report.quantities import ALMOST, NORMAL_95, estimate, likely, percent, quantity, value
+from ehls_ros.report.quantities import ALMOST, NORMAL_95, change, estimate, likely, percent, quantity, value
 from ehls_ros.schema import declarations
 
 AT_NOISE = 1.5
@@ -303,7 +303,23 @@ def _consistent_sentence(found: Diagnosis) -> str:
     parts = [f"only noise remains in {listed(quiet)}", *small] if quiet else small
     text = f"The simulation agrees with this recording: {listed(parts)}"
     rest = [STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged]
-    return f"{text}; the data are insufficient to assess {listed(rest)}." if rest else f"{text}."
+    return (f"{text}; the data are insufficient to assess {listed(rest)}." if rest else f"{text}.") + visible(found)
+
+
+def visible(found: Diagnosis) -> str:
+    """Return a sentence with the sizes from which wrong values of coefficients would have shown; empty if none would."""
+    smallest = dict[str, Sensitivity]()
+    for item in found.sensitivities:
+        noun = words(item.name).noun
+        if not words(item.name).lacking and (noun not in smallest or item.smallest < smallest[noun].smallest):
+            smallest[noun] = item
+    sizes = [f"{noun} {change(item.smallest, item.unit)}" for noun, item in smallest.items()]
+    wrong = "a wrong value" if found.baseline is None else "a change"
+    return (
+        f" In nine of ten recordings like this, {wrong} would have shown from these sizes on: {', '.join(sizes)}."
+        if sizes
+        else ""
+    )
 
 
 def at_noise(result: StageResult) -> bool:
