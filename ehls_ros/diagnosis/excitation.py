@@ -13,7 +13,6 @@ from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.stages import Stage
 
-
 NINE_OF_TEN = 1.2816
 """Standard deviations below which a normal variable lies in nine of ten cases."""
 
