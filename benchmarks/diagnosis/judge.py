@@ -32,6 +32,7 @@ class Judgement(NamedTuple):
         not_there: absent causes named together with a true one.
         what: the verdict in words.
         quantities: those of rightly named causes.
+        beliefs: probability of each named cause, its equivalents included, and whether one of them is hidden.
     """
 
     right: bool
@@ -43,6 +44,7 @@ class Judgement(NamedTuple):
     not_there: tuple[str, ...]
     what: str
     quantities: list[Quantity]
+    beliefs: list[tuple[float, bool]] = []
 
 
 def judge(row: Row) -> Judgement:
@@ -84,7 +86,8 @@ def judge(row: Row) -> Judgement:
             or (unexplained and ours["unknown_stage"] in shows)
             or (verdict == "effect" and bool(near) and set(names) <= near)
         )
-    return Judgement(right, lenient, first, exact, confident, confident_lenient, not_there, worded(row), found)
+    beliefs = [(min(1.0, c["probability"] * (1 + len(c["equivalent_to"]))), i in true) for i, c in enumerate(causes)]
+    return Judgement(right, lenient, first, exact, confident, confident_lenient, not_there, worded(row), found, beliefs)
 
 
 def _matched(names: list[str], classes: list[set[str]], hidden: list[str]) -> set[int]:

@@ -17,6 +17,9 @@ from benchmarks.rows import Row
 BINS = (0.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0, np.inf)
 """Bin edges of the visibility."""
 
+BELIEFS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+"""Bin edges of the probability of a named cause."""
+
 Judged = list[tuple[Row, Judgement]]
 
 
@@ -50,6 +53,7 @@ def _show(exam: str, rows: Sequence[Row], console: Console) -> None:
     if exam == "raw":
         console.print(by_data(judged))
     console.print(by_effect(judged))
+    console.print(reliability(judged))
     console.print(confusions(judged))
     console.print(not_there(judged))
     console.print(failures(judged))
@@ -273,6 +277,19 @@ def by_effect(judged: Judged) -> Table:
         table.add_row(
             name, *(share(cells[k]) for k in ("alone", "pair", "named")), error, share([q.covered for q in quantities])
         )
+    return table
+
+
+def reliability(judged: Judged) -> Table:
+    """Return how often a cause named with a probability is hidden indeed; an effect outside the list is never named rightly."""
+    table = Table(title="named with a probability of", title_justify="left")
+    for column in ("from", "to", "mean", "hidden indeed"):
+        table.add_column(column)
+    beliefs = [belief for _, j in judged for belief in j.beliefs]
+    for low, high in pairwise(BELIEFS):
+        inside = [(p, true) for p, true in beliefs if low < p <= high]
+        mean = f"{100.0 * float(np.mean([p for p, _ in inside])):.1f} %" if inside else "–"
+        table.add_row(f"{100.0 * low:g} %", f"{100.0 * high:g} %", mean, share([true for _, true in inside]))
     return table
 
 
