@@ -44,7 +44,7 @@ class Judgement(NamedTuple):
     not_there: tuple[str, ...]
     what: str
     quantities: list[Quantity]
-    beliefs: list[tuple[float, bool]] = []
+    beliefs: tuple[tuple[float, bool], ...] = ()
 
 
 def judge(row: Row) -> Judgement:
@@ -86,7 +86,7 @@ def judge(row: Row) -> Judgement:
             or (unexplained and ours["unknown_stage"] in shows)
             or (verdict == "effect" and bool(near) and set(names) <= near)
         )
-    beliefs = [(min(1.0, c["probability"] * (1 + len(c["equivalent_to"]))), i in true) for i, c in enumerate(causes)]
+    beliefs = tuple((min(1.0, c["probability"] * (1 + len(c["equivalent_to"]))), i in true) for i, c in enumerate(causes))
     return Judgement(right, lenient, first, exact, confident, confident_lenient, not_there, worded(row), found, beliefs)
 
 

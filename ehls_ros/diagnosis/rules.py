@@ -578,6 +578,10 @@ MIN_SIGMAS: Annotated[
     Rule("search", "1", "Standard errors by which a cause's best determined parameter must differ from its neutral value."),
 ] = 4.5
 
+NINE_OF_TEN: Annotated[
+    float, Rule("search", "1", "Standard deviations below which a normal variable lies in nine of ten cases.", "a quantile")
+] = 1.2816
+
 RELEVANT: Annotated[
     float,
     Rule("search", "1", "Change of the balance, as a fraction of its largest term, below which a cause does not matter."),
