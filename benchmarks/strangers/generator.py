@@ -444,7 +444,7 @@ RATES = (500.0, 1000.0, 1000.0, 2000.0, 4000.0)
 def draw(seed: int, number: int) -> Stranger:
     """Draw a stranger; it depends on the seed and its number only. Its control loop is tuned until it runs."""
     rng = np.random.default_rng([seed, number])
-    kind = _kind(seed, number)
+    kind = kind_of(seed, number)
     first = _drawn(rng, seed, number, kind)
     for _ in range(8):
         tried = [simulate(first, rig, turn, 10.0) for turn, rig in ((0, first.rig), (2, first.changed))]
@@ -455,7 +455,8 @@ def draw(seed: int, number: int) -> Stranger:
     raise RuntimeError(f"stranger {seed}/{number} cannot be controlled")
 
 
-def _kind(seed: int, number: int) -> str:
+def kind_of(seed: int, number: int) -> str:
+    """Return the hidden change of a stranger: all kinds equally often, in an order given by the seed; empty for none."""
     if number % HEALTHY_EVERY == HEALTHY_EVERY - 1:
         return ""
     place = number - number // HEALTHY_EVERY
