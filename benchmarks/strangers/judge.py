@@ -25,7 +25,7 @@ class Change(NamedTuple):
         path: coefficient in a rig file; empty if no coefficient has this size.
         reading: coefficient of the monitor; empty if it has none.
         relative: whether the size is a factor less 1.
-        beside: a second coefficient that takes the change where only both together are known.
+        beside: a coefficient that shares the change if the spool is not recorded.
     """
 
     effects: tuple[str, ...]
@@ -46,10 +46,7 @@ CHANGES: Mapping[str, Change] = {
         ("valve_gain_shift",), ("flow_gain", "gain"), "plant.discharge_coefficient", "discharge_coefficient", True,
         "plant.valve_gain",
     ),
-    "valve_null": Change(
-        ("valve_null_bias",), ("command", "opening"), "effects.valve_null_bias.command", "valve_null",
-        beside="effects.valve_null_bias.opening",
-    ),
+    "valve_null": Change(("valve_null_bias",), ("command", "opening"), "effects.valve_null_bias.command", "valve_null"),
     # No effect of the list lowers the supply pressure by itself.
     "supply_pressure": Change(("", "supply_pressure_droop", "valve_gain_shift"), (), "plant.supply_pressure", relative=True),
     "pressure_gain": Change(("pressure_sensor_gain",), ("gain",), "", "pressure_sensor_gain", relative=True),
@@ -149,7 +146,7 @@ def _identified(row: Row, given: Mapping[str, Any]) -> Judgement | None:
     """Judge the difference of two identifications: an alarm is a difference beyond five standard errors."""
     beyond = []
     for change in CHANGES.values():
-        told = difference(given, change) if change.path else None
+        told = difference(row, change) if change.path else None
         if told is not None and abs(told[0]) > 5.0 * told[1]:
             beyond.append((abs(told[0]) / told[1], change.path.rpartition(".")[2], told))
     beyond.sort(reverse=True)
@@ -159,7 +156,7 @@ def _identified(row: Row, given: Mapping[str, Any]) -> Judgement | None:
     change = CHANGES[row["kind"]]
     if not change.path:
         return None
-    told = difference(given, change)
+    told = difference(row, change)
     right = bool(beyond) and beyond[0][1] == change.path.rpartition(".")[2]
     verdict: Verdict = "right" if right else "wrong" if beyond else "missed"
     if told is None:
@@ -175,9 +172,11 @@ def _identified(row: Row, given: Mapping[str, Any]) -> Judgement | None:
     return Judgement(verdict, None, Size(row["size"], *told), "", words)
 
 
-def difference(given: Mapping[str, Any], change: Change) -> tuple[float, float] | None:
+def difference(row: Row, change: Change) -> tuple[float, float] | None:
     """Return the change of a coefficient between two identifications with its standard error; None if one does not tell it."""
-    before, after = (_value(given[when], change) for when in ("before", "after"))
+    if "spool_m" in row["signals"]:
+        change = change._replace(beside="")
+    before, after = (_value(row["identify"][when], change) for when in ("before", "after"))
     if before is None or after is None:
         return None
     if not change.relative:
@@ -195,9 +194,7 @@ def _value(given: Mapping[str, Any], change: Change) -> tuple[float, float] | No
     other = known.get(change.beside)
     if other is None:
         return float(own[0]), float(own[1])
-    if change.relative:
-        return own[0] * other[0], own[0] * other[0] * math.hypot(own[1] / own[0], other[1] / other[0])
-    return own[0] + other[0], math.hypot(own[1], other[1])
+    return own[0] * other[0], own[0] * other[0] * math.hypot(own[1] / own[0], other[1] / other[0])
 
 
 def reading(row: Row) -> Size | None:
@@ -256,7 +253,7 @@ def unchanged(row: Row) -> list[tuple[str, float]]:
     out = []
     for change in CHANGES.values():
         if change.path and change.path != own:
-            told = difference(given, change)
+            told = difference(row, change)
             if told is not None:
                 out.append((change.path, told[0] / told[1] if told[1] else math.inf))
     return out

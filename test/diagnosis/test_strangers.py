@@ -11,7 +11,7 @@ from benchmarks.strangers.judge import judge, reading, unchanged
 
 
 def row(kind, size, **modes):
-    return {"kind": kind, "size": size, "number": 0, "sources": "x", **modes}
+    return {"kind": kind, "size": size, "number": 0, "sources": "x", "signals": ["spool_m"], **modes}
 
 
 def identified(**values):
