@@ -128,6 +128,18 @@ def peer_right(row: Row, named: list[str]) -> bool:
     return len(named) == len(hidden) == len(_matched(named, [set(names.split("|")) for names in named], hidden))
 
 
+def below_power(row: Row) -> bool:
+    """Return whether nothing was found, and the only hidden effect is smaller than the size said to be detectable."""
+    if row.get("ours", {}).get("verdict") != "consistent" or len(row["hidden"]) != 1:
+        return False
+    [name] = row["hidden"]
+    detectable = {p: [size, 0.0] for effect, p, size in row["ours"].get("sensitivities", ()) if effect == name}
+    if name not in row["natural"] or not detectable:
+        return False
+    sizes = [q for p, size in detectable.items() for q in quantities(name, row["natural"][name], {p: size})]
+    return any(abs(q.true) < q.value for q in sizes)
+
+
 def strength(row: Row) -> float:
     """Return the visibility of a case's least visible effect, relative to the noise."""
     return min((max(stages.values()) for stages in row["visibility"].values()), default=0.0)

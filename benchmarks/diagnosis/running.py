@@ -83,6 +83,7 @@ def told(d: Diagnosis) -> dict[str, Any]:
             for c in d.causes
         ],
         "gain": None if d.gain is None else d.gain._asdict(),
+        "sensitivities": [[s.name, s.parameter, s.smallest] for s in d.sensitivities],
         "wall_s": d.wall_s,
     }
 

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from benchmarks.diagnosis.cases import EXPERIMENTS, KINDS
 from benchmarks.diagnosis.exams import EXAMS
-from benchmarks.diagnosis.judge import Judgement, closed_off, judge, peer_right, strength
+from benchmarks.diagnosis.judge import Judgement, below_power, closed_off, judge, peer_right, strength
 from benchmarks.rows import Row
 
 BINS = (0.0, 1.3, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0, np.inf)
@@ -97,6 +97,7 @@ def hard_headline(exam: str, judged: Judged, of: dict[str, Judged]) -> Table:
     single, pair, nothing = of["singles"], of["pairs"], of["nothing"]
     row("right cause first, no other that is not there", [j.right for _, j in single], least)
     row("  right cause first, whatever is named beside it", [j.first for _, j in single])
+    row("  or rightly said to be too small to be seen", [j.right or below_power(r) for r, j in single])
     row("a true cause and one that is not there", [bool(j.not_there) for _, j in single], None, beside)
     if pair:
         row("pair: both named, no other", [j.right for _, j in pair], 0.9)
