@@ -10,7 +10,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import accepted, explains
+from ehls_ros.diagnosis.acceptance import accepted, explains, is_new
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment, assess
@@ -212,7 +212,7 @@ def _exchanged(
         keys = {i: _key([c for j, c in enumerate(best.hypothesis) if j != i]) for i in range(kept, len(best.hypothesis))}
         missing = [i for i, key in keys.items() if key not in known]
         known.update(zip([keys[i] for i in missing], pool.lead(partial(place_of, best), missing), strict=True))
-        places = tuple(Place(known[key].without, _rivals(evidence, known[key], scale)) for key in keys.values())
+        places = tuple(Place(known[key].without, _rivals(evidence, best, known[key], scale)) for key in keys.values())
         scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
         if exchanges == rules.MAX_EXCHANGES:
             break
@@ -236,13 +236,20 @@ def _exchanged(
     return best, places
 
 
-def _rivals(evidence: Evidence, place: Place, scale: Mapping[Channel, float]) -> tuple[Assessment, ...]:
-    """Return the hypotheses with another cause in a place, best first; beside errors of form, only those exceeding them."""
-    return tuple(
-        rival
-        for rival in _ranked(place.rivals, scale)
-        if evidence.form is None or accepted(evidence, rival, place.without, scale)
-    )
+def _rivals(evidence: Evidence, best: Assessment, place: Place, scale: Mapping[Channel, float]) -> tuple[Assessment, ...]:
+    """Return the hypotheses with another cause in a place, best first.
+
+    Beside errors of form, only those exceeding them are rivals. Against baselines, nor is one that would win although they
+    allow it as well: it would explain a remainder that is no change.
+    """
+    without, wins = place.without, best.score(scale) - rules.NEEDED_GAIN
+
+    def competes(rival: Assessment) -> bool:
+        if evidence.form is not None:
+            return accepted(evidence, rival, without, scale)
+        return rival.score(scale) < wins or is_new(evidence, rival, without, scale)
+
+    return tuple(rival for rival in _ranked(place.rivals, scale) if competes(rival))
 
 
 def _key(hypothesis: Sequence[Candidate]) -> frozenset[tuple[str, int]]:
