@@ -19,7 +19,8 @@ import numpy as np
 import yaml
 
 from benchmarks.common import MEASURED_RIG, parser_of
-from ehls_ros.identification.rig_coefficients import KEPT, read
+from ehls_ros.diagnosis.coefficients import KEPT
+from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.trajectory import Trajectory

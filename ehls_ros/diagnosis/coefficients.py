@@ -1,6 +1,6 @@
 """Coefficients of a rig's model, and the sensitivity of the residuals to a small error of each."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +13,26 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import declarations
 
-WITH_OIL = ("leakage_coefficient", "viscous_damping")
+WITH_OIL = ("leakage_coefficient",)
 """Coefficients of the plant that depend on the oil and its temperature, as do all of the friction."""
+
+KEPT: Mapping[str, str] = {
+    "plant.oil_density": "only plant.discharge_coefficient × plant.valve_area_gradient / √density is known; kept as given",
+    "plant.valve_area_gradient": "only its product with plant.discharge_coefficient is known; kept as given",
+    "plant.total_volume": "only its ratio to plant.bulk_modulus is known; kept as given",
+    "plant.piston_area": "it turns pressure into force and motion into flow; everything else is relative to it; kept as given",
+    "plant.viscous_damping": "only its sum with friction.viscous_coefficient is known; kept as given",
+    "plant.gravity": "only plant.moving_mass × gravity less effects.constant_load.force is known; kept as given",
+    "plant.arm_length": "no equation of the stages depends on it; kept as given",
+}
+"""Coefficients known only in combination with others, or without effect on any residual, with the reason."""
+
+SCALE = "piston_area"
+"""Coefficient that sets the scale of the balances.
+
+It is not fitted, since with all coefficients at zero the balances would close too. No fault changes it, but its error shows at
+a pressure outside the baselines.
+"""
 
 
 class Term(NamedTuple):
@@ -32,9 +50,9 @@ class Term(NamedTuple):
 
 
 def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
-    """Yield each coefficient's name, and the rig with that coefficient enlarged by a fraction of itself."""
+    """Yield the name of each coefficient with an effect of its own, and the rig with it enlarged by a fraction of itself."""
     for name, value in rig.plant._asdict().items():
-        if value != 0.0:
+        if value != 0.0 and (name == SCALE or f"plant.{name}" not in KEPT):
             yield name, rig._replace(plant=rig.plant._replace(**{name: value * (1.0 + part)}))
     for name, value in rig.friction._asdict().items():
         larger = tuple(v * (1.0 + part) for v in value) if isinstance(value, tuple) else value * (1.0 + part)

@@ -9,7 +9,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance, together
-from ehls_ros.diagnosis.coefficients import Term, terms
+from ehls_ros.diagnosis.coefficients import SCALE, Term, terms
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
 from ehls_ros.diagnosis.evidence import Evidence, allowing, part_of
@@ -42,13 +42,6 @@ FACTORS: Mapping[Channel, str] = {
 
 OFFSET = "offset"
 """Name of a channel's constant error, which is due to a sensor and not to a coefficient."""
-
-SCALE = "piston_area"
-"""Coefficient that sets the scale of the balances.
-
-It is not fitted, since with all coefficients at zero the balances would close too. No fault changes it, but its error shows at
-a pressure outside the baselines.
-"""
 
 Signals = Mapping[str, Array]
 """Mean of each signal over a channel's usable windows, by name, shape (windows,)."""

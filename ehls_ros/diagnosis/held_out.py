@@ -49,12 +49,20 @@ class Assessment(NamedTuple):
         return tuple(c.name for c in self.fit.hypothesis)
 
     def sigmas(self, index: int) -> float:
-        """Return the distance of a cause's best-determined parameter from its neutral value, in standard errors."""
+        """Return the distance of a cause from its neutral values, in standard errors of their best-determined combination.
+
+        Two gains of a valve may be vague while their difference is not.
+        """
         part = parts(self.hypothesis)[index]
-        variance = np.diag(self.held_out.covariance)[part]
-        # A parameter without effect has zero variance too.
-        deviation = np.sqrt(np.where(variance > 0.0, variance, np.inf))
-        return float(np.max(np.abs(self.fit.values[part] - self.hypothesis[index].neutral) / deviation))
+        away, covariance = self.fit.values[part] - self.hypothesis[index].neutral, self.held_out.covariance[part, part]
+        deviation = np.sqrt(np.diag(covariance))
+        # A parameter without effect has no variance.
+        known = (deviation > 0.0) & np.isfinite(deviation)
+        if not np.any(known):
+            return 0.0
+        away = away[known] / deviation[known]
+        correlation = covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
+        return float(np.sqrt(max(away @ np.linalg.pinv(correlation, hermitian=True) @ away, 0.0)))
 
     def per_block(self, inflation: Mapping[Channel, float]) -> Array:
         """Return the held-out gain of each block, shape (blocks,) [nats]; a zero of shape (1,) if nothing is changed.

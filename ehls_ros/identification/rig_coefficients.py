@@ -19,17 +19,6 @@ PLANT = (
 )  # fmt: skip
 """Fitted coefficients of the plant."""
 
-KEPT: Mapping[str, str] = {
-    "plant.oil_density": "only plant.discharge_coefficient × plant.valve_area_gradient / √density is known; kept as given",
-    "plant.valve_area_gradient": "only its product with plant.discharge_coefficient is known; kept as given",
-    "plant.total_volume": "only its ratio to plant.bulk_modulus is known; kept as given",
-    "plant.piston_area": "it turns pressure into force and motion into flow; everything else is relative to it; kept as given",
-    "plant.viscous_damping": "only its sum with friction.viscous_coefficient is known; kept as given",
-    "plant.gravity": "only plant.moving_mass × gravity less effects.constant_load.force is known; kept as given",
-    "plant.arm_length": "no equation of the stages depends on it; kept as given",
-}
-"""Coefficients that are not searched for, with the reason."""
-
 BIASES = ("effects.valve_null_bias.command", "effects.valve_null_bias.opening", "effects.constant_load.force")
 """Effects present in every real rig; they enter linearly."""
 

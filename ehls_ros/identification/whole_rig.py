@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.coefficients import KEPT
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.record import FORCE, POSITION, PRESSURE, SPOOL, VELOCITY, Record, prepare
 from ehls_ros.diagnosis.stages import Channel, setup
@@ -18,7 +19,6 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import (
     COULOMB,
-    KEPT,
     OPTIONAL,
     SENSORS,
     STATIC,
@@ -70,7 +70,7 @@ def identify_rig(
     Args:
         recordings: by a name for messages, each with any of the data contract's signals.
         rig: the first guess, which may be off by a factor of two. Coefficients known only in combination with others, such as
-            piston area and volume, are taken from it (:data:`ehls_ros.identification.rig_coefficients.KEPT`), and so are the
+            piston area and volume, are taken from it (:data:`ehls_ros.diagnosis.coefficients.KEPT`), and so are the
             friction model and the weights of its elements.
         seed: of the noise added to estimate the noise floor.
         progress: called with the name of the step that begins, the steps done and the number of steps.
