@@ -10,11 +10,13 @@ import pytest
 from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.excitation import mass_observable
+from ehls_ros.diagnosis.healthy_variation import describe, learn_healthy_variation
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.experiments.spec import load_rig
-from ehls_ros.physics.rig import rig_from_mapping
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import EffectUse, rig_from_mapping
 from ehls_ros.trajectory import Preparation, Trajectory
 
 ROOT = Path(__file__).parents[2]
@@ -71,6 +73,34 @@ def test_what_changed_is_named_with_its_size(run, healthy, wrong_rig):
     assert offset.value == pytest.approx(-200.0, abs=12.0)
     assert abs(offset.value + 200.0) < 4.0 * offset.std
     assert [use.name for use in found.extended.effects] == ["coulomb_shift"]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "use", "neutral"),
+    [
+        ({"internal_leakage_shift": {"factor": 1.9}}, ("internal_leakage_shift", "added", 0.9 * 4.7e-12), 0.0),
+        ({"bulk_modulus_shift": {"factor": 0.5}}, ("bulk_modulus_shift", "factor", 0.5), 1.0),
+    ],
+    ids=["leakage", "bulk modulus"],
+)
+def test_allowances_take_no_share_of_a_change(recorded, rig, hidden, use, neutral):
+    """All coefficients larger by one factor change a residual by itself: allowed freely, that halves any change."""
+
+    def evidence(effects, seed):
+        made = recorded(effects, "rich", seed=seed, duration=SECONDS, columns=(*COLUMNS, "spool_m"))
+        record = prepare(Trajectory(made.time, made.columns), rig, "test")
+        return gather(record, rig, stages.setup(record, rig), 0)
+
+    variation = learn_healthy_variation([describe(evidence({}, 1))])
+    judged = variation.judged(evidence(hidden, 3))
+    name, parameter, true = use
+    sizes = np.linspace(0.5, 1.5, 11)
+    losses = []
+    for size in sizes:
+        values = EFFECTS.load(name).Parameters(**{parameter: neutral + size * (true - neutral)})
+        changed = rig.with_effects((EffectUse(name, values),))
+        losses.append(np.sum(judged.residuals(judged.comparison(), changed).values["volume"] ** 2))
+    assert sizes[np.argmin(losses)] == pytest.approx(1.0, abs=0.11)
 
 
 def imperfect(trajectory, rig):

@@ -109,13 +109,17 @@ def test_blocks_that_disagree_widen_the_errors():
     assert wide[0, 0] > 5.0 * plain[0, 0]
 
 
-def test_sigmas_are_those_of_the_best_determined_parameter():
+def test_sigmas_are_those_of_the_best_determined_combination_of_parameters():
     rng = np.random.default_rng(4)
-    j = rng.standard_normal((240, 2)) * [1.0, 10.0]
-    evidence = evidence_of({"force": rng.standard_normal(240) - j @ [3.0, 2.0]})
-    assessed = linear_fit(evidence, (candidate("stribeck_shift", "static_offset", "velocity_factor"),), j)
-    deviation = np.sqrt(np.diag(assessed.held_out.covariance))
-    assert assessed.sigmas(0) == pytest.approx(max(np.abs(assessed.fit.values) / deviation))
+    total, difference = rng.standard_normal((2, 240))
+    # Two gains: their sum hardly matters, their difference does.
+    j = np.column_stack([0.01 * total + difference, 0.01 * total - difference])
+    evidence = evidence_of({"force": rng.standard_normal(240) - j @ [0.5, -0.5]})
+    assessed = linear_fit(evidence, (candidate("valve_gain_asymmetry", "opening_positive", "opening_negative"),), j)
+    alone = np.abs(assessed.fit.values) / np.sqrt(np.diag(assessed.held_out.covariance))
+    assert max(alone) < 3.0
+    # Both change a window by the difference times 1, with a scatter of 1 in each of 240 windows.
+    assert assessed.sigmas(0) == pytest.approx(np.sqrt(240), rel=0.3)
 
 
 def test_a_parameter_that_changes_nothing_is_no_standard_error_from_neutral():

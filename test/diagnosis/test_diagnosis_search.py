@@ -65,9 +65,22 @@ def test_what_the_data_cannot_tell_is_not_tried(noisy, rig):
     found, out = candidates(noisy._replace(signals=fewer), rig, [])
     assert set(out) == {"coupling_stiffness", "temperature_dependent_friction"}
     assert not {c.name for c in found} & set(out)
-    found, out = candidates(noisy, rig.with_effects((use("coulomb_shift", offset=10.0),)), [])
-    assert "coulomb_shift" in out
-    assert "coulomb_shift" not in {c.name for c in found}
+    found, out = candidates(noisy, rig.with_effects((use("turbulent_leakage", coefficient=1e-9),)), [])
+    assert "turbulent_leakage" in out
+    assert "turbulent_leakage" not in {c.name for c in found}
+
+
+def test_an_effect_of_the_rig_may_grow_or_shrink_within_its_range(noisy, rig):
+    lapped = rig.with_effects((use("valve_dead_zone", positive=1e-4, negative=2e-4), use("coulomb_shift", offset=10.0)))
+    found, out = candidates(noisy, lapped, [])
+    assert {"valve_dead_zone", "coulomb_shift"} <= {c.name for c in found}
+    assert not {"valve_dead_zone", "coulomb_shift"} & set(out)
+    biased = rig.with_effects((use("valve_null_bias", command=2e-5, opening=1e-6),))
+    found, out = candidates(noisy, biased, [])
+    bias = next(c for c in found if c.name == "valve_null_bias" and c.free == ("command",))
+    assert (bias.lower[0], bias.upper[0]) == (pytest.approx(-1e-2 - 2e-5), pytest.approx(1e-2 - 2e-5))
+    (grown,) = extended(biased, (bias,), np.array([3e-6])).effects
+    assert grown.parameters == (pytest.approx(2.3e-5), 1e-6)
 
 
 def test_only_effects_with_a_frequency_start_at_other_lines(noisy, rig):
@@ -212,7 +225,7 @@ def test_what_the_baselines_allow_as_well_is_no_change(seen, new):
         """A baseline in which a heavier mass shows, or not."""
 
         base = Residuals({"force": np.zeros(400)})
-        rig = SimpleNamespace(with_effects=lambda uses: uses)
+        rig = SimpleNamespace(effects=(), with_effects=lambda uses: uses)
 
         def comparison(self):
             return None

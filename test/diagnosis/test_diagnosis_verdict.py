@@ -326,9 +326,9 @@ def test_a_cause_has_to_close_most_of_what_the_others_leave(closes, at_end, imit
     ("information", "effect", "expected"),
     [
         (0.0, 1.0, None),
-        (4.0, 1.0, math.sqrt(2.0 * rules.NEEDED_GAIN) / 2.0),
+        (4.0, 1.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + rules.NINE_OF_TEN) / 2.0),
         (1e12, 0.01, rules.RELEVANT / 0.01),
-        (4.0, 0.0, math.sqrt(2.0 * rules.NEEDED_GAIN) / 2.0),
+        (4.0, 0.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + rules.NINE_OF_TEN) / 2.0),
     ],
     ids=["nothing is told", "the noise limits", "relevance limits", "no size is known"],
 )

@@ -89,19 +89,17 @@ def test_what_a_coefficient_can_do_no_function_does():
     data = made(1, level=0.04)
     learnt = learn([data], SPREAD, FITTED)
     term = data.terms[:, 0]
-    # The coefficient has to change by the opposite of the residual.
-    assert learnt.errors[0] == pytest.approx(-(term @ data.residual) / (term @ term), abs=4.0 * learnt.deviations[0])
-    assert learnt.deviations[0] < 1e-3
     again = expected(learnt, data)
+    assert again.mean @ term / (term @ term) == pytest.approx(data.residual @ term / (term @ term), abs=1e-3)
     varies = np.linalg.norm(again.directions.T @ term) / (term @ term)
-    assert varies == pytest.approx(np.hypot(SPREAD[0], learnt.deviations[0]), rel=0.1)
+    # Besides the spread, the error of the mean.
+    assert SPREAD[0] <= varies < 1.5 * SPREAD[0]
 
 
 def test_a_coefficient_that_is_not_fitted_may_be_off_where_no_baseline_has_been():
     data = made(1)
     held = data._replace(terms=np.ones_like(data.terms))
     learnt = learn([held], np.zeros(1), np.array([False]))
-    assert learnt.errors[0] == 0.0
     same, twice = (expected(learnt, held._replace(terms=held.terms * size)).directions for size in (1.0, 2.0))
     told, open_ = (float(np.linalg.norm(np.mean(d, axis=0))) for d in (same, twice))
     assert open_ > 20.0 * told
