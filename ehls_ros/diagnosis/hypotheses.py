@@ -12,7 +12,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.record import Record
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import Form, Peak, Quantile, Share
+from ehls_ros.physics.effects.base import HOOKS, Form, Peak, Quantile, Share
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import Declaration, declarations
 
@@ -96,8 +96,9 @@ def grown(rig: Rig, more: EffectUse) -> Rig:
 
 
 def _shifts(name: str) -> bool:
-    """Return whether an effect shifts coefficients of the rig."""
-    return hasattr(EFFECTS.load(name), "shift")
+    """Return whether an effect does nothing but shift coefficients of the rig."""
+    effect = EFFECTS.load(name)
+    return hasattr(effect, "shift") and not any(hasattr(effect, hook) for hook in HOOKS)
 
 
 def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
