@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import re
 from html import escape
 from typing import Any
 
@@ -15,6 +16,9 @@ REACH = 10.0
 
 STEPS = 200
 """Positions of a slider."""
+
+_UNIT = re.compile(r"(?P<help>.*) \[(?P<unit>[^][]*)\](?P<rest>;[^][]*)?")
+"""Description, unit and origin of the default, as :mod:`ehls_ros.schema` joins them."""
 
 
 class TuningTab:
@@ -151,8 +155,8 @@ def value_at(place: float, low: float, high: float) -> float:
 
 
 def help_and_unit(description: str) -> tuple[str, str]:
-    """Split a descriptor's text into help and the unit in brackets at its end; the unit 1 is left out."""
-    sentence, bracket, unit = description.removesuffix("]").rpartition(" [")
-    if not bracket or not description.endswith("]"):
+    """Split a descriptor's text into help and the unit in brackets at the end of its first part; the unit 1 is left out."""
+    match = _UNIT.fullmatch(description)
+    if match is None:
         return description, ""
-    return sentence, "" if unit == "1" else unit
+    return f"{match['help']}{match['rest'] or ''}", "" if match["unit"] == "1" else match["unit"]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.cli.arguments import add_configured, add_json, check_duration, needs_ros
+from ehls_ros.cli.arguments import add_configured, add_json, add_plant, check_duration, check_plant, needs_ros
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.errors import BadInput
@@ -62,13 +62,7 @@ def add_graph_options(parser: _ActionsContainer) -> None:
         action="store_true",
         help="run the nodes of a control cycle in one process, where a cycle is one call; by default each is a process",
     )
-    parser.add_argument(
-        "--plant",
-        choices=("sim", "bridge"),
-        default="sim",
-        help="sim: simulated rig; bridge: the rig behind --bridge, or UDP here",
-    )
-    parser.add_argument("--bridge", type=Path, help="bridge file: DAQ backend, channels, calibration (with --plant bridge)")
+    add_plant(parser)
     parser.add_argument(
         "--end-on-trip",
         action="store_true",
@@ -111,8 +105,7 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
     Raises:
         BadInput: the options do not fit the experiment.
     """
-    if options.bridge is not None and options.plant == "sim":
-        raise BadInput("--bridge was given", "command line", "--plant bridge with it")
+    check_plant(options)
     if options.continued is not None:
         _check_continued(options, spec)
     remarks: tuple[str, ...] = ()
