@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from ehls_ros.control.estimate_bounds import Bound, bounds_of, sentence
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.plausibility import LIMIT_UNITS, WARNING_FACTOR, beyond
+from ehls_ros.recording.events import read_pauses, time_closed
 from ehls_ros.recording.topics import CONTROLLER_STATUS, LOADER_STATE
 from ehls_ros.schema import parse
 from ehls_ros.trajectory import Trajectory, steady_error
@@ -155,6 +157,17 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
         signal = LOADER_STATE.signals[name]
         if signal in run and limits is not None and (out := beyond(run[signal], limits, name, WARNING_FACTOR)) is not None:
             yield f"the rig leaves its limits: {out.what} (at {run.time_s[out.row]:.3g} s); a real rig would have been stopped"
+
+
+def stops_of(bag: Path, run: Trajectory) -> tuple[str, ...]:
+    """Return a warning for a run in which the safety gate closed the valve; empty otherwise.
+
+    Args:
+        bag: folder of its bag, or one storage file.
+        run: the run.
+    """
+    closed = time_closed(read_pauses(bag), run.time_s[0], run.time_s[-1])
+    return (f"the safety gate kept the valve closed for {closed:.3g} s; the errors include that time",) if closed else ()
 
 
 def bounds_in(metadata: Mapping[str, Any]) -> tuple[Bound, ...]:

@@ -163,6 +163,8 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
             ("Cycles", number(metrics.cycles)),
             ("Missed cycles", number(metrics.missed_cycles)),
         ]
+    if known(trajectory, "programme_load_cycles"):
+        items.append(("Load cycles", number(int(np.nanmax(trajectory["programme_load_cycles"])))))
     for name, label in COUNTED.items():
         if known(trajectory, name):
             items.append((label, f"{number(int(np.sum(trajectory[name] > 0.5)))} cycles"))

@@ -21,7 +21,7 @@ from ehls_ros.experiments.compiling import announce_compiling, graph_jobs, loop_
 from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
-from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
+from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate, stops_of
 from ehls_ros.experiments.programme_records import STATE, read_state
 from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
@@ -134,7 +134,8 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
         metrics = with_failure(metrics, done.failure)
         found = adapted(spec, done.trajectory)
         limited = () if found is None else found.at_bounds
-        metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(spec), *limited))
+        stops = stops_of(folder.bag, done.trajectory)
+        metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(spec), *limited, *stops))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
         lines = () if found is None else _write_adapted(found, folder)
