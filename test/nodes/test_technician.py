@@ -157,9 +157,13 @@ def test_the_same_hour_on_the_page(bridge, tmp_path, ros_domain_id):
         page.until("document.querySelector('[data-name=record]')?.disabled === false")
         page.click("[data-name=record]")
         page.click("[data-name=tab-nodes]")
-        page.until("document.querySelector('[data-name=node-recorder_node]')?.innerText.includes('active')")
+        page.until(
+            "[...document.querySelectorAll('[data-name=node-recorder_node] dt')]"
+            ".some(name => name.textContent === 'cycles' && Number(name.nextElementSibling.textContent) > 0)"
+        )
         page.click("[data-name=enable]")
-        [folder] = tmp_path.glob("runs/on_page-[0-9]*")
+        [log] = tmp_path.glob("runs/*/load_cycles.csv")
+        folder = log.parent
         until(lambda: len(load_cycles(folder)) >= WITHIN)
         page.click("[data-name='emergency stop']")
         page.is_told("emergency stop stop-1: the valve is closed")
