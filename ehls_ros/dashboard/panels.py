@@ -129,7 +129,7 @@ PANELS = (
     Panel("Piston", "mm", ("position_reference_m", "position_m")),
     Panel("Friction scales", "1", ("alpha", "beta")),
     Panel("Remaining disturbance", "N", ("delta_n",)),
-    Panel("Peaks and valleys of a programme", "kN", (PEAK, VALLEY), wide=True),
+    Panel("Peaks and valleys", "kN", (PEAK, VALLEY), wide=True),
     Panel("Loop: snapshot to command", "µs", (RESPONSE,), logarithmic=True),
 )
 

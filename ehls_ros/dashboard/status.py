@@ -126,9 +126,10 @@ def _pace(snapshot: GraphSnapshot) -> str:
 def _trip(gate: NodeHealth, snapshot: GraphSnapshot) -> tuple[str, Remedy]:
     """Return the description of a trip and its remedy."""
     explanation = explained(gate.figures[TRIPPED_BY])
-    remedies = (Remedy.ACKNOWLEDGE, Remedy.RESET) if gate.figures.get(STOP) else (Remedy.RESET,)
+    stopped = gate.figures.get(STOP)
+    remedies = (Remedy.ACKNOWLEDGE, Remedy.RESET) if stopped else (Remedy.RESET,)
     resume = (PROGRAMME_BUTTONS["resume"],) if STOPPED_BECAUSE in programme_figures(snapshot.health) else ()
-    again = " If it trips again: stop and start under Experiment." if snapshot.started_here else ""
+    again = " If it trips again: stop and start under Experiment." if snapshot.started_here and not stopped else ""
     steps = (*(remedy.value for remedy in remedies), *resume)
     return f"{explanation} The valve is closed. {_to_go_on(steps)}{again}", remedies[0]
 
