@@ -30,7 +30,7 @@ class TuningTab:
         self._asking = self._answered = self._by_hand = False
         self._era = -1
         with ui.element("div").classes("row-of"):
-            self._node = ui.select([], label="node", on_change=self.show).props("dense").style("flex: 1")
+            self._node = ui.select([], label="node", on_change=self.show).props("dense").style("flex: 1; min-width: 0")
             self._node.on("update:model-value", self._chosen_by_hand)
             ui.button("Reload", on_click=self.show).props("flat dense")
         self._list = ui.column().classes("tunables")

@@ -140,10 +140,9 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
         error = steady_error(run, signal, reference)
         largest = float(np.nanmax(np.abs(run[reference]))) if error.size else 0.0
         if error.size and error.max() > MIN_LOST_ERROR * largest > 0.0:
-            yield (
-                f"the {quantity} does not follow its reference: the error of the last half reaches {error.max():.3g} {unit}, "
-                f"the reference {largest:.3g} {unit}"
-            )
+            reached, wanted = (f"{_rounded(value)} {unit}" for value in (error.max(), largest))
+            lost = f"the error of the last half reaches {reached}, the reference {wanted}"
+            yield f"the {quantity} does not follow its reference: {lost}"
     if "saturated" in run and (share := float(np.mean(run["saturated"][late] > 0.5))) >= MIN_SATURATED:
         yield f"the valve command is at its limit for {100.0 * share:.0f} % of the last half: the rig can give no more"
     for bound in bounds_in(run.metadata):
@@ -156,7 +155,13 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
     for name in LIMIT_UNITS if limits is not None else ():
         signal = LOADER_STATE.signals[name]
         if signal in run and limits is not None and (out := beyond(run[signal], limits, name, WARNING_FACTOR)) is not None:
-            yield f"the rig leaves its limits: {out.what} (at {run.time_s[out.row]:.3g} s); a real rig would have been stopped"
+            time = _rounded(run.time_s[out.row] - run.time_s[0])
+            yield f"the rig leaves its limits: {out.what} (at {time} s); a real rig would have been stopped"
+
+
+def _rounded(value: float) -> str:
+    """Return three significant digits, without a power of ten up to a million."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def stops_of(bag: Path, run: Trajectory) -> tuple[str, ...]:

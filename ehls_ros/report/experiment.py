@@ -79,19 +79,19 @@ def write_experiment_report(
             page.figures(over_time),
             page.figures(beside, columns=2),
             page.left_out([*over_time, *beside]),
-            *_event_table(events),
+            *_event_table(events, float(trajectory.time_s[0])),
             page.collapsed("Configuration", page.as_yaml(configuration)) if configuration else "",
         ],
     )
 
 
-def _event_table(events: Sequence[Event]) -> list[str]:
-    """Return the table of the run's events."""
+def _event_table(events: Sequence[Event], start: float) -> list[str]:
+    """Return the table of the run's events, with times since its start [s], as in the figures."""
     if not events:
         return []
-    rows = [("before" if event.time_s is None else f"{event.time_s:.3f}", event.node, event.what) for event in events]
+    rows = [("before" if event.time_s is None else f"{event.time_s - start:.3f}", event.node, event.what) for event in events]
     more = page.paragraph(f"{len(rows) - MAX_EVENTS} more are in the bag.") if len(rows) > MAX_EVENTS else ""
-    return [page.heading("Events"), page.table(("Time / s", "Node", "Event"), rows[:MAX_EVENTS]), more]
+    return [page.heading("Events"), page.table(("time [s]", "node", "event"), rows[:MAX_EVENTS]), more]
 
 
 COUNTED = {
