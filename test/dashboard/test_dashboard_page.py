@@ -117,8 +117,11 @@ def test_the_page_moves_and_asks_no_other_server(tab, shown):
     tab.until(f"{picture} !== window.before")
     goes_on(tab)
     assert tab.evaluate("document.querySelector('[data-name=beginning]').offsetParent") is None
-    assert abs(tab.evaluate("ehlsLive.newest('force_n')")) < 2e4
-    assert tab.evaluate("ehlsLive.newest('supply_pressure_pa')") == pytest.approx(7e6, rel=0.1)
+    # A busy machine may lose the messages of an interval.
+    newest = "['force_n', 'supply_pressure_pa'].map(ehlsLive.newest)"
+    force, supply = tab.until(f"(values => values.every(value => value !== null) && values)({newest})")
+    assert abs(force) < 2e4
+    assert supply == pytest.approx(7e6, rel=0.1)
     server = shown.server.removeprefix("http://")
     assert {address.partition("://")[2].partition("/")[0] + "/" for address in tab.requested if ":" in address} <= {server}
     assert tab.complaints == []
