@@ -171,7 +171,7 @@ def stops_of(bag: Path, run: Trajectory) -> tuple[str, ...]:
         bag: folder of its bag, or one storage file.
         run: the run.
     """
-    closed = time_closed(read_pauses(bag), run.time_s[0], run.time_s[-1])
+    closed = time_closed(read_pauses(bag), run.time_s[0], run.time_s[-1]) if len(run) else 0.0
     return (f"the safety gate kept the valve closed for {closed:.3g} s; the errors include that time",) if closed else ()
 
 
