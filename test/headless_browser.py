@@ -121,6 +121,10 @@ class Tab:
         for kind in ("rawKeyDown", "keyUp"):
             self.command("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=KEYS[key])
 
+    def is_told(self, words: str) -> None:
+        """Wait for a notification."""
+        self.until(f"window.told.some(text => text.includes({json.dumps(words)}))")
+
     def text(self, name: str) -> str:
         return self.evaluate(f"document.querySelector('[data-name=\"{name}\"]')?.innerText ?? ''")
 

@@ -23,9 +23,8 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A tab of a browser."""
     if not any(map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))):
         pytest.skip("needs Chromium")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "test" / "dashboard"))
-        browser = importlib.import_module("headless_browser").browser
+    # Needs websockets, which only a site's builder has beside the browser.
+    browser = importlib.import_module("headless_browser").browser
     with browser(tmp_path_factory.mktemp("profile")) as chromium, chromium.tab("about:blank") as tab:
         yield tab
 

@@ -79,6 +79,27 @@ def add_namespace(parser: ArgumentParser) -> None:
     parser.add_argument("--namespace", default="ehls", help="namespace of the rig (default: ehls)")
 
 
+def add_plant(parser: argparse._ActionsContainer) -> None:
+    """Add ``--plant`` and ``--bridge``, those of a graph to start; see :func:`check_plant`."""
+    parser.add_argument(
+        "--plant",
+        choices=("sim", "bridge"),
+        default="sim",
+        help="sim: simulated rig; bridge: the rig behind --bridge, or UDP here",
+    )
+    parser.add_argument("--bridge", type=Path, help="bridge file: DAQ backend, channels, calibration (with --plant bridge)")
+
+
+def check_plant(options: Namespace) -> None:
+    """Check the options of :func:`add_plant`.
+
+    Raises:
+        BadInput: there is a bridge file, but no bridge.
+    """
+    if options.bridge is not None and options.plant == "sim":
+        raise BadInput("--bridge was given", "command line", "--plant bridge with it")
+
+
 def columns_of(options: Namespace) -> "ColumnMap | None":
     """Return the map given by ``--columns``."""
     from ehls_ros.recording.columns import read_columns  # half a second that not every verb needs

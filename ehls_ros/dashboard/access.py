@@ -53,6 +53,9 @@ AWAY = 30.0
 FILES, SOCKETS, ICON = "/_nicegui/", "/_nicegui_ws/socket.io/", "/favicon.ico"
 """Paths NiceGUI serves beside the page."""
 
+DOCUMENTS = "/documents/"
+"""Path of the documents about a recording."""
+
 MAX_MESSAGE = 64 * 1024
 """Maximum size of a message over a socket [B]; the text of a field is sent in one piece."""
 
@@ -67,6 +70,11 @@ _POLICY = {
     "style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; form-action 'none'; base-uri 'none'",
     "referrer-policy": "no-referrer",
     "x-content-type-options": "nosniff",
+}
+
+_DOCUMENT_POLICY = _POLICY | {
+    # A document has scripts, but no part in the page's origin.
+    "content-security-policy": f"{_POLICY['content-security-policy']}; sandbox allow-scripts allow-modals allow-downloads",
 }
 
 
@@ -184,7 +192,7 @@ class AccessMiddleware:
         async def send_with_policy(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = Headers(raw=message["headers"]).mutablecopy()
-                headers.update(_POLICY)
+                headers.update(_DOCUMENT_POLICY if scope["path"].startswith(DOCUMENTS) else _POLICY)
                 message["headers"] = headers.raw
             await send(message)
 
@@ -201,7 +209,7 @@ class AccessMiddleware:
         if connection.headers.get("content-length", "0") != "0" or "transfer-encoding" in connection.headers:
             return 413, "requests with a body are refused"
         path = connection.scope["path"]
-        if path not in {"/", ICON} and not path.startswith(FILES):
+        if path not in {"/", ICON} and not path.startswith((FILES, DOCUMENTS)):
             return 404, "there is no such page: the dashboard is at /"
         if path == "/" and not self._access.has_room(writes=writes):
             return 503, f"{MAX_PAGES} pages are open already: close one, and wait a minute"

@@ -1,12 +1,14 @@
 """The Experiment tab: start and stop a graph and its recordings, with effects hidden in the simulated rig."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from nicegui import ui
 
+from ehls_ros.dashboard.access import DOCUMENTS
 from ehls_ros.dashboard.controls import ask, button
-from ehls_ros.dashboard.graph import Answer, Graph, GraphSnapshot, Timing
+from ehls_ros.dashboard.graph import EVALUATIONS, Answer, Graph, GraphSnapshot, Timing
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, load_spec
@@ -76,6 +78,21 @@ class EffectsForm:
         self._show()
 
 
+class _Result:
+    """Result of an evaluation, with a link to its document."""
+
+    def __init__(self, verb: str, title: str) -> None:
+        # The browser adds the token, which is in the page's address alone.
+        address = f'href="{DOCUMENTS}{verb}" onclick="this.search = location.search" target="_blank" rel="noopener"'
+        with ui.element("div").classes("note") as self._row:
+            ui.html(f'<a {address} data-name="document-{verb}">{title}</a>', sanitize=False)
+            self._sentence = ui.label("").props(f'data-name="result-{verb}"')
+
+    def show(self, sentence: str) -> None:
+        self._row.set_visibility(bool(sentence))
+        self._sentence.set_text(sentence)
+
+
 class ExperimentTab:
     """Tab to start and stop a graph and to record it."""
 
@@ -96,14 +113,22 @@ class ExperimentTab:
         self._spec = ui.select(names, value=first, label="experiment file").props("dense").style("width: 100%")
         timings = {choice: choice.value for choice in Timing}
         self._timing = ui.select(timings, value=timing, label="time").props('dense data-name="timing"').style("width: 100%")
-        ui.label("Effects hidden in the simulated rig; the controller does not know them.").classes("note")
-        self._effects = EffectsForm()
+        self._effects = None
+        if graph.simulated:
+            ui.label("Effects hidden in the simulated rig; the controller does not know them.").classes("note")
+            self._effects = EffectsForm()
         with ui.element("div").classes("row-of"):
             self._start = ui.button("Start", on_click=self._start_graph).props('dense color=positive data-name="start"')
             self._stop = button("Stop", graph.stop, "dense outline")
             self._record = ui.button("Record", on_click=self._toggle_recording).props('dense outline data-name="record"')
         self._refused = ui.label("").classes("refused").props('data-name="refused-start"')
         self._activity = ui.label("").classes("note").props('data-name="activity"')
+        with ui.element("div").classes("row-of"):
+            self._evaluations = {
+                verb: button(f"{verb.capitalize()} recording", partial(graph.evaluate, verb), "dense outline")
+                for verb in EVALUATIONS
+            }
+        self._results = {verb: _Result(verb, title) for verb, title in EVALUATIONS.items()}
 
     def show(self, snapshot: GraphSnapshot) -> None:
         """Update buttons and status line."""
@@ -114,6 +139,9 @@ class ExperimentTab:
         self._record.set_enabled(there or self._recording)
         self._record.set_text("End recording" if self._recording else "Record")
         self._activity.set_text(snapshot.activity)
+        for verb, pressed in self._evaluations.items():
+            pressed.set_enabled(snapshot.recorded)
+            self._results[verb].show(snapshot.results.get(verb, ""))
 
     async def _start_graph(self) -> None:
         try:
@@ -126,7 +154,7 @@ class ExperimentTab:
     def _chosen(self) -> tuple[Spec, str]:
         path = Path(str(self._spec.value))
         spec = load_spec(path)
-        return spec._replace(rig=spec.rig.with_effects(self._effects.chosen())), path.stem
+        return spec if self._effects is None else spec._replace(rig=spec.rig.with_effects(self._effects.chosen())), path.stem
 
     async def _toggle_recording(self) -> None:
         on = not self._recording

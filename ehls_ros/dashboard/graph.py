@@ -3,12 +3,16 @@
 Texts from the graph may have any length, so they are shortened for display.
 """
 
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
-from typing import NamedTuple, Protocol
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from ehls_ros.dashboard.window import Window
-from ehls_ros.experiments.spec import Spec
+if TYPE_CHECKING:  # a second that `ehls rig stop`, which shares the values below, must not wait
+    from ehls_ros.dashboard.window import Window
+    from ehls_ros.experiments.spec import Spec
 
 Value = float | int | bool | str
 
@@ -20,6 +24,15 @@ MAX_TEXT = 500
 
 MAX_FIGURES = 100
 """Maximum number of values of a node."""
+
+RETRY_TIME = 3.0
+"""Time for which a refused request to the gate is repeated [s]: a ramp, or the shortest emergency stop, may not be over."""
+
+RETRY_INTERVAL = 0.1
+"""Time between two of these requests [s]."""
+
+EVALUATIONS: Mapping[str, str] = MappingProxyType({"verify": "Verification", "report": "Report"})
+"""Verbs of ``ehls`` that evaluate a recording, and the names of the documents that they write."""
 
 
 class NodeHealth(NamedTuple):
@@ -146,6 +159,8 @@ class GraphSnapshot(NamedTuple):
         activity: recording and files started here.
         started_here: whether nodes started here are running.
         recording: whether a recording started here is running.
+        recorded: whether one has ended, so that it can be evaluated.
+        results: what its evaluations found, in a sentence each, by verb.
         rig: rig health reported by a monitor; None without a monitor.
     """
 
@@ -157,6 +172,8 @@ class GraphSnapshot(NamedTuple):
     activity: str = ""
     started_here: bool = False
     recording: bool = False
+    recorded: bool = False
+    results: Mapping[str, str] = MappingProxyType({})
     rig: RigHealth | None = None
 
 
@@ -167,16 +184,31 @@ class Answer(NamedTuple):
     message: str
 
 
+def until_granted(request: Callable[[], Answer], wait: Callable[[float], object] = time.sleep) -> Answer:
+    """Repeat a request to the safety gate that is refused for the moment; return the last answer.
+
+    Args:
+        request: the request.
+        wait: waits for a time [s]; a true result ends the repetition.
+    """
+    deadline = time.monotonic() + RETRY_TIME
+    while not (answer := request()).done and time.monotonic() < deadline and not wait(RETRY_INTERVAL):
+        pass
+    return answer
+
+
 class Graph(Protocol):
     """A running graph, or one that can be started. All methods are thread-safe.
 
     Attributes:
         window: the last seconds of its signals.
         where: its namespace and domain, as text.
+        simulated: whether a graph started here has the simulated rig.
     """
 
-    window: Window
+    window: "Window"
     where: str
+    simulated: bool
 
     def snapshot(self) -> GraphSnapshot:
         """Return the present state of the graph, without the signals."""
@@ -211,7 +243,7 @@ class Graph(Protocol):
     def programme(self, request: str) -> Answer:
         """Stop, resume or skip a block of the running programme: ``stop``, ``resume`` or ``skip``."""
 
-    def start(self, spec: Spec, name: str, timing: Timing) -> Answer:
+    def start(self, spec: "Spec", name: str, timing: Timing) -> Answer:
         """Start the nodes of a spec for a run without end; return once they run."""
 
     def stop(self) -> Answer:
@@ -219,6 +251,12 @@ class Graph(Protocol):
 
     def record(self, *, on: bool) -> Answer:
         """Start or end a recording."""
+
+    def evaluate(self, verb: str) -> Answer:
+        """Evaluate the last recording that ended here with one of :data:`EVALUATIONS`, and write its document."""
+
+    def document(self, verb: str) -> Path | None:
+        """Return the document that an evaluation has written; None if there is none."""
 
     def abort(self) -> None:
         """Abort every pending request: the server is shutting down."""

@@ -182,7 +182,7 @@ const ehlsLive = (() => {
       const lines = linesOf(described);
       const options = {
         xAxis: { ...axis, ...grid, min: -view.span },
-        yAxis: { ...axis, ...grid, name: unitOf(described)[0] },
+        yAxis: { ...axis, ...grid, name: unitOf(described)[0].replace(/^1$/, "") },
         tooltip: { backgroundColor: colour("--card"), borderColor: colour("--grid"), textStyle: text },
         series: lines.map(({ label, colour: index, name }) => ({
           type: "line",

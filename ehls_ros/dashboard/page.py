@@ -15,7 +15,15 @@ from ehls_ros.dashboard.experiment import ExperimentTab
 from ehls_ros.dashboard.graph import Graph, NodeHealth, StartProgress, Timing
 from ehls_ros.dashboard.panels import PANELS, SIGNALS, SPANS, UNITS, Panel, options
 from ehls_ros.dashboard.rig_health import RigTab
-from ehls_ros.dashboard.status import WARNING, Remedy, programme_figures, programme_line, programme_requests, status_of
+from ehls_ros.dashboard.status import (
+    PROGRAMME_BUTTONS,
+    WARNING,
+    Remedy,
+    programme_figures,
+    programme_line,
+    programme_requests,
+    status_of,
+)
 from ehls_ros.dashboard.tuning import TuningTab
 from ehls_ros.dashboard.window import INTERVAL
 
@@ -35,9 +43,6 @@ MENU = '<details class="menu"><summary>{label}</summary><div id="{id}" class="ch
 
 LEVELS = ("OK", "warning", "error", "silent")
 """Names of the levels of :class:`Health`."""
-
-PROGRAMME_BUTTONS = {"stop": "Stop programme", "resume": "Resume programme", "skip": "Skip block"}
-"""Requests to the programme, and the labels of their buttons."""
 
 COMPILING_TEXT = (
     "The control law and the simulated rig are being compiled for this machine: about half a minute the first time, a few "
@@ -262,7 +267,7 @@ def _set_level(badge: ui.label, level: int) -> None:
 
 def _plot(panel: Panel) -> dict[str, Any]:
     """Make an empty plot, and return the settings with which the browser fills it."""
-    with ui.element("section").classes("plot"):
+    with ui.element("section").classes("plot wide" if panel.wide else "plot"):
         head = ui.html("", sanitize=False, tag="header")
         chart = ui.echart(options(panel))
     legend = f'<span class="legend" id="legend-{chart.id}"></span>'

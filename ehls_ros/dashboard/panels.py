@@ -87,12 +87,14 @@ class Panel(NamedTuple):
         unit: unit it is shown in unless another is chosen.
         signals: names in :data:`SIGNALS`.
         logarithmic: whether the vertical axis is logarithmic.
+        wide: whether it takes two of the three columns of a wide screen, of which the plots fill four rows.
     """
 
     title: str
     unit: str
     signals: tuple[str, ...]
     logarithmic: bool = False
+    wide: bool = False
 
 
 _OF_PROGRAMME = {
@@ -119,7 +121,7 @@ SIGNALS = MappingProxyType(_signals())
 """All signals of the page by name."""
 
 PANELS = (
-    Panel("Force", "kN", (FORCE_REFERENCE, "force_n")),
+    Panel("Force", "kN", (FORCE_REFERENCE, "force_n"), wide=True),
     Panel("Force error", "N", (MIRRORED, "force_error_n")),
     Panel("Pressure", "MPa", ("supply_pressure_pa", "load_pressure_pa")),
     Panel("Spool", "mm", ("valve_command_m", "spool_m")),
@@ -127,7 +129,7 @@ PANELS = (
     Panel("Piston", "mm", ("position_reference_m", "position_m")),
     Panel("Friction scales", "1", ("alpha", "beta")),
     Panel("Remaining disturbance", "N", ("delta_n",)),
-    Panel("Peaks and valleys of a programme", "kN", (PEAK, VALLEY)),
+    Panel("Peaks and valleys", "kN", (PEAK, VALLEY), wide=True),
     Panel("Loop: snapshot to command", "µs", (RESPONSE,), logarithmic=True),
 )
 

@@ -12,9 +12,9 @@ import uvicorn
 from fastapi import FastAPI, Request
 from nicegui import app as library
 from nicegui import ui
-from starlette.responses import PlainTextResponse
+from starlette.responses import FileResponse, PlainTextResponse, Response
 
-from ehls_ros.dashboard.access import AWAY, MAX_MESSAGE, TOKEN, WRITES, Access, AccessMiddleware
+from ehls_ros.dashboard.access import AWAY, DOCUMENTS, MAX_MESSAGE, TOKEN, WRITES, Access, AccessMiddleware
 from ehls_ros.dashboard.connections import MAX_HEAD, Connections
 from ehls_ros.dashboard.graph import Graph, Timing
 from ehls_ros.dashboard.page import Page
@@ -72,6 +72,11 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing
         access.give(client.id, writes=writes)
         client.on_delete(lambda: access.end(client.id))
         Page(graph, spec, timing, writes=writes)
+
+    @app.get(f"{DOCUMENTS}{{verb}}")
+    def _document(verb: str) -> Response:
+        document = graph.document(verb)
+        return PlainTextResponse("there is no such document\n", 404) if document is None else FileResponse(document)
 
     _quieten()
     ui.run_with(app, tailwind=False, show_welcome_message=False, binding_refresh_interval=None, reconnect_timeout=AWAY)

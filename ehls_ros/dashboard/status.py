@@ -30,6 +30,14 @@ TOO_SLOW = "too slow"
 NODE = "programme_node"
 """Node that runs test programmes."""
 
+STOPPED_BECAUSE = "stopped_because"
+"""Diagnostics key of the reason for which the programme is stopped."""
+
+PROGRAMME_BUTTONS: Mapping[str, str] = MappingProxyType(
+    {"stop": "Stop programme", "resume": "Resume programme", "skip": "Skip block"}
+)
+"""Requests to the programme, and the labels of their buttons."""
+
 GONE = "No more snapshots: the graph was stopped, or the plant node has died."
 
 LARGE = 1e4
@@ -95,13 +103,17 @@ def _running(snapshot: GraphSnapshot) -> Status:
     if snapshot.complaint:
         return Status(f"a node died, {speed}", BAD, snapshot.complaint)
     slow = next((f"{node.node}: {node.message}" for node in snapshot.health if TOO_SLOW in node.message), "")
-    worst = max(snapshot.health, key=lambda node: node.level, default=None)
+    held = next((node for node in snapshot.health if node.level and STOPPED_BECAUSE in node.figures), None)
+    worst = max((node for node in snapshot.health if node is not held), key=lambda node: node.level, default=None)
     wrong = f"{worst.node}: {worst.message}" if worst is not None and worst.level else ""
+    closed = gate is not None and gate.figures[STATE] == "disabled"
+    steps = (*((Remedy.ENABLE.value,) if closed else ()), PROGRAMME_BUTTONS["resume"])
+    stopped = f"The programme is stopped: {held.figures[STOPPED_BECAUSE]}. {_to_go_on(steps)}" if held is not None else ""
     # The cause before its consequence.
-    trouble = ". ".join(dict.fromkeys(filter(None, (slow, wrong))))
-    if gate is not None and gate.figures[STATE] == "disabled":
+    trouble = ". ".join(dict.fromkeys(filter(None, (slow, wrong, stopped))))
+    if closed:
         return Status(f"valve closed, {speed}", WARNING, trouble or "The safety gate is closed.", Remedy.ENABLE)
-    level = min(worst.level, BAD) if worst is not None else GOOD
+    level = min(max((node.level for node in snapshot.health), default=GOOD), BAD)
     return Status(f"{TOO_SLOW if slow else 'running'}, {speed}", level, trouble)
 
 
@@ -114,12 +126,17 @@ def _pace(snapshot: GraphSnapshot) -> str:
 def _trip(gate: NodeHealth, snapshot: GraphSnapshot) -> tuple[str, Remedy]:
     """Return the description of a trip and its remedy."""
     explanation = explained(gate.figures[TRIPPED_BY])
-    if gate.figures.get(STOP):
-        remedy, then = Remedy.ACKNOWLEDGE, f", then {Remedy.RESET.value}"
-    else:
-        remedy, then = Remedy.RESET, ""
-    again = " If it trips again: stop and start under Experiment." if snapshot.started_here else ""
-    return f"{explanation} The valve is closed. To go on: {remedy.value}{then}.{again}", remedy
+    stopped = gate.figures.get(STOP)
+    remedies = (Remedy.ACKNOWLEDGE, Remedy.RESET) if stopped else (Remedy.RESET,)
+    resume = (PROGRAMME_BUTTONS["resume"],) if STOPPED_BECAUSE in programme_figures(snapshot.health) else ()
+    again = " If it trips again: stop and start under Experiment." if snapshot.started_here and not stopped else ""
+    steps = (*(remedy.value for remedy in remedies), *resume)
+    return f"{explanation} The valve is closed. {_to_go_on(steps)}{again}", remedies[0]
+
+
+def _to_go_on(buttons: Iterable[str]) -> str:
+    """Return the buttons to press, as a sentence."""
+    return f"To go on: {', then '.join(buttons)}."
 
 
 _CAUSE = re.compile(
@@ -193,11 +210,11 @@ def programme_requests(figures: Mapping[str, str]) -> frozenset[str]:
     state = figures.get("programme_state", "finished")
     if state == "finished":
         return frozenset()
-    return frozenset({"skip", "resume" if "stopped_because" in figures else "stop"})
+    return frozenset({"skip", "resume" if STOPPED_BECAUSE in figures else "stop"})
 
 
 def programme_line(figures: Mapping[str, str]) -> str:
-    """Return title, block, load cycles, state, last peak and valley of a programme, and the reason for a stop.
+    """Return title, block, load cycles, last peak and valley, and state of a programme.
 
     Args:
         figures: diagnostics of the programme node; empty: no programme.
@@ -206,8 +223,7 @@ def programme_line(figures: Mapping[str, str]) -> str:
         return ""
     block = f"block {figures.get('block', '')} {figures.get('block_name', '')}"
     count = f"{figures.get('load_cycles', '')} of {figures.get('of_load_cycles', '')} load cycles"
-    reason = figures.get("stopped_because", "")
-    state = f"{figures.get('programme_state', '')}{f': {reason}' if reason else ''}"
+    state = figures.get("programme_state", "")
     return " · ".join(filter(None, [figures["programme"], block, count, _last_peak(figures), state]))
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import re
 from html import escape
 from typing import Any
 
@@ -16,6 +17,9 @@ REACH = 10.0
 STEPS = 200
 """Positions of a slider."""
 
+_UNIT = re.compile(r"(?P<help>.*) \[(?P<unit>[^][]*)\](?P<rest>;[^][]*)?")
+"""Description, unit and origin of the default, as :mod:`ehls_ros.schema` joins them."""
+
 
 class TuningTab:
     """Parameters of one node at a time."""
@@ -26,7 +30,7 @@ class TuningTab:
         self._asking = self._answered = self._by_hand = False
         self._era = -1
         with ui.element("div").classes("row-of"):
-            self._node = ui.select([], label="node", on_change=self.show).props("dense").style("flex: 1")
+            self._node = ui.select([], label="node", on_change=self.show).props("dense").style("flex: 1; min-width: 0")
             self._node.on("update:model-value", self._chosen_by_hand)
             ui.button("Reload", on_click=self.show).props("flat dense")
         self._list = ui.column().classes("tunables")
@@ -151,8 +155,8 @@ def value_at(place: float, low: float, high: float) -> float:
 
 
 def help_and_unit(description: str) -> tuple[str, str]:
-    """Split a descriptor's text into help and the unit in brackets at its end; the unit 1 is left out."""
-    sentence, bracket, unit = description.removesuffix("]").rpartition(" [")
-    if not bracket or not description.endswith("]"):
+    """Split a descriptor's text into help and the unit in brackets at the end of its first part; the unit 1 is left out."""
+    match = _UNIT.fullmatch(description)
+    if match is None:
         return description, ""
-    return sentence, "" if unit == "1" else unit
+    return f"{match['help']}{match['rest'] or ''}", "" if match["unit"] == "1" else match["unit"]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from ehls_ros.control.estimate_bounds import Bound, bounds_of, sentence
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.plausibility import LIMIT_UNITS, WARNING_FACTOR, beyond
+from ehls_ros.recording.events import read_pauses, time_closed
 from ehls_ros.recording.topics import CONTROLLER_STATUS, LOADER_STATE
 from ehls_ros.schema import parse
 from ehls_ros.trajectory import Trajectory, steady_error
@@ -138,10 +140,9 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
         error = steady_error(run, signal, reference)
         largest = float(np.nanmax(np.abs(run[reference]))) if error.size else 0.0
         if error.size and error.max() > MIN_LOST_ERROR * largest > 0.0:
-            yield (
-                f"the {quantity} does not follow its reference: the error of the last half reaches {error.max():.3g} {unit}, "
-                f"the reference {largest:.3g} {unit}"
-            )
+            reached, wanted = (f"{_rounded(value)} {unit}" for value in (error.max(), largest))
+            lost = f"the error of the last half reaches {reached}, the reference {wanted}"
+            yield f"the {quantity} does not follow its reference: {lost}"
     if "saturated" in run and (share := float(np.mean(run["saturated"][late] > 0.5))) >= MIN_SATURATED:
         yield f"the valve command is at its limit for {100.0 * share:.0f} % of the last half: the rig can give no more"
     for bound in bounds_in(run.metadata):
@@ -154,7 +155,24 @@ def _warnings(run: Trajectory, late: NDArray[np.bool_]) -> Iterator[str]:
     for name in LIMIT_UNITS if limits is not None else ():
         signal = LOADER_STATE.signals[name]
         if signal in run and limits is not None and (out := beyond(run[signal], limits, name, WARNING_FACTOR)) is not None:
-            yield f"the rig leaves its limits: {out.what} (at {run.time_s[out.row]:.3g} s); a real rig would have been stopped"
+            time = _rounded(run.time_s[out.row] - run.time_s[0])
+            yield f"the rig leaves its limits: {out.what} (at {time} s); a real rig would have been stopped"
+
+
+def _rounded(value: float) -> str:
+    """Return three significant digits, without a power of ten up to a million."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def stops_of(bag: Path, run: Trajectory) -> tuple[str, ...]:
+    """Return a warning for a run in which the safety gate closed the valve; empty otherwise.
+
+    Args:
+        bag: folder of its bag, or one storage file.
+        run: the run.
+    """
+    closed = time_closed(read_pauses(bag), run.time_s[0], run.time_s[-1]) if len(run) else 0.0
+    return (f"the safety gate kept the valve closed for {closed:.3g} s; the errors include that time",) if closed else ()
 
 
 def bounds_in(metadata: Mapping[str, Any]) -> tuple[Bound, ...]:

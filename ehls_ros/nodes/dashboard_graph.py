@@ -1,27 +1,30 @@
 """The dashboard's access to a graph: starts nodes and recordings, besides observing any graph."""
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from lifecycle_msgs.msg import Transition
 
-from ehls_ros.dashboard.graph import Answer, GraphSnapshot, NodeHealth, StartProgress, Timing
+from ehls_ros.dashboard.graph import Answer, GraphSnapshot, NodeHealth, StartProgress, Timing, shortened
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.graph_check import Graph as Checked
-from ehls_ros.experiments.graph_check import check_fit
+from ehls_ros.experiments.graph_check import bridge_at, check_fit
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, for_simulated_rig, load_spec
 from ehls_ros.nodes.control import NAMESPACE
-from ehls_ros.nodes.dashboard_link import Link
+from ehls_ros.nodes.dashboard_link import READ_INTERVAL, Link
 from ehls_ros.nodes.graph import (
     REALTIME_PRIORITY,
     SIMULATED,
     UP_TIME,
+    Plant,
     Running,
     graph_environment,
     last_line,
@@ -43,9 +46,18 @@ STARTING, COMPILING, READY, RUNNING, ENDED = "starting", "compiling", "ready", "
 class DashboardGraph(Link):
     """:class:`ehls_ros.dashboard.graph.Graph` over ROS."""
 
-    def __init__(self, namespace: str = NAMESPACE) -> None:
-        """Join the graph of this process's domain; see :class:`Link`."""
+    def __init__(self, namespace: str = NAMESPACE, plant: Plant = SIMULATED) -> None:
+        """Join the graph of this process's domain.
+
+        Args:
+            namespace: see :class:`Link`.
+            plant: plant of the graphs started here.
+        """
         super().__init__(namespace)
+        self._plant = plant
+        self.simulated = plant.bridge is None and plant.kind == SIMULATED.kind
+        self._recorded: RunFolder | None = None
+        self._results: dict[str, _Result] = {}
         self._changing = threading.Lock()
         self._nodes = _StartedProcesses()
         self._recorder = _StartedProcesses()
@@ -78,6 +90,8 @@ class DashboardGraph(Link):
             activity=self.activity(),
             started_here=self.started_here(),
             recording=self.recording(),
+            recorded=self._recorded is not None,
+            results={verb: result.sentence for verb, result in self._results.items()},
             rig=self.rig_health(),
         )
 
@@ -113,17 +127,20 @@ class DashboardGraph(Link):
         with self._changing:
             if self.started_here() or self.rate():
                 return Answer(done=False, message="a graph is already running: stop it first")
-            spec = for_simulated_rig(spec)
+            spec = for_simulated_rig(spec) if self.simulated else spec
             try:
-                check_fit(spec, Checked(lockstep=timing is not Timing.REALTIME), name)
+                bridge = None if self.simulated else bridge_at(self._plant.bridge)
+                remarks = check_fit(spec, Checked(bridge=bridge, lockstep=timing is not Timing.REALTIME), name)
                 folder = _folder(spec, name)
                 folder.logs.mkdir()
             except (BadInput, OSError) as error:
                 return Answer(done=False, message=str(error))
             self._timing = REALTIME if timing is Timing.REALTIME else LOCKSTEP
-            parameters = node_parameters(spec, SIMULATED, folder, self._timing, STORAGE)
+            parameters = node_parameters(spec, self._plant, folder, self._timing, STORAGE)
             del parameters[RECORDER]
-            parameters[SIMULATED.node] |= {"cycles": 0, "speed": 1.0 if timing is Timing.LOCKSTEP else 0.0}
+            parameters[self._plant.node]["cycles"] = 0
+            if self.simulated:
+                parameters[self._plant.node]["speed"] = 1.0 if timing is Timing.LOCKSTEP else 0.0
             parameters[reference_node(spec)]["start_time"] = START_TIME
             self._cancelled.clear()
             self._stages, self._failure = {}, ""
@@ -136,7 +153,7 @@ class DashboardGraph(Link):
             self._start_time = None
             if refusal:
                 return Answer(done=False, message=refusal)
-            self._nodes.status = f"Spec and logs of the nodes are in {folder.path}."
+            self._nodes.status = " ".join([*(f"{remark}." for remark in remarks), f"Spec and logs are in {folder.path}."])
             return Answer(done=True, message=f"{name} is running")
 
     def stop(self) -> Answer:
@@ -173,6 +190,33 @@ class DashboardGraph(Link):
             self._recorder.status = f"Recording to {folder.bag}."
             return Answer(done=True, message=self._recorder.status)
 
+    def evaluate(self, verb: str) -> Answer:
+        """Evaluate the last recording that ended here with a verb of ``ehls``, in a process of its own."""
+        folder = self._recorded
+        if folder is None:
+            return Answer(done=False, message="no recording has ended here")
+        results = folder.path / verb
+        words = {"verify": ["--out", str(results)], "report": ["--out", str(folder.report)]}[verb]
+        command = ["nice", sys.executable, "-m", "ehls_ros.cli.main", verb, str(folder.path), *words]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        while True:
+            try:
+                output, errors = process.communicate(timeout=READ_INTERVAL)
+                break
+            except subprocess.TimeoutExpired:
+                if self._closing.is_set():
+                    process.terminate()
+        if process.returncode:
+            return Answer(done=False, message=shortened((errors.splitlines() or [f"{verb} was ended"])[-1]))
+        document = folder.report if verb == "report" else results / folder.report.name
+        sentence = shortened(output.partition("\n")[0])
+        self._results[verb] = _Result(document, sentence)
+        return Answer(done=True, message=sentence)
+
+    def document(self, verb: str) -> Path | None:
+        """Return the document that an evaluation has written; None if there is none."""
+        return self._results[verb].document if verb in self._results else None
+
     def _end_nodes(self) -> None:
         """Stop the nodes without reporting their silence."""
         names = {node.name for node in self._nodes.running}
@@ -181,9 +225,10 @@ class DashboardGraph(Link):
 
     def _end_recording(self) -> None:
         if self.recording():
-            bag = self._recorder.folder.bag
+            folder = self._recorder.folder
             self._recorder.end()
-            self._recorder.status = f"Recorded: {bag}."
+            self._recorder.status = f"Recorded: {folder.bag}."
+            self._recorded, self._results = folder, {}
 
     def _activate(self) -> str:
         """Configure and activate the started nodes; return the reason of a failure, or an empty string."""
@@ -240,6 +285,13 @@ class DashboardGraph(Link):
                 name = self._nodes.folder.path.name if self.started_here() else path.stem
                 return load_spec(path), name, self.text_parameter(plant, "timing")
         raise BadInput("there is no plant node", "graph", f"one of {', '.join(PLANTS.values())}")
+
+
+class _Result(NamedTuple):
+    """Document and first sentence of an evaluation."""
+
+    document: Path
+    sentence: str
 
 
 class _StartedProcesses:

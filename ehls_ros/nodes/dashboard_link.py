@@ -26,7 +26,17 @@ from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.dashboard.graph import MAX_NAME, Answer, NodeHealth, RigHealth, Tunable, Value, shortened, shortened_figures
+from ehls_ros.dashboard.graph import (
+    MAX_NAME,
+    Answer,
+    NodeHealth,
+    RigHealth,
+    Tunable,
+    Value,
+    shortened,
+    shortened_figures,
+    until_granted,
+)
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, POSITION_REFERENCE, RESPONSE, SIGNALS, VALLEY
 from ehls_ros.dashboard.window import Peaks, Window
 from ehls_ros.hardware.ownership import node_of
@@ -85,9 +95,6 @@ SERVICES = (
     (Trigger, "programme_skip"),
 )
 """Services of plant, monitor and programme that the page's buttons call."""
-
-RETRY_TIME = 2.0
-"""Time for which a refused reset or enabling is retried [s]: the ramp to null takes time."""
 
 REPORT_DEPTH = 16
 """Queue depth for diagnostics; other publishers' messages may be large."""
@@ -307,12 +314,13 @@ class Link:
 
     def emergency_stop(self) -> Answer:
         """Cut the command."""
-        return self._request(Trigger, "emergency_stop", Trigger.Request())
+        answer = self._request(Trigger, "emergency_stop", Trigger.Request())
+        return answer._replace(message=f"emergency stop {_outcome(answer)}: the valve is closed") if answer.done else answer
 
     def acknowledge_stop(self) -> Answer:
         """Acknowledge the emergency stop that the gate reports."""
         stop = next((node.figures["stop"] for node in self.health() if node.figures.get("stop")), "")
-        return self._request(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
+        return self._gate(AcknowledgeStop, "acknowledge_stop", AcknowledgeStop.Request(stop=stop))
 
     def rig_health(self) -> RigHealth | None:
         """Return the monitor's report on the rig; None without a monitor."""
@@ -324,24 +332,16 @@ class Link:
 
     def reset_trips(self) -> Answer:
         """Reset the gate's latched trips."""
-        return self._request(Trigger, "reset_trips", Trigger.Request())
+        return self._gate(Trigger, "reset_trips", Trigger.Request())
 
     def enable(self) -> Answer:
         """Let commands through again."""
-        return self._request(SetBool, "enable", SetBool.Request(data=True))
+        return self._gate(SetBool, "enable", SetBool.Request(data=True))
 
     def reset_and_enable(self) -> Answer:
-        """Reset the gate's latched trips and let commands through again; retry requests that are refused for the moment."""
-        answer = Answer(done=False, message="")
-        for request in (self.reset_trips, self.enable):
-            deadline = time.monotonic() + RETRY_TIME
-            while (
-                not (answer := request()).done and time.monotonic() < deadline and not self._closing.wait(2.0 * READ_INTERVAL)
-            ):
-                pass
-            if not answer.done:
-                return answer
-        return answer
+        """Reset the gate's latched trips and let commands through again."""
+        answer = self.reset_trips()
+        return self.enable() if answer.done else answer
 
     def programme(self, request: str) -> Answer:
         """Stop, resume or skip a block of the running programme: ``stop``, ``resume`` or ``skip``."""
@@ -422,6 +422,11 @@ class Link:
                 client.remove_pending_request(future)
                 return None
         return future.result()
+
+    def _gate(self, kind: Any, service: str, request: Any) -> Answer:
+        """Send a request to the safety gate, repeatedly while it is refused for the moment."""
+        answer = until_granted(lambda: self._request(kind, service, request), self._closing.wait)
+        return answer._replace(message=_outcome(answer)) if answer.done else answer
 
     def _request(self, kind: Any, service: str, request: Any, server: str = "plant") -> Answer:
         response = self.call(kind, service, request)
@@ -535,6 +540,11 @@ class Link:
     def _since_snapshot(self, cycle: NDArray[np.int64], values: NDArray[Any]) -> NDArray[np.float64]:
         """Return the values, with NaN where the cycle's snapshot was not received."""
         return np.where(self._sent_cycle[cycle % CYCLES] == cycle, values, np.nan)
+
+
+def _outcome(answer: Answer) -> str:
+    """Return a gate's answer without the services to call next, for which the page has buttons."""
+    return answer.message.partition(";")[0]
 
 
 def _tunable(descriptor: ParameterDescriptor, value: Any) -> Tunable:

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import LoaderState
 from ehls_msgs.srv import AcknowledgeStop
+from ehls_ros.dashboard.graph import Answer, NodeHealth, until_granted
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.hardware.realtime import prefer, threads
 from ehls_ros.nodes.codec import NANOSECONDS, Decoder
@@ -29,31 +30,12 @@ REPORTED = 3.0
 SAMPLED = 1.0
 """Longest wait for a snapshot [s]."""
 
-RETRY_TIME = 3.0
-"""Time for which a refused request is repeated [s]: a ramp, or the shortest emergency stop, may not be over."""
-
 PRIORITY = 1
 """SCHED_FIFO priority of the requests, where permitted: below the loops of a rig in real time, which leave ordinary processes
 little time, such as one that is to stop the rig."""
 
 REPORT_DEPTH = 100
 """Queue depth for diagnostics."""
-
-
-class Report(NamedTuple):
-    """Diagnostics of a node.
-
-    Attributes:
-        node: its name.
-        level: 0 OK, 1 warning, 2 error.
-        message: its message.
-        figures: its values by name.
-    """
-
-    node: str
-    level: int
-    message: str
-    figures: Mapping[str, str]
 
 
 class Sample(NamedTuple):
@@ -76,7 +58,7 @@ class RigRequests(Requests):
         super().__init__(node, executor)
         self.namespace = namespace
         self.where = f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}, namespace /{self.namespace}"
-        self._reports: dict[str, Report] = {}
+        self._reports: dict[str, NodeHealth] = {}
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, REPORT_DEPTH)
         self._states = Inbox(node, LoaderState, f"/{self.namespace}/{LOADER_STATE.name}", control_qos(1))
 
@@ -120,17 +102,17 @@ class RigRequests(Requests):
             raise WorkFailed(f"{request} refused: {answer.message}")
         return str(answer.message)
 
-    def gate(self) -> Report:
+    def gate(self) -> NodeHealth:
         """Return the report of the node with the safety gate."""
         self._service("emergency_stop")
         return self._awaited("the plant node", lambda report: OF_GATE in report.figures)
 
-    def running_programme(self) -> Report:
+    def running_programme(self) -> NodeHealth:
         """Return the report of the programme node."""
         self._service("programme_stop")
         return self._awaited(PROGRAMME, lambda report: report.node == PROGRAMME)
 
-    def programme_if_any(self) -> Report | None:
+    def programme_if_any(self) -> NodeHealth | None:
         """Return the report of the programme node; None if no programme node runs."""
         return self.running_programme() if any(name.endswith(f"/{PROGRAMME}") for name in self.present()) else None
 
@@ -152,12 +134,16 @@ class RigRequests(Requests):
 
     def _gate(self, service: str, kind: Any, request: Any, *, retry: bool = False) -> str:
         """Return the answer of a service of the gate; ``retry``: repeat the request while it is refused for the moment."""
-        full, deadline = self._service(service), time.monotonic() + RETRY_TIME
-        while not (answer := self.call(kind, full, request)).success:
-            if not retry or time.monotonic() > deadline:
-                raise WorkFailed(f"{service} refused: {answer.message}")
-            time.sleep(LOOK)
-        return str(answer.message)
+        full = self._service(service)
+
+        def ask() -> Answer:
+            response = self.call(kind, full, request)
+            return Answer(response.success, str(response.message))
+
+        answer = until_granted(ask) if retry else ask()
+        if not answer.done:
+            raise WorkFailed(f"{service} refused: {answer.message}")
+        return answer.message
 
     def _service(self, name: str) -> str:
         """Return the full name of a service once a node offers it.
@@ -185,7 +171,7 @@ class RigRequests(Requests):
         }
         return BadInput(f"no {sought} is found", self.where, f"{elsewhere}{start[sought]}")
 
-    def _awaited(self, name: str, fits: Callable[[Report], bool]) -> Report:
+    def _awaited(self, name: str, fits: Callable[[NodeHealth], bool]) -> NodeHealth:
         """Return the report that fits, once it has arrived."""
         deadline = time.monotonic() + REPORTED
         while not (found := [report for report in self._reports.values() if fits(report)]):
@@ -199,7 +185,7 @@ class RigRequests(Requests):
             if status.hardware_id == self.namespace:
                 name = status.name.removeprefix(f"{self.namespace}/")
                 level = int.from_bytes(status.level, "little")
-                self._reports[name] = Report(name, level, status.message, figures_of(status))
+                self._reports[name] = NodeHealth(name, level, status.message, figures_of(status))
 
 
 @contextmanager

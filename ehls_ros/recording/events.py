@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -95,6 +95,17 @@ class Pause(NamedTuple):
 
     begin: float
     end: float
+
+
+def time_closed(pauses: Iterable[Pause], begin: float, end: float) -> float:
+    """Return the time of the pauses that begin and end within an interval: stops and trips during a run [s].
+
+    Args:
+        pauses: the pauses.
+        begin: start of the interval [s].
+        end: its end [s].
+    """
+    return sum(pause.end - pause.begin for pause in pauses if begin < pause.begin and pause.end < end)
 
 
 def read_pauses(path: Path) -> list[Pause]:

@@ -79,19 +79,20 @@ def write_experiment_report(
             page.figures(over_time),
             page.figures(beside, columns=2),
             page.left_out([*over_time, *beside]),
-            *_event_table(events),
+            *_event_table(events, trajectory),
             page.collapsed("Configuration", page.as_yaml(configuration)) if configuration else "",
         ],
     )
 
 
-def _event_table(events: Sequence[Event]) -> list[str]:
-    """Return the table of the run's events."""
+def _event_table(events: Sequence[Event], trajectory: Trajectory) -> list[str]:
+    """Return the table of the run's events, with times since its start, as in the figures."""
     if not events:
         return []
-    rows = [("before" if event.time_s is None else f"{event.time_s:.3f}", event.node, event.what) for event in events]
+    start = trajectory.time_s[0] if len(trajectory) else 0.0
+    rows = [("before" if event.time_s is None else f"{event.time_s - start:.3f}", event.node, event.what) for event in events]
     more = page.paragraph(f"{len(rows) - MAX_EVENTS} more are in the bag.") if len(rows) > MAX_EVENTS else ""
-    return [page.heading("Events"), page.table(("Time / s", "Node", "Event"), rows[:MAX_EVENTS]), more]
+    return [page.heading("Events"), page.table(("time [s]", "node", "event"), rows[:MAX_EVENTS]), more]
 
 
 COUNTED = {
@@ -163,6 +164,9 @@ def _facts(trajectory: Trajectory, metrics: Metrics | None) -> list[tuple[str, s
             ("Cycles", number(metrics.cycles)),
             ("Missed cycles", number(metrics.missed_cycles)),
         ]
+    done = trajectory.signals.get("programme_load_cycles", np.empty(0))
+    if (done := done[np.isfinite(done)]).size:
+        items.append(("Load cycles", number(int(done.max()))))
     for name, label in COUNTED.items():
         if known(trajectory, name):
             items.append((label, f"{number(int(np.sum(trajectory[name] > 0.5)))} cycles"))

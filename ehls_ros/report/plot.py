@@ -423,7 +423,8 @@ def _axis(axis: Axis) -> Layout:
         low, high = (float(np.log10(end)) for end in axis.span)
         layout |= {"type": "log", "range": [low, high]}
         if high - low > 0.7:
-            steps = (1, 2, 5) if high - low < 4 else (1,)
+            # More labels would be turned, and lie across the axis' title.
+            steps = (1, 2, 5) if high - low < 2 else (1,)
             decades = range(int(np.floor(low)), int(np.ceil(high)))
             layout["tickvals"] = [step * 10.0**decade for decade in decades for step in steps] + [10.0 ** np.ceil(high)]
     elif axis.span is not None:

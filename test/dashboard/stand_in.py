@@ -7,6 +7,7 @@ diagnostics: a list of [node, level, message, figures]. A mapping sets a monitor
 import json
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ class StandIn:
     def __init__(self) -> None:
         self.window = Window(tuple(SIGNALS))
         self.where = "made up"
+        self.simulated = True
         cycle = np.arange(CYCLES)
         self.window.add(1e-3 * cycle, dict.fromkeys(SIGNALS, np.sin(1e-3 * cycle)))
         # A closed gate, so that there is a button that opens it: those that are not shown do nothing.
@@ -90,6 +92,12 @@ class StandIn:
 
     def record(self, *, on: bool) -> Answer:
         return self._request("record")
+
+    def evaluate(self, verb: str) -> Answer:
+        return self._request(verb)
+
+    def document(self, verb: str) -> Path | None:
+        return Path(__file__) if verb == "report" else None
 
     def abort(self) -> None:
         pass

@@ -1,9 +1,11 @@
 """The dashboard's server against clients that flood it, forge messages, or have no token: no graph, no browser."""
 
 import contextlib
+import re
 import select
 import socket
 import time
+import urllib.request
 
 import pytest
 
@@ -175,6 +177,18 @@ def test_a_request_without_end_is_cut_off(shown, begun):
     before = shown.memory()
     heard(shown.port, begun, *[b"a" * 1_000_000] * 100)
     assert shown.memory() - before < GROWTH
+
+
+@elsewhere
+def test_a_document_needs_the_token_too_and_runs_without_the_pages_rights(everywhere, there):
+    address, token = f"{there}documents/report", f"?token={everywhere.token}"
+    assert answer(address)[0] == 403
+    with urllib.request.urlopen(address + token, timeout=PATIENCE) as came:
+        assert came.status == 200
+        [sandbox] = re.findall("sandbox[^;]*", came.headers["content-security-policy"])
+    assert "allow-same-origin" not in sandbox
+    for other in ("verify", "", "..%2f..%2fetc%2fpasswd"):
+        assert answer(f"{there}documents/{other}{token}")[0] == 404
 
 
 @pytest.mark.parametrize(

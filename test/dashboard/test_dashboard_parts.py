@@ -88,9 +88,13 @@ def test_a_slider_spans_a_decade_either_way_within_the_limits_of_the_node(value,
     assert (value_at(0.0, low, high), value_at(1.0, low, high)) == pytest.approx(ends)
 
 
-def test_the_unit_is_at_the_end_of_the_description():
+def test_the_unit_of_a_description_is_shown_apart():
     assert help_and_unit("slope of the sliding surface [MPa/s]") == ("slope of the sliding surface", "MPa/s")
     assert help_and_unit("share of [a, b] [1]") == ("share of [a, b]", "")
+    assert help_and_unit("gain [t/s]; default in proportion to the rig's mass") == (
+        "gain; default in proportion to the rig's mass",
+        "t/s",
+    )
     assert help_and_unit("a sentence") == ("a sentence", "")
 
 

@@ -110,15 +110,50 @@ PROGRAMME = {
 }  # fmt: skip
 
 
-def test_the_programmes_line_has_units_and_the_reason_of_a_stop():
+def test_the_programmes_line_has_units():
     assert programme_line({}) == ""
     assert programme_line(PROGRAMME) == (
         "bracket · block 1 service · 17 of 60 load cycles · peak 12.53 kN, valley 0.4688 kN · running"
     )
-    stopped = {**PROGRAMME, "programme_state": "stopped", "stopped_because": "the error is 700, its limit 600", "peak": "nan"}
-    assert programme_line(stopped).endswith("17 of 60 load cycles · stopped: the error is 700, its limit 600")
+    stopped = {**PROGRAMME, "programme_state": "stopped", "peak": "nan"}
+    assert programme_line(stopped).endswith("17 of 60 load cycles · stopped")
     position = {**PROGRAMME, "peak": "0.0125", "valley": "-0.003", "unit": "m"}
     assert "peak 12.5 mm, valley -3 mm" in programme_line(position)
+
+
+STOPPED = "Tripped: emergency stop requested, at 1.000 s. The valve is closed."
+
+HELD = NodeHealth(
+    "programme_node",
+    WARNING,
+    "stopped: the error is 700, its limit 600; programme_resume continues",
+    {**PROGRAMME, "programme_state": "stopped", "stopped_because": "the error is 700, its limit 600"},
+)
+
+
+@pytest.mark.parametrize(
+    ("status", "trouble", "remedy"),
+    [
+        (said(plant(), HELD), "The programme is stopped: the error is 700, its limit 600. To go on: Resume programme.", None),
+        (
+            said(plant(1, "late"), HELD),
+            "plant_sim_node: late. The programme is stopped: the error is 700, its limit 600. To go on: Resume programme.",
+            None,
+        ),
+        (
+            said(plant(state="disabled"), HELD),
+            "The programme is stopped: the error is 700, its limit 600. To go on: Enable, then Resume programme.",
+            Remedy.ENABLE,
+        ),
+        (
+            said(plant(2, "stopped", state="stopped", stop="stop-1", cause_1="emergency stop at 1 s, cut"), HELD),
+            f"{STOPPED} To go on: Acknowledge stop, then Reset and enable, then Resume programme.",
+            Remedy.ACKNOWLEDGE,
+        ),
+    ],
+)
+def test_a_stopped_programme_has_its_reason_and_the_buttons_to_press(status, trouble, remedy):
+    assert (status.trouble, status.remedy) == (trouble, remedy)
 
 
 @pytest.mark.parametrize(

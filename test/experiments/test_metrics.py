@@ -229,8 +229,7 @@ def test_an_error_of_a_fifth_of_the_reference_is_told():
     assert told(force_n=np.full(101, 8.1e3), force_reference_n=np.full(101, 1e4)) == ()
     [warning] = told(force_n=np.full(101, 7.9e3), force_reference_n=np.full(101, 1e4))
     assert (
-        warning
-        == "the force does not follow its reference: the error of the last half reaches 2.1e+03 N, the reference 1e+04 N"
+        warning == "the force does not follow its reference: the error of the last half reaches 2100 N, the reference 10000 N"
     )
     [warning] = told(position_m=np.full(101, 0.02), position_reference_m=np.full(101, 0.03))
     assert "the position does not follow its reference" in warning

@@ -14,6 +14,7 @@ from ehls_ros.experiments.verification.results import Cyclic, NonCyclic, Refused
 from ehls_ros.experiments.verification.uncertainty import std_of_mean
 from ehls_ros.experiments.verification.verify import Given, verify_recording
 from ehls_ros.physics.parameters import Sensor
+from ehls_ros.recording.events import Pause
 from ehls_ros.trajectory import Signal, Trajectory
 
 DRAWS = 40
@@ -314,6 +315,21 @@ def test_the_time_to_verify_can_be_given():
     assert block.found.amplitude.percent == pytest.approx(-2.0, abs=0.01)
     with pytest.raises(BadInput, match=r"no two samples lie from 30 to 18 s; .*0 to 19.998 s"):
         verified(made(time, force, sine(time)), begin=30.0, end=18.0)
+
+
+def test_time_in_which_the_valve_was_closed_is_left_out(programmed):
+    time = np.arange(0.0, 20.0, 0.002)
+    reference = sine(time)
+    closed = (time > 8.3) & (time <= 10.7)
+    cycles = {BLOCK: np.zeros_like(time), REPETITION: np.floor(time), PHASE: time % 1.0}
+    run = made(time, np.where(closed, 0.0, 1.02 * reference), reference, **cycles)
+    found = verified(run, pauses=[Pause(-np.inf, 0.0), Pause(8.3, 10.7), Pause(19.9, np.inf)], settling=0)
+    assert found.remarks[0] == "The safety gate kept the valve closed for 2.4 s; that time is left out."
+    [block] = found.blocks
+    assert block.found.cycles_judged == 16
+    assert block.found.amplitude.measured == pytest.approx(1.02 * 8e3, rel=1e-6)
+    with pytest.raises(BadInput, match="closed throughout"):
+        verified(run, pauses=[Pause(-np.inf, np.inf)])
 
 
 def test_a_reference_that_never_repeats_has_gain_lag_and_coherence_over_frequency():

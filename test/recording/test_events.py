@@ -11,7 +11,7 @@ from recorded_runs import loader_state, make_trajectory, serialized
 from ehls_ros.cli.main import main
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.bag_writer import BagWriter, Storage, write_trajectory
-from ehls_ros.recording.events import Event, Pause, read_events, read_pauses
+from ehls_ros.recording.events import Event, Pause, read_events, read_pauses, time_closed
 from ehls_ros.recording.recovery import recover
 from ehls_ros.recording.topics import DIAGNOSTICS, DRIVING, PARAMETER_EVENTS, transition_topic
 from ehls_ros.recording.typestore import typestore
@@ -160,3 +160,9 @@ def test_times_without_a_driver_are_read_from_the_bag(tmp_path):
 
     assert read_pauses(record(tmp_path / "bag", tell)) == [Pause(0.002, 0.005), Pause(0.007, np.inf)]
     assert read_pauses(record(tmp_path / "none", lambda write: None)) == []
+
+
+def test_only_pauses_within_a_run_count_as_closed():
+    pauses = [Pause(-np.inf, 0.1), Pause(1.0, 1.5), Pause(2.0, 2.25), Pause(3.0, np.inf)]
+    assert time_closed(pauses, 0.0, 4.0) == 0.75
+    assert time_closed(pauses, 1.0, 2.1) == 0.0

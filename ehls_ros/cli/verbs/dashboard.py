@@ -4,7 +4,7 @@ import os
 import threading
 from argparse import ArgumentParser, Namespace
 
-from ehls_ros.cli.arguments import add_configured, add_namespace, needs_ros
+from ehls_ros.cli.arguments import add_configured, add_namespace, add_plant, check_plant, needs_ros
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.extras import missing
 
@@ -22,6 +22,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="lockstep: every cycle waits for its answers, at most as fast as real time, on any machine; fastest: the same, as"
         " fast as this machine; realtime: by the wall clock, late answers count as late (default: lockstep)",
     )
+    add_plant(parser)
     add_namespace(parser)
     parser.add_argument(
         "--host", default="127.0.0.1", help="address to serve on; from other machines, reading needs the token too"
@@ -31,6 +32,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Serve until Ctrl-C; then stop everything started from the page."""
+    check_plant(options)
     spec = load_spec(options.spec) if options.spec is not None else None
     try:
         from ehls_ros.dashboard.graph import Timing
@@ -39,13 +41,13 @@ def run(options: Namespace) -> int:
         raise missing(f"the page's libraries are missing ({error})", "dashboard", "this Python") from None
     with needs_ros():
         from ehls_ros.nodes.dashboard_graph import DashboardGraph
-        from ehls_ros.nodes.graph import graph_environment
+        from ehls_ros.nodes.graph import Plant, graph_environment
     timing = Timing[options.timing.upper()]
     with listening(options.host, options.port) as opened:
         if spec is not None:
             environment = graph_environment()
             os.environ.update({key: environment[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
-        graph = DashboardGraph(options.namespace)
+        graph = DashboardGraph(options.namespace, Plant(options.plant, options.bridge))
 
         def start() -> None:
             if spec is not None:

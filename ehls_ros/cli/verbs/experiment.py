@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ehls_ros.cli.arguments import add_configured, add_json, check_duration, needs_ros
+from ehls_ros.cli.arguments import add_configured, add_json, add_plant, check_duration, check_plant, needs_ros
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.errors import BadInput
@@ -21,7 +21,7 @@ from ehls_ros.experiments.compiling import announce_compiling, graph_jobs, loop_
 from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
-from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate
+from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate, stops_of
 from ehls_ros.experiments.programme_records import STATE, read_state
 from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
@@ -62,13 +62,7 @@ def add_graph_options(parser: _ActionsContainer) -> None:
         action="store_true",
         help="run the nodes of a control cycle in one process, where a cycle is one call; by default each is a process",
     )
-    parser.add_argument(
-        "--plant",
-        choices=("sim", "bridge"),
-        default="sim",
-        help="sim: simulated rig; bridge: the rig behind --bridge, or UDP here",
-    )
-    parser.add_argument("--bridge", type=Path, help="bridge file: DAQ backend, channels, calibration (with --plant bridge)")
+    add_plant(parser)
     parser.add_argument(
         "--end-on-trip",
         action="store_true",
@@ -111,8 +105,7 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
     Raises:
         BadInput: the options do not fit the experiment.
     """
-    if options.bridge is not None and options.plant == "sim":
-        raise BadInput("--bridge was given", "command line", "--plant bridge with it")
+    check_plant(options)
     if options.continued is not None:
         _check_continued(options, spec)
     remarks: tuple[str, ...] = ()
@@ -141,7 +134,8 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
         metrics = with_failure(metrics, done.failure)
         found = adapted(spec, done.trajectory)
         limited = () if found is None else found.at_bounds
-        metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(spec), *limited))
+        stops = stops_of(folder.bag, done.trajectory)
+        metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(spec), *limited, *stops))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
         lines = () if found is None else _write_adapted(found, folder)

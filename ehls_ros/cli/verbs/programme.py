@@ -124,7 +124,7 @@ def _run(options: Namespace) -> int:
 
 def _ask(options: Namespace) -> int:
     """Send a request to the running programme and print the answer."""
-    from ehls_ros.dashboard.status import programme_line
+    from ehls_ros.dashboard.status import STOPPED_BECAUSE, programme_line
 
     with needs_ros():
         from ehls_ros.nodes.rig_requests import rig_requests
@@ -132,7 +132,8 @@ def _ask(options: Namespace) -> int:
         if options.programme == "status":
             report = rig.running_programme()
             content: Any = {**report.figures, "message": report.message}
-            text = programme_line(report.figures)
+            reason = report.figures.get(STOPPED_BECAUSE, "")
+            text = f"{programme_line(report.figures)}{f': {reason}' if reason else ''}"
         else:
             text = rig.programme(options.programme)
             content = {"done": options.programme, "answer": text}

@@ -7,6 +7,7 @@ from pathlib import Path
 from ehls_ros.cli.arguments import add_columns, columns_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import evaluate_recording
+from ehls_ros.experiments.metrics import stops_of
 from ehls_ros.experiments.monitoring.daily import is_monitor_folder, results_of_day
 from ehls_ros.experiments.monitoring.health import today
 from ehls_ros.experiments.run_folder import recording_in
@@ -36,10 +37,13 @@ def run(options: Namespace) -> int:
         return _of_day(data, options.day or today(), options.out)
     recording = recording_in(data)
     trajectory = load(recording, columns_of(options))
-    events = [] if options.columns or holds_tables(recording) else read_events(recording)
+    is_bag = not options.columns and not holds_tables(recording)
+    metrics = evaluate_recording(trajectory)
+    if metrics is not None and is_bag:
+        metrics = metrics._replace(warnings=(*metrics.warnings, *stops_of(recording, trajectory)))
     out: Path = options.out or (data.parent if recording == data else data) / "report.html"
     try:
-        write_experiment_report(trajectory, evaluate_recording(trajectory), out, events, name=data.resolve().name)
+        write_experiment_report(trajectory, metrics, out, read_events(recording) if is_bag else [], name=data.resolve().name)
     except OSError as error:
         raise BadInput(f"the report cannot be written ({error.strerror})", str(out), "a writable place (--out)") from None
     print(out)

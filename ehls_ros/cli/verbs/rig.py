@@ -63,7 +63,7 @@ def _answer(rig: "RigRequests", action: str, stop: str) -> tuple[Any, str]:
 def _status(rig: "RigRequests") -> tuple[Any, str]:
     """Return the state of a rig as data and as text."""
     # Seconds that an emergency stop must not wait.
-    from ehls_ros.dashboard.status import explained
+    from ehls_ros.dashboard.status import STOPPED_BECAUSE, explained
     from ehls_ros.hardware.safety_gate import DRIVING, steps_to_drive
 
     report = rig.gate()
@@ -79,7 +79,7 @@ def _status(rig: "RigRequests") -> tuple[Any, str]:
     if causes and lasting:
         obstacle = f"{', '.join(lasting)} persists"
     steps = [command_line(f"rig {step}", rig.namespace) for step in steps_to_drive(state, stop)]
-    if programme is not None and "stopped_because" in programme.figures:
+    if programme is not None and STOPPED_BECAUSE in programme.figures:
         steps.append(command_line("programme resume", rig.namespace))
     content = {
         "namespace": rig.namespace,

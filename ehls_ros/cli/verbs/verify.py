@@ -11,7 +11,8 @@ from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.verification.results import CERTIFIES_NOTHING, verification_document
 from ehls_ros.experiments.verification.verify import Given, verify_recording
-from ehls_ros.recording.load import load
+from ehls_ros.recording.events import read_pauses
+from ehls_ros.recording.load import holds_tables, load
 from ehls_ros.report.verification import answer, write_verification_report
 
 HELP = "Verify the force of a cyclic test, block by block: verification.json and a report. It certifies nothing."
@@ -53,6 +54,8 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Run it."""
     data: Path = options.data
+    recording, columns = recording_in(data), columns_of(options)
+    trajectory = load(recording, columns)
     given = Given(
         rig=load_rig(options.rig) if options.rig else None,
         inertia_mass=options.inertia_mass,
@@ -60,8 +63,8 @@ def run(options: Namespace) -> int:
         settling=options.settling,
         begin=options.begin,
         end=options.end,
+        pauses=read_pauses(recording) if columns is None and not holds_tables(recording) else (),
     )
-    trajectory = load(recording_in(data), columns_of(options))
     name = data.resolve().name
     found = verify_recording(trajectory, given, str(data))
     document = verification_document(found, name, __version__)

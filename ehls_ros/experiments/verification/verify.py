@@ -42,6 +42,7 @@ from ehls_ros.experiments.verification.results import (
 from ehls_ros.experiments.verification.uncertainty import COVERAGE, TypeB, Uncertainty, std_of_mean, std_of_resolution, student
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.recording.events import Pause, time_closed
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
@@ -61,6 +62,7 @@ class Given(NamedTuple):
         cell_uncertainty: expanded uncertainty (k = 2) of the load cell's calibration [% of reading]; None: unknown.
         settling: number of cycles to leave out at the start of each stretch; None: determined from the data.
         begin, end: the time to verify, since the start of the recording [s]; None: all of it.
+        pauses: intervals in which no command reached the valve, which are left out.
     """
 
     rig: Rig | None = None
@@ -69,6 +71,7 @@ class Given(NamedTuple):
     settling: int | None = None
     begin: float | None = None
     end: float | None = None
+    pauses: Sequence[Pause] = ()
 
 
 def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
@@ -81,7 +84,7 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
 
     Raises:
         BadInput: force or reference was not recorded, a value is out of range, inertia is to be corrected without a position,
-            or there is no sample between begin and end.
+            or no command reached the valve between begin and end.
     """
     start, run = float(run.time_s[0]) if len(run) else 0.0, _between(run, given, name)
     _check(run, given, name)
@@ -97,7 +100,7 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
 
 def _between(run: Trajectory, given: Given, name: str) -> Trajectory:
     """Return the time of a recording that is to be verified."""
-    if given.begin is None and given.end is None:
+    if given.begin is None and given.end is None and not given.pauses:
         return run
     since = run.time_s - run.time_s[0]
     begin, end = given.begin if given.begin is not None else 0.0, given.end if given.end is not None else math.inf
@@ -105,6 +108,10 @@ def _between(run: Trajectory, given: Given, name: str) -> Trajectory:
     if not kept.sum() > 1:
         what = f"no two samples lie from {begin:g} to {end:g} s"
         raise BadInput(what, name, f"--from and --to within 0 to {since[-1]:.6g} s, since the start of the recording")
+    for pause in given.pauses:
+        kept &= (run.time_s <= pause.begin) | (run.time_s > pause.end)
+    if not kept.sum() > 1:
+        raise BadInput("the safety gate kept the valve closed throughout", name, "a time in which commands reached the valve")
     return replace(run, time_s=run.time_s[kept], signals={signal: values[kept] for signal, values in run.signals.items()})
 
 
@@ -132,6 +139,8 @@ def _recorded_rig(metadata: Mapping[str, Any]) -> Rig | None:
 
 def _remarks(run: Trajectory, given: Given, rig: Rig | None, blocks: Sequence[Block], start: float) -> Iterator[str]:
     yield from run.preparation.remarks
+    if closed := time_closed(given.pauses, run.time_s[0], run.time_s[-1]):
+        yield f"The safety gate kept the valve closed for {closed:.3g} s; that time is left out."
     if BLOCK not in run:
         yield "The recording has no programme: it is judged as one block with the cycle of its reference."
     for block in blocks if BLOCK not in run else ():

@@ -3,6 +3,7 @@
 import contextlib
 import html
 import json
+import os
 import re
 import signal
 import socket
@@ -21,7 +22,7 @@ import psutil
 from patience import PATIENCE
 from websockets.sync.client import ClientConnection, connect
 
-STAND_IN = Path(__file__).with_name("stand_in.py")
+STAND_IN = Path(__file__).parent / "dashboard" / "stand_in.py"
 
 
 class Served:
@@ -101,6 +102,13 @@ def running(command: Sequence[str], folder: Path | None = None, environment: dic
 def served(host: str = "127.0.0.1") -> contextlib.AbstractContextManager[Served]:
     """Run the server on the stand-in graph."""
     return running([sys.executable, str(STAND_IN), host])
+
+
+def dashboard(folder: Path, domain: int, *arguments: str, **variables: str) -> contextlib.AbstractContextManager[Served]:
+    """Run `ehls dashboard`."""
+    command = [sys.executable, "-m", "ehls_ros.cli.main", "dashboard", "--port", "0", *arguments]
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | variables
+    return running(command, folder, environment)
 
 
 def until(true: Callable[[], Any], what: str) -> None:
