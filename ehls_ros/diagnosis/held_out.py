@@ -1,5 +1,6 @@
 """Cross-validation of fitted hypotheses on held-out blocks, and their relative probabilities."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -62,7 +63,7 @@ class Assessment(NamedTuple):
             return 0.0
         away = away[known] / deviation[known]
         correlation = covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
-        return float(np.sqrt(max(away @ np.linalg.pinv(correlation, hermitian=True) @ away, 0.0)))
+        return math.sqrt(max(float(away @ np.linalg.pinv(correlation, hermitian=True) @ away), 0.0))
 
     def per_block(self, inflation: Mapping[Channel, float]) -> Array:
         """Return the held-out gain of each block, shape (blocks,) [nats]; a zero of shape (1,) if nothing is changed.

@@ -273,6 +273,7 @@ class Diagnosis:
         seed: seed of the noise added to find the noise floor, and of resampling.
         wall_s: wall time [s].
         baseline: the baselines against which the recording was judged; None if it was judged by itself.
+        corrected: wrong numbers of the rig file that were corrected before, by name; the given model has the right ones.
     """
 
     verdict: Verdict
@@ -292,6 +293,7 @@ class Diagnosis:
     seed: int
     wall_s: float
     baseline: BaselineSummary | None = None
+    corrected: Mapping[str, Fitted] = field(default_factory=dict)
 
     @property
     def names_causes(self) -> bool:

@@ -1,6 +1,7 @@
 """Diagnosis of a recording, and identification of a whole rig, with the kernels compiled first; without files."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 from ehls_ros.diagnosis.contradictions import check_suits
@@ -10,6 +11,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs, identification_jobs
 from ehls_ros.experiments.consequences import Consequences, consequences
+from ehls_ros.experiments.first_draft import is_first_draft, wrong_numbers
 from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.parallel import Workers
@@ -66,7 +68,12 @@ def diagnose_recording(
                 trajectory, known, rig, name, seed=seed, threads=threads, progress=report, names=list(baselines)
             )
         else:
-            found = diagnose(trajectory, rig, name, seed=seed, threads=threads, progress=report)
+            report("comparing the rig file", 0.0)
+            identified = identify_rig({name: trajectory}, rig, seed=seed)
+            wrong = wrong_numbers(rig, identified)
+            draft = is_first_draft(wrong)
+            found = diagnose(trajectory, identified.rig if draft else rig, name, seed=seed, threads=threads, progress=report)
+            found = replace(found, corrected=wrong) if draft else found
         follows = consequences(
             found,
             trajectory,

@@ -18,6 +18,7 @@ from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy, trace
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, setup
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.first_draft import wrong_numbers
 from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.identification.whole_rig import identify_rig
@@ -96,7 +97,8 @@ def diagnose_against(
         new={} if evidence is None else _traces(evidence, expected, variation),
     )
     all_remarks = (*found.remarks, *identified.remarks, *remarks(coverage))
-    return replace(found, baseline=summary, remarks=all_remarks, wall_s=time.perf_counter() - began)
+    wrong = wrong_numbers(rig, identified)
+    return replace(found, baseline=summary, corrected=wrong, remarks=all_remarks, wall_s=time.perf_counter() - began)
 
 
 def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence:

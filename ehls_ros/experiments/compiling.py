@@ -20,7 +20,7 @@ from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Progress, Task, Workers
 from ehls_ros.physics.composition import is_compiled
 from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import EffectiveRig, Rig
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 from ehls_ros.progress import announce, duration_text
 
@@ -48,20 +48,24 @@ class Job(NamedTuple):
 
 
 def diagnosis_jobs(rig: Rig) -> list[Job]:
-    """Return the kernels of a rig's diagnosis, those with the longest compile time first."""
+    """Return the kernels of a rig's diagnosis, which begins with an identification, those that compile longest first."""
     effective = rig.effective()
-    return [Job(partial(part_kernel, name, effective), partial(compile_part, name, effective)) for name in reversed(PARTS)]
+    return [*_parts(rig, duals=True), *(_part(name, effective, duals=False) for name in reversed(PARTS))]
 
 
 def identification_jobs(rig: Rig) -> list[Job]:
     """Return the kernels for the identification of a whole rig: its parts, with and without derivatives."""
+    return [*_parts(rig, duals=True), *_parts(rig, duals=False)]
+
+
+def _parts(rig: Rig, *, duals: bool) -> list[Job]:
     effective = rig.effective()
     needed = [name for name in reversed(PARTS) if name != "load" or effective.piston_mass() > 0.0]
-    return [
-        Job(partial(part_kernel, name, effective, duals=duals), partial(compile_part, name, effective, duals=duals))
-        for duals in (True, False)
-        for name in needed
-    ]
+    return [_part(name, effective, duals=duals) for name in needed]
+
+
+def _part(name: str, rig: EffectiveRig, *, duals: bool) -> Job:
+    return Job(partial(part_kernel, name, rig, duals=duals), partial(compile_part, name, rig, duals=duals))
 
 
 def consequences_jobs(diagnosis: Diagnosis) -> list[Job]:

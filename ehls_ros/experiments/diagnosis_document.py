@@ -224,6 +224,7 @@ class DiagnosisDocument(NamedTuple):
         diagnosis_s: wall time of the diagnosis alone [s].
         wall_s: wall time of everything [s].
         baseline: baselines of the judgement; None without baselines.
+        corrected: wrong numbers of the rig file that were corrected first, by name.
     """
 
     verdict: Verdict | Literal["unchanged", "changed"]
@@ -248,6 +249,7 @@ class DiagnosisDocument(NamedTuple):
     diagnosis_s: float
     wall_s: float
     baseline: BaselineEntry | None
+    corrected: Mapping[str, Fitted]
 
 
 def diagnosis_document(
@@ -290,6 +292,7 @@ def diagnosis_document(
         diagnosis_s=diagnosis.wall_s,
         wall_s=wall_s,
         baseline=None if diagnosis.baseline is None else BaselineEntry(*diagnosis.baseline[:5]),
+        corrected=diagnosis.corrected,
     )
 
 

@@ -43,7 +43,7 @@ SINCE = {
 def answer(found: Diagnosis) -> tuple[str, bool | None]:
     """Return the result in a sentence, and whether all is well; None if the data are insufficient."""
     sentence, good = findings.verdict_sentence(found)
-    return (sentence if found.baseline is None else since_sentence(found)), good
+    return (sentence if found.baseline is None else since_sentence(found)) + findings.corrected(found), good
 
 
 def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences = NOTHING, source: str = "") -> None:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis.advice import spring_in_force
-from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION
@@ -36,11 +36,19 @@ OPEN_CANDIDATE = 10.0
 RIG_FILE = "in the rig file"
 """State to which a changed value is compared, without baselines."""
 
+FITTED_RIG = "in the fitted rig"
+"""State to which a changed value is compared, if a first draft of a rig file was fitted first."""
+
 UNDECIDED = "undecided by these data"
 """Mark of a clause with several candidates."""
 
 LACKS = "the simulation lacks"
 """Beginning of a clause on a missing effect, once in a sentence."""
+
+KEY_VALUES = (
+    "internal_leakage_shift", "bulk_modulus_shift", "valve_gain_shift", "coulomb_shift", "viscous_shift", "mass_shift",
+)  # fmt: skip
+"""Effects whose smallest visible sizes are told in the sentence of a result without any error."""
 
 CANDIDATES = 3
 """Maximum number of candidates in a sentence."""
@@ -167,7 +175,7 @@ def verdict_sentence(found: Diagnosis) -> tuple[str, bool | None]:
         A sentence, and whether the simulation is right; None if the data are insufficient.
     """
     if found.verdict in NAMING:
-        return sentence_of([claims(found), *rest_of(found)]), False
+        return sentence_of([claims(found, FITTED_RIG if found.corrected else RIG_FILE), *rest_of(found)]), False
     if found.verdict == "unknown":
         return _unknown_sentence(found), False
     if found.verdict == "consistent":
@@ -226,7 +234,7 @@ def _stated(found: Diagnosis, cause: Cause, size: str, since: str) -> str:
     if spring_in_force(found.rig, cause):
         return f"the recorded force contains no force of the spring: {noun} is {size}"
     if words(cause.name).lacking:
-        return f"{LACKS} {noun}{at}" if since == RIG_FILE else f"{noun} has appeared{at}"
+        return f"{LACKS} {noun}{at}" if since in (RIG_FILE, FITTED_RIG) else f"{noun} has appeared{at}"
     return f"{noun} is {size}" if " than " in size else f"{noun} differs from that {since}{at}"
 
 
@@ -306,20 +314,24 @@ def _consistent_sentence(found: Diagnosis) -> str:
     return (f"{text}; the data are insufficient to assess {listed(rest)}." if rest else f"{text}.") + visible(found)
 
 
+def corrected(found: Diagnosis) -> str:
+    """Return a sentence on the rig file's wrong numbers, which were corrected first; empty without any."""
+    if not found.corrected:
+        return ""
+    pairs = [(name, item.fitted, value(item.given, item.fitted.unit)) for name, item in found.corrected.items()]
+    numbers = ", ".join(f"{name} {estimate(right, 1)} instead of {wrong}" for name, right, wrong in pairs)
+    return f" The recordings contradict these numbers of the rig file, which were corrected first: {numbers}."
+
+
 def visible(found: Diagnosis) -> str:
     """Return a sentence with the sizes from which wrong values of coefficients would have shown; empty if none would."""
-    smallest = dict[str, Sensitivity]()
-    for item in found.sensitivities:
-        noun = words(item.name).noun
-        if not words(item.name).lacking and (noun not in smallest or item.smallest < smallest[noun].smallest):
-            smallest[noun] = item
-    sizes = [f"{noun} {change(item.smallest, item.unit)}" for noun, item in smallest.items()]
+    sizes = []
+    for name in KEY_VALUES:
+        smallest = min((s for s in found.sensitivities if s.name == name), key=lambda s: s.smallest, default=None)
+        if smallest is not None:
+            sizes.append(f"{words(name).noun} {change(smallest.smallest, smallest.unit)}")
     wrong = "a wrong value" if found.baseline is None else "a change"
-    return (
-        f" In nine of ten recordings like this, {wrong} would have shown from these sizes on: {', '.join(sizes)}."
-        if sizes
-        else ""
-    )
+    return f" In nine of ten recordings like this, {wrong} shows from these sizes on: {', '.join(sizes)}." if sizes else ""
 
 
 def at_noise(result: StageResult) -> bool:
