@@ -16,7 +16,7 @@ from ehls_ros.reproduction.results import CellResult
 SCHEMA = {
     document.DiagnosisDocument: (
         "verdict summary stages causes remainder depends_on gain next_experiment extended_rig seed version unknown_stage"
-        " partial missing not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s baseline"
+        " partial missing not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s baseline corrected"
     ),
     StageResult: ("judged why_not nrmse_before nrmse_after noise_floor exceeds unexplained leaves_much incident depends_on"),
     document.BaselineEntry: "recordings coefficients channels coverage not_compared",

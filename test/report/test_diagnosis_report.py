@@ -11,7 +11,7 @@ from report_pages import check, numbers, panels, parts, row, rows
 from scipy.integrate import trapezoid
 
 from ehls_ros.diagnosis.free_run import Followed, FreeRun
-from ehls_ros.diagnosis.result import Cause, ChannelGain, ChannelTrace, Diagnosis, Gain, Rival, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import Cause, ChannelGain, ChannelTrace, Diagnosis, Fitted, Gain, Rival, Sensitivity, StageResult
 from ehls_ros.diagnosis.stages import SENSED
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION
 from ehls_ros.estimate import Estimate
@@ -26,7 +26,7 @@ from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import quantities as units
-from ehls_ros.report.diagnosis import write_diagnosis_report
+from ehls_ros.report.diagnosis import answer, write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import (
     CHANNEL_WORDS,
     caveats,
@@ -334,6 +334,20 @@ def test_the_verdicts_without_a_cause():
     sentence, good = verdict_sentence(insufficient())
     assert "insufficient to assess the simulation" in sentence
     assert good is None
+
+
+def test_agreement_names_the_sizes_that_would_have_shown_and_the_numbers_corrected_before():
+    quiet = replace(
+        consistent(),
+        sensitivities=(Sensitivity("mass_shift", "factor", 0.023, "1"), Sensitivity("coulomb_shift", "offset", 24.0, "N")),
+        corrected={"moving_mass": Fitted(49.0, Estimate(70.0, 0.2, "kg"), None)},
+    )
+    sentence, _ = answer(quiet)
+    assert "a wrong value shows from these sizes on: the Coulomb friction 24 N, the moving mass 2.3 %." in sentence
+    assert sentence.endswith("which were corrected first: moving_mass 70.0 ± 0.2 kg instead of 49 kg.")
+    assert "shows from" not in answer(replace(quiet, sensitivities=()))[0]
+    named, _ = answer(replace(make_found(), corrected=quiet.corrected))
+    assert "rig file (95 %)" not in named
 
 
 @pytest.mark.parametrize("name", EFFECTS.names())
