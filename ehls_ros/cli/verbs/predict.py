@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.cli.arguments import add_columns, add_results, columns_of
+from ehls_ros.cli.arguments import add_columns, add_results, add_span, columns_of
 from ehls_ros.cli.results import print_files, print_table, writable, write_json
 from ehls_ros.diagnosis.prediction import Prediction, nrmse, predict
 from ehls_ros.diagnosis.record import USED
@@ -36,9 +36,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_columns(parser)
     about = "lengths of the windows [s], each started from the measured past (default: 1 5)"
     parser.add_argument("--windows", type=float, nargs="+", metavar="S", default=list(LENGTHS), help=about)
-    about = "time span to predict, since the start of the recording [s] (default: all of it)"
-    parser.add_argument("--from", dest="begin", type=float, metavar="S", default=0.0, help=about)
-    parser.add_argument("--to", dest="end", type=float, metavar="S", default=math.inf, help="likewise")
+    add_span(parser)
     add_results(parser, "runs/predict", RESULT)
 
 

@@ -8,7 +8,6 @@ with its command.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,7 +82,9 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
         BadInput: force or reference was not recorded, a value is out of range, inertia is to be corrected without a position,
             or there is no sample between begin and end.
     """
-    start, run = float(run.time_s[0]) if len(run) else 0.0, _between(run, given, name)
+    start = float(run.time_s[0]) if len(run) else 0.0
+    if given.begin is not None or given.end is not None:
+        run = run.between(given.begin or 0.0, math.inf if given.end is None else given.end, name)
     _check(run, given, name)
     rig = given.rig or _recorded_rig(run.metadata)
     blocks = blocks_of(run)
@@ -93,19 +94,6 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
         inertia_mass_kg=given.inertia_mass,
         cell_uncertainty_percent=given.cell_uncertainty,
     )
-
-
-def _between(run: Trajectory, given: Given, name: str) -> Trajectory:
-    """Return the time of a recording that is to be verified."""
-    if given.begin is None and given.end is None:
-        return run
-    since = run.time_s - run.time_s[0]
-    begin, end = given.begin if given.begin is not None else 0.0, given.end if given.end is not None else math.inf
-    kept = (since >= begin) & (since <= end)
-    if not kept.sum() > 1:
-        what = f"no two samples lie from {begin:g} to {end:g} s"
-        raise BadInput(what, name, f"--from and --to within 0 to {since[-1]:.6g} s, since the start of the recording")
-    return replace(run, time_s=run.time_s[kept], signals={signal: values[kept] for signal, values in run.signals.items()})
 
 
 def _check(run: Trajectory, given: Given, name: str) -> None:
