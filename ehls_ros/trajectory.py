@@ -1,7 +1,8 @@
 """One experiment as arrays: the common form of simulations, bags and CSV files, and the input of all analyses."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -195,6 +196,26 @@ class Trajectory:
             KeyError: the signal was not recorded.
         """
         return self.signals[name]
+
+    def between(self, begin: float, end: float, name: str) -> "Trajectory":
+        """Return a part of the recording.
+
+        Args:
+            begin: start of the part, since the start of the recording [s].
+            end: its end [s].
+            name: name of the recording, for the error.
+
+        Raises:
+            BadInput: fewer than two samples lie between.
+        """
+        if begin <= 0.0 and end == math.inf:
+            return self
+        since = self.time_s - self.time_s[0]
+        kept = (since >= begin) & (since <= end)
+        if not kept.sum() > 1:
+            what = f"no two samples lie from {begin:g} to {end:g} s"
+            raise BadInput(what, name, f"--from and --to within 0 to {since[-1]:.6g} s, since the start of the recording")
+        return replace(self, time_s=self.time_s[kept], signals={key: values[kept] for key, values in self.signals.items()})
 
 
 def steady_error(run: Trajectory, signal: str, reference: str) -> NDArray[np.float64]:

@@ -57,6 +57,13 @@ def add_columns(parser: ArgumentParser) -> None:
     parser.add_argument("--columns", type=Path, help="YAML map of the column names and units of the data")
 
 
+def add_span(parser: ArgumentParser) -> None:
+    """Add ``--from`` and ``--to``, the part of a recording to use."""
+    about = "time to begin and to end, since the start of the recording [s] (default: all of it)"
+    parser.add_argument("--from", dest="begin", type=float, metavar="S", default=0.0, help=about)
+    parser.add_argument("--to", dest="end", type=float, metavar="S", default=float("inf"), help="likewise")
+
+
 def add_results(parser: ArgumentParser, folder: str, document: str) -> None:
     """Add ``--out`` and ``--json``.
 

@@ -127,18 +127,33 @@ def _followed(record: Record, signal: str, before: Array, after: Array | None) -
 
 
 def _run(record: Record, rig: Rig) -> Array:
-    """Return the simulated sensor signals, NaN once the piston is far beyond the stroke, shape (n, signals)."""
+    """Return the simulated sensor signals from the recording's start, NaN once the piston is far beyond the stroke."""
     simulator = Simulator(rig.quiet(), record.period)
     _start(simulator, record)
-    command, load = record.values(COMMAND), record.values(LOAD)
+    return follow(simulator, record, 0, len(record.time))
+
+
+def follow(simulator: Simulator, record: Record, begin: int, end: int) -> Array:
+    """Simulate a part of a recording, driven by its command and disturbance.
+
+    Args:
+        simulator: the rig, in the state of the first sample.
+        record: the recording.
+        begin: first sample.
+        end: the sample after the last.
+
+    Returns:
+        The sensor signals, NaN once the piston is far beyond the stroke, shape (end - begin, signals).
+    """
+    command, load = record.values(COMMAND)[begin:end], record.values(LOAD)[begin:end]
     rates = np.append(np.diff(load) / record.period, 0.0)
-    servo, servo_speed = record.values(SERVO_POSITION), record.values(SERVO_VELOCITY)
-    oil = record.signals.get(TEMPERATURE, np.full(len(record.time), OIL_TEMPERATURE))
-    low, high = rig.limits.position
+    servo, servo_speed = record.values(SERVO_POSITION)[begin:end], record.values(SERVO_VELOCITY)[begin:end]
+    oil = record.signals.get(TEMPERATURE, np.full(len(record.time), OIL_TEMPERATURE))[begin:end]
+    low, high = simulator.rig.limits.position
     room = rules.BEYOND_STROKE * (high - low)
-    out = np.full((len(record.time), len(SENSED)), np.nan)
+    out = np.full((len(command), len(SENSED)), np.nan)
     none = np.zeros(len(SENSED))
-    for k in range(len(record.time)):
+    for k in range(len(command)):
         simulator.inputs[OIL] = oil[k]
         out[k] = simulator.measure(none)
         if not (low - room <= simulator.y[X] <= high + room and math.isfinite(float(np.sum(simulator.y)))):
@@ -161,7 +176,7 @@ def _first(record: Record, sensor: str, sensors: Mapping[str, Sensor]) -> float:
 
 def _start(simulator: Simulator, record: Record) -> None:
     """Set the state to the initial measurements, and friction to the value that balances the forces there."""
-    plant, friction, sensors, y = simulator.rig.plant, simulator.rig.friction, simulator.rig.sensors, simulator.y
+    plant, sensors, y = simulator.rig.plant, simulator.rig.sensors, simulator.y
     y[X] = _first(record, "position", sensors)
     pressure = _first(record, "load_pressure", sensors)
     if PRESSURE not in record:
@@ -173,9 +188,21 @@ def _start(simulator: Simulator, record: Record) -> None:
     else:
         samples = max(3, round(rules.FREE_START / record.period))
         y[V] = float(np.polyfit(record.time[:samples] - record.time[0], record.signals[POSITION][:samples], 1)[0])
-    driving = plant.piston_area * pressure - plant.spring_stiffness * y[X] - plant.moving_mass * plant.gravity
-    held = driving - record.values(LOAD)[0] - (plant.viscous_damping + friction.viscous_coefficient) * y[V]
+    balance_friction(simulator, record, 0)
+
+
+def balance_friction(simulator: Simulator, record: Record, at: int) -> None:
+    """Set the friction elements to the force that balances the others, without acceleration.
+
+    Args:
+        simulator: the rig, whose position, velocity and load pressure are set.
+        record: the recording, for its disturbance.
+        at: the sample of this state.
+    """
+    rig, y = simulator.rig, simulator.y
+    plant, friction = rig.plant, rig.friction
+    driving = plant.piston_area * y[PL] - plant.spring_stiffness * y[X] - plant.moving_mass * plant.gravity
+    held = driving - record.values(LOAD)[at] - (plant.viscous_damping + friction.viscous_coefficient) * y[V]
     elements = y[FRICTION : FRICTION + len(simulator.mode) - 1]
     if elements.size:
-        rig = simulator.rig
         in_python(rig.friction_law.begin)(held, rig.friction_level(math.inf), friction, elements)

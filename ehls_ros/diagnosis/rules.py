@@ -879,6 +879,18 @@ FREE_RUN: Annotated[float, Rule("free run", "s", "Longest time simulated without
 
 FREE_START: Annotated[float, Rule("free run", "s", "Time over which the initial state of a free run is averaged.")] = 0.01
 
+PAST: Annotated[float, Rule("free run", "s", "Time before a window of a prediction from which its initial state is taken.")] = (
+    0.02
+)
+
+FEWEST_PAST: Annotated[int, Rule("free run", "1", "Fewest samples from which that state is taken.")] = 8
+
+STARTS_A_WINDOW: Annotated[
+    int, Rule("free run", "1", "Number of windows of a prediction that start within the length of the shortest.")
+] = 4
+
+PAST_ORDER: Annotated[int, Rule("free run", "1", "Order of the polynomial fitted to them.")] = 2
+
 MOVED: Annotated[
     float,
     Rule("free run", "1", "Standard deviation of a signal relative to its noise above which a free run is compared with it."),

@@ -41,7 +41,7 @@ LARGEST_RATIO = math.log(10.0)
 """Largest ratio of static to Coulomb friction, as a logarithm."""
 
 MIN_COULOMB = 1e-4
-"""Least Coulomb friction at which a search starts, as a fraction of the rig's largest force."""
+"""Least Coulomb friction: fraction of the rig's largest force at the start of a search, of the recorded force at its end."""
 
 SMALL_LEAKAGE, SMALL_VISCOUS = 1e-3, 1e-2
 """Negligible leakage and viscous friction, as fractions of flow and force at the rig's limits."""
@@ -205,7 +205,11 @@ def _coefficient(path: str, rig: Rig, sizes: Sizes) -> Coefficient:
     middle = math.log(value) if value > 0.0 else 0.0
     bottom = math.log(low) if low > 0.0 else -math.inf
     top = math.log(high) if 0.0 < high < math.inf else math.inf
-    return Coefficient(path, unit, 0.0, max(middle - RANGE, bottom), min(middle + RANGE, top), neutral=neutral)
+    lowest = middle - RANGE
+    if path == COULOMB:
+        # Seals may have next to no friction, however large the rig.
+        lowest = min(lowest, math.log(MIN_COULOMB * sizes.force))
+    return Coefficient(path, unit, 0.0, max(lowest, bottom), min(middle + RANGE, top), neutral=neutral)
 
 
 def values_at(rig: Rig, chosen: Sequence[Coefficient], z: Iterable[Any]) -> dict[str, Any]:

@@ -17,9 +17,13 @@ from ehls_ros.physics.effects.base import Words
 from ehls_ros.report.page import listed, number
 from ehls_ros.report.quantities import ALMOST, NORMAL_95, change, estimate, likely, percent, quantity, value
 from ehls_ros.schema import declarations
+from ehls_ros.trajectory import SIGNALS
 
 AT_NOISE = 1.5
 """Ratio of residual to noise up to which a balance counts as closed to the noise."""
+
+SHORT_TIME = 0.1
+"""Share of the time up to which half of a squared error counts as concentrated."""
 
 IN_A_SENTENCE = 2
 """Maximum number of causes, or of signals, listed in the sentence of the verdict."""
@@ -299,7 +303,32 @@ def _unknown_sentence(found: Diagnosis) -> str:
     where = STAGE_NAMES[found.unknown_stage]
     text = f"The simulation's {where} is wrong by {_size(result)}; the error {depends(found)}, and no known effect explains it"
     nearest = f"; nearest is {listed([words(name).noun for name in found.partial[:IN_A_SENTENCE]])}" if found.partial else ""
-    return f"{text}{nearest}."
+    near = concentrated(found, found.unknown_stage)
+    sentences = [f"{text}{nearest}", *([f"Half of its square lies in {near}"] if near else [])]
+    for stage, other in found.stages.items():
+        if other.unexplained and stage != found.unknown_stage:
+            near = concentrated(found, stage)
+            place = f"; half of its square lies in {near}" if near else ""
+            sentences.append(f"The {STAGE_NAMES[stage]} has an unexplained error, too: {_size(other)}{place}")
+    return " ".join(f"{sentence}." for sentence in sentences)
+
+
+def concentrated(found: Diagnosis, stage: Stage) -> str:
+    """Return the short time, at one end of a signal's range, that holds half of a stage's squared error; empty if none does."""
+    traces = [trace for channel, trace in found.traces.items() if CHANNELS[channel] == stage]
+    ends = []
+    for trace in traces:
+        power = trace.after**2
+        for signal in found.stages[stage].depends_on:
+            if signal in trace.against and signal in SIGNALS:
+                rising = np.argsort(trace.against[signal])
+                for side, order in (("below", rising), ("above", rising[::-1])):
+                    last = int(np.searchsorted(np.cumsum(power[order]), 0.5 * np.sum(power)))
+                    ends.append(((last + 1) / len(power), side, signal, float(trace.against[signal][order[last]])))
+    share, side, signal, bound = min(ends, default=(1.0, "", "", 0.0))
+    if share > SHORT_TIME:
+        return ""
+    return f"the {percent(share)} of the time with {quantity(signal)} {side} {value(bound, SIGNALS[signal].unit)}"
 
 
 def _consistent_sentence(found: Diagnosis) -> str:

@@ -4,6 +4,7 @@ import json
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ehls_ros.cli.main import main, parser
@@ -24,6 +25,38 @@ def test_every_command_is_valid_and_its_files_are_there(page):
         options = parser().parse_args(words)
         for path in (*options.data, *options.baseline, options.rig, options.columns):
             assert (ROOT / path).is_file()
+
+
+def test_the_commands_of_the_fatigue_rig_are_valid_and_lead_to_its_rig_file(tmp_path):
+    page = ROOT / "examples" / "faster"
+    for words in commands("faster"):
+        options = parser().parse_args(words)
+        given = [
+            *np.atleast_1d(getattr(options, "data", [])),
+            getattr(options, "columns", None),
+            getattr(options, "answers", None),
+        ]
+        assert all((ROOT / path).is_file() for path in given if path is not None)
+    assert main(["new-rig", "--from", str(page / "answers.yaml"), "--out", str(tmp_path / "rig.yaml")]) == 0
+    committed = (page / "rig.yaml").read_text(encoding="utf-8").splitlines()
+    assert (tmp_path / "rig.yaml").read_text(encoding="utf-8").splitlines() == committed[1:]  # below the line for editors
+
+
+@pytest.mark.long
+def test_the_identified_fatigue_rig_predicts_the_force_of_the_rest(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    [identify] = [words for words in commands("faster") if words[0] == "identify"]
+    identify[identify.index("--out") + 1] = str(tmp_path)
+    assert main(identify) == 0
+    [predict] = [words for words in commands("faster") if words[0] == "predict"]
+    at = predict.index("--rig")
+    predict[at + 1 : at + 3] = [str(tmp_path / "rig_identified.yaml")]
+    predict[predict.index("--out") + 1] = str(tmp_path)
+    capsys.readouterr()
+    assert main([*predict, "--json"]) == 0
+    windows = json.loads(capsys.readouterr().out.splitlines()[-1])["windows"]
+    errors = [length["nrmse"]["force_n"]["rig_identified.yaml"] for length in windows]
+    assert errors == [pytest.approx(0.070, abs=0.005), pytest.approx(0.126, abs=0.01)]
 
 
 @pytest.mark.long

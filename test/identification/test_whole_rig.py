@@ -11,7 +11,7 @@ import yaml
 from tiers import tiered
 
 from ehls_ros.errors import BadInput
-from ehls_ros.identification.rig_coefficients import read
+from ehls_ros.identification.rig_coefficients import COULOMB, Sizes, coefficients, read
 from ehls_ros.identification.rig_result import rig_to_json
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
@@ -167,6 +167,13 @@ def test_slow_data_tell_what_needs_no_fast_sampling(rich, guess, truth):
     # The spool has settled between two samples.
     assert out.rig.plant.valve_bandwidth == guess.plant.valve_bandwidth
     assert "plant.valve_bandwidth" in out.not_identifiable
+
+
+def test_the_friction_of_a_rig_far_larger_than_its_recorded_force_may_be_next_to_nothing(truth):
+    """Its data sheet's guess, a share of the largest force, may exceed the friction by more than a search usually spans."""
+    large = truth._replace(friction=truth.friction._replace(coulomb_force=1e3, static_force=1.3e3))
+    [friction] = [c for c in coefficients(large, Sizes(1e-4, 500.0, 0.02)) if c.path == COULOMB]
+    assert math.exp(friction.low) == pytest.approx(1e-4 * 500.0)
 
 
 def test_without_a_recording_there_is_nothing_to_identify(guess):

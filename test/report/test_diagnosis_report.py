@@ -350,6 +350,17 @@ def test_agreement_names_the_sizes_that_would_have_shown_and_the_numbers_correct
     assert "rig file (95 %)" not in named
 
 
+def test_an_unknown_error_in_a_second_stage_and_the_short_time_that_holds_it_are_stated():
+    found = unknown()
+    spool = np.linspace(-2e-4, 1e-4, WINDOWS)
+    rare = found.traces["volume"]._replace(after=np.where(spool < -1.9e-4, 1e-5, 1e-7), against={"spool_m": spool})
+    force = found.stages["force_balance"]._replace(nrmse_before=0.05, unexplained=True, exceeds=True, depends_on=("time_s",))
+    found = unknown(traces={**found.traces, "volume": rare}, stages={**found.stages, "force_balance": force})
+    sentence, _ = verdict_sentence(found)
+    assert re.search(r"Half of its square lies in the [12]\.?\d? % of the time with spool below −19\d µm\.", sentence)
+    assert sentence.endswith("The force balance has an unexplained error, too: 5.0 % of its largest term, noise 0.30 %.")
+
+
 @pytest.mark.parametrize("name", EFFECTS.names())
 def test_an_effects_words_fit_the_sentences_they_stand_in(name):
     words = EFFECTS.load(name).WORDS

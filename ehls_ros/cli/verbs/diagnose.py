@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from ehls_ros.cli.arguments import add_columns, add_results, add_rig, check_range, columns_of
+from ehls_ros.cli.arguments import add_columns, add_results, add_rig, add_span, check_range, columns_of
 from ehls_ros.cli.results import all_or_nothing, print_files, print_table, writable, write_json
 from ehls_ros.diagnosis.advice import advice
 from ehls_ros.diagnosis.record import USED
@@ -48,6 +48,7 @@ def arguments(parser: ArgumentParser) -> None:
     about = "recordings of the healthy rig: find the changes since then, whatever errors the rig file has"
     parser.add_argument("--baseline", type=Path, nargs="+", default=[], metavar="OLD", help=about)
     add_columns(parser)
+    add_span(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of noise and resampling (%(default)s)")
     parser.add_argument("--threads", type=int, help="hypotheses fitted in parallel (default: one per processor)")
     add_results(parser, "runs/diagnose", RESULT)
@@ -70,7 +71,7 @@ def run(options: Namespace) -> int:
     name = data.name or str(data)
     with progress_bar("diagnosing") as bar:
         bar(0, STEPS, "reading")
-        trajectory = _load(data, columns)
+        trajectory = _load(data, columns).between(options.begin, options.end, name)
         baselines = {str(path): _load(path, columns) for path in options.baseline}
         found, follows = diagnose_recording(
             trajectory, rig, name, baselines=baselines, seed=options.seed, threads=options.threads, progress=bar

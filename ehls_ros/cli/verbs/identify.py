@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.cli.arguments import add_columns, add_results, add_rig, check_range, columns_of
+from ehls_ros.cli.arguments import add_columns, add_results, add_rig, add_span, check_range, columns_of
 from ehls_ros.cli.results import print_files, print_table, writable, write_json
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.analysis import identify_whole_rig
@@ -44,6 +44,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="identify not only friction but also valve, flow, mass, spring and sensors, as far as they are recorded",
     )
     add_columns(parser)
+    add_span(parser)
     parser.add_argument(
         "--optimiser", choices=OPTIMISERS.names(), default=DEFAULT_OPTIMISER, help="optimiser of the static fit (%(default)s)"
     )
@@ -60,7 +61,8 @@ def run(options: Namespace) -> int:
     rig = load_rig(options.rig)
     columns = columns_of(options)
     folder = writable(options.out, RESULT)
-    given = _recordings(recordings(options.data, columns), columns)
+    read = _recordings(recordings(options.data, columns), columns)
+    given = {name: recording.between(options.begin, options.end, name) for name, recording in read.items()}
     identified = (_whole_rig if options.whole_rig else _friction)(given, rig, options, folder)
     if options.json:
         print(json.dumps(identified))

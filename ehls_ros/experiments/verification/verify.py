@@ -86,7 +86,11 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
         BadInput: force or reference was not recorded, a value is out of range, inertia is to be corrected without a position,
             or no command reached the valve between begin and end.
     """
-    start, run = float(run.time_s[0]) if len(run) else 0.0, _between(run, given, name)
+    start = float(run.time_s[0]) if len(run) else 0.0
+    if given.begin is not None or given.end is not None:
+        run = run.between(given.begin or 0.0, math.inf if given.end is None else given.end, name)
+    if given.pauses:
+        run = _commanded(run, given.pauses, name)
     _check(run, given, name)
     rig = given.rig or _recorded_rig(run.metadata)
     blocks = blocks_of(run)
@@ -98,17 +102,10 @@ def verify_recording(run: Trajectory, given: Given, name: str) -> Verification:
     )
 
 
-def _between(run: Trajectory, given: Given, name: str) -> Trajectory:
-    """Return the time of a recording that is to be verified."""
-    if given.begin is None and given.end is None and not given.pauses:
-        return run
-    since = run.time_s - run.time_s[0]
-    begin, end = given.begin if given.begin is not None else 0.0, given.end if given.end is not None else math.inf
-    kept = (since >= begin) & (since <= end)
-    if not kept.sum() > 1:
-        what = f"no two samples lie from {begin:g} to {end:g} s"
-        raise BadInput(what, name, f"--from and --to within 0 to {since[-1]:.6g} s, since the start of the recording")
-    for pause in given.pauses:
+def _commanded(run: Trajectory, pauses: Sequence[Pause], name: str) -> Trajectory:
+    """Return the time of a recording in which the safety gate did not keep the valve closed."""
+    kept = np.ones(len(run), dtype=np.bool_)
+    for pause in pauses:
         kept &= (run.time_s <= pause.begin) | (run.time_s > pause.end)
     if not kept.sum() > 1:
         raise BadInput("the safety gate kept the valve closed throughout", name, "a time in which commands reached the valve")
