@@ -36,18 +36,20 @@ FEWEST_CLUSTERS, SHORTEST_CLUSTER, LONGEST_CLUSTER = 90, 0.4, 2.5
 class Stack:
     """Evidence of several recordings as one vector of whitened residuals."""
 
-    def __init__(self, evidences: Sequence[Evidence], *, noise_seed: int | None = None) -> None:
+    def __init__(self, evidences: Sequence[Evidence], *, noise: float = 0.0, seed: int = 0) -> None:
         """Arrange the rows by recording, and within a recording by channel.
 
         Args:
             evidences: of the recordings.
-            noise_seed: seed of added noise of the sensors' level; None: the recordings as they are.
+            noise: factor of a noise of the sensors' level that is added.
+            seed: of that noise.
         """
         self.evidences = tuple(evidences)
         records = [e.record for e in evidences]
-        if noise_seed is not None:
-            rng = np.random.default_rng(noise_seed)
-            records = [with_noise(record, deviations(record), rng) for record in records]
+        if noise:
+            rng = np.random.default_rng(seed)
+            levels = [{name: noise * level for name, level in deviations(record).items()} for record in records]
+            records = [with_noise(record, own, rng) for record, own in zip(records, levels, strict=True)]
         self._comparisons = tuple(Comparison(record, e.setup) for record, e in zip(records, evidences, strict=True))
         self.channels: tuple[Channel, ...] = tuple(dict.fromkeys(c for e in evidences for c in e.channels))
         total = sum(len(e.record.time) * e.record.period for e in evidences)

@@ -1,9 +1,10 @@
 """Correction of a fit for the noise of the signals in its derivatives.
 
 Noise in a signal that multiplies a coefficient attenuates it: a mass on a noisy acceleration comes out too small, however long
-the recording. Noise of the sensors' level is added to the recording; its products with itself in derivatives and residuals are
-the bias of the normal equations, and are subtracted from them (corrected score: Nakamura, Biometrika 77, 1990; for a linear
-model the moment estimator of Fuller, Measurement Error Models, 1987, ch. 2).
+the recording. To the recording, noise of the sensors' level is added and, in turn, subtracted. The mean of both changes of the
+normal equations is of second order in the noise, as their bias by the noise that was recorded; it is subtracted from them
+(corrected score: Nakamura, Biometrika 77, 1990; for a linear model the moment estimator of Fuller, Measurement Error Models,
+1987, ch. 2).
 """
 
 from collections.abc import Sequence
@@ -16,8 +17,8 @@ from ehls_ros.diagnosis.loss import weights
 from ehls_ros.identification.rig_coefficients import model_at
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
 
-REALISATIONS = 2
-"""Realisations of the added noise; a product over thousands of windows hardly scatters."""
+REALISATIONS = 3
+"""Realisations of the added noise."""
 
 STEPS = 3
 """Newton steps to the solution of the corrected equations."""
@@ -25,8 +26,8 @@ STEPS = 3
 LONGEST_STEP = 0.5
 """Largest change of a coordinate in one step."""
 
-MAX_SHARE = 0.8
-"""Largest share of the information on any combination of coefficients that is attributed to noise."""
+SHARES = (-1.0, 0.8)
+"""Least and largest share of the information on any combination of coefficients that is attributed to noise."""
 
 LEVEL_ERROR = 0.15
 """Relative error of the noise's power as estimated from the recording; it is uncertain by its colour."""
@@ -78,25 +79,24 @@ def gain(now: RigFit, noisy: Sequence[Stack], doubtful: int = 0) -> Array:
         return np.empty((0, 0))
     _, lost, information = _equations(now, noisy)
     lost[:doubtful] = lost[:, :doubtful] = 0.0
-    response: Array = np.linalg.solve(information - lost, information)
-    return response
+    return np.asarray(np.linalg.solve(information - lost, information), dtype=np.float64)
 
 
 def with_added_noise(stack: Stack) -> tuple[Stack, ...]:
-    """Return realisations of the recordings with added noise of the sensors' level."""
-    return tuple(Stack(stack.evidences, noise_seed=seed) for seed in range(REALISATIONS))
+    """Return the recordings with realisations of a noise of the sensors' level added and subtracted."""
+    return tuple(Stack(stack.evidences, noise=sign, seed=seed) for seed in range(REALISATIONS) for sign in (1.0, -1.0))
 
 
 def _equations(now: RigFit, noisy: Sequence[Stack]) -> tuple[Array, Array, Array]:
     """Return the parts of score (p,) and information (p, p) that noise produces, and the information with that of the guess."""
     weight = weights(now.e)[:, np.newaxis]
-    pull, lost = np.zeros(len(now.chosen)), np.zeros((len(now.chosen),) * 2)
+    own = now.jacobian.T @ (weight * now.jacobian)
+    pull, lost = -(now.jacobian.T @ (weight[:, 0] * now.e)), -own
     for stack in noisy:
         e, jacobian = _at(stack, now)
-        more, by_noise = e - now.e, jacobian - now.jacobian
-        pull += by_noise.T @ (weight[:, 0] * more) / len(noisy)
-        lost += by_noise.T @ (weight * by_noise) / len(noisy)
-    information = now.jacobian.T @ (weight * now.jacobian) + np.eye(len(now.chosen))
+        pull += jacobian.T @ (weight[:, 0] * e) / len(noisy)
+        lost += jacobian.T @ (weight * jacobian) / len(noisy)
+    information = own + np.eye(len(now.chosen))
     return pull, _limited(lost, information), information
 
 
@@ -108,10 +108,9 @@ def _at(stack: Stack, now: RigFit) -> tuple[Array, Array]:
 
 
 def _limited(lost: Array, information: Array) -> Array:
-    """Return the information of noise, with no combination of coefficients above :data:`MAX_SHARE` of the whole."""
+    """Return the information of noise, with its share in every combination of coefficients within :data:`SHARES`."""
     root = np.linalg.cholesky(information)
     inverse = np.linalg.inv(root)
     shares, vectors = np.linalg.eigh(inverse @ lost @ inverse.T)
     turned = root @ vectors
-    limited: Array = np.asarray((turned * np.clip(shares, 0.0, MAX_SHARE)) @ turned.T, dtype=np.float64)
-    return limited
+    return np.asarray((turned * np.clip(shares, *SHARES)) @ turned.T, dtype=np.float64)
