@@ -1,7 +1,8 @@
 """Assessment of the modes: the named cause, and the size with its interval, against the hidden change.
 
 A name is right if the first cause, or one that the package calls equivalent to it, is the true effect. A size is judged if one
-is told for the true effect. Sizes are changes: relative for factors, otherwise in SI units.
+is told for the true effect. Sizes are changes: relative for factors, otherwise in SI units. Without baselines, a diagnosis may
+also name what distinguishes every stranger from the model, and leave a remainder unexplained.
 """
 
 import math
@@ -12,6 +13,12 @@ from benchmarks.rows import Row
 
 INTERVAL = 1.96
 """Half width of a 95 % interval in standard errors."""
+
+OWN = frozenset((
+    "valve_hysteresis", "valve_second_order", "valve_bandwidth_shift", "valve_dead_zone", "command_delay",
+    "supply_pressure_droop", "entrained_air", "turbulent_leakage", "coulomb_asymmetry",
+))  # fmt: skip
+"""Effects that every stranger may have from the beginning, as far as its identified rig file lacks them."""
 
 Verdict = Literal["right", "wrong", "missed", "quiet", "false alarm", "error"]
 
@@ -104,6 +111,11 @@ def judge(row: Row, mode: str) -> Judgement | None:
     if mode == "monitor":
         return _named(row, [c for change in given["changes"][:1] for c in change["causes"]], *_stage(given["changes"]), None)
     unknown = given["unknown_stage"] if given["verdict"] in ("unknown", "partial") else None
+    if mode == "alone":
+        # A change of the supply shows as a remainder.
+        unknown = unknown if row["kind"] == "supply_pressure" else None
+        changes = [c for c in given["causes"] if c["name"] not in OWN]
+        return _named(row, changes, "effect" if changes else "unknown" if unknown else "consistent", unknown, given["power"])
     return _named(row, given["causes"], given["verdict"], unknown, given["power"])
 
 

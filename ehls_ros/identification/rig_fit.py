@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, whitened_slopes
 from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
+from ehls_ros.diagnosis.noise import deviations, with_noise
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.duals import Dual
 from ehls_ros.identification.rig_coefficients import Coefficient, model_at
@@ -34,15 +35,20 @@ FEWEST_CLUSTERS, SHORTEST_CLUSTER, LONGEST_CLUSTER = 90, 0.4, 2.5
 class Stack:
     """Evidence of several recordings as one vector of whitened residuals."""
 
-    def __init__(self, evidences: Sequence[Evidence], *, noisier: bool = False) -> None:
+    def __init__(self, evidences: Sequence[Evidence], *, noise: float = 0.0, seed: int = 0) -> None:
         """Arrange the rows by recording, and within a recording by channel.
 
         Args:
             evidences: of the recordings.
-            noisier: whether to use the recordings with added noise of the sensors' level.
+            noise: factor of a noise of the sensors' level that is added.
+            seed: of that noise.
         """
         self.evidences = tuple(evidences)
-        records = [e.noisy_record if noisier else e.record for e in evidences]
+        records = [e.record for e in evidences]
+        if noise:
+            rng = np.random.default_rng(seed)
+            levels = [{name: noise * level for name, level in deviations(record).items()} for record in records]
+            records = [with_noise(record, own, rng) for record, own in zip(records, levels, strict=True)]
         self._comparisons = tuple(Comparison(record, e.setup) for record, e in zip(records, evidences, strict=True))
         self.channels: tuple[Channel, ...] = tuple(dict.fromkeys(c for e in evidences for c in e.channels))
         total = sum(len(e.record.time) * e.record.period for e in evidences)

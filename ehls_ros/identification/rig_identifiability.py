@@ -153,7 +153,9 @@ class Estimated(NamedTuple):
     vague: tuple[str, ...]
 
 
-def estimated(stack: Stack, fit: RigFit, doubtful: int = 0, spread: Mapping[str, float] | None = None) -> Estimated:
+def estimated(
+    stack: Stack, fit: RigFit, doubtful: int = 0, spread: Mapping[str, float] | None = None, gain: Array | None = None
+) -> Estimated:
     """Return the values of a fit's coefficients with their standard errors.
 
     Args:
@@ -161,12 +163,15 @@ def estimated(stack: Stack, fit: RigFit, doubtful: int = 0, spread: Mapping[str,
         fit: the fit.
         doubtful: number of leading coefficients that were not fitted; their uncertainty propagates to the others.
         spread: by path, further standard errors of coordinates.
+        gain: response of the coordinates to those of least squares, shape (p, p); by default they are those.
     """
     values, slopes = values_at(fit.rig, fit.chosen, fit.z.tolist()), slopes_at(fit.rig, fit.chosen, fit.z)
     slower = max([1.0, *((e.record.period / ACCURATE_PERIOD) ** 2 for e in stack.evidences)])
     wrong = np.array([slower * ACCURACY.get(c.path, 0.0) * values[c.path] for c in fit.chosen])
     further = np.array([(spread or {}).get(path, 0.0) for path in fit.paths])
-    own: Array = slopes @ (covariance(stack, fit, doubtful) + np.diag(further**2)) @ slopes.T + np.diag(wrong**2)
+    least_squares = covariance(stack, fit, doubtful)
+    coordinates = least_squares if gain is None else gain @ least_squares @ gain.T
+    own: Array = slopes @ (coordinates + np.diag(further**2)) @ slopes.T + np.diag(wrong**2)
     std = np.sqrt(np.maximum(np.diag(own), 0.0))
     scales = [c.scale or abs(values[c.path]) for c in fit.chosen]
     by_path = {c.path: Estimate(values[c.path], float(s), c.unit) for c, s in zip(fit.chosen, std, strict=True)}

@@ -30,6 +30,7 @@ from ehls_ros.identification.rig_coefficients import (
 )
 from ehls_ros.identification.rig_fit import Stack, fit
 from ehls_ros.identification.rig_identifiability import estimated, unidentifiable
+from ehls_ros.identification.rig_noise import corrected, gain, with_added_noise
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
 from ehls_ros.identification.rig_stages import BANDWIDTH, MIN_SIGMAS, sizes, stage_by_stage, without_signals
 from ehls_ros.physics.rig import Rig, check_known
@@ -211,6 +212,8 @@ def _fitted(
 ) -> _Fitted:
     """Fit coefficients, restore the given values of unidentifiable ones, and drop those not significantly different from none.
 
+    The result is corrected for the noise in the fit's derivatives.
+
     Args:
         stack: the recordings.
         given: the given rig.
@@ -249,6 +252,12 @@ def _fitted(
             again = fit(stack, _restored(now.rig, given, unseen), fitted, channels)
             reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in found_unidentifiable if d.excited}
         now = again
+    noisy = with_added_noise(stack)
+    free_of_noise = corrected(stack, now, noisy)
+    now = free_of_noise.fit._replace(converged=now.converged)
+    whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
+    further = {p: math.hypot(spread.get(p, 0.0), error) for p, error in free_of_noise.spread.items()}
+    found = estimated(stack, whole, len(doubtful), {**spread, **further}, gain(whole, noisy, len(doubtful)))
     vague = [c.path for c in fitted if c.path in found.vague]
     because = f" as long as {', '.join(reasons)} are not" if reasons else ""
     reasons |= dict.fromkeys(vague, f"its standard error is large{because}; the value that fits is kept")
