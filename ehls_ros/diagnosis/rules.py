@@ -906,6 +906,18 @@ COEFFICIENT_STEP: Annotated[
     float, Rule("baseline", "1", "Relative change of a coefficient by which the derivative of a residual is taken.")
 ] = 0.01
 
+BASELINE_STEPS: Annotated[int, Rule("baseline", "1", "Most steps in which the rig is fitted to the baselines.")] = 20
+
+BASELINE_FREEDOMS: Annotated[
+    float,
+    Rule(
+        "baseline",
+        "1",
+        "Windows of a channel, in effect, over which errors of form average out in that fit.",
+        "rig files 30 % off in three values: fewer leave much of the error, more drag static friction away",
+    ),
+] = 30.0
+
 LEFT_ERROR: Annotated[
     float,
     Rule(
