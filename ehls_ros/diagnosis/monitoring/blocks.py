@@ -32,12 +32,14 @@ class Scores(NamedTuple):
         information: likewise; 0 if the block holds none, shape (n,).
         share: rms of the change by each direction, as a fraction of the largest term of its balance; 1 for a power, shape (n,).
         normal: products of the changes by any two of the tracked directions, shape (tracked, tracked).
+        pull: products of these changes with the residuals, with the sign of the departure, shape (tracked,).
     """
 
     score: Array
     information: Array
     share: Array
-    normal: Array
+    normal: Array = np.zeros((0, 0))
+    pull: Array = np.zeros(0)
 
 
 class HeldStretches(NamedTuple):
@@ -169,6 +171,7 @@ def scores(
                 np.concatenate([information[block] / ratio, certainty]),
                 np.concatenate([share[block], np.ones(len(power))]),
                 normal[block],
+                score[block, list(tracked)],
             )
         )
     return out

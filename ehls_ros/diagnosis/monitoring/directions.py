@@ -12,7 +12,8 @@ from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.hypotheses import Candidate, candidates
 from ehls_ros.diagnosis.stages import Channel, Comparison
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.rig import EffectUse, Rig
 
 
 class Direction(NamedTuple):
@@ -53,8 +54,26 @@ class Direction(NamedTuple):
         return self.cause.free.index(self.parameter)
 
     def rig(self, rig: Rig) -> Rig:
-        """Return the rig with this departure."""
-        return rig.with_effects((self.cause.use(self.values),))
+        """Return the rig with this departure from its present state."""
+        return with_change(rig, self.cause.use(self.values))
+
+
+def with_change(rig: Rig, change: EffectUse) -> Rig:
+    """Return a rig with one more effect; parameters of an effect that it already has change by the given ones.
+
+    Shifts of coefficients act one after another anyway. Of two uses of an effect in the equations, only the last would act.
+    """
+    kind = EFFECTS.load(change.name)
+    present = next((use for use in rig.effects if use.name == change.name), None)
+    if present is None or hasattr(kind, "shift"):
+        return rig.with_effects((change,))
+    neutral, now = kind.Parameters(), present.parameters
+    moved = {
+        name: value * by / none if (none := getattr(neutral, name)) else value + by
+        for name, value, by in zip(now._fields, now, change.parameters, strict=True)
+    }
+    total = EffectUse(change.name, now._replace(**moved))
+    return rig._replace(effects=tuple(total if use is present else use for use in rig.effects))
 
 
 def directions(evidence: Evidence, always: Container[tuple[str, str]] = ()) -> tuple[Direction, ...]:
