@@ -69,7 +69,9 @@ def answer(watched: MonitoringResult, clock: Clock = FROM_ZERO) -> tuple[str, bo
         return f"The rig is not judged: {reason}.", None
     past = [change for change in health.changes if not change.active]
     cleared = f" {len(past)} earlier changes have cleared." if past else ""
-    return f"No change detected in {duration(health.watched)} against {health.baseline}.{cleared}", True
+    wrong = listed([value.name.partition('.')[2].replace('_', ' ') for value in health.rig_values])
+    file = f" The rig file is wrong: {wrong} {'differ' if len(health.rig_values) > 1 else 'differs'}." if wrong else ""
+    return f"No change detected in {duration(health.watched)} against {health.baseline}.{cleared}{file}", True
 
 
 def change_sentence(change: FoundChange, rig: Rig, clock: Clock) -> str:
@@ -108,7 +110,7 @@ def _size(effect: str, parameter: str, e: Estimate, rig: Rig) -> str:
     if found is None or not given:
         return text
     factor = written(1.0 + e.value / given, NORMAL_95 * e.std / abs(given))
-    return f"{text}, {found.words} {factor.value} ± {factor.error} times the rig file's"
+    return f"{text}, {found.words} {factor.value} ± {factor.error} times the healthy value"
 
 
 def false_alarms(hours: float) -> str:
@@ -160,7 +162,7 @@ def reading_text(reading: Reading) -> str:
     return f"{text.value} ± {text.error}{after(unit)}"
 
 
-HEADER = ("coefficient", "value, 95 %", "rig file", "change per hour", "limit")
+HEADER = ("coefficient", "value, 95 %", "healthy", "change per hour", "limit")
 """Columns of the table of coefficients."""
 
 

@@ -132,10 +132,10 @@ def test_samples_that_cannot_be_judged_teach_nothing(rig, streams):
 
 @pytest.mark.long
 def test_what_no_diagnosis_confirms_is_an_operating_point_only_after_a_minute(rig, rig_file):
-    healthy, leaking = (record(rig_file, effects, "rich", seed=11, duration=135.0) for effects in ({}, LEAK))
+    healthy, leaking = (record(rig_file, effects, "rich", seed=11, duration=165.0) for effects in ({}, LEAK))
     here = healthy.time < ONSET
     signals = {n: np.where(here, healthy.columns[n], leaking.columns[n]) for n in healthy.columns}
-    _, examiner, events = watched(rig, healthy.time, signals, *[consistent(rig)] * 12, pieces=135)
+    _, examiner, events = watched(rig, healthy.time, signals, *[consistent(rig)] * 12, pieces=165)
     noticed = next(event for event in events if event.kind == "noticed")
     [accepted] = [event for event in events if event.kind == "unconfirmed"]
     assert accepted.time >= noticed.time + 60.0

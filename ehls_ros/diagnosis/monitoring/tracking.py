@@ -213,8 +213,8 @@ def readings(
     moved = np.sqrt(np.maximum(np.einsum("bii->i", normals), 0.0))
     seen = moved > 0.0
     size, deviation, partners = np.zeros(len(moved)), np.full(len(moved), np.inf), [""] * len(moved)
-    names, index = list(numbers), np.flatnonzero(seen)
-    if index.size:
+    names, index = list(numbers), [place for place in range(len(moved)) if seen[place]]
+    if index:
         unit = moved[index]
         fit = _joint_fit(pulls[:, index] / unit, normals[:, index][:, :, index] / np.outer(unit, unit), scatter[index])
         size[index], deviation[index] = fit.sizes / unit, fit.deviations / unit

@@ -163,6 +163,7 @@ class Monitor:
         self._first_readings: tuple[Reading, ...] = ()
         self._identified_at = -math.inf
         self._identifying = False
+        self._invalid = 0
         self._pending: Task | None = None
         if baselines:
             self._check_baselines()
@@ -288,7 +289,7 @@ class Monitor:
         if isinstance(self.mode, modes.Examining):
             self._identifying = False
             self._examine(self.mode, end, events)
-        elif isinstance(self.mode, modes.Watching) and end - self._identified_at > IDENTIFICATION_INTERVAL:
+        elif isinstance(self.mode, modes.Watching):
             self._identify_if_invalid(blocks, end)
 
     def _read(self, blocks: modes.ScoredBlocks) -> tuple[Reading, ...]:
@@ -302,14 +303,15 @@ class Monitor:
     def _identify_if_invalid(self, blocks: modes.ScoredBlocks, end: float) -> None:
         """Identify the rig again if the model is not valid for the readings, or if the programme excites more coefficients.
 
-        The samples are those of the last blocks, as there has been no change since the model was updated.
+        The samples are of the blocks since then: a change that begins is noticed before there are enough.
         """
         doubtful = {MOVED, *(self.identification.why_not.values() if self.identification else ())}
         invalid = any(reading.why_not in doubtful for reading in self._readings if not reading.identified)
-        if not invalid or len(blocks.recent) < MIN_READING_BLOCKS:
+        self._invalid = min(self._invalid + 1, self._averaged) if invalid else 0
+        if self._invalid < MIN_READING_BLOCKS or end - self._identified_at < IDENTIFICATION_INTERVAL:
             return
         self._identified_at, self._identifying = end, True
-        recording = self._samples.between(blocks.begins[-len(blocks.recent)] - rules.MONITOR_LEAD, end)
+        recording = self._samples.between(blocks.begins[-min(self._invalid, len(blocks.begins))] - rules.MONITOR_LEAD, end)
         self._examiner.begin(Task(None, self.model, identify={"the latest samples": recording}))
 
     # --- learning ---------------------------------------------------------------------------------
@@ -498,7 +500,8 @@ class Monitor:
 
     def _forget_linearisation(self) -> None:
         """Read the coefficients around the model again."""
-        self._linearisation, self._first_readings, self._identified_at, self._identifying = None, (), -math.inf, False
+        self._linearisation, self._first_readings, self._identified_at = None, (), -math.inf
+        self._identifying, self._invalid = False, 0
 
     # --- changes ----------------------------------------------------------------------------------
 
