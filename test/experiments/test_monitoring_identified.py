@@ -127,11 +127,9 @@ def test_shifts_are_included_in_the_coefficients(rig):
 
 
 def test_a_total_is_set_by_the_last_use_of_an_effect(rig):
-    leak = EffectUse(
-        "internal_leakage_shift", effects_from_list([{"name": "internal_leakage_shift", "added": 1e-12}], "t")[0][1]
-    )
+    leak = effects_from_list([{"name": "internal_leakage_shift", "added": 1e-12}], "test")
     leakage = COEFFICIENTS["leakage_coefficient"]
-    total = examination._with_total(rig.with_effects((leak,)), leakage, 9e-12)
+    total = examination._with_total(rig.with_effects(leak), leakage, 9e-12)
     assert leakage.given(total) == pytest.approx(9e-12)
     mass = COEFFICIENTS["moving_mass"]
     heavier = rig.with_effects(effects_from_list([{"name": "mass_shift", "factor": 1.2}], "t"))

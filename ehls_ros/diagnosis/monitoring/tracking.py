@@ -290,8 +290,7 @@ def _joint_fit(pulls: Array, normals: Array, scatter: Array) -> _JointFit:
     variance = scatter**2 * np.maximum(np.diag(inverse), 0.0)
     if count > size:
         rest = pulls - normals @ sizes
-        without = np.linalg.pinv(total - normals, rcond=1e-12, hermitian=True)
-        shifts = (without @ rest[:, :, np.newaxis])[:, :, 0]
+        shifts = np.linalg.solve(total - normals, rest[:, :, np.newaxis])[:, :, 0]
         variance = np.maximum(variance, np.sum(shifts**2, axis=0) * count / (count - size))
     deviation = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = inverse / np.outer(deviation, deviation)

@@ -25,6 +25,10 @@ MIN_CERTAIN_PROBABILITY = 0.9
 """Minimum probability of the first cause, with its equivalents, for naming it at once, however few the samples."""
 
 
+MAX_CHANGED = 2
+"""Number of wrong numbers of a rig file up to which the rig, not the file, is rather taken to have changed."""
+
+
 class Task(NamedTuple):
     """A task: an identification, a diagnosis, or both.
 
@@ -100,7 +104,8 @@ def examine(task: Task) -> Finding:
     """Carry out a task; return the verdict ``insufficient``, with the reason, if a recording cannot be judged.
 
     If numbers of the rig file are wrong, the identified rig is diagnosed. If it leaves an error, its numbers may have been
-    fitted to an effect; the rig file is right if it explains the recording with effects alone.
+    fitted to an effect; the rig file is right if it explains the recording with effects alone. One or two wrong numbers are
+    rather changes of the rig than a draft of its file.
 
     A diagnosis without a previous identification is followed by one with its causes, which gives their sizes.
     """
@@ -110,11 +115,12 @@ def examine(task: Task) -> Finding:
     if task.recording is None:
         return Finding("insufficient", (), task.rig, identification=identification)
     if identification is not None and identification.wrong:
-        found = _diagnosed(task._replace(rig=identification.rig), task.recording)
-        given = found if found.verdict in ("consistent", "insufficient") else _diagnosed(task, task.recording)
-        if given.verdict == "effect" and given.names_causes:
-            return given._replace(identification=identification._replace(wrong=()))
-        return found._replace(identification=identification)
+        identified = _diagnosed(task._replace(rig=identification.rig), task.recording)
+        if len(identification.wrong) <= MAX_CHANGED or identified.verdict not in ("consistent", "insufficient"):
+            given = _diagnosed(task, task.recording)
+            if given.verdict == "effect" and given.names_causes:
+                return given._replace(identification=identification._replace(wrong=()))
+        return identified._replace(identification=identification)
     return _diagnosed(task, task.recording)._replace(identification=identification)
 
 

@@ -161,6 +161,7 @@ class Monitor:
         self._examined_from: float | None = None
         self._linearisation: Linearisation | None = None
         self._first_readings: tuple[Reading, ...] = ()
+        self._known = IdentifiedRig(rig)
         self._identified_at = -math.inf
         self._identifying = False
         self._invalid = 0
@@ -297,8 +298,10 @@ class Monitor:
             return self._linearisation.readings(self._baseline, blocks.test.healthy)
         if self._first_readings and len(blocks.recent) < MIN_READING_BLOCKS:
             return self._first_readings
-        known = IdentifiedRig(self.model) if self.identification is None else self.identification.tracked(self.model)
-        return self._baseline.readings(known, blocks.recent, blocks.test.healthy)
+        if self._known.rig is not self.model:
+            found = self.identification
+            self._known = IdentifiedRig(self.model) if found is None else found.tracked(self.model)
+        return self._baseline.readings(self._known, blocks.recent, blocks.test.healthy)
 
     def _identify_if_invalid(self, blocks: modes.ScoredBlocks, end: float) -> None:
         """Identify the rig again if the model is not valid for the readings, or if the programme excites more coefficients.
@@ -425,6 +428,7 @@ class Monitor:
     def _identified(self, found: Identification | None, now: float, events: list[Event]) -> None:
         """Continue with the identified rig if numbers of the given one are wrong."""
         self.identification = found
+        self._known = IdentifiedRig(self.healthy_rig) if found is None else found.tracked(self.healthy_rig)
         if found is not None and found.wrong:
             name = "rig file" if self.healthy_rig is self.rig else "healthy rig"
             events.append(Event(now, "differs", f"{name}: {wrong_values(found.wrong)}"))
