@@ -49,7 +49,7 @@ class Timed:
         began = time.perf_counter()
         self._found = examine(task)
         took = time.perf_counter() - began
-        self.done.append(Examined(float(np.ptp(task.recording.time_s)), took, self._found.verdict))
+        self.done.append(Examined(task.length, took, self._found.verdict))
 
     def finding(self) -> Finding | None:
         """Return the result, once."""

@@ -84,15 +84,20 @@ def extended(rig: Rig, hypothesis: Hypothesis, values: Array) -> Rig:
 def grown(rig: Rig, more: EffectUse) -> Rig:
     """Return a rig with one more effect; one that the rig has already grows by the additional one.
 
-    Coefficients can be shifted repeatedly. For other effects, parameters that are neutral at 0 are summed.
+    Coefficients can be shifted repeatedly. Of two uses of another effect, only the last would act in the equations: parameters
+    that are neutral at 0 are summed, and factors multiplied.
     """
     present = next((i for i, use in enumerate(rig.effects) if use.name == more.name), None)
     if present is None or _shifts(more.name):
         return rig.with_effects((more,))
-    old, new = rig.effects[present].parameters, more.parameters._asdict()
-    neutral = type(old)()._asdict()
-    total = old._replace(**{k: v + new[k] for k, v in old._asdict().items() if neutral[k] == 0.0})
-    return rig._replace(effects=(*rig.effects[:present], more._replace(parameters=total), *rig.effects[present + 1 :]))
+    old = rig.effects[present].parameters
+    total = {
+        name: now * by / neutral if neutral else now + by
+        for (name, now), by, neutral in zip(old._asdict().items(), more.parameters, type(old)(), strict=True)
+    }
+    return rig._replace(
+        effects=(*rig.effects[:present], more._replace(parameters=old._replace(**total)), *rig.effects[present + 1 :])
+    )
 
 
 def _shifts(name: str) -> bool:

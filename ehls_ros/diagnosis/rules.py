@@ -1038,7 +1038,7 @@ MENTIONED_UNSEEN: Annotated[
 
 MONITOR_BLOCK: Annotated[float, Rule("monitor", "s", "Length of a block, over which the monitor sums.", "BLOCK")] = 2.5
 
-MONITOR_AT_ONCE: Annotated[int, Rule("monitor", "1", "Blocks that are compared with the model at once, which saves work.")] = 2
+MONITOR_AT_ONCE: Annotated[int, Rule("monitor", "1", "Blocks that are compared with the model at once, which saves work.")] = 3
 
 MONITOR_LEAD: Annotated[
     float,

@@ -340,7 +340,7 @@ class MonitorNode(ControlNode):
         elif not self.assembler.driving:
             health = health._replace(state=State.IDLE, reason="the gate is closed, so no command reaches the valve")
         self.published_health = health
-        self.summary = self.debounced.update(health.summary(self.spec.controller_rig, self.assembler.stamp_ns))
+        self.summary = self.debounced.update(health.summary(self.monitor.reference, self.assembler.stamp_ns))
         self.health_publisher.publish(self._message(health))
         self.report_change()
 
@@ -380,7 +380,7 @@ class MonitorNode(ControlNode):
             cleared=time_of(stamp_ns(change.cleared)),
             active=change.active,
             acknowledged=change.acknowledged,
-            sentence=change.describe(self.spec.controller_rig, stamp_ns, now_ns),
+            sentence=change.describe(self.monitor.reference, stamp_ns, now_ns),
         )
 
     def health(self) -> tuple[bytes, str, Mapping[str, Any]]:

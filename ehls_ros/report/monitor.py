@@ -240,7 +240,7 @@ def _trend(reading: Reading, watched: MonitoringResult, scale: _Scale) -> Panel 
         traces.append(region(x, y - width, y + width, "95 %", unit, BLUE, 0.22) | shared | {"legendgroup": "band"})
         traces.append(line(x, y, "value", unit, BLUE, width=2.0) | shared | {"legendgroup": "value"})
     ends = scale.at(np.array([scale.begin, scale.end]))
-    traces.append(line(ends, np.full(2, given), "rig file", unit, GREY, dash="dash", width=1.2))
+    traces.append(line(ends, np.full(2, given), "healthy", unit, GREY, dash="dash", width=1.2))
     if limit is not None:
         traces.append(line(ends, np.full(2, limit.limit), "limit", unit, VERMILION, dash="dash", width=1.2))
     begun = [change.since for change in watched.health.changes if scale.begin <= change.since <= scale.end]

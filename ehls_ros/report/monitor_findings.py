@@ -9,6 +9,7 @@ from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.baseline import RIG_FILE
 from ehls_ros.experiments.monitoring.health import FoundChange, State
+from ehls_ros.experiments.monitoring.identified import WrongValue
 from ehls_ros.experiments.monitoring.replay import MonitoringResult
 from ehls_ros.experiments.monitoring.trends import NORMAL_95, LimitPrediction
 from ehls_ros.physics.rig import Rig
@@ -69,7 +70,16 @@ def answer(watched: MonitoringResult, clock: Clock = FROM_ZERO) -> tuple[str, bo
         return f"The rig is not judged: {reason}.", None
     past = [change for change in health.changes if not change.active]
     cleared = f" {len(past)} earlier changes have cleared." if past else ""
-    return f"No change detected in {duration(health.watched)} against {health.baseline}.{cleared}", True
+    file = f" The rig file is wrong: {listed(list(map(_wrong, health.rig_values)))}." if health.rig_values else ""
+    return f"No change detected in {duration(health.watched)} against {health.baseline}.{cleared}{file}", True
+
+
+def _wrong(wrong: WrongValue) -> str:
+    """Write a wrong number of the rig file, with the identified one and its 95 % interval."""
+    unit = unit_for(wrong.unit, abs(wrong.fitted))
+    text = written(unit.factor * wrong.fitted, unit.factor * NORMAL_95 * wrong.std)
+    name = wrong.name.partition(".")[2].replace("_", " ")
+    return f"{name} {number(unit.factor * wrong.given)}, identified {text.value} ± {text.error}{after(unit)}"
 
 
 def change_sentence(change: FoundChange, rig: Rig, clock: Clock) -> str:
@@ -108,7 +118,7 @@ def _size(effect: str, parameter: str, e: Estimate, rig: Rig) -> str:
     if found is None or not given:
         return text
     factor = written(1.0 + e.value / given, NORMAL_95 * e.std / abs(given))
-    return f"{text}, {found.words} {factor.value} ± {factor.error} times the rig file's"
+    return f"{text}, {found.words} {factor.value} ± {factor.error} times the healthy value"
 
 
 def false_alarms(hours: float) -> str:
@@ -160,7 +170,7 @@ def reading_text(reading: Reading) -> str:
     return f"{text.value} ± {text.error}{after(unit)}"
 
 
-HEADER = ("coefficient", "value, 95 %", "rig file", "change per hour", "limit")
+HEADER = ("coefficient", "value, 95 %", "healthy", "change per hour", "limit")
 """Columns of the table of coefficients."""
 
 

@@ -7,10 +7,12 @@ import pytest
 
 from ehls_ros.diagnosis import rules, stages
 from ehls_ros.diagnosis.evidence import Evidence, gather
+from ehls_ros.diagnosis.hypotheses import grown
 from ehls_ros.diagnosis.monitoring.blocks import FRICTION, informative, scores
 from ehls_ros.diagnosis.monitoring.directions import directions
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, WANTED, readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, MOVED, WANTED, IdentifiedRig, readings, tracked
 from ehls_ros.diagnosis.record import prepare
+from ehls_ros.physics.rig import effects_from_list
 from ehls_ros.trajectory import Trajectory
 
 SECONDS = 20.0
@@ -26,7 +28,7 @@ def compared(rig, recording, begin=0.0, end=SECONDS) -> Evidence:
 
 @pytest.fixture(scope="module")
 def leaking(recorded):
-    return recorded({"internal_leakage_shift": {"factor": 1.3}}, "rich", seed=5, duration=SECONDS)
+    return recorded({"internal_leakage_shift": {"factor": 1.08}}, "rich", seed=5, duration=SECONDS)
 
 
 def fitted(rig, recording):
@@ -34,15 +36,15 @@ def fitted(rig, recording):
     found = directions(evidence, WANTED)
     numbers = tracked(found)
     [block] = scores(evidence, found, tuple(numbers.values()), [0.0])
-    rows = list(numbers.values())
-    return {r.name: r for r in readings(found, numbers, rig, block.score[rows], block.normal, np.full(len(rows), 1.5))}
+    scatter = np.full(len(numbers), 1.5)
+    return {r.name: r for r in readings(found, numbers, IdentifiedRig(rig), [block], scatter)}
 
 
 def test_the_coefficient_that_differs_is_read_with_its_interval_and_the_others_stay(rig, leaking):
     identified = fitted(rig, leaking)
     leakage = identified.pop("leakage_coefficient")
     assert leakage.identified
-    assert abs(leakage.value - 1.3 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
+    assert abs(leakage.value - 1.08 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
     assert leakage.deviation < 0.02 * rig.plant.leakage_coefficient
     for name, reading in identified.items():
         given = COEFFICIENTS[name].given(rig)
@@ -83,3 +85,19 @@ def test_while_the_piston_is_held_a_constant_force_says_nothing(rig, recorded):
     found = tuple(d for d in directions(evidence, WANTED) if d.name == "coulomb_shift")
     [right], [moved] = (scores(e, found, (), [0.0]) for e in (evidence, wrong))
     assert abs(moved.score[0] - right.score[0]) < 3.0 * np.sqrt(right.information[0])
+
+
+def test_a_coefficient_far_from_the_model_is_not_read_from_its_linearisation(rig, leaking):
+    draft = rig.with_plant(bulk_modulus=1.5 * rig.plant.bulk_modulus)
+    reading = fitted(draft, leaking)["bulk_modulus"]
+    assert not reading.identified
+    assert reading.why_not == MOVED
+    assert reading.value == draft.plant.bulk_modulus
+
+
+def test_a_departure_starts_from_the_present_state_of_an_effect(rig):
+    present, more = effects_from_list(
+        [{"name": "valve_null_bias", "command": -6e-6, "opening": 1e-6}, {"name": "valve_null_bias", "command": 2e-6}], "test"
+    )
+    [found] = grown(rig.with_effects((present,)), more).effects
+    assert found.parameters == pytest.approx((-4e-6, 1e-6))

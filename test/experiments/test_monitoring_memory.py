@@ -58,7 +58,7 @@ def healthy(rig_file: Path) -> tuple[Spec, Trajectory]:
         "reference": {"name": "sine", "amplitude": 1e4, "frequency": 0.5},
         "disturbance": {"name": "force", "signal": {"name": "sine", "amplitude": 5e3, "frequency": 1.0}},
         "controller": {"name": "fasmc"},
-        "duration": 60.0,
+        "duration": 70.0,
     }
     spec = spec_from_mapping(plain, "spec.yaml", rig_file.parent)
     return spec, run_in_process(spec)
@@ -89,9 +89,9 @@ def kept(healthy: tuple[Spec, Trajectory], tmp_path_factory: pytest.TempPathFact
     spec, trajectory = healthy
     folder = tmp_path_factory.mktemp("monitor")
     monitor = Monitor(spec.rig, WATCHED, FindsNothing())
-    assert fed(monitor, trajectory, 0.0, 45.0) == ["learnt", "watching"]
+    assert fed(monitor, trajectory, 0.0, 52.5) == ["learnt", "watching"]
     monitor.changes.append(CHANGE)
-    memory_of(folder, spec.rig).save(monitor.saved_state(), ANCHORS, 45.0)
+    memory_of(folder, spec.rig).save(monitor.saved_state(), ANCHORS, 52.5)
     return monitor, folder
 
 
@@ -105,19 +105,19 @@ def test_it_goes_on_with_all_it_knew_and_without_an_alarm(healthy, kept, folder:
     before, _ = kept
     found = memory_of(folder, spec.rig).restore()
     assert found is not None
-    assert (found.anchors, found.end) == (ANCHORS, 45.0)
+    assert (found.anchors, found.end) == (ANCHORS, 52.5)
     after = Monitor(spec.rig, WATCHED, FindsNothing())
     after.restore(found.state)
     assert [str(change) for change in after.changes] == [str(CHANGE)]
     assert after.history == before.history
-    assert [past.time for past in after.history] == pytest.approx([40.4], abs=3.0)
+    assert [past.time for past in after.history] == pytest.approx([41.5], abs=3.0)
     assert after.health().watched == before.health().watched > 0.0
     was, now, was_watched = before.saved_state(), after.saved_state(), before.health().watched
     assert now.begins == was.begins
     assert np.allclose(now.rows, was.rows, rtol=1e-6)
     assert [d.key for d in now.learnt.directions] == [d.key for d in was.learnt.directions]
     # The next blocks are judged, as they would have been.
-    assert fed(after, trajectory, 45.0, 52.0) == fed(before, trajectory, 45.0, 52.0) == []
+    assert fed(after, trajectory, 52.5, 62.0) == fed(before, trajectory, 52.5, 62.0) == []
     assert after.health().state == State.WATCHING
     assert after.health().watched == was_watched + COMPARED_TIME
     assert np.allclose(after.saved_state().rows[:, -1], before.saved_state().rows[:, -1], rtol=1e-3, atol=1e-6)
@@ -129,10 +129,10 @@ def test_the_history_grows_by_what_is_new(healthy, folder: Path):
     memory = memory_of(folder, spec.rig)
     after = Monitor(spec.rig, WATCHED, FindsNothing())
     after.restore(memory.restore().state)
-    memory.save(after.saved_state(), ANCHORS, 45.0)
+    memory.save(after.saved_state(), ANCHORS, 52.5)
     assert (folder / COEFFICIENTS).read_text(encoding="utf-8").splitlines() == lines
-    fed(after, trajectory, 45.0, 59.0)
-    memory.save(after.saved_state(), ANCHORS, 59.0)
+    fed(after, trajectory, 52.5, 69.9)
+    memory.save(after.saved_state(), ANCHORS, 69.9)
     with (folder / COEFFICIENTS).open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [list(row.values()) for row in rows][: len(lines) - 1] == [line.split(",") for line in lines[1:]]
@@ -179,7 +179,7 @@ def test_a_writer_that_is_killed_leaves_the_state_before(healthy, kept, folder: 
         memory.save(kept[0].saved_state(), ANCHORS, 50.0)
     monkeypatch.undo()
     assert {path.name for path in folder.iterdir()} == before
-    assert memory_of(folder, healthy[0].rig).restore().end == 45.0
+    assert memory_of(folder, healthy[0].rig).restore().end == 52.5
 
 
 def test_another_rig_learns_for_itself(healthy, folder: Path):
@@ -192,7 +192,7 @@ def test_another_rig_learns_for_itself(healthy, folder: Path):
     assert {path.name for path in (folder / "aside-1").iterdir()} >= {STATE, COEFFICIENTS, "learnt_0.npz", "blocks_0.npz"}
     assert [path.name for path in folder.iterdir()] == ["aside-1"]
     # It can be taken up again.
-    assert memory_of(folder / "aside-1", rig).restore().end == 45.0
+    assert memory_of(folder / "aside-1", rig).restore().end == 52.5
     for memory in (
         memory_of(folder / "aside-1", rig, ["a healthy recording"]),
         Memory(folder / "aside-1", Origin.of(rig, 2e-3)),
@@ -236,7 +236,7 @@ def test_a_repair_begins_anew(healthy, folder: Path):
     spec, trajectory = healthy
     monitor = Monitor(spec.rig, WATCHED, FindsNothing())
     monitor.restore(memory_of(folder, spec.rig).restore().state)
-    fed(monitor, trajectory, 45.0, 46.0)
+    fed(monitor, trajectory, 52.5, 53.0)
     monitor.reset()
     assert monitor.health().active == ()
     assert monitor.health().state == State.LEARNING

@@ -33,7 +33,7 @@ def blocks() -> ScoredBlocks:
 
 
 def scores(size: float) -> Scores:
-    return Scores(np.full(1, size * 100.0), np.full(1, 100.0), np.full(1, 1.0), np.zeros((0, 0)))
+    return Scores(np.full(1, size * 100.0), np.full(1, 100.0), np.full(1, 1.0))
 
 
 def test_enough_blocks_whose_samples_are_available_are_compared_with_the_rig_file():

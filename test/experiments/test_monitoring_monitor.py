@@ -132,10 +132,10 @@ def test_samples_that_cannot_be_judged_teach_nothing(rig, streams):
 
 @pytest.mark.long
 def test_what_no_diagnosis_confirms_is_an_operating_point_only_after_a_minute(rig, rig_file):
-    healthy, leaking = (record(rig_file, effects, "rich", seed=11, duration=135.0) for effects in ({}, LEAK))
+    healthy, leaking = (record(rig_file, effects, "rich", seed=11, duration=165.0) for effects in ({}, LEAK))
     here = healthy.time < ONSET
     signals = {n: np.where(here, healthy.columns[n], leaking.columns[n]) for n in healthy.columns}
-    _, examiner, events = watched(rig, healthy.time, signals, *[consistent(rig)] * 12, pieces=135)
+    _, examiner, events = watched(rig, healthy.time, signals, *[consistent(rig)] * 12, pieces=165)
     noticed = next(event for event in events if event.kind == "noticed")
     [accepted] = [event for event in events if event.kind == "unconfirmed"]
     assert accepted.time >= noticed.time + 60.0
@@ -182,8 +182,7 @@ def test_a_change_that_no_diagnosis_names_any_more_has_cleared(rig, streams):
 def test_recordings_of_the_healthy_rig_are_the_baseline_and_one_that_is_too_short_is_refused(rig, streams):
     time, healthy, leak = streams
     recording = Trajectory(time, healthy)
-    monitor = Monitor(rig, Parameters(), Scripted(leaking(rig)), {"old": recording})
-    assert monitor.health().state == State.WATCHING
+    monitor = Monitor(rig, Parameters(), Scripted(consistent(rig), leaking(rig)), {"old": recording})
     assert monitor.health().baseline == RECORDINGS
     later = time >= ONSET
     events = monitor.add(time[later], {name: values[later] for name, values in leak.items()})
@@ -215,7 +214,7 @@ def test_a_reset_while_an_unknown_rig_is_learnt_returns_to_the_recordings(rig, s
     time, healthy, leak = streams
     recording = Trajectory(time[:20000], {name: values[:20000] for name, values in healthy.items()})
     unknown = Finding("unknown", (), rig, "flow")
-    monitor = Monitor(rig, Parameters(), Scripted(*[unknown] * 3), {"old": recording})
+    monitor = Monitor(rig, Parameters(), Scripted(consistent(rig), *[unknown] * 3), {"old": recording})
     repeated = np.concatenate([time[52000:], time[52000:] + 23.0])
     monitor.add(repeated, {name: np.tile(values[52000:], 2) for name, values in leak.items()})
     assert isinstance(monitor.mode, Learning)

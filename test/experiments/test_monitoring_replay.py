@@ -82,7 +82,8 @@ def test_the_coefficients_are_tracked_with_intervals(made):
 class Listening:
     """Stand-in for the monitor that records its inputs."""
 
-    def __init__(self, *_):
+    def __init__(self, rig, *_):
+        self.reference = rig
         self.given, self.interrupts, self.history = [], [], ()
         Listening.last = self
 

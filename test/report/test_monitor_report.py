@@ -13,6 +13,7 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
+from ehls_ros.experiments.monitoring.identified import WrongValue
 from ehls_ros.experiments.monitoring.monitor import Parameters
 from ehls_ros.experiments.monitoring.offer import Offer
 from ehls_ros.experiments.monitoring.replay import MonitoringResult, RecordingSpan
@@ -105,7 +106,7 @@ def test_the_head_line_says_what_since_when_and_how_sure(worn, healthy):
 def test_a_trend_shows_value_band_rig_file_limit_and_change(worn, written, without_plotly):
     traces, layout = panels(page_of(written, worn))["Internal leakage"]
     by_name = {trace["name"]: trace for trace in traces}
-    assert set(by_name) == {"95 %", "value", "rig file", "limit", "change"}
+    assert set(by_name) == {"95 %", "value", "healthy", "limit", "change"}
     values = numbers(by_name["value"]["y"])
     assert values[-1] == pytest.approx(1e11 * 5.8e-12)
     band = numbers(by_name["95 %"]["y"])
@@ -175,3 +176,10 @@ def test_times_and_rates_in_words():
     ]  # fmt: skip
     assert "8.8 a year" in false_alarms(1000.0)
     assert "one in 11 years" in false_alarms(1e5)
+
+
+def test_wrong_numbers_of_the_rig_file_are_stated(healthy):
+    wrong = (WrongValue("plant.moving_mass", 105.0, 70.0, 0.1, "kg"), WrongValue("plant.valve_gain", 1.1, 1.0, 0.001, "1"))
+    sentence, good = answer(healthy._replace(health=healthy.health._replace(rig_values=wrong)))
+    assert good
+    assert "The rig file is wrong: moving mass 105, identified 70.00 ± 0.20 kg and valve gain 1.10, identified" in sentence

@@ -32,12 +32,14 @@ class Scores(NamedTuple):
         information: likewise; 0 if the block holds none, shape (n,).
         share: rms of the change by each direction, as a fraction of the largest term of its balance; 1 for a power, shape (n,).
         normal: products of the changes by any two of the tracked directions, shape (tracked, tracked).
+        pull: products of these changes with the residuals, with the sign of the departure, shape (tracked,).
     """
 
     score: Array
     information: Array
     share: Array
-    normal: Array
+    normal: Array = np.zeros((0, 0))
+    pull: Array = np.zeros(0)
 
 
 class HeldStretches(NamedTuple):
@@ -58,14 +60,14 @@ class HeldStretches(NamedTuple):
     weight: Array
 
     def without(self, values: Array) -> Array:
-        """Return residuals, or their change, less the best-fitting constant force of each stretch, shape (n,)."""
+        """Return residuals, or their changes, less the best-fitting constant force of each stretch, shape (..., n)."""
         if not np.any(self.stretch):
             return values
-        pull = np.bincount(self.stretch, self.weight * self.unit * values)
-        norm = np.bincount(self.stretch, self.weight * self.unit**2)
+        inside = (self.stretch[:, np.newaxis] == np.arange(1, np.max(self.stretch) + 1)).astype(np.float64)
+        pull = (values * (self.weight * self.unit)) @ inside
+        norm = (self.weight * self.unit**2) @ inside
         force = np.divide(pull, norm, out=np.zeros_like(pull), where=norm > 0.0)
-        force[0] = 0.0
-        left: Array = values - self.unit * force[self.stretch]
+        left: Array = values - self.unit * (force @ inside.T)
         return left
 
 
@@ -131,34 +133,35 @@ def scores(
     counted = {c: weights(base.values[c]) for c in evidence.channels}
     holding = held_stretches(evidence, counted[FRICTION], part[FRICTION]) if FRICTION in evidence.channels else None
     rest = dict(base.values) if holding is None else {**base.values, FRICTION: holding.without(base.values[FRICTION])}
-    pull = {c: counted[c] * rest[c] for c in evidence.channels}
     blocks, count = len(begins) + 1, len(directions)
     score, information, share = (np.zeros((blocks, count)) for _ in range(3))
     noise = np.zeros((len(evidence.added), blocks, count))
     normal = np.zeros((blocks, len(tracked), len(tracked)))
-    windows = {c: np.maximum(np.bincount(part[c], minlength=blocks), 1) for c in evidence.channels}
     place = {number: row for row, number in enumerate(tracked)}
-    kept = {c: np.zeros((len(tracked), len(base.values[c]))) for c in evidence.channels}
-
-    def summed(channel: Channel, values: Array) -> Array:
-        sums: Array = np.bincount(part[channel], values, blocks).astype(np.float64)
-        return sums
-
+    moved: dict[Channel, dict[int, Array]] = {c: {} for c in evidence.channels}
     for number, direction in enumerate(directions):
-        for c, moved in changes(comparison, evidence, direction).items():
-            change = holding.without(moved) if holding is not None and c == FRICTION else moved
-            score[:, number] -= summed(c, change * pull[c])
-            information[:, number] += summed(c, change * change * counted[c])
-            for realisation, added in enumerate(evidence.added):
-                noise[realisation, :, number] += summed(c, change * added[c])
-            size = np.sqrt(summed(c, (change * evidence.floor[c]) ** 2) / windows[c]) / max(evidence.sizes[c], 1e-300)
-            share[:, number] = np.maximum(share[:, number], size)
-            if number in place:
-                kept[c][place[number]] = change
-    for c, moves in kept.items():
+        for c, change in changes(comparison, evidence, direction).items():
+            moved[c][number] = change
+    for c, by_number in moved.items():
+        if not by_number:
+            continue
+        numbers = list(by_number)
+        rows = np.array(list(by_number.values()))
+        rows = holding.without(rows) if holding is not None and c == FRICTION else rows
+        own = [row for row, number in enumerate(numbers) if number in place]
+        where = np.ix_([place[numbers[row]] for row in own], [place[numbers[row]] for row in own])
+        added = np.array([more[c] for more in evidence.added]).reshape(len(evidence.added), -1)
+        ends = np.searchsorted(part[c], np.arange(blocks + 1))
         for block in range(1, blocks):
-            here = part[c] == block
-            normal[block] += np.einsum("ik,jk,k->ij", moves[:, here], moves[:, here], counted[c][here])
+            here = slice(ends[block], ends[block + 1])
+            change, weight = rows[:, here], counted[c][here]
+            score[block, numbers] -= change @ (weight * rest[c][here])
+            information[block, numbers] += change**2 @ weight
+            noise[:, block, numbers] += added[:, here] @ change.T
+            squares = change**2 @ evidence.floor[c][here] ** 2 / max(len(weight), 1)
+            size = np.sqrt(squares) / max(evidence.sizes[c], 1e-300)
+            share[block, numbers] = np.maximum(share[block, numbers], size)
+            normal[block][where] += (change[own] * weight) @ change[own].T
     out = []
     for block in range(1, blocks):
         power, certainty = _power({c: e[part[c] == block] for c, e in rest.items()})
@@ -169,6 +172,7 @@ def scores(
                 np.concatenate([information[block] / ratio, certainty]),
                 np.concatenate([share[block], np.ones(len(power))]),
                 normal[block],
+                score[block, list(tracked)],
             )
         )
     return out

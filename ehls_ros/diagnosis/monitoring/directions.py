@@ -53,7 +53,7 @@ class Direction(NamedTuple):
         return self.cause.free.index(self.parameter)
 
     def rig(self, rig: Rig) -> Rig:
-        """Return the rig with this departure."""
+        """Return the rig with this departure from its present state."""
         return extended(rig, (self.cause,), self.values)
 
 

@@ -11,10 +11,9 @@ from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.monitoring.blocks import Scores, scores
 from ehls_ros.diagnosis.monitoring.change_test import BlockStatistics, block_statistics, with_scatter
 from ehls_ros.diagnosis.monitoring.directions import Direction, directions, remainders
-from ehls_ros.diagnosis.monitoring.tracking import WANTED, Reading, readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import WANTED, IdentifiedRig, Reading, readings, tracked
 from ehls_ros.diagnosis.stages import CHANNELS
 from ehls_ros.experiments.monitoring.saved_state import LearntRig
-from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
 
@@ -78,7 +77,7 @@ class Baseline:
         """Add a block without a change; return whether the statistics of the healthy rig have to be updated."""
         if len(self._unchanged) >= MAX_RELEARNT_BLOCKS:
             return False
-        self._unchanged.append(found._replace(normal=np.zeros((0, 0))))
+        self._unchanged.append(Scores(*found[:3]))
         return len(self._unchanged) % RELEARNT_BLOCKS == 0
 
     def learn_condition(self, rows: Array) -> None:
@@ -87,8 +86,7 @@ class Baseline:
         Args:
             rows: score, information and share of its blocks, shape (3, blocks, n).
         """
-        none = np.zeros((0, 0))
-        self.sections.append([Scores(score, information, share, none) for score, information, share in zip(*rows, strict=True)])
+        self.sections.append([Scores(score, information, share) for score, information, share in zip(*rows, strict=True)])
 
     def forget_unchanged(self) -> None:
         """Discard the blocks without a change, as they refer to another model."""
@@ -147,20 +145,24 @@ class Baseline:
         begins = rules.MONITOR_LEAD + rules.MONITOR_BLOCK * np.arange(rules.MONITOR_AT_ONCE)
         return scores(evidence, self.directions, tuple(self._numbers.values()), begins.tolist())
 
-    def readings(self, model: Rig, blocks: Sequence[Scores], statistics: BlockStatistics) -> tuple[Reading, ...]:
+    def tracked_scores(self, evidence: Evidence) -> list[Scores]:
+        """Return the score of each block in the directions of the coefficients alone."""
+        begins = rules.MONITOR_LEAD + rules.MONITOR_BLOCK * np.arange(rules.MONITOR_AT_ONCE)
+        own = [self.directions[number] for number in self._numbers.values()]
+        return scores(evidence, own, range(len(own)), begins.tolist())
+
+    def readings(self, rig: IdentifiedRig, blocks: Sequence[Scores], statistics: BlockStatistics) -> tuple[Reading, ...]:
         """Fit the coefficients to blocks; none if no departure represents a coefficient.
 
         Args:
-            model: the model to which the scores refer.
+            rig: the model to which the blocks refer, as identified.
             blocks: the blocks.
             statistics: statistics of the healthy rig.
         """
         if not self._numbers:
             return ()
         rows = np.array(list(self._numbers.values()), dtype=np.intp)
-        score = np.sum([block.score[rows] for block in blocks], axis=0)
-        normal = np.sum([block.normal for block in blocks], axis=0)
-        return readings(self.directions, self._numbers, model, score, normal, statistics.scatter[rows])
+        return readings(self.directions, self._numbers, rig, blocks, statistics.scatter[rows])
 
     def quantity(self, number: int) -> str:
         """Return the name of a tested quantity."""

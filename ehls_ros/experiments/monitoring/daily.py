@@ -9,7 +9,7 @@ from pathlib import Path
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS as KNOWN
 from ehls_ros.diagnosis.monitoring.tracking import PastReadings, Reading
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.monitoring.health import Health, State
+from ehls_ros.experiments.monitoring.health import Health, State, agreed
 from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, HEADING, STATE, UNUSABLE, check_cells
 from ehls_ros.experiments.monitoring.monitor import Parameters
 from ehls_ros.experiments.monitoring.replay import MonitoringResult
@@ -44,9 +44,10 @@ def results_of_day(folder: Path, day: date) -> tuple[MonitoringResult, datetime]
         raise BadInput(f"there is no {STATE}", str(folder), EXPECTED)
     state: MonitorState = read.content
     try:
-        rig = rig_of(state.well, read.origin)
-        changes = tuple(map(change_of, state.changes))
-        readings = readings_of(state.readings)
+        found = state.identification
+        healthy = rig_of(state.well, read.origin)
+        rig = healthy if found is None or not found.wrong else rig_of(found.rig, read.origin)
+        changes, readings = agreed(tuple(map(change_of, state.changes)), readings_of(state.readings), healthy, read_anew=True)
     except BadInput:
         raise
     except UNUSABLE as error:

@@ -7,6 +7,7 @@ from ehls_ros import __version__
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.health import Event, FoundChange
+from ehls_ros.experiments.monitoring.identified import WrongValue
 from ehls_ros.experiments.monitoring.offer import Offer
 from ehls_ros.experiments.monitoring.replay import MonitoringResult, RecordingSpan
 from ehls_ros.experiments.monitoring.trends import NORMAL_95, LimitPrediction
@@ -42,7 +43,7 @@ class CoefficientEntry(NamedTuple):
         unit: unit of these.
         told: whether the programme determines it.
         why_not: reason if it does not.
-        healthy: the value in the rig file.
+        healthy: the value of the healthy rig: the rig file's, or the identified one if the file is wrong.
         rate: its change per hour, with standard error.
         limit: prediction of reaching its limit, if it has one.
     """
@@ -74,6 +75,7 @@ class MonitorDocument(NamedTuple):
         changes: detected changes, oldest first.
         coefficients: coefficients by name.
         events: events in order.
+        rig_values: numbers of the rig file that the recordings of the healthy rig contradict.
         offer: shortest experiment for the coefficients that this programme does not determine.
         version: version of this package.
         wall_s: wall time of everything [s].
@@ -91,6 +93,7 @@ class MonitorDocument(NamedTuple):
     changes: tuple[ChangeEntry, ...]
     coefficients: Mapping[str, CoefficientEntry]
     events: Sequence[Event]
+    rig_values: Sequence[WrongValue]
     offer: Offer | None
     version: str
     wall_s: float
@@ -119,6 +122,7 @@ def monitor_document(watched: MonitoringResult, summary: str, healthy: bool | No
         changes=tuple(map(_change, health.changes)),
         coefficients={reading.name: _coefficient(reading, watched) for reading in health.readings},
         events=watched.events,
+        rig_values=health.rig_values,
         offer=watched.offer,
         version=__version__,
         wall_s=wall_s,

@@ -1,4 +1,4 @@
-"""Examination of a change: diagnosis of the samples since its onset, in this process or in a separate one."""
+"""Identification of the rig, and diagnosis of the samples since the onset of a change, in this process or in a separate one."""
 
 import multiprocessing
 import os
@@ -7,10 +7,13 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from typing import NamedTuple, Protocol
 
 from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.hypotheses import grown
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Tracked
 from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, Verdict
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.baseline import diagnose_against
+from ehls_ros.experiments.monitoring.identified import Identification, identify
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Form
 from ehls_ros.physics.rig import EffectUse, Rig
@@ -21,20 +24,32 @@ MIN_CERTAIN_PROBABILITY = 0.9
 """Minimum probability of the first cause, with its equivalents, for naming it at once, however few the samples."""
 
 
+MAX_CHANGED = 2
+"""Number of wrong numbers of a rig file up to which the rig, not the file, is rather taken to have changed."""
+
+
 class Task(NamedTuple):
-    """A diagnosis task.
+    """A task: an identification, a diagnosis, or both.
 
     Attributes:
-        recording: the samples.
-        rig: the model for comparison.
+        recording: the samples to diagnose; None: no diagnosis.
+        rig: the model for comparison, and the first guess of an identification.
         baselines: recordings of the healthy rig; none: the samples are judged against the rig file.
         preferred: effects to be preferred to equivalent ones, in order of preference.
+        identify: recordings from which the rig is identified, by name; none: no identification.
     """
 
-    recording: Trajectory
+    recording: Trajectory | None
     rig: Rig
     baselines: tuple[Trajectory, ...] = ()
     preferred: tuple[str, ...] = ()
+    identify: Mapping[str, Trajectory] = {}
+
+    @property
+    def length(self) -> float:
+        """Length of the recording or recordings [s]."""
+        parts = [*self.identify.values()] if self.recording is None else [self.recording]
+        return sum(float(part.time_s[-1] - part.time_s[0]) for part in parts)
 
 
 class FoundCause(NamedTuple):
@@ -48,16 +63,17 @@ class FoundCause(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """Result of a diagnosis.
+    """Result of a task.
 
     Attributes:
-        verdict: verdict of the diagnosis.
+        verdict: verdict of the diagnosis; ``insufficient`` without one.
         causes: the causes, best first.
         rig: the model with these causes.
         unknown_stage: stage of an error that no effect of the list explains.
         depends_on: signals on which that error depends.
         reason: reason if the verdict is ``insufficient``; otherwise empty.
         wall_s: wall time [s].
+        identification: the identified rig; None without an identification, or if the recordings allow none.
     """
 
     verdict: Verdict
@@ -67,6 +83,7 @@ class Finding(NamedTuple):
     depends_on: tuple[str, ...] = ()
     reason: str = ""
     wall_s: float = 0.0
+    identification: Identification | None = None
 
     @property
     def is_certain(self) -> bool:
@@ -83,27 +100,89 @@ class Finding(NamedTuple):
 
 
 def examine(task: Task) -> Finding:
-    """Diagnose a recording; return the verdict ``insufficient``, with the reason, if it cannot be judged."""
+    """Carry out a task; return the verdict ``insufficient``, with the reason, if a recording cannot be judged.
+
+    If numbers of the rig file are wrong, the identified rig is diagnosed. If it leaves an error, its numbers may have been
+    fitted to an effect; the rig file is right if it explains the recording with effects alone. One or two wrong numbers are
+    rather changes of the rig than a draft of its file.
+
+    A diagnosis without a previous identification is followed by one with its causes, which gives their sizes.
+    """
+    if not task.identify and task.recording is not None:
+        return _sized(_diagnosed(task, task.recording), task.recording, task.rig)
+    identification = identify(task.identify, task.rig)
+    if task.recording is None:
+        return Finding("insufficient", (), task.rig, identification=identification)
+    if identification is not None and identification.wrong:
+        identified = _diagnosed(task._replace(rig=identification.rig), task.recording)
+        if len(identification.wrong) <= MAX_CHANGED or identified.verdict not in ("consistent", "insufficient"):
+            given = _diagnosed(task, task.recording)
+            if given.verdict == "effect" and given.names_causes:
+                return given._replace(identification=identification._replace(wrong=()))
+        return identified._replace(identification=identification)
+    return _diagnosed(task, task.recording)._replace(identification=identification)
+
+
+def _sized(found: Finding, recording: Trajectory, before: Rig) -> Finding:
+    """Return a result with the sizes of its causes identified jointly with all coefficients of the rig.
+
+    Args:
+        found: the result of a diagnosis.
+        recording: the diagnosed samples.
+        before: the rig without the causes.
+    """
+    identification = identify({"the latest samples": recording}, found.rig) if found.names_causes else None
+    if identification is None:
+        return found
+    known, rig, causes = identification.readings(), found.rig, list[FoundCause]()
+    names = {(t.effect, t.parameter): name for name, t in COEFFICIENTS.items()}
+    for cause in found.causes:
+        sizes = dict(cause.parameters)
+        for parameter in sizes:
+            name = names.get((cause.name, parameter), "")
+            if name in known:
+                tracked = COEFFICIENTS[name]
+                sizes[parameter] = tracked.change(tracked.given(before), known[name])
+                rig = _with_total(rig, tracked, known[name].value)
+        causes.append(cause._replace(parameters=sizes))
+    return found._replace(causes=tuple(causes), rig=rig, identification=identification)
+
+
+def _with_total(rig: Rig, tracked: Tracked, value: float) -> Rig:
+    """Return a rig with the value of a coefficient set by the last use of its effect."""
+    moved = tracked.change(tracked.given(rig), Estimate(value, 0.0, "")).value
+    effects = list(rig.effects)
+    place = max(i for i, use in enumerate(effects) if use.name == tracked.effect)
+    now = getattr(effects[place].parameters, tracked.parameter)
+    total = now * moved if tracked.relative else now + moved
+    effects[place] = EffectUse(tracked.effect, effects[place].parameters._replace(**{tracked.parameter: total}))
+    return rig._replace(effects=tuple(effects))
+
+
+def _diagnosed(task: Task, recording: Trajectory) -> Finding:
     try:
         if task.baselines:
-            found = diagnose_against(task.recording, task.baselines, task.rig, "the latest samples", threads=1)
+            found = diagnose_against(recording, task.baselines, task.rig, "the latest samples", threads=1)
         else:
-            found = diagnose(task.recording, task.rig, "the latest samples", threads=1)
+            found = diagnose(recording, task.rig, "the latest samples", threads=1)
     except BadInput as error:
         return Finding("insufficient", (), task.rig, reason=str(error))
-    return _finding(found, task.preferred)
+    return _finding(found, task)
 
 
-def _finding(found: Diagnosis, preferred: Sequence[str]) -> Finding:
-    causes, rig = list[FoundCause](), found.extended
+def _finding(found: Diagnosis, task: Task) -> Finding:
+    """Return the result of a diagnosis, with its causes in the task's rig."""
+    causes, rig = list[FoundCause](), task.rig
     for cause in found.causes:
         named = FoundCause(cause.name, cause.stage, cause.probability, cause.equivalent_to, dict(cause.parameters))
-        other = _preferred(cause, preferred, found.rig)
+        other, fixed = _preferred(cause, task.preferred, found.rig), cause.fixed
         if other is not None:
             equivalent = tuple(name for name in (cause.name, *cause.equivalent_to) if name != other.name)
             named = named._replace(name=other.name, equivalent_to=equivalent, parameters=dict(other.parameters))
-            rig = _with_effect_replaced(rig, cause.name, other)
+            fixed = {}
         causes.append(named)
+        values = {parameter: size.value for parameter, size in named.parameters.items()}
+        rig = grown(rig, EffectUse(named.name, EFFECTS.load(named.name).Parameters(**fixed, **values)))
     return Finding(
         found.verdict,
         tuple(causes),
@@ -134,24 +213,17 @@ def _plain_forms(name: str, rig: Rig) -> list[Form]:
     return [form for form in EFFECTS.load(name).forms(rig) if not form.fixed]
 
 
-def _with_effect_replaced(rig: Rig, name: str, other: Rival) -> Rig:
-    """Return a rig with one effect replaced by another."""
-    values = {parameter: value.value for parameter, value in other.parameters.items()}
-    use = EffectUse(other.name, EFFECTS.load(other.name).Parameters(**values))
-    return rig._replace(effects=tuple(use if old.name == name else old for old in rig.effects))
-
-
 class Examiner(Protocol):
-    """Interface of an executor of diagnoses."""
+    """Interface of an executor of tasks."""
 
     def begin(self, task: Task) -> None:
-        """Start a diagnosis; only one runs at a time."""
+        """Start a task; only one runs at a time."""
 
     def finding(self) -> Finding | None:
         """Return an available result, once; otherwise None."""
 
     def close(self) -> None:
-        """Abort a running diagnosis."""
+        """Abort a running task."""
 
 
 class SynchronousExaminer:
@@ -162,7 +234,7 @@ class SynchronousExaminer:
         self._found: Finding | None = None
 
     def begin(self, task: Task) -> None:
-        """Diagnose synchronously."""
+        """Carry out a task synchronously."""
         self._found = examine(task)
 
     def finding(self) -> Finding | None:
@@ -171,7 +243,7 @@ class SynchronousExaminer:
         return found
 
     def close(self) -> None:
-        """Do nothing, as no diagnosis is running."""
+        """Do nothing, as no task is running."""
 
 
 def _initialise_worker(parent: int) -> None:
@@ -184,12 +256,12 @@ class ProcessExaminer:
     """Examiner in a separate process of low priority."""
 
     def __init__(self) -> None:
-        """Start no process before the first diagnosis."""
+        """Start no process before the first task."""
         self._workers: ProcessPoolExecutor | None = None
         self._future: Future[Finding] | None = None
 
     def begin(self, task: Task) -> None:
-        """Start a diagnosis."""
+        """Start a task."""
         if self._workers is None:
             self._workers = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _initialise_worker, (os.getpid(),))
         self._future = self._workers.submit(examine, task)

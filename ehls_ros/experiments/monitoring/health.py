@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import date, datetime
 from enum import IntEnum
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from typing import NamedTuple
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading, Tracked
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import FoundCause
+from ehls_ros.experiments.monitoring.identified import WrongValue
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 
@@ -124,7 +125,7 @@ class FoundChange(NamedTuple):
         """Describe the change to an operator: cause, size and time of onset.
 
         Args:
-            rig: the rig as described in its file, the reference of sizes.
+            rig: the rig to whose values sizes are relative.
             wall: returns the stamps along the monitor's axis.
             now_ns: the newest stamp [ns].
         """
@@ -184,6 +185,7 @@ class Health(NamedTuple):
         baseline: description of the baseline.
         outside: fraction of the last minute's blocks outside the range of the baseline.
         rates: change per hour of each determined coefficient.
+        rig_values: numbers of the rig file that the recordings of the healthy rig contradict.
     """
 
     time: float
@@ -195,6 +197,7 @@ class Health(NamedTuple):
     baseline: str
     outside: float
     rates: Mapping[str, Estimate]
+    rig_values: tuple[WrongValue, ...] = ()
 
     @property
     def active(self) -> tuple[FoundChange, ...]:
@@ -205,7 +208,7 @@ class Health(NamedTuple):
         """Return level and sentence; a warning while a change is active and not acknowledged.
 
         Args:
-            rig: the rig as described in its file.
+            rig: the rig to whose values changes are relative.
             wall: returns the stamps along the monitor's axis.
         """
         now_ns = wall(self.time)
@@ -220,7 +223,44 @@ class Health(NamedTuple):
         elif self.outside > MIN_REPORTED_OUTSIDE:
             parts.append(f"{100.0 * self.outside:.0f} % of the last minute is outside the range of the baseline")
         quiet = f"no change against {self.baseline} in {self.watched / 3600.0:.3g} h"
+        if self.rig_values:
+            quiet += f"; the rig file is wrong in {', '.join(wrong.name.partition('.')[2] for wrong in self.rig_values)}"
         return Summary(WARNING if new else GOOD, "; ".join(parts) if parts else quiet)
+
+
+def agreed(
+    changes: Sequence[FoundChange], found: Sequence[Reading], healthy: Rig, read_anew: bool
+) -> tuple[tuple[FoundChange, ...], tuple[Reading, ...]]:
+    """Return changes and readings with the same number for the same quantity.
+
+    Args:
+        changes: the changes, with the sizes at their diagnosis.
+        found: the readings.
+        healthy: the healthy rig, from which a diagnosis starts.
+        read_anew: whether the readings are of samples since the last diagnosis. If so, the size of a change follows the
+            reading, which is fitted jointly with all other coefficients; otherwise, the reading follows the diagnosis.
+    """
+    current, out = {reading.name: reading for reading in found}, list[FoundChange]()
+    names = {(t.effect, t.parameter): name for name, t in COEFFICIENTS.items()}
+    for change in changes:
+        if not change.active or change.before or not change.causes:
+            out.append(change)
+            continue
+        cause = change.causes[0]
+        sizes = dict(cause.parameters)
+        for parameter, size in cause.parameters.items():
+            name = names.get((cause.name, parameter), "")
+            tracked, reading = COEFFICIENTS.get(name), current.get(name)
+            if tracked is None or reading is None:
+                continue
+            before = tracked.given(healthy)
+            if read_anew and reading.identified and (before or not tracked.relative):
+                sizes[parameter] = tracked.change(before, Estimate(reading.value, reading.deviation, size.unit))
+            elif not read_anew and math.isfinite(size.std):
+                now = tracked.changed(before, size)
+                current[name] = Reading(name, now.value, now.std, reading.unit)
+        out.append(change._replace(causes=(cause._replace(parameters=sizes), *change.causes[1:])))
+    return tuple(out), tuple(current[reading.name] for reading in found)
 
 
 def today() -> date:

@@ -220,8 +220,7 @@ class Memory:
         _check_rows(rows)
         if not len(lengths) or int(lengths.sum()) != rows.shape[1]:
             raise ValueError(f"{name} has other sections than blocks")
-        none = np.zeros((0, 0))
-        blocks = [Scores(row[0], row[1], row[2], none) for row in rows.swapaxes(0, 1)]
+        blocks = [Scores(*row) for row in rows.swapaxes(0, 1)]
         ends = np.cumsum(lengths).tolist()
         sections = tuple(tuple(blocks[begin:end]) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
         recording = None

@@ -1,13 +1,17 @@
 """Monitor that determines the rig's health from its samples.
 
-It learns the scatter of a healthy rig's blocks, tests each further block for a change, and has detected changes diagnosed. The
-causes are then included in the model, so that the test continues with them. Each diagnosis starts from the healthy rig again,
-so that a growing cause remains the same change, and a cause that disappears is cleared.
+It has the rig identified from recordings of the healthy rig or from the first minutes, learns the scatter of a healthy rig's
+blocks, tests each further block for a change, and has detected changes diagnosed. The causes are then included in the model, so
+that the test continues with them. Each diagnosis starts from the healthy rig again, so that a growing cause remains the same
+change, and a cause that disappears is cleared.
+
+Coefficients are read around the model. Where that is not valid, the rig is identified again from the latest samples, and they
+are read around the result until the model changes. The test continues with the model, so that no change is lost.
 """
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -16,15 +20,23 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.monitoring.blocks import Scores, informative
-from ehls_ros.diagnosis.monitoring.change_test import Change, ChangeTest
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
+from ehls_ros.diagnosis.monitoring.change_test import BlockStatistics, Change, ChangeTest
+from ehls_ros.diagnosis.monitoring.tracking import (
+    COEFFICIENTS,
+    MOVED,
+    IdentifiedRig,
+    PastReadings,
+    Reading,
+    identified_readings,
+)
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import setup
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.monitoring import modes
 from ehls_ros.experiments.monitoring.baseline import OWN_RECORDING, RECORDINGS, RIG_FILE, Baseline
 from ehls_ros.experiments.monitoring.examination import Examiner, Finding, Task
-from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health
+from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, agreed
+from ehls_ros.experiments.monitoring.identified import Identification, wrong_values
 from ehls_ros.experiments.monitoring.samples import Samples
 from ehls_ros.experiments.monitoring.saved_state import SavedState
 from ehls_ros.experiments.monitoring.trends import RATE_READINGS, rates
@@ -51,6 +63,37 @@ MIN_UNCERTAIN_TIME = 30.0
 """Duration of samples after which an uncertain cause is named, or a change that no effect of the list explains [s]."""
 
 
+MIN_READING_BLOCKS = 8
+"""Number of blocks of the present model from which its coefficients are read, after a change."""
+
+IDENTIFICATION_INTERVAL = 300.0
+"""Shortest time between two identifications of the same model [s]."""
+
+
+class Linearisation:
+    """A rig around which the coefficients are read, other than the model.
+
+    Attributes:
+        rig: the rig as identified from the latest samples.
+        recent: its last blocks.
+    """
+
+    def __init__(self, identification: Identification, averaged: int) -> None:
+        """Start without blocks.
+
+        Args:
+            identification: the identification.
+            averaged: number of blocks over which coefficients are averaged.
+        """
+        self.rig = identification.tracked(identification.rig)
+        self.recent = deque[Scores](maxlen=averaged)
+        self._first = identified_readings(self.rig, identification.readings())
+
+    def readings(self, baseline: Baseline, statistics: BlockStatistics) -> tuple[Reading, ...]:
+        """Return the readings of the identification; those of its blocks as soon as they are enough."""
+        return baseline.readings(self.rig, self.recent, statistics) if len(self.recent) >= MIN_READING_BLOCKS else self._first
+
+
 class Parameters(NamedTuple):
     """Parameters of the monitoring of a rig."""
 
@@ -74,7 +117,9 @@ class Monitor:
 
     Attributes:
         rig: the rig as described in its file.
-        healthy_rig: model of the healthy rig: the rig file with the differences found at the start of the monitor.
+        identification: the identification of the healthy rig; None while it is unknown.
+        healthy_rig: model of the healthy rig: the rig file, or the identified rig if its numbers are wrong, with the effects
+            found at the start of the monitor.
         model: the same with the changes since.
         parameters: monitoring parameters.
         changes: detected changes, oldest first.
@@ -97,6 +142,7 @@ class Monitor:
             BadInput: a baseline does not match the rig.
         """
         self.rig = self.healthy_rig = self.model = rig
+        self.identification: Identification | None = None
         self.parameters = parameters
         self.changes = list[FoundChange]()
         self.history = list[PastReadings]()
@@ -113,8 +159,16 @@ class Monitor:
         self._averaged = max(1, round(parameters.reading_time / rules.MONITOR_BLOCK))
         self._unrecorded = 0
         self._examined_from: float | None = None
+        self._linearisation: Linearisation | None = None
+        self._first_readings: tuple[Reading, ...] = ()
+        self._known = IdentifiedRig(rig)
+        self._identified_at = -math.inf
+        self._identifying = False
+        self._invalid = 0
+        self._pending: Task | None = None
         if baselines:
-            self._learn_from_baselines()
+            self._check_baselines()
+            self._identify_baselines()
 
     # --- samples ----------------------------------------------------------------------------------
 
@@ -129,6 +183,10 @@ class Monitor:
             The events.
         """
         events = list[Event]()
+        if self._pending is not None and len(time_s):
+            self._examiner.begin(self._pending)
+            self._pending = None
+            self._follow_examination(events, float(time_s[0]))
         if len(time_s):
             jumps = np.flatnonzero(np.diff(time_s) > MAX_GAP) + 1
             if len(self._samples) and time_s[0] - self._samples.times[-1] > MAX_GAP:
@@ -192,7 +250,8 @@ class Monitor:
         return [] if evidence is None else self._baseline.scores(evidence)
 
     def _judge(self, mode: modes.Testing, begin: float, events: list[Event]) -> None:
-        evidence = self._compare(self._samples_of(begin), self.model)
+        samples = self._samples_of(begin)
+        evidence = self._compare(samples, self.model)
         if evidence is None:
             self.mode = modes.unjudged(mode)
             return
@@ -204,6 +263,9 @@ class Monitor:
         self._outside.append(self._baseline.is_outside(evidence))
         if self._outside[-1]:
             return
+        if self._linearisation is not None:
+            around = self._compare(samples, self._linearisation.rig.rig)
+            self._linearisation.recent.extend([] if around is None else self._baseline.tracked_scores(around))
         for number, block in enumerate(found):
             self._test(begin + number * rules.MONITOR_BLOCK, block, events)
 
@@ -214,11 +276,11 @@ class Monitor:
             return
         blocks = mode.blocks
         blocks.add(begin, found)
-        self._readings = self._baseline.readings(self.model, blocks.recent, blocks.test.healthy)
+        self._readings = self._read(blocks)
         self._unrecorded += 1
         if self._unrecorded >= self._averaged:
             self._unrecorded = 0
-            self.history.append(PastReadings(end, self._readings))
+            self.history.append(PastReadings(end, self.health().readings))
         if not isinstance(mode, modes.Watching | modes.Suspecting):
             return
         change = blocks.test.change()
@@ -226,7 +288,34 @@ class Monitor:
         if change is None and self._baseline.learn_unchanged(found):
             blocks.test.learn(self._baseline.statistics())
         if isinstance(self.mode, modes.Examining):
+            self._identifying = False
             self._examine(self.mode, end, events)
+        elif isinstance(self.mode, modes.Watching):
+            self._identify_if_invalid(blocks, end)
+
+    def _read(self, blocks: modes.ScoredBlocks) -> tuple[Reading, ...]:
+        if self._linearisation is not None:
+            return self._linearisation.readings(self._baseline, blocks.test.healthy)
+        if self._first_readings and len(blocks.recent) < MIN_READING_BLOCKS:
+            return self._first_readings
+        if self._known.rig is not self.model:
+            found = self.identification
+            self._known = IdentifiedRig(self.model) if found is None else found.tracked(self.model)
+        return self._baseline.readings(self._known, blocks.recent, blocks.test.healthy)
+
+    def _identify_if_invalid(self, blocks: modes.ScoredBlocks, end: float) -> None:
+        """Identify the rig again if the model is not valid for the readings, or if the programme excites more coefficients.
+
+        The samples are of the blocks since then: a change that begins is noticed before there are enough.
+        """
+        doubtful = {MOVED, *(self.identification.why_not.values() if self.identification else ())}
+        invalid = any(reading.why_not in doubtful for reading in self._readings if not reading.identified)
+        self._invalid = min(self._invalid + 1, self._averaged) if invalid else 0
+        if self._invalid < MIN_READING_BLOCKS or end - self._identified_at < IDENTIFICATION_INTERVAL:
+            return
+        self._identified_at, self._identifying = end, True
+        recording = self._samples.between(blocks.begins[-min(self._invalid, len(blocks.begins))] - rules.MONITOR_LEAD, end)
+        self._examiner.begin(Task(None, self.model, identify={"the latest samples": recording}))
 
     # --- learning ---------------------------------------------------------------------------------
 
@@ -237,33 +326,54 @@ class Monitor:
         oldest = float(self._samples.times[0]) + rules.MONITOR_LEAD
         self.mode = mode.add(begin, oldest, math.ceil(self.parameters.learning_time / COMPARED_TIME))
         if isinstance(self.mode, modes.Comparing):
-            self._examiner.begin(Task(self._learnt_samples(self.mode), self.healthy_rig, preferred=self._preferred()))
+            recording = self._learnt_samples(self.mode)
+            identify = {OWN_RECORDING: recording}
+            self._examiner.begin(Task(recording, self.healthy_rig, preferred=self._preferred(), identify=identify))
             text = f"{self.parameters.learning_time:g} s learnt; compared with the rig file"
             events.append(Event(begin + COMPARED_TIME, "learnt", text))
 
     def _learnt_samples(self, mode: modes.Comparing) -> Trajectory:
         return self._samples.between(mode.begins[0] - rules.MONITOR_LEAD, mode.begins[-1] + COMPARED_TIME)
 
-    def _learn_from_baselines(self) -> None:
-        compared = list[Evidence]()
+    def _check_baselines(self) -> None:
+        """Check that the healthy rig can be learnt from the recordings.
+
+        Raises:
+            BadInput: one cannot be compared with the rig, or they are too short.
+        """
         recordings = self._baseline.recordings
         for name, recording in recordings.items():
-            evidence = self._compare(recording, self.rig)
-            if evidence is None:
+            if self._compare(recording, self.rig) is None:
                 raise BadInput(self._reason, name, "a recording of the healthy rig")
-            if not self._baseline.directions:
+        parts = (part for recording in recordings.values() for part in _blocks_of(recording))
+        if all(self._compare(part, self.rig) is None for part in parts):
+            problem = f"no recording of the healthy rig has {COMPARED_TIME + rules.MONITOR_LEAD:g} s in which the piston moves"
+            raise BadInput(problem, ", ".join(recordings), "longer recordings of the rig at work")
+
+    def _identify_baselines(self) -> None:
+        """Have the rig identified from the recordings of the healthy rig; meanwhile, samples wait."""
+        self._pending = Task(None, self.rig, identify=self._baseline.recordings)
+        self.mode = modes.Comparing(())
+
+    def _learn_from_baselines(self) -> None:
+        self._baseline.forget()
+        compared = list[Evidence]()
+        for recording in self._baseline.recordings.values():
+            evidence = self._compare(recording, self.healthy_rig)
+            if evidence is None:
+                continue
+            if not compared:
                 self._baseline.choose_directions(evidence)
             compared.append(evidence)
-            time, section = recording.time_s, list[Scores]()
-            for begin in np.arange(time[0], time[-1] - COMPARED_TIME - rules.MONITOR_LEAD, COMPARED_TIME):
-                part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + COMPARED_TIME]))
-                samples = Trajectory(time[part] - time[part][0], {n: v[part] for n, v in recording.signals.items()})
-                section += self._scores(samples)
+            section = [block for samples in _blocks_of(recording) for block in self._scores(samples)]
             if section:
                 self._baseline.sections.append(section)
         if not self._baseline.sections:
-            problem = f"no recording of the healthy rig has {COMPARED_TIME + rules.MONITOR_LEAD:g} s in which the piston moves"
-            raise BadInput(problem, ", ".join(recordings), "longer recordings of the rig at work")
+            # The identified rig cannot be compared with any block: the file's could.
+            self.healthy_rig = self.model = self.rig
+            self.identification = None
+            self._learn_from_baselines()
+            return
         self._baseline.learn_residuals(compared)
         self._begin_watching()
 
@@ -275,6 +385,7 @@ class Monitor:
     def _learn_anew(self) -> None:
         """Restart learning from the present rig."""
         self.mode = modes.Learning()
+        self._forget_linearisation()
         self._baseline.forget()
 
     # --- examination ------------------------------------------------------------------------------
@@ -297,15 +408,31 @@ class Monitor:
         known = (change.name for change in self.changes if change.active and change.causes)
         return tuple(dict.fromkeys([*known, *(coefficient.effect for coefficient in COEFFICIENTS.values())]))
 
-    def _follow_examination(self, events: list[Event]) -> None:
+    def _follow_examination(self, events: list[Event], now: float | None = None) -> None:
         found = self._examiner.finding()
         if found is None:
             return
-        now = float(self._samples.times[-1])
+        now = float(self._samples.times[-1]) if now is None else now
         if isinstance(self.mode, modes.Comparing):
-            self._end_learning(self.mode, found, now, events)
+            if not self.mode.begins:
+                self._identified(found.identification, now, events)
+                self._learn_from_baselines()
+            else:
+                self._end_learning(self.mode, found, now, events)
         elif isinstance(self.mode, modes.Examining):
             self._end_examination(self.mode, found, now, events)
+        elif self._identifying and found.identification is not None and not isinstance(self.mode, modes.Learning):
+            self._linearisation = Linearisation(found.identification, self._averaged)
+            self._readings = self._read(self.mode.blocks)
+
+    def _identified(self, found: Identification | None, now: float, events: list[Event]) -> None:
+        """Continue with the identified rig if numbers of the given one are wrong."""
+        self.identification = found
+        self._known = IdentifiedRig(self.healthy_rig) if found is None else found.tracked(self.healthy_rig)
+        if found is not None and found.wrong:
+            name = "rig file" if self.healthy_rig is self.rig else "healthy rig"
+            events.append(Event(now, "differs", f"{name}: {wrong_values(found.wrong)}"))
+            self.healthy_rig = self.model = found.rig
 
     def _end_examination(self, mode: modes.Examining, found: Finding, now: float, events: list[Event]) -> None:
         self.mode = mode.examined()
@@ -337,7 +464,11 @@ class Monitor:
             self._reason = found.reason
             events.append(Event(now, "insufficient", f"learning continues with further samples: {found.reason}"))
             return
-        if found.verdict == "consistent":
+        self._identified(found.identification, now, events)
+        if found.identification is not None and found.identification.wrong:
+            # Also where the first minutes do not identify them, the numbers of the file are in doubt.
+            self._baseline.use(OWN_RECORDING, {OWN_RECORDING: recording})
+        elif found.verdict == "consistent":
             self._baseline.kind = RIG_FILE
         elif found.verdict == "effect" and found.names_causes:
             self._baseline.kind = RIG_FILE
@@ -361,6 +492,7 @@ class Monitor:
             return
         self._baseline.sections = [section]
         self._begin_watching()
+        self._read_first(found.identification)
         events.append(Event(now, "watching", f"watched against {self._baseline.kind}"))
 
     def _clear_blocks(self) -> None:
@@ -368,6 +500,12 @@ class Monitor:
         if not isinstance(self.mode, modes.Learning | modes.Comparing):
             self.mode = modes.cleared(self.mode)
         self._baseline.forget_unchanged()
+        self._forget_linearisation()
+
+    def _forget_linearisation(self) -> None:
+        """Read the coefficients around the model again."""
+        self._linearisation, self._first_readings, self._identified_at = None, (), -math.inf
+        self._identifying, self._invalid = False, 0
 
     # --- changes ----------------------------------------------------------------------------------
 
@@ -389,6 +527,12 @@ class Monitor:
             events.append(Event(now, "named", new.sentence()))
         self.model = found.rig
         self._clear_blocks()
+        self._read_first(found.identification)
+
+    def _read_first(self, found: Identification | None) -> None:
+        """Read the coefficients of an identification from samples of the present rig, until there are enough blocks."""
+        if found is not None:
+            self._first_readings = self._readings = identified_readings(found.tracked(found.rig), found.readings())
 
     def _add_change(self, found: Finding, times: tuple[float, float, float], now: float, before: bool = False) -> FoundChange:
         stage = found.causes[0].stage if found.causes else found.unknown_stage
@@ -441,11 +585,15 @@ class Monitor:
         self._examiner.close()
         self._examined_from = None
         self.healthy_rig = self.model = self.rig
+        if self.identification is not None and self.identification.wrong and self._baseline.kind == RECORDINGS:
+            self.healthy_rig = self.model = self.identification.rig
         self._clear(self.changes, float(self._samples.times[-1]) if len(self._samples) else 0.0, [])
         if self._baseline.kind != RECORDINGS:
             self._baseline.use(RIG_FILE)
             self._learn_anew()
             self._reason = ""
+        elif isinstance(self.mode, modes.Comparing) and not self.mode.begins:
+            self._identify_baselines()
         elif isinstance(self.mode, modes.Learning | modes.Comparing):
             self._learn_from_baselines()
         else:
@@ -465,6 +613,7 @@ class Monitor:
             self._watched,
             () if blocks is None else tuple(blocks.begins),
             np.zeros((3, 0, 0)) if blocks is None else blocks.test.rows(),
+            self.identification,
         )
 
     def restore(self, past: SavedState) -> None:
@@ -473,35 +622,54 @@ class Monitor:
         Args:
             past: state of that monitor, with times on the axis that is continued.
         """
-        self.healthy_rig, self.model = past.healthy_rig, past.model
+        self.healthy_rig, self.model, self.identification = past.healthy_rig, past.model, past.identification
         self.changes, self.history = list(past.changes), list(past.history)
         self._readings, self._watched = past.readings, past.watched
         if past.learnt is None or bool(self._baseline.recordings) != (past.learnt.kind == RECORDINGS):
             return
+        self._pending = None
         self._baseline.restore(past.learnt)
-        if past.learnt.recording is not None:
-            self._baseline.learn_residuals([self._compare(past.learnt.recording, self.model)])
+        if self._baseline.recordings:
+            healthy = self._baseline.recordings.values()
+            self._baseline.learn_residuals([self._compare(recording, self.healthy_rig) for recording in healthy])
         self._begin_watching()
         if isinstance(self.mode, modes.Watching) and len(past.begins) == past.rows.shape[1]:
             self.mode.blocks.restore(past.begins, past.rows)
 
+    @property
+    def reference(self) -> Rig:
+        """The rig to whose values changes are relative: the rig file's, or the identified one if its numbers are wrong."""
+        return self.identification.rig if self.identification is not None and self.identification.wrong else self.rig
+
     def health(self) -> Health:
         """Return the current health of the rig."""
+        blocks = 0 if isinstance(self.mode, modes.Learning | modes.Comparing) else len(self.mode.blocks.recent)
+        read_anew = bool(self._first_readings or self._linearisation) or blocks >= min(MIN_READING_BLOCKS, self._averaged)
+        changes, current = agreed(self.changes, self._readings, self.healthy_rig, read_anew)
         return Health(
             float(self._samples.times[-1]) if len(self._samples) else math.nan,
             self.mode.state,
             self._reason,
-            tuple(self.changes),
-            self._readings,
+            changes,
+            current,
             self._watched,
             self._baseline.kind,
             float(np.mean(self._outside)) if self._outside else 0.0,
             rates(self.history),
+            self.identification.wrong if self.identification is not None else (),
         )
 
     def close(self) -> None:
         """Abort a running diagnosis."""
         self._examiner.close()
+
+
+def _blocks_of(recording: Trajectory) -> Iterator[Trajectory]:
+    """Yield the parts of a recording that are compared at once, each with its lead."""
+    time = recording.time_s
+    for begin in np.arange(time[0], time[-1] - COMPARED_TIME - rules.MONITOR_LEAD, COMPARED_TIME):
+        part = slice(*np.searchsorted(time, [begin, begin + rules.MONITOR_LEAD + COMPARED_TIME]))
+        yield Trajectory(time[part] - time[part][0], {n: v[part] for n, v in recording.signals.items()})
 
 
 def _drifts(change: Change, suspicion: modes.Suspicion) -> bool:

@@ -15,7 +15,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.monitoring.blocks import informative, scores
 from ehls_ros.diagnosis.monitoring.directions import directions
-from ehls_ros.diagnosis.monitoring.tracking import WANTED, readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import WANTED, IdentifiedRig, readings, tracked
 from ehls_ros.diagnosis.record import USED, prepare
 from ehls_ros.diagnosis.stages import setup
 from ehls_ros.errors import BadInput, WorkFailed
@@ -88,7 +88,7 @@ def _rated(name: str, missing: Collection[str], rig: Rig, signals: Collection[st
     wanted, before = set(missing), set[str]()
     best = None
     for count in REPEATS:
-        read = readings(own, places, rig, count * score.score[: len(own)], count * score.normal, scatter)
+        read = readings(own, places, IdentifiedRig(rig), [score] * count, scatter)
         identified = {reading.name for reading in read if reading.identified} & wanted
         if identified > before:
             tells = tuple(reading.name for reading in read if reading.name in identified)

@@ -11,7 +11,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
 from ehls_ros.diagnosis.record import USED
-from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs
+from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, diagnosis_jobs, identification_jobs
 from ehls_ros.experiments.monitoring.examination import SynchronousExaminer
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health
 from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
@@ -64,7 +64,7 @@ class MonitoringResult(NamedTuple):
     """Results of monitoring a rig over a time, for file and page.
 
     Attributes:
-        rig: the healthy rig as described in its file.
+        rig: the healthy rig: as described in its file, or as identified if numbers of the file are wrong.
         parameters: monitoring parameters.
         health: health at the end.
         history: the coefficients over time.
@@ -113,7 +113,8 @@ def replay(
     for name, trajectory in (*((part.name, part.trajectory) for part in parts), *baselines.items()):
         check_suits(trajectory, rig, name)  # before the time-consuming compilation
     with Workers() as workers:
-        compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
+        jobs = [*diagnosis_jobs(rig), *identification_jobs(rig)]
+        compile_in_parallel(jobs, workers, lambda done, total: progress(done, total, COMPILING))
     progress(0, 1, "learning from the baselines" if baselines else "watching")
     monitor = Monitor(rig, parameters, SynchronousExaminer(), baselines)
     events, stretches = list[Event](), list[RecordingSpan]()
@@ -140,6 +141,7 @@ def replay(
     health = monitor.health()
     identified = {reading.name for reading in health.readings if reading.identified}
     missing = tuple(name for name in COEFFICIENTS if name not in identified) if health.readings else ()
+    rig = monitor.reference
     recorded = [name for name in USED if any(name in part.trajectory for part in parts)]
     progress(round(total), round(total), "selecting an experiment for the other coefficients")
     offered = offer(missing, rig, recorded) if missing else None

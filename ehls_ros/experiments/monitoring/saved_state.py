@@ -10,16 +10,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.coefficients import KEPT
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.monitoring.blocks import Scores
 from ehls_ros.diagnosis.monitoring.directions import Direction
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
 from ehls_ros.diagnosis.stages import STAGES
+from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import FoundChange
-from ehls_ros.experiments.state_files.kinds import CauseRecord, ChangeRecord, DirectionRecord, MonitorState, ReadingRecord
+from ehls_ros.experiments.monitoring.identified import Identification, WrongValue
+from ehls_ros.experiments.state_files.kinds import (
+    CauseRecord,
+    ChangeRecord,
+    DirectionRecord,
+    IdentificationRecord,
+    MonitorState,
+    ReadingRecord,
+)
 from ehls_ros.experiments.state_files.state_file import Origin
+from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
@@ -60,6 +71,7 @@ class SavedState(NamedTuple):
         watched: time for which blocks were judged [s].
         begins: begin times of the tested blocks [s].
         rows: score, information and share of these blocks, shape (3, blocks, n).
+        identification: the identification of the healthy rig; None without one.
     """
 
     learnt: LearntRig | None
@@ -71,6 +83,7 @@ class SavedState(NamedTuple):
     watched: float
     begins: tuple[float, ...]
     rows: Array
+    identification: Identification | None = None
 
 
 def state_record(state: SavedState) -> dict[str, Any]:
@@ -82,6 +95,16 @@ def state_record(state: SavedState) -> dict[str, Any]:
         "history": [{"time": past.time, "readings": [*map(_finite_values, past.readings)]} for past in state.history],
         "readings": [*map(_finite_values, state.readings)],
         "watched": state.watched,
+        "identification": None if state.identification is None else _identification_record(state.identification),
+    }
+
+
+def _identification_record(found: Identification) -> dict[str, Any]:
+    return {
+        "rig": rig_to_mapping(found.rig),
+        "wrong": [wrong._asdict() for wrong in found.wrong],
+        "estimates": {path: _finite_values(estimate) for path, estimate in found.estimates.items()},
+        "why_not": dict(found.why_not),
     }
 
 
@@ -110,22 +133,50 @@ def state_of(
         record.watched,
         begins,
         rows,
+        None if record.identification is None else identification_of(record.identification, origin),
     )
 
 
+def identification_of(record: IdentificationRecord, origin: Origin) -> Identification:
+    """Return an identification.
+
+    Raises:
+        ValueError: its rig is invalid, or it names an unknown coefficient.
+    """
+    rig = rig_of(record.rig, origin)
+    try:
+        for path in (*record.estimates, *(wrong.name for wrong in record.wrong)):
+            read(rig, path)
+    except (LookupError, AttributeError, ValueError, BadInput):
+        raise ValueError(f"the identification is of {path!r}") from None
+    estimates = {path: Estimate(e.value, math.nan if e.std is None else e.std, e.unit) for path, e in record.estimates.items()}
+    return Identification(rig, tuple(WrongValue(*wrong) for wrong in record.wrong), estimates, dict(record.why_not))
+
+
 def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
-    """Return a rig's model: the rig's file with detected effects.
+    """Return a rig's model: the rig's file with identified numbers and detected effects.
 
     Raises:
         ValueError: it differs from the file in other respects, or an effect is invalid.
     """
-    own, given = ({key: value for key, value in rig.items() if key != "effects"} for rig in (content, origin.rig))
-    if own != given:
+    if _fixed(content) != _fixed(origin.rig):
         raise ValueError("the model belongs to another rig")
     effects = content.get("effects")
     if isinstance(effects, list) and len(effects) > MAX_EFFECTS:
         raise ValueError(f"the model of the rig has {len(effects)} effects, at most {MAX_EFFECTS}")
     return rig_from_mapping(content, "model of the rig")
+
+
+def _fixed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what an identification keeps of a rig."""
+    kept = {key: value for key, value in content.items() if key not in ("effects", "sensors", "plant", "friction")}
+    plant, friction = content.get("plant"), content.get("friction")
+    if isinstance(plant, Mapping):
+        kept["plant"] = {name: plant.get(name) if f"plant.{name}" in KEPT else None for name in plant}
+    if isinstance(friction, Mapping):
+        fitted = {name for name, value in friction.items() if isinstance(value, float) or name == "element_stiffness"}
+        kept["friction"] = {name: None if name in fitted else value for name, value in friction.items()}
+    return kept
 
 
 def _change_record(change: FoundChange) -> dict[str, Any]:

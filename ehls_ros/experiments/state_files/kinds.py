@@ -159,6 +159,25 @@ class ChangeRecord(NamedTuple):
     before: bool
 
 
+class WrongRecord(NamedTuple):
+    """A wrong number of the rig file; attributes of :class:`ehls_ros.experiments.monitoring.identified.WrongValue`."""
+
+    name: str
+    given: float
+    fitted: float
+    std: float
+    unit: str
+
+
+class IdentificationRecord(NamedTuple):
+    """An identified rig; attributes of :class:`ehls_ros.experiments.monitoring.identified.Identification`."""
+
+    rig: Mapping[str, Any]
+    wrong: tuple[WrongRecord, ...]
+    estimates: Mapping[str, EstimateRecord]
+    why_not: Mapping[str, str]
+
+
 class MonitorState(NamedTuple):
     """The memory of a monitor without its arrays.
 
@@ -174,6 +193,7 @@ class MonitorState(NamedTuple):
         watched: time for which blocks were judged [s].
         learnt: name of the file of the healthy rig; empty: none.
         blocks: name of the file of the summed blocks; empty: none.
+        identification: the identification of the healthy rig.
     """
 
     baselines: tuple[str, ...]
@@ -187,6 +207,7 @@ class MonitorState(NamedTuple):
     watched: Time
     learnt: Annotated[str, text("file's name")] = ""
     blocks: Annotated[str, text("file's name")] = ""
+    identification: IdentificationRecord | None = None
 
 
 class DirectionRecord(NamedTuple):
