@@ -58,8 +58,8 @@ def test_the_friction_is_compiled_for_the_arguments_an_identification_gives_its_
 def test_only_what_is_not_kept_is_compiled_and_only_then_the_user_is_told(rig, tmp_path, monkeypatch):
     said = []
     kept = [Job(job.kernel, partial(refused)) for job in diagnosis_jobs(rig)]
-    for part in PARTS:
-        compile_part(part, rig.effective())
+    for job in diagnosis_jobs(rig):
+        job.compile()
     compile_in_parallel(kept, Workers(1), lambda *step: said.append(step))
     assert said == []
     # A folder without results of an earlier run.

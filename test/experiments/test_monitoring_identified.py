@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -102,21 +103,23 @@ def test_the_identified_rig_is_in_the_memory(draft, started):
 
 
 def test_a_null_that_the_rig_has_may_change_further(rig, monkeypatch):
-    """A diagnosis does not try an effect that the rig has: its recording includes the offset instead."""
-    null = effects_from_list([{"name": "valve_null_bias", "command": -6e-6, "opening": 2e-6}], "test")
-    seen = {}
+    [null] = effects_from_list([{"name": "valve_null_bias", "command": -6e-6, "opening": 2e-6}], "test")
+    size = {"command": Estimate(3e-6, 1e-7, "m")}
+    cause = SimpleNamespace(
+        name="valve_null_bias", stage="valve", probability=1.0, equivalent_to=(), parameters=size, fixed={}, rivals=()
+    )
 
     def diagnosed(recording, given, *_, **__):
-        seen.update(recording=recording, rig=given)
-        raise examination.BadInput("enough seen", "test", "")
+        assert given.effects == (null,)
+        return SimpleNamespace(
+            verdict="effect", causes=(cause,), rig=given, unknown_stage=None, depends_on=(), missing=(), wall_s=0.0
+        )
 
     monkeypatch.setattr(examination, "diagnose", diagnosed)
-    time = np.arange(100) * 1e-3
-    signals = {"valve_command_m": np.zeros(100), "spool_m": np.zeros(100)}
-    examination._diagnosed(Task(Trajectory(time, signals), rig.with_effects(null)), Trajectory(time, signals))
-    assert seen["rig"].effects == ()
-    assert seen["recording"]["valve_command_m"] == pytest.approx(np.full(100, -4e-6))
-    assert seen["recording"]["spool_m"] == pytest.approx(np.full(100, 2e-6))
+    recording = Trajectory(np.arange(100) * 1e-3, {"valve_command_m": np.zeros(100)})
+    found = examination._diagnosed(Task(recording, rig.with_effects((null,))), recording)
+    assert found.causes[0].parameters == size
+    assert [use.parameters for use in found.rig.effects] == [pytest.approx((-3e-6, 2e-6))]
 
 
 def test_shifts_are_included_in_the_coefficients(rig):
