@@ -10,7 +10,7 @@ from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.hypotheses import grown
 from ehls_ros.diagnosis.monitoring.blocks import FRICTION, informative, scores
 from ehls_ros.diagnosis.monitoring.directions import directions
-from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, MOVED, WANTED, IdentifiedRig, readings, tracked
+from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, MOVED, NOT_SEPARATE, WANTED, IdentifiedRig, readings, tracked
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.physics.rig import effects_from_list
 from ehls_ros.trajectory import Trajectory
@@ -51,6 +51,14 @@ def test_the_coefficient_that_differs_is_read_with_its_interval_and_the_others_s
         assert not reading.identified or abs(reading.value - given) < 4.5 * reading.deviation, name
     assert identified["bulk_modulus"].identified
     assert identified["coulomb_force"].identified
+
+
+def test_a_sensors_gain_is_read_only_once_its_effect_is_named(rig, leaking):
+    assert fitted(rig, leaking)["pressure_sensor_gain"].why_not == NOT_SEPARATE
+    named = rig.with_effects(effects_from_list([{"name": "pressure_sensor_gain", "gain": 1.0001}], "test"))
+    gain = fitted(named, leaking)["pressure_sensor_gain"]
+    assert gain.identified
+    assert abs(gain.value - 1.0) < 4.5 * gain.deviation
 
 
 def test_a_programme_that_holds_the_piston_still_tells_no_mass(rig, recorded):

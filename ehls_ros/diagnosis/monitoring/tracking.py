@@ -47,6 +47,8 @@ class Tracked(NamedTuple):
         coefficient: its key in the plant or the friction; empty for an error, whose correct value is 0.
         relative: whether the parameter is a factor on its correct value.
         limit: limit of the rig to which an error is relative; empty: the error is absolute.
+        only_named: whether an identification does not fit it, since it would take up errors of the model's form. It is fitted
+            once a diagnosis has named its effect, which the model then has.
     """
 
     effect: str
@@ -55,6 +57,11 @@ class Tracked(NamedTuple):
     coefficient: str = ""
     relative: bool = False
     limit: str = ""
+    only_named: bool = False
+
+    def is_fitted(self, rig: Rig) -> bool:
+        """Return whether it is fitted around a model."""
+        return not self.only_named or any(use.name == self.effect for use in rig.effects)
 
     @property
     def path(self) -> str:
@@ -117,12 +124,18 @@ COEFFICIENTS: Mapping[str, Tracked] = {
     "orifice_null": Tracked("valve_null_bias", "opening", "null of the orifice", limit="spool"),
     "coulomb_force": Tracked("coulomb_shift", "offset", "friction level", "coulomb_force"),
     "viscous_coefficient": Tracked("viscous_shift", "added", "viscous friction", "viscous_coefficient"),
-    "friction_asymmetry": Tracked("coulomb_asymmetry", "offset", "asymmetry of the friction", limit="force"),
+    "friction_asymmetry": Tracked("coulomb_asymmetry", "offset", "asymmetry of the friction", limit="force", only_named=True),
     "spring_stiffness": Tracked("spring_rate_shift", "added", "spring rate", "spring_stiffness"),
     "moving_mass": Tracked("mass_shift", "factor", "moving mass", "moving_mass", relative=True),
-    "pressure_sensor_bias": Tracked("pressure_sensor_bias", "bias", "offset of the pressure sensor", limit="load_pressure"),
-    "pressure_sensor_gain": Tracked("pressure_sensor_gain", "gain", "gain of the pressure sensor", relative=True),
-    "position_sensor_gain": Tracked("position_sensor_gain", "gain", "gain of the position sensor", relative=True),
+    "pressure_sensor_bias": Tracked(
+        "pressure_sensor_bias", "bias", "offset of the pressure sensor", limit="load_pressure", only_named=True
+    ),
+    "pressure_sensor_gain": Tracked(
+        "pressure_sensor_gain", "gain", "gain of the pressure sensor", relative=True, only_named=True
+    ),
+    "position_sensor_gain": Tracked(
+        "position_sensor_gain", "gain", "gain of the position sensor", relative=True, only_named=True
+    ),
     "constant_load": Tracked("constant_load", "force", "constant load", limit="force"),
 }
 """Tracked coefficients, by their names in topic, file and page."""
@@ -213,7 +226,8 @@ def readings(
     moved = np.sqrt(np.maximum(np.einsum("bii->i", normals), 0.0))
     seen = moved > 0.0
     size, deviation, partners = np.zeros(len(moved)), np.full(len(moved), np.inf), [""] * len(moved)
-    names, index = list(numbers), [place for place in range(len(moved)) if seen[place]]
+    names = list(numbers)
+    index = [place for place, name in enumerate(names) if seen[place] and COEFFICIENTS[name].is_fitted(identified.rig)]
     if index:
         unit = moved[index]
         fit = _joint_fit(pulls[:, index] / unit, normals[:, index][:, :, index] / np.outer(unit, unit), scatter[index])
@@ -225,7 +239,9 @@ def readings(
     for name, coefficient in COEFFICIENTS.items():
         given = coefficient.given(identified.rig)
         reading = Reading(name, given, math.inf, coefficient.unit(identified.rig), NOT_EXCITED)
-        if name in places and seen[places[name]]:
+        if not coefficient.is_fitted(identified.rig):
+            reading = reading._replace(why_not=NOT_SEPARATE)
+        elif name in places and seen[places[name]]:
             place, direction = places[name], directions[numbers[name]]
             scale = abs(direction.step) * (abs(given) if coefficient.relative else 1.0)
             change = float(size[place]) * math.copysign(scale, direction.step)
