@@ -69,8 +69,9 @@ def diagnose_against(
     progress("learning the baselines", 0.0)
     identified = identify_rig(dict(zip(called, baselines, strict=True)), rig, seed=seed)
     wrong = wrong_numbers(rig, identified)
+    draft = is_first_draft(wrong)
     first = [_evidence(recording, rig, what, seed) for recording, what in zip(baselines, called, strict=True)]
-    fitted = identified.rig if is_first_draft(wrong) else _fitted(first, rig)
+    fitted = identified.rig if draft else _fitted(first, rig)
     progress("learning the baselines", 0.5 * LEARNING)
     healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in zip(baselines, called, strict=True)]
     variation = learn_healthy_variation(healthy)
@@ -103,7 +104,9 @@ def diagnose_against(
         new={} if evidence is None else _traces(evidence, expected, variation),
     )
     all_remarks = (*found.remarks, *identified.remarks, *remarks(coverage))
-    return replace(found, baseline=summary, corrected=wrong, remarks=all_remarks, wall_s=time.perf_counter() - began)
+    return replace(
+        found, baseline=summary, corrected=wrong if draft else {}, remarks=all_remarks, wall_s=time.perf_counter() - began
+    )
 
 
 def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence:
