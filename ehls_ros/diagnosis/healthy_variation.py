@@ -76,6 +76,8 @@ class RemainderTerms(NamedTuple):
         factor: name of the channel's input.
         unit: rms of that input, used as its unit.
         temperature: mean oil temperature [K]; None if a baseline lacks it.
+        homogeneous: whether all coefficients larger by one factor change the residual by itself. So it is without a measured
+            load: then the measured area's term would allow a share of any fault, and that of the modelled balance is taken.
     """
 
     size: float
@@ -84,6 +86,7 @@ class RemainderTerms(NamedTuple):
     factor: str
     unit: float
     temperature: float | None
+    homogeneous: bool = False
 
     def windows(self, recording: DescribedEvidence, channel: Channel) -> Windows:
         """Return a channel's windows of one recording.
@@ -94,9 +97,10 @@ class RemainderTerms(NamedTuple):
         count = len(evidence.floor[channel])
         by_name = {OFFSET: np.ones(count)} | {term.name: term.column / self.size for term in recording.errors[channel]}
         residual = evidence.base.values[channel] * evidence.floor[channel] / self.size
-        if SCALE in by_name:
-            # All coefficients larger by the same factor change the residual by itself. That would allow a share of any fault.
-            by_name[SCALE] = (by_name[SCALE] - residual) * rules.AREA_ERROR / rules.LEFT_ERROR
+        if self.homogeneous:
+            by_name[SCALE] = by_name[SCALE] - residual
+        # The piston's area is known from its drawing.
+        by_name[SCALE] = by_name.get(SCALE, np.zeros(count)) * rules.AREA_ERROR / rules.LEFT_ERROR
         columns = np.column_stack([by_name.get(name, np.zeros(count)) for name in self.spreads])
         if self.temperature is not None:
             warmer = (signals.get(TEMPERATURE, np.full(count, self.temperature)) - self.temperature) / rules.WARMER
@@ -187,6 +191,18 @@ class HealthyVariation(NamedTuple):
         return replace(allowing(evidence, allowances, self.judged), baselines=self.healthy)
 
 
+def is_homogeneous(recording: DescribedEvidence, channel: Channel) -> bool:
+    """Return whether a channel's residual, noise included, is a sum of its derivatives by the coefficients."""
+    terms, noise = recording.errors[channel], recording.evidence.floor[channel]
+    if SCALE not in {term.name for term in terms}:
+        return False
+    columns = np.column_stack([term.column / noise for term in terms])
+    columns /= np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    residual = recording.evidence.base.values[channel]
+    fitted = columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]
+    return rms(residual - fitted) < rules.HOMOGENEOUS * rms(recording.evidence.noise[channel])
+
+
 def learn_healthy_variation(baselines: Sequence[DescribedEvidence]) -> HealthyVariation:
     """Learn the remainder of a healthy rig from recordings compared with the same model."""
     out = dict[Channel, ChannelRemainder]()
@@ -203,6 +219,7 @@ def learn_healthy_variation(baselines: Sequence[DescribedEvidence]) -> HealthyVa
             factor=FACTORS[c],
             unit=rms(values.get(FACTORS[c], np.zeros(1))) or 1.0,
             temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in common else None,
+            homogeneous=all(is_homogeneous(b, c) for b in recordings),
         )
         out[c] = ChannelRemainder(components, components.learn_from([components.windows(b, c) for b in recordings]))
     learnt = HealthyVariation(out)

@@ -934,6 +934,16 @@ SPREAD: Annotated[
     Rule("baseline", "1", "Relative change of a coefficient from recording to recording that is no fault, standard deviation."),
 ] = 3e-3
 
+HOMOGENEOUS: Annotated[
+    float,
+    Rule(
+        "baseline",
+        "1",
+        "Rest of a residual that the coefficients' terms do not form, relative to the noise, below which they form all of it.",
+        "of an incomplete sum, such as one without a measured load, all of the noise is left",
+    ),
+] = 0.3
+
 SPREAD_WITH_OIL: Annotated[
     float, Rule("baseline", "1", "The same for friction and leakage, which follow the oil and its temperature.")
 ] = 0.01
