@@ -45,8 +45,8 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitiv
             continue
         columns = {c: fit.jacobian[rows, 0] for c, rows in sections(evidence.block, fit.channels).items()}
         information = sum(float(column @ column) / evidence.correlation.get(c, 1.0) for c, column in columns.items())
-        # By the channel with the most windows.
-        main = max(fit.channels, key=lambda c: len(evidence.block[c]))
+        # By the channel in which it shows most.
+        main = max(fit.channels, key=lambda c: float(columns[c] @ columns[c]) / evidence.correlation.get(c, 1.0))
         # At the size of one standard deviation of the noise, within the bounds of the allowances.
         length = max(float(np.linalg.norm(columns[main])), 1e-300)
         effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
