@@ -42,6 +42,9 @@ LOOK = 0.05
 STOP_TIME = 0.05
 HOLD_TIME = 0.1
 
+QUIET = 3.0
+"""Time without a load cycle after which a stop counts as completed: a busy machine may hold the graph up for a second [s]."""
+
 FOLLOWED = {"programme_stop": "the programme is stopped", "programme_resume": "the programme is not stopped"}
 """The node's answer to a request that was carried out before."""
 
@@ -202,7 +205,7 @@ class _Runner:
 
     def until_quiet(self) -> None:
         """Wait until no load cycle has come for a while."""
-        self._wait(lambda _, quiet: quiet > 1.0)
+        self._wait(lambda _, quiet: quiet > QUIET)
 
     def _wait(self, over: Callable[[int, float], bool]) -> None:
         last, since = -1, time.monotonic()
