@@ -1,9 +1,10 @@
 """Common parts of the benchmarks: files and experiments, command lines, turns of contestants, and texts of results."""
 
 import argparse
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,30 @@ MEASURED = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2
 
 MEASURED_EFFECTS = ("command_delay", "coupling_stiffness")
 """Effects of that rig that its controller may know."""
+
+
+class Quantity(NamedTuple):
+    """One quantity: its true value, the estimate and its standard error."""
+
+    name: str
+    true: float
+    value: float
+    std: float
+
+    @property
+    def error(self) -> float:
+        """Relative error."""
+        return (self.value - self.true) / self.true
+
+    @property
+    def covered(self) -> bool:
+        """Whether the 95 % interval holds the truth."""
+        return abs(self.value - self.true) <= 1.96 * self.std
+
+    @property
+    def sigmas(self) -> float:
+        """Error in standard errors."""
+        return abs(self.value - self.true) / self.std if self.std > 0.0 else math.inf
 
 
 def parser_of(description: str | None) -> argparse.ArgumentParser:

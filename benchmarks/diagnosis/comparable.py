@@ -2,31 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
+from benchmarks.common import Quantity
 from benchmarks.diagnosis.cases import rig_file
 
 Sizes = Mapping[str, Any]
 Values = Mapping[str, list[float]]
-
-
-class Quantity(NamedTuple):
-    """One quantity: its true value, the estimate and its standard error."""
-
-    name: str
-    true: float
-    value: float
-    std: float
-
-    @property
-    def error(self) -> float:
-        """Relative error."""
-        return (self.value - self.true) / self.true
-
-    @property
-    def covered(self) -> bool:
-        """Whether the 95 % interval holds the truth."""
-        return abs(self.value - self.true) <= 1.96 * self.std
 
 
 def same(**pairs: str) -> Callable[[Sizes, Values], list[Quantity]]:

@@ -8,8 +8,9 @@ the effect shows. A true cause named together with an absent one counts as wrong
 from itertools import permutations
 from typing import NamedTuple
 
+from benchmarks.common import Quantity
 from benchmarks.diagnosis.cases import SHOWS
-from benchmarks.diagnosis.comparable import Quantity, quantities
+from benchmarks.diagnosis.comparable import quantities
 from benchmarks.rows import Row
 
 CONFIDENT = 0.9

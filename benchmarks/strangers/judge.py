@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
+from benchmarks.common import Quantity
 from benchmarks.rows import Row
 
 INTERVAL = 1.96
@@ -63,24 +64,6 @@ CHANGES: Mapping[str, Change] = {
 """Hidden changes by kind."""
 
 
-class Size(NamedTuple):
-    """A size: true, told and its standard error."""
-
-    true: float
-    value: float
-    std: float
-
-    @property
-    def error(self) -> float:
-        """Relative error."""
-        return (self.value - self.true) / self.true
-
-    @property
-    def sigmas(self) -> float:
-        """Error in standard errors."""
-        return abs(self.value - self.true) / self.std if self.std > 0.0 else math.inf
-
-
 class Judgement(NamedTuple):
     """The judgement on one stranger in one mode.
 
@@ -94,7 +77,7 @@ class Judgement(NamedTuple):
 
     verdict: Verdict
     visible: bool | None
-    size: Size | None
+    size: Quantity | None
     why_not: str
     words: str
 
@@ -146,7 +129,7 @@ def _named(
     for cause in causes[:1]:
         if cause["name"] == change.effects[0]:
             told = [cause["parameters"][name] for name in change.parameters if name in cause["parameters"]]
-            size = Size(true, told[0][0] - (1.0 if change.relative else 0.0), told[0][1]) if told else None
+            size = Quantity(row["kind"], true, told[0][0] - (1.0 if change.relative else 0.0), told[0][1]) if told else None
     return Judgement("right" if right else "wrong", visible, size, "" if size else "named otherwise", words)
 
 
@@ -181,7 +164,7 @@ def _identified(row: Row, given: Mapping[str, Any]) -> Judgement | None:
             "",
         )
         return Judgement(verdict, None, None, why or "not told", words)
-    return Judgement(verdict, None, Size(row["size"], *told), "", words)
+    return Judgement(verdict, None, Quantity(row["kind"], row["size"], *told), "", words)
 
 
 def difference(row: Row, change: Change) -> tuple[float, float] | None:
@@ -209,7 +192,7 @@ def _value(given: Mapping[str, Any], change: Change) -> tuple[float, float] | No
     return own[0] * other[0], own[0] * other[0] * math.hypot(own[1] / own[0], other[1] / other[0])
 
 
-def reading(row: Row) -> Size | None:
+def reading(row: Row) -> Quantity | None:
     """Return the change in the monitor's table of coefficients since the identification before; None if it tells none."""
     change = CHANGES.get(row["kind"])
     monitor, identified = row.get("monitor", {}), row.get("identify", {})
@@ -219,14 +202,14 @@ def reading(row: Row) -> Size | None:
     if why_not or std is None:
         return None
     if not change.path:
-        return Size(row["size"], value - (1.0 if change.relative else 0.0), std)
+        return Quantity(row["kind"], row["size"], value - (1.0 if change.relative else 0.0), std)
     before = _value(identified["before"], change._replace(beside=""))
     if before is None:
         return None
     if change.relative:
         ratio = value / before[0]
-        return Size(row["size"], ratio - 1.0, ratio * math.hypot(std / value, before[1] / before[0]))
-    return Size(row["size"], value - before[0], math.hypot(std, before[1]))
+        return Quantity(row["kind"], row["size"], ratio - 1.0, ratio * math.hypot(std / value, before[1] / before[0]))
+    return Quantity(row["kind"], row["size"], value - before[0], math.hypot(std, before[1]))
 
 
 ABSOLUTE: Mapping[str, tuple[str, str]] = {
@@ -237,7 +220,7 @@ ABSOLUTE: Mapping[str, tuple[str, str]] = {
 """Coefficients whose values are those of the true rig, by the truth's names: path in a rig file, reading of the monitor."""
 
 
-def absolutes(row: Row) -> list[tuple[str, str, Size]]:
+def absolutes(row: Row) -> list[tuple[str, str, Quantity]]:
     """Return source, coefficient and size of each value that can be compared with the truth as it is."""
     out = []
     for name, (path, told) in ABSOLUTE.items():
@@ -246,10 +229,10 @@ def absolutes(row: Row) -> list[tuple[str, str, Size]]:
         for when in ("before", "after"):
             estimate = row.get("identify", {}).get(when, {}).get("estimates", {}).get(path)
             if estimate and row["true"][when][name]:
-                out.append(("identify", name, Size(row["true"][when][name], *estimate)))
+                out.append(("identify", name, Quantity(name, row["true"][when][name], *estimate)))
         value, std, why_not = row.get("monitor", {}).get("readings", {}).get(told, (0.0, None, "not told"))
         if not why_not and std is not None and row["true"]["after"][name]:
-            out.append(("monitor", name, Size(row["true"]["after"][name], value, std)))
+            out.append(("monitor", name, Quantity(name, row["true"]["after"][name], value, std)))
     return out
 
 

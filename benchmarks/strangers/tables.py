@@ -6,8 +6,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.common import Quantity
 from benchmarks.rows import Row
-from benchmarks.strangers.judge import INTERVAL, Size, absolutes, judge, reading, unchanged
+from benchmarks.strangers.judge import INTERVAL, absolutes, judge, reading, unchanged
 from benchmarks.strangers.running import MODES
 
 
@@ -62,14 +63,14 @@ def _modes(rows: Sequence[Row]) -> Table:
     return table
 
 
-def _errors(sizes: Sequence[Size]) -> str:
+def _errors(sizes: Sequence[Quantity]) -> str:
     if not sizes:
         return "–"
     errors = 100.0 * np.abs([size.error for size in sizes])
     return f"{np.median(errors):.2g} % ({np.quantile(errors, 0.9):.2g} %)"
 
 
-def _coverage(sizes: Sequence[Size]) -> str:
+def _coverage(sizes: Sequence[Quantity]) -> str:
     if not sizes:
         return "–"
     inside = sum(size.sigmas <= INTERVAL for size in sizes)
@@ -115,7 +116,7 @@ def _cases(rows: Sequence[Row]) -> Table:
     return table
 
 
-def _size(size: Size) -> str:
+def _size(size: Quantity) -> str:
     return f"{size.value:.4g} ± {size.std:.2g} ({100 * size.error:+.1f} %, {size.sigmas:.1f} σ)"
 
 

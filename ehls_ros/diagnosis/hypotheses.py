@@ -88,7 +88,7 @@ def grown(rig: Rig, more: EffectUse) -> Rig:
     that are neutral at 0 are summed, and factors multiplied.
     """
     present = next((i for i, use in enumerate(rig.effects) if use.name == more.name), None)
-    if present is None or _shifts(more.name):
+    if present is None or only_shifts(more.name):
         return rig.with_effects((more,))
     old = rig.effects[present].parameters
     total = {
@@ -100,7 +100,7 @@ def grown(rig: Rig, more: EffectUse) -> Rig:
     )
 
 
-def _shifts(name: str) -> bool:
+def only_shifts(name: str) -> bool:
     """Return whether an effect does nothing but shift coefficients of the rig."""
     effect = EFFECTS.load(name)
     return hasattr(effect, "shift") and not any(hasattr(effect, hook) for hook in HOOKS)
@@ -133,7 +133,7 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
             continue
         tried = [_candidate(name, number, form, record, lines) for number, form in enumerate(effect.forms(rig))]
         present = next((use.parameters for use in rig.effects if use.name == name), None)
-        if present is not None and not _shifts(name):
+        if present is not None and not only_shifts(name):
             if any(candidate.separates_load or np.any(candidate.neutral) or candidate.fixed for candidate in tried):
                 out[name] = "the rig file has it already"
                 continue

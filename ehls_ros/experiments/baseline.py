@@ -70,10 +70,10 @@ def diagnose_against(
     identified = identify_rig(dict(zip(called, baselines, strict=True)), rig, seed=seed)
     wrong = wrong_numbers(rig, identified)
     draft = is_first_draft(wrong)
-    first = [_evidence(recording, rig, what, seed) for recording, what in zip(baselines, called, strict=True)]
-    fitted = identified.rig if draft else _fitted(first, rig)
+    named = list(zip(baselines, called, strict=True))
+    fitted = identified.rig if draft else _fitted([_evidence(recording, rig, what, seed) for recording, what in named], rig)
     progress("learning the baselines", 0.5 * LEARNING)
-    healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in zip(baselines, called, strict=True)]
+    healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in named]
     variation = learn_healthy_variation(healthy)
     judged = list[tuple[Evidence, dict[Channel, Expected]]]()
 

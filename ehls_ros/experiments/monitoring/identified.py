@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.hypotheses import only_shifts
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, IdentifiedRig
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -13,8 +14,6 @@ from ehls_ros.identification.rig_identifiability import ACCURACY
 from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.identification.rig_stages import MIN_SIGMAS
 from ehls_ros.identification.whole_rig import identify_rig
-from ehls_ros.physics.composition import effects_in_kernel
-from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
 
@@ -98,7 +97,7 @@ def identify(recordings: Mapping[str, Trajectory], rig: Rig) -> Identification |
 
 def with_shifts_included(rig: Rig) -> Rig:
     """Return a rig whose coefficients include the shifts of its effects, which are left out."""
-    shifts = tuple(u for u in rig.effects if hasattr(EFFECTS.load(u.name), "shift") and u not in effects_in_kernel(rig))
+    shifts = tuple(use for use in rig.effects if only_shifts(use.name))
     whole = rig._replace(effects=shifts).effective()
     others = tuple(use for use in rig.effects if use not in shifts)
     return rig._replace(plant=whole.plant, friction=whole.friction, sensors=whole.sensors, effects=others)
