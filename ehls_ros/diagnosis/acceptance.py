@@ -2,20 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import singledispatch
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.evidence import Evidence, Residuals, noise_power
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, Standard, noise_power
 from ehls_ros.diagnosis.held_out import Assessment, assess
-from ehls_ros.diagnosis.hypotheses import extended
 from ehls_ros.diagnosis.loss import closed, loss, power, rms, weights
+from ehls_ros.diagnosis.measurement import BesideForm
 from ehls_ros.diagnosis.stages import Channel
 
 
 def accepted(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
-    """Return whether a further cause is accepted: it explains the recording, and the baselines do not allow it as well."""
+    """Return whether a further cause is accepted: it explains the recording, and the standard does not allow it as well."""
     return explains(evidence, more, less, inflation) and is_new(evidence, more, less, inflation)
 
 
@@ -28,9 +29,14 @@ def explains(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
         less: the hypothesis without it.
         inflation: divisor of each channel's losses.
     """
+    return _explains(evidence.standard, evidence, more, less, inflation)
+
+
+@singledispatch
+def _explains(
+    standard: Standard, evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]
+) -> bool:
     gain = more.score(inflation) - less.score(inflation)
-    if evidence.form is not None:
-        return gain > 0.0 and _stands_out(evidence, evidence.form, more, less)
     main = mostly_in(more, less)
     beside = main in less.fit.channels
     apart = differences(evidence, more, less)
@@ -47,17 +53,22 @@ def explains(evidence: Evidence, more: Assessment, less: Assessment, inflation: 
     excess = sum(more.excess(evidence, c) / inflation[c] for c in more.held_out.gain)
     much = share_closed(evidence, more, less) >= rules.NEEDED_SHARE
     # A rig's remainder is never known accurately enough to distinguish a small fraction of it from a change.
-    much = much or (gain >= rules.REMOVED_EXCESS * excess and not evidence.baselines)
+    much = much or (gain >= rules.REMOVED_EXCESS * excess and not standard.form_is_noise)
     # A cause must not gain more by averaging noise than by explaining.
     averaged = more.held_out.averaged - less.held_out.averaged
     return much and gain >= averaged and _surest(more, less) >= rules.MIN_SIGMAS
 
 
-def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessment) -> bool:
+@_explains.register
+def _stands_out(
+    standard: BesideForm, evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]
+) -> bool:
     """Return whether a further cause exceeds errors of the model's form."""
+    if more.score(inflation) <= less.score(inflation):
+        return False
     share = share_closed(evidence, more, less)
     # A cause that closes nearly all of the others' remainder is no error of form, however small.
-    needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else form
+    needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else standard.form
     if share < rules.WORTHWHILE or relevance(evidence, differences(evidence, more, less)) < needed:
         return False
     # Standard errors include the form of the remainder; significance is therefore judged by the scatter alone.
@@ -67,13 +78,10 @@ def _stands_out(evidence: Evidence, form: float, more: Assessment, less: Assessm
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> list[Array]:
     """Return the difference between two hypotheses' residuals in each channel, in units of the noise floor.
 
-    Only the part beyond possible measurement errors counts. A rig's healthy spread can make a change less certain, but not
-    smaller.
+    Only the part beyond possible measurement errors counts.
     """
     one, other = more.fit.residuals.values, less.fit.residuals.values
-    if evidence.baselines:
-        return [evidence.whole(c, one[c]) - evidence.whole(c, other[c]) for c in evidence.channels]
-    return [one[c] - other[c] for c in evidence.channels]
+    return [evidence.standard.difference(evidence, c, one[c], other[c]) for c in evidence.channels]
 
 
 def relevance(evidence: Evidence, apart: Sequence[Array]) -> float:
@@ -129,16 +137,9 @@ def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:
 
 
 def is_new(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:
-    """Return whether a cause is not allowed by the baselines, if any; one they allow may have been present all along."""
-    if not evidence.baselines:
-        return True
-    added = more.fit.only(next(i for i, name in enumerate(more.names) if name not in less.names))
-    against = 0.0
-    for healthy in evidence.baselines:
-        always = extended(healthy.rig, added.hypothesis, added.values)
-        before, after = healthy.base.values, healthy.residuals(healthy.comparison(), always).values
-        against += sum(float(np.sum(loss(after[c]) - loss(before[c]))) / inflation[c] for c in before if c in inflation)
-    return against >= rules.NEEDED_GAIN
+    """Return whether the standard does not allow a further cause, which may otherwise have been present all along."""
+    added = more.fit.only(next((i for i, name in enumerate(more.names) if name not in less.names), -1))
+    return not evidence.standard.allows(added.hypothesis, added.values, inflation)
 
 
 def corrects_form(given: Array, before: Array, after: Array, noise: float) -> bool:
@@ -165,15 +166,11 @@ def most_explained(before: Residuals, after: Residuals) -> Channel:
 
 
 def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> float:
-    """Return the fraction of one hypothesis' remainder that another closes, in the channel where it explains most.
-
-    Against baselines, the first cause counts in full: its excess over the healthy spread would be small beside the scatter of
-    a long recording, however large the change. The remainder of another cause is mostly spread; there only the excess counts.
-    """
+    """Return the fraction of one hypothesis' remainder that another closes, in the channel where it explains most."""
     main = mostly_in(more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    if evidence.baselines and not less.names:
-        before = evidence.whole(main, before) - (evidence.whole(main, after) - after)
+    if not less.names:
+        before = evidence.standard.before(evidence, main, before, after)
     return closed(before, after, evidence.noise[main])
 
 

@@ -2,19 +2,19 @@
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.dependence import depends_on, signals_along
-from ehls_ros.diagnosis.evidence import Evidence, gather
+from ehls_ros.diagnosis.evidence import Evidence, Standard, gather
 from ehls_ros.diagnosis.excitation import excited, mass_observable, sensitivities, sliding
 from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
-from ehls_ros.diagnosis.measurement import allowed_for, beyond_measurement
+from ehls_ros.diagnosis.measurement import BEYOND_MEASUREMENT, allowed_for
 from ehls_ros.diagnosis.partial import partial_answer
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
@@ -36,7 +36,7 @@ def diagnose(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress = lambda doing, part: None,
-    judge: Callable[[Evidence], Evidence] = beyond_measurement,
+    standard: Standard = BEYOND_MEASUREMENT,
 ) -> Diagnosis:
     """Diagnose the errors of a rig's model.
 
@@ -47,7 +47,7 @@ def diagnose(
         seed: of the noise added to find the noise floor, and of resampling.
         threads: number of hypotheses tried in parallel; by default one per processor.
         progress: called with the current activity and the completed fraction of the diagnosis.
-        judge: applies the allowances a recording is judged with; by default those for errors of the measurement.
+        standard: the standard by which residuals are judged; by default noise and errors of the measurement.
 
     Returns:
         The diagnosis.
@@ -59,7 +59,7 @@ def diagnose(
     progress("reading the recording", 0.0)
     record = prepare(trajectory, rig, name)
     compared = setup(record, rig)
-    evidence = judge(gather(record, rig, compared, seed)) if compared.channels else None
+    evidence = standard.judged(gather(record, rig, compared, seed)) if compared.channels else None
     if evidence is None or not evidence.channels:
         return _nothing_recorded(record, rig, compared if evidence is None else evidence.setup, seed, began)
     main = main_channel(evidence.channels)
@@ -77,7 +77,8 @@ def diagnose(
         full, found_in_full = with_allowances(evidence, found)
         findings = _findings(full, sizes, remainders(full, found_in_full))
         named = causes(full, found_in_full, seed)
-        verdict, unknown = decide(findings, [cause.stage for cause in named], against_baselines=bool(evidence.baselines))
+        needed = evidence.standard.excitation_needed
+        verdict, unknown = decide(findings, [cause.stage for cause in named], excitation_needed=needed)
         answer = partial_answer(found, starts, progress, seed) if verdict == "unknown" else None
     known, best = (full, found_in_full.best) if answer is None else (answer.evidence, answer.found.best)
     if answer is not None:
@@ -117,8 +118,7 @@ def diagnose(
 
 def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
     slid = sliding(evidence)
-    # A change hidden in the healthy spread is no deficiency of the data.
-    largest = rules.MAX_UNDETECTED_BESIDE_SPREAD if evidence.baselines else rules.MAX_UNDETECTED
+    largest = evidence.standard.largest_undetected
     return {
         stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid, largest))
         for stage in STAGES

@@ -5,7 +5,7 @@ the accuracy no model of a rig exceeds. Windows are grouped into blocks of a few
 with the coefficients fitted to the others.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance, Allowed
+from ehls_ros.diagnosis.hypotheses import Hypothesis
 from ehls_ros.diagnosis.loss import loss, rms
 from ehls_ros.diagnosis.noise import deviations, largest_terms, scatter, with_noise
 from ehls_ros.diagnosis.record import POSITION, VELOCITY, Record
@@ -41,6 +42,63 @@ class Residuals(NamedTuple):
         return np.concatenate([self.values[c] for c in channels]) if channels else np.empty(0)
 
 
+class Standard:
+    """Standard by which residuals are judged: here the sensors' noise, for a model whose form is exact.
+
+    Chosen once, before a diagnosis. Subclasses override the properties in which they differ.
+    """
+
+    excitation_needed = True
+    """Whether a cause counts only in a stage that was excited."""
+
+    largest_undetected = rules.MAX_UNDETECTED
+    """Largest change of a balance that may stay unseen in an excited stage, as a fraction of its largest term."""
+
+    form_is_noise = False
+    """Whether the errors of the model's form count as noise from the beginning."""
+
+    accepted_rivals_only = False
+    """Whether only acceptable hypotheses compete for a cause's place."""
+
+    def judged(self, evidence: "Evidence") -> "Evidence":
+        """Return evidence, so far without allowances, judged by this standard."""
+        return replace(evidence, standard=self)
+
+    def stricter(self) -> "Standard | None":
+        """Return the standard by which a single small cause is accepted where nothing else is; None if there is none."""
+        return None
+
+    def noise_power(self, e: Array) -> float:
+        """Return the fault-free mean square of whitened residuals.
+
+        Args:
+            e: change of the residuals by added noise, shape (n,).
+        """
+        return max(float(np.mean(e * e)), rules.MIN_NOISE_POWER)
+
+    def scatter(self, windows: float) -> float:
+        """Return the multiple of its mean that the mean square of so many independent windows may reach by noise."""
+        return rules.SCATTER
+
+    def difference(self, evidence: "Evidence", channel: Channel, one: Array, other: Array) -> Array:
+        """Return the difference between a channel's whitened residuals that is beyond possible measurement errors."""
+        return one - other
+
+    def before(self, evidence: "Evidence", channel: Channel, before: Array, after: Array) -> Array:
+        """Return the residuals of the given model in which a first cause's share is closed, whitened like ``after``."""
+        return before
+
+    def allows(self, hypothesis: Hypothesis, values: Array, inflation: Mapping[Channel, float]) -> bool:
+        """Return whether a cause may have been present all along.
+
+        Args:
+            hypothesis: the cause.
+            values: of its free parameters.
+            inflation: divisor of each channel's losses.
+        """
+        return False
+
+
 @dataclass(frozen=True)
 class Evidence:
     """One recording compared with the given model.
@@ -63,12 +121,9 @@ class Evidence:
         travel: range of the piston's motion [m].
         correlation: number of windows over which residuals are correlated, by channel; their losses are divided by it. Windows
             of noise alone count separately.
-        form: change of a balance, as a fraction of its largest term, up to which a cause may be an error of the model's form;
-            None if the model is taken to have none.
         allowances: fault-free variation allowed for, by channel.
         allowed: the same, prepared for whitened residuals.
-        judge: applies the same allowances to evidence from a part of the recording.
-        baselines: recordings of the healthy rig, compared with the same model and judged with the same allowances.
+        standard: the standard by which the residuals are judged.
     """
 
     record: Record
@@ -87,11 +142,9 @@ class Evidence:
     travel: float
     added: tuple[Mapping[Channel, Array], ...] = field(default=(), repr=False)
     correlation: Mapping[Channel, float] = field(default_factory=dict)
-    form: float | None = None
     allowances: Mapping[Channel, Allowance] = field(default_factory=dict, repr=False)
     allowed: Mapping[Channel, Allowed] = field(default_factory=dict, repr=False)
-    judge: "Callable[[Evidence], Evidence] | None" = field(default=None, repr=False)
-    baselines: "tuple[Evidence, ...]" = field(default=(), repr=False)
+    standard: Standard = field(default_factory=Standard, repr=False)
 
     def comparison(self) -> Comparison:
         """Return a new comparison, of which each thread needs one."""
@@ -202,13 +255,13 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
     )
 
 
-def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge: Callable[[Evidence], Evidence]) -> Evidence:
+def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], standard: Standard) -> Evidence:
     """Return evidence with allowances for the expected residual and its fault-free variation.
 
     Args:
         evidence: the recording compared with the given model, without allowances.
         allowances: by channel; channels without one are left out.
-        judge: applies the same allowances to evidence from a part of the recording.
+        standard: the standard that gives the allowances.
     """
     channels = tuple(c for c in evidence.channels if c in allowances)
     floor = {c: np.sqrt(evidence.floor[c] ** 2 + allowances[c].variance) for c in channels}
@@ -217,7 +270,8 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], judge:
     more = {c: (allowances[c].correlated - 1.0) * allowances[c].variance / floor[c] ** 2 for c in channels}
     correlation = {c: 1.0 + float(np.median(more[c])) for c in channels}
     base = Residuals(unexpected, evidence.base.depends)
-    return measured_in(replace(evidence, channels=channels, base=base, allowances=allowances, judge=judge), floor, correlation)
+    judged = replace(evidence, channels=channels, base=base, allowances=allowances, standard=standard)
+    return measured_in(judged, floor, correlation)
 
 
 def part_of(evidence: Evidence, kept: Mapping[Channel, Mask]) -> Evidence:
@@ -315,8 +369,5 @@ def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Chann
 
 
 def noise_power(evidence: Evidence, channel: Channel) -> float:
-    """Return the fault-free mean square of a channel's whitened residual: of noise or, with baselines, of all allowances."""
-    if evidence.baselines:
-        return 1.0
-    e = evidence.noise[channel]
-    return max(float(np.mean(e * e)), rules.MIN_NOISE_POWER)
+    """Return the fault-free mean square of a channel's whitened residual."""
+    return evidence.standard.noise_power(evidence.noise[channel])

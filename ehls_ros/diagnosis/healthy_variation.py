@@ -1,7 +1,8 @@
 """Remainder of a healthy rig and its fault-free variation, learnt from baselines; judgement of evidence against them."""
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +13,9 @@ from ehls_ros.diagnosis.allowance import Allowance, together
 from ehls_ros.diagnosis.coefficients import SCALE, Term, terms
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
-from ehls_ros.diagnosis.evidence import Evidence, allowing, part_of
-from ehls_ros.diagnosis.loss import rms
+from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing, part_of
+from ehls_ros.diagnosis.hypotheses import Hypothesis, extended
+from ehls_ros.diagnosis.loss import loss, rms
 from ehls_ros.diagnosis.measurement import measurement
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
@@ -151,16 +153,25 @@ class ChannelRemainder(NamedTuple):
         return found._replace(variance=np.where(away > rules.MAX_EXTRAPOLATION, np.inf, found.variance))
 
 
-class HealthyVariation(NamedTuple):
-    """Remainder of a healthy rig in all channels.
+@dataclass(frozen=True)
+class HealthyVariation(Standard):
+    """Remainder of a healthy rig in all channels, the standard by which a change of it is judged.
+
+    A change detected against it needs no other evidence of excitation, and one hidden in the healthy spread is no deficiency of
+    the data.
 
     Attributes:
         channels: the remainder by channel.
         healthy: the baselines, judged by it.
+        judgements: receives each recording judged by it, with its expectation.
     """
 
     channels: Mapping[Channel, ChannelRemainder]
     healthy: tuple[Evidence, ...] = ()
+    judgements: list[tuple[Evidence, Mapping[Channel, Expected]]] = field(default_factory=list)
+    excitation_needed = False
+    largest_undetected = rules.MAX_UNDETECTED_BESIDE_SPREAD
+    form_is_noise = True
 
     def expected(self, recording: DescribedEvidence) -> dict[Channel, Expected]:
         """Return the expected remainder of a healthy rig in each channel of the baselines, in units of its size."""
@@ -172,7 +183,9 @@ class HealthyVariation(NamedTuple):
 
         Channels missing in all baselines are left out.
         """
-        return self.judged_by(evidence, self.expected(describe(evidence)))
+        expected = self.expected(describe(evidence))
+        self.judgements.append((evidence, expected))
+        return self.judged_by(evidence, expected)
 
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
         """Return the evidence judged by a given expectation."""
@@ -188,7 +201,36 @@ class HealthyVariation(NamedTuple):
                 correlated=self.channels[c].learnt.together,
             )
             allowances[c] = together([variation, measured[c]])
-        return replace(allowing(evidence, allowances, self.judged), baselines=self.healthy)
+        return allowing(evidence, allowances, self)
+
+    def noise_power(self, e: Array) -> float:
+        """Return the fault-free mean square of whitened residuals, that of all allowances."""
+        return 1.0
+
+    def scatter(self, windows: float) -> float:
+        """Return the multiple of its mean that the mean square of so many independent windows may reach by chance."""
+        return rules.SCATTER * (1.0 + rules.MAX_ALLOWED * math.sqrt(2.0 / windows))
+
+    def difference(self, evidence: Evidence, channel: Channel, one: Array, other: Array) -> Array:
+        """Return the difference in full: the healthy spread can make a change less certain, but not smaller."""
+        return evidence.whole(channel, one) - evidence.whole(channel, other)
+
+    def before(self, evidence: Evidence, channel: Channel, before: Array, after: Array) -> Array:
+        """Return the residuals of the given model in which a first cause's share is closed, whitened like ``after``.
+
+        A first cause counts in full: its excess over the healthy spread would be small beside the scatter of a long recording,
+        however large the change. The remainder of another cause is mostly spread; there only the excess counts.
+        """
+        return evidence.whole(channel, before) - (evidence.whole(channel, after) - after)
+
+    def allows(self, hypothesis: Hypothesis, values: Array, inflation: Mapping[Channel, float]) -> bool:
+        """Return whether a cause fits the baselines as well."""
+        against = 0.0
+        for healthy in self.healthy:
+            always = extended(healthy.rig, hypothesis, values)
+            before, after = healthy.base.values, healthy.residuals(healthy.comparison(), always).values
+            against += sum(float(np.sum(loss(after[c]) - loss(before[c]))) / inflation[c] for c in before if c in inflation)
+        return against < rules.NEEDED_GAIN
 
 
 def is_homogeneous(recording: DescribedEvidence, channel: Channel) -> bool:
@@ -223,7 +265,7 @@ def learn_healthy_variation(baselines: Sequence[DescribedEvidence]) -> HealthyVa
         )
         out[c] = ChannelRemainder(components, components.learn_from([components.windows(b, c) for b in recordings]))
     learnt = HealthyVariation(out)
-    return learnt._replace(healthy=tuple(learnt.judged_by(b.evidence, learnt.expected(b)) for b in baselines))
+    return replace(learnt, healthy=tuple(learnt.judged_by(b.evidence, learnt.expected(b)) for b in baselines))
 
 
 def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:

@@ -9,21 +9,45 @@ skew of one signal in two channels is two separate allowances, so that an error 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance
-from ehls_ros.diagnosis.evidence import Evidence, allowing
+from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.record import HELD, Record
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Comparison, Stage, formed_of
 
 
-def beyond_measurement(evidence: Evidence) -> Evidence:
-    """Return evidence with allowances for skews, drifts and offsets within their bounds."""
-    return allowing(evidence, measurement(evidence), beyond_measurement)
+class BeyondMeasurement(Standard):
+    """The sensors' noise, with allowances for skews, drifts and offsets within their bounds."""
+
+    def judged(self, evidence: Evidence) -> Evidence:
+        """Return evidence, so far without allowances, judged by this standard."""
+        return allowing(evidence, measurement(evidence), self)
+
+
+BEYOND_MEASUREMENT = BeyondMeasurement()
+"""The standard of a diagnosis without baselines."""
+
+
+@dataclass(frozen=True)
+class BesideForm(BeyondMeasurement):
+    """The same beside errors of the model's form.
+
+    Attributes:
+        form: change of a balance, as a fraction of its largest term, up to which a cause may be such an error.
+    """
+
+    form: float = rules.FORM_ERROR
+    accepted_rivals_only = True
+
+    def stricter(self) -> "BesideForm":
+        """Return the standard by which a single small cause is accepted where nothing else is."""
+        return BesideForm(rules.RELEVANT)
 
 
 def measurement(evidence: Evidence) -> dict[Channel, Allowance]:

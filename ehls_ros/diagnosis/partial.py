@@ -20,6 +20,7 @@ from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.hypotheses import parts
 from ehls_ros.diagnosis.loss import closed, rms
+from ehls_ros.diagnosis.measurement import BesideForm
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.pruning import needed
 from ehls_ros.diagnosis.remainder import at_a_bound, remainder_as_noise, with_allowances
@@ -52,8 +53,7 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
         seed: of the resampling.
     """
     evidence = starts.pool.evidence
-    if evidence.baselines:
-        # The remainder of the model's form has counted as noise from the beginning.
+    if evidence.standard.form_is_noise:
         full, found_in_full = with_allowances(evidence, found)
         return PartialAnswer(full, found_in_full) if found_in_full.best.names and worthwhile(full, found_in_full.best) else None
     few = _beside_form(found, starts, progress)
@@ -80,7 +80,7 @@ def partial_answer(found: Searched, starts: Starts, progress: Progress, seed: in
 def _beside_form(found: Searched, starts: Starts, progress: Progress) -> PartialAnswer | None:
     """Return the few causes that exceed errors of form, if there are any."""
     remains = remainder_as_noise(starts.pool.evidence, found.best.held_out.residuals.values)
-    known = replace(remains, form=rules.FORM_ERROR)
+    known = replace(remains, standard=BesideForm())
     with closing(starts.pool.beside(known)) as pool:
         known, again = with_allowances(known, search(Starts(pool, starts.tried), progress))
     return PartialAnswer(known, again) if again.best.names and worthwhile(known, again.best) else None

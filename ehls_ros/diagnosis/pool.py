@@ -75,7 +75,7 @@ def few_blocks(evidence: Evidence) -> Evidence:
     if ranges is None:
         return evidence
     few = gather(evidence.record.parts(ranges), evidence.rig, evidence.setup, seed=0)
-    return few if evidence.judge is None else evidence.judge(few)
+    return evidence.standard.judged(few)
 
 
 def informative_blocks(evidence: Evidence) -> list[tuple[int, int]] | None:

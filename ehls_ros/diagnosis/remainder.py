@@ -229,11 +229,7 @@ def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -
     typical = rms(evidence.floor[channel])
     size = max(evidence.sizes[channel], 1e-300)
     limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
-    scatter = rules.SCATTER
-    if evidence.baselines:
-        # The mean square of few windows, or of many correlated ones, has a scatter too.
-        windows = len(evidence.floor[channel]) / evidence.correlation[channel]
-        scatter *= 1.0 + rules.MAX_ALLOWED * math.sqrt(2.0 / windows)
+    scatter = evidence.standard.scatter(len(evidence.floor[channel]) / evidence.correlation.get(channel, 1.0))
     return Relevance(noise, limit, (scatter + rules.CLEAR**2) * noise if alone else math.inf, scatter)
 
 

@@ -67,11 +67,11 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     level = _fitted(evidence, pool, starts.extensions(base)) if base.names else _alone(evidence, pool, starts.alone)
     progress("causes together", 0.55)
     best, scale = _added(evidence, pool, starts, base, level, progress)
-    if evidence.form is not None and not best.names:
-        # If nothing exceeds an error of form, a single cause may be smaller.
-        evidence = replace(evidence, form=rules.RELEVANT)
+    stricter = evidence.standard.stricter()
+    if stricter is not None and not best.names:
+        evidence = replace(evidence, standard=stricter)
         best, scale = _added(evidence, pool, starts, base, level, progress)
-    always = explaining(evidence, base, level, scale) if evidence.baselines and not best.names else None
+    always = None if best.names else explaining(evidence, base, level, scale)
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
     progress("causes together", 1.0)
@@ -245,7 +245,7 @@ def _rivals(evidence: Evidence, best: Assessment, place: Place, scale: Mapping[C
     without, wins = place.without, best.score(scale) - rules.NEEDED_GAIN
 
     def competes(rival: Assessment) -> bool:
-        if evidence.form is not None:
+        if evidence.standard.accepted_rivals_only:
             return accepted(evidence, rival, without, scale)
         return rival.score(scale) < wins or is_new(evidence, rival, without, scale)
 

@@ -50,21 +50,20 @@ class Decision(NamedTuple):
     unknown_stage: Stage | None
 
 
-def decide(findings: Mapping[Stage, Finding], causes: Sequence[Stage], *, against_baselines: bool = False) -> Decision:
+def decide(findings: Mapping[Stage, Finding], causes: Sequence[Stage], *, excitation_needed: bool = True) -> Decision:
     """Decide the verdict.
 
     Args:
         findings: findings for each stage.
         causes: the stage of each accepted cause.
-        against_baselines: whether causes are changes since baselines; a change detected against these needs no other evidence
-            of excitation.
+        excitation_needed: whether a cause counts only in a stage that was excited.
 
     Returns:
         ``insufficient`` if a cause lies in a stage that was not excited; ``unknown`` if there is an unexplained remainder;
         ``effect`` if there are causes; ``consistent`` if the excitation suffices to show an error, else ``insufficient``.
     """
     unknown = unknown_stage(findings)
-    if not (against_baselines or all(findings[stage].excited for stage in causes)):
+    if excitation_needed and not all(findings[stage].excited for stage in causes):
         return Decision("insufficient", unknown)
     if unknown is not None:
         return Decision("unknown", unknown)

@@ -75,13 +75,6 @@ def diagnose_against(
     progress("learning the baselines", 0.5 * LEARNING)
     healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in named]
     variation = learn_healthy_variation(healthy)
-    judged = list[tuple[Evidence, dict[Channel, Expected]]]()
-
-    def judge(evidence: Evidence) -> Evidence:
-        expected = variation.expected(describe(evidence))
-        judged.append((evidence, expected))
-        return variation.judged_by(evidence, expected)
-
     found = diagnose(
         new,
         fitted,
@@ -89,9 +82,9 @@ def diagnose_against(
         seed=seed,
         threads=threads,
         progress=lambda doing, part: progress(doing, LEARNING + (1.0 - LEARNING) * part),
-        judge=judge,
+        standard=variation,
     )
-    evidence, expected = judged[0] if judged else (None, {})
+    evidence, expected = variation.judgements[0] if variation.judgements else (None, {})
     coverage = () if evidence is None else covered(ranges([b.evidence for b in healthy]), evidence)
     not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in variation.channels)
     summary = BaselineSummary(

@@ -14,6 +14,7 @@ from ehls_ros.diagnosis.causes import causes
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.held_out import Assessment, HeldOut
 from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.measurement import BesideForm, BeyondMeasurement
 from ehls_ros.diagnosis.partial import corrects_value, worthwhile, wrong
 from ehls_ros.diagnosis.remainder import remainder_as_noise
 from ehls_ros.diagnosis.search import Place, Searched, inflations
@@ -105,7 +106,7 @@ def test_what_only_fits_the_form_of_the_remainder_is_not_a_cause(rng):
 
     first, second, less = judged(evidence)
     assert (first, second) == (True, True)
-    beside = replace(remainder_as_noise(evidence, less.held_out.residuals.values), form=rules.FORM_ERROR)
+    beside = replace(remainder_as_noise(evidence, less.held_out.residuals.values), standard=BesideForm())
     first, second, _ = judged(beside)
     assert (first, second) == (True, False)
 
@@ -142,11 +143,11 @@ def test_a_further_cause_must_close_what_is_there_or_exceed_what_the_form_of_a_m
     less = linear_fit(evidence, (MASS,), one[:, None])
     alone = linear_fit(evidence, (VALVE,), other[:, None], "spool")
     more = both(less, alone)
-    for form, expected in ((None, True), (rules.RELEVANT, named)):
-        known = replace(evidence, form=form)
+    for standard, expected in ((BeyondMeasurement(), True), (BesideForm(rules.RELEVANT), named)):
+        known = replace(evidence, standard=standard)
         assert accepted(known, more, less, inflations(known, [more])) is expected
         assert accepted(known, alone, nothing(known), inflations(known, [alone]))
-    first = replace(evidence, form=rules.FORM_ERROR)
+    first = replace(evidence, standard=BesideForm())
     assert accepted(first, alone, nothing(first), inflations(first, [alone])) is named
 
 

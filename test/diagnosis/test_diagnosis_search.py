@@ -14,6 +14,7 @@ from ehls_ros.diagnosis.acceptance import accepted, corrects_form, gain_ratio, i
 from ehls_ros.diagnosis.diagnose import remarks_on_baselines
 from ehls_ros.diagnosis.evidence import Residuals
 from ehls_ros.diagnosis.fit import Fit
+from ehls_ros.diagnosis.healthy_variation import HealthyVariation
 from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended, parts
 from ehls_ros.diagnosis.pool import Pool, informative_blocks
 from ehls_ros.diagnosis.record import prepare
@@ -235,7 +236,7 @@ def test_what_the_baselines_allow_as_well_is_no_change(seen, new):
             assert name == "mass_shift"
             return Residuals({"force": 10.0 * seen * (parameters.factor - 1.0) * column})
 
-    evidence = replace(evidence_of({"force": column}), baselines=(Healthy(), Healthy()))
+    evidence = replace(evidence_of({"force": column}), standard=HealthyVariation({}, (Healthy(), Healthy())))
     alone, beside = (assessed((*names, MASS), {"force": column}, [0.2] * len(names) + [1.2]) for names in ((), (VISCOUS,)))
     assert is_new(evidence, alone, nothing(evidence), {"force": 2.0}) is new
     assert is_new(evidence, beside, assessed((VISCOUS,), {"force": column}, [0.2]), {"force": 2.0}) is new

@@ -128,7 +128,7 @@ def test_what_is_known_decides_the_verdict(case):
 def test_a_change_since_baselines_may_lie_in_a_stage_that_could_not_show_any_smaller_one():
     findings = CLEAN | {"flow": still("flow")}
     assert decide(findings, ["flow"]).verdict == "insufficient"
-    assert decide(findings, ["flow"], against_baselines=True).verdict == "effect"
+    assert decide(findings, ["flow"], excitation_needed=False).verdict == "effect"
 
 
 # -------------------------------------------------------------------------------------------------------- stage results

@@ -1,7 +1,5 @@
 """The residual model of a healthy rig, learnt on plain arrays: a remainder, its spread, and nothing in unseen states."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from plain_evidence import MASS, assessed, evidence_of, nothing
@@ -11,8 +9,8 @@ from ehls_ros.diagnosis.acceptance import share_closed
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.coefficients import Term
 from ehls_ros.diagnosis.discrepancy import Windows, learn
-from ehls_ros.diagnosis.evidence import allowing
-from ehls_ros.diagnosis.healthy_variation import DescribedEvidence, RemainderTerms
+from ehls_ros.diagnosis.evidence import Standard, allowing
+from ehls_ros.diagnosis.healthy_variation import DescribedEvidence, HealthyVariation, RemainderTerms
 
 NOISE, SPREAD, FITTED = 0.01, np.array([1e-3]), np.array([True])
 
@@ -148,7 +146,7 @@ def test_an_allowed_direction_has_unit_variance_and_others_keep_theirs():
         rng = np.random.default_rng(seed)
         e = rng.standard_normal(windows) + 3.0 * rng.standard_normal() * direction + 5.0
         allowance = Allowance(np.full(windows, 5.0), 3.0 * direction[:, None], np.zeros(windows))
-        draws.append(allowing(evidence_of({"force": e}), {"force": allowance}, lambda evidence: evidence).base.values["force"])
+        draws.append(allowing(evidence_of({"force": e}), {"force": allowance}, Standard()).base.values["force"])
     unit = direction / np.linalg.norm(direction)
     along = np.array(draws) @ unit
     assert np.std(along) == pytest.approx(1.0, rel=0.3)
@@ -159,7 +157,7 @@ def test_a_change_along_an_allowed_direction_is_as_large_as_ever():
     direction = np.sin(np.arange(600) / 30.0)
     allowance = Allowance(np.zeros(600), 3.0 * direction[:, None], np.zeros(600))
     evidence = evidence_of({"force": np.zeros(600)})
-    judged = allowing(evidence, {"force": allowance}, lambda evidence: evidence)
+    judged = allowing(evidence, {"force": allowance}, Standard())
     reduced = judged.allowed["force"].whitened(direction)
     assert np.linalg.norm(reduced) < 0.1 * np.linalg.norm(direction)
     np.testing.assert_allclose(judged.whole("force", reduced), direction, atol=1e-9)
@@ -171,7 +169,7 @@ def test_of_a_change_along_what_varies_without_fault_all_is_closed():
     noise = {"force": 0.1 * rng.standard_normal(600)}
     allowance = Allowance(np.zeros(600), 3.0 * direction[:, None], np.zeros(600))
     evidence = evidence_of({"force": scatter + 30.0 * direction}, noise)
-    judged = replace(allowing(evidence, {"force": allowance}, lambda e: e), baselines=(evidence_of({"force": np.zeros(600)}),))
+    judged = allowing(evidence, {"force": allowance}, HealthyVariation({}))
     cause = assessed((MASS,), {"force": judged.allowed["force"].whitened(scatter)}, [1.3])
     # By what exceeds the spread it would be 0.15.
     assert share_closed(judged, cause, nothing(judged)) > 0.99
@@ -180,7 +178,7 @@ def test_of_a_change_along_what_varies_without_fault_all_is_closed():
 def test_windows_that_err_together_tell_less_but_are_no_larger():
     remains = np.full(600, 3.0)
     allowance = Allowance(np.zeros(600), np.zeros((600, 1)), remains, correlated=12.0)
-    judged = allowing(evidence_of({"force": np.zeros(600)}), {"force": allowance}, lambda evidence: evidence)
+    judged = allowing(evidence_of({"force": np.zeros(600)}), {"force": allowance}, Standard())
     np.testing.assert_allclose(judged.floor["force"], 2.0)
     assert judged.correlation["force"] == pytest.approx((1.0 + 12.0 * 3.0) / 4.0)
 
@@ -188,6 +186,6 @@ def test_windows_that_err_together_tell_less_but_are_no_larger():
 def test_a_channel_without_allowance_is_left_out():
     quiet = np.random.default_rng(1).standard_normal(100)
     allowance = Allowance(np.zeros(100), np.zeros((100, 1)), np.zeros(100))
-    judged = allowing(evidence_of({"force": quiet, "volume": quiet}), {"force": allowance}, lambda evidence: evidence)
+    judged = allowing(evidence_of({"force": quiet, "volume": quiet}), {"force": allowance}, Standard())
     assert judged.channels == ("force",)
     np.testing.assert_allclose(judged.base.values["force"], quiet)
