@@ -1,7 +1,7 @@
 """Hidden cases for the diagnosis: its accuracy and speed, compared with simpler methods on the same cases.
 
     python -m benchmarks.diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
-    python -m benchmarks.diagnosis --exam partial --cases 200    # rigs that no model describes; also baseline, skew, forms, raw
+    python -m benchmarks.diagnosis --exam partial --cases 200    # rigs that no model describes; or another exam
     python -m benchmarks.diagnosis --seed 7                      # the same cases again, or those still missing
     python -m benchmarks.diagnosis --seed 7 --case 12 31         # two of them, with the complete results
     python -m benchmarks.diagnosis --summary runs/diagnosis-7.jsonl

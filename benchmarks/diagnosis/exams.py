@@ -4,7 +4,8 @@ clean: the rig is the model, apart from the hidden effects. partial: the rig has
 models, and one hidden effect; the rig file is the nominal one. baseline: the same, with healthy recordings, and in half of the
 cases without any change since. skew: the rig is the model, but every channel is skewed and jittered. forms: clean, but the
 hidden effect, or one of a hidden pair, follows another formula of the same physics. raw: the rig is the model, but its data are
-slow, at two rates, without the spool, of few signals, or of a single rod, in turn.
+slow, at two rates, without the spool, of few signals, or of a single rod, in turn. neighbours: clean, two effects at once that
+show most in the same or in adjacent stages.
 """
 
 from collections.abc import Callable, Sequence
@@ -55,6 +56,9 @@ SKEW_EXPERIMENTS = ("rich", "random", "steps", "paper_sine")
 
 DRAWS_OF_ONE = 8
 """Draws in which raw data may fail to show an effect before another effect is taken."""
+
+CHAIN = ("valve", "flow", "force_balance", "sensors")
+"""Stages in the order in which a command passes through them."""
 
 LATE = ("command_delay", "sensor_delay")
 LEAST_DELAY = 3e-3
@@ -275,6 +279,22 @@ def make_raw(seed: int, number: int, duration: float) -> Case:
     raise RuntimeError(f"{data}: no effect shows in {MOST_DRAWS} draws")
 
 
+# ------------------------------------------------------------------------------------------------------- neighbouring effects
+
+
+def make_neighbours(seed: int, number: int, duration: float) -> Case:
+    """Draw a case of the exam `neighbours`; other effects are drawn until their stages are equal or adjacent."""
+    rng = np.random.default_rng([seed, number, 5])
+    while True:
+        pair = tuple(str(name) for name in rng.choice(sorted(LISTED), 2, replace=False))
+        if set(pair) == ONE_BODY:
+            continue
+        case = shown(rng, seed, number, "pairs", duration, lambda: {name: draw_effect(name, rng, rig_file()) for name in pair})  # noqa: B023
+        one, other = (CHAIN.index(max(stages, key=stages.__getitem__)) for stages in case.visibility.values())
+        if abs(one - other) <= 1:
+            return case._replace(exam="neighbours")
+
+
 EXAMS: dict[str, Exam] = {
     "clean": Exam(cases.KINDS, cases.kind_of, cases.make),
     "partial": Exam(("singles",), lambda number: "singles", make_partial),
@@ -282,6 +302,7 @@ EXAMS: dict[str, Exam] = {
     "skew": Exam(("singles", "nothing"), _alternating, make_skew),
     "forms": Exam(("singles", "pairs"), _with_pairs, make_forms),
     "raw": Exam(("singles",), lambda number: "singles", make_raw),
+    "neighbours": Exam(("pairs",), lambda number: "pairs", make_neighbours),
 }
 
 

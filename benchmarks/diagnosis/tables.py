@@ -78,7 +78,7 @@ def _verdict(good: bool) -> str:
 MARKS: dict[str, tuple[float, float | None, float | None]] = {
     "partial": (0.9, 0.02, 0.02), "baseline": (0.95, None, None), "skew": (0.96, None, None),
     "forms": (0.94, None, None),
-    "raw": (0.9, None, None),
+    "raw": (0.9, None, None), "neighbours": (0.9, None, None),
 }  # fmt: skip
 """By exam: minimum share of right names, maximum of confident wrong ones, maximum of absent causes named beside a true one."""
 
