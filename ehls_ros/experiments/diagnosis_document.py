@@ -224,7 +224,7 @@ class DiagnosisDocument(NamedTuple):
         diagnosis_s: wall time of the diagnosis alone [s].
         wall_s: wall time of everything [s].
         baseline: baselines of the judgement; None without baselines.
-        corrected: wrong numbers of the rig file that were corrected first, by name.
+        corrected: wrong numbers of the rig file that were corrected first, by dotted section and name.
     """
 
     verdict: Verdict | Literal["unchanged", "changed"]

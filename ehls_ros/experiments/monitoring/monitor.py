@@ -36,7 +36,7 @@ from ehls_ros.experiments.monitoring import modes
 from ehls_ros.experiments.monitoring.baseline import OWN_RECORDING, RECORDINGS, RIG_FILE, Baseline
 from ehls_ros.experiments.monitoring.examination import Examiner, Finding, Task
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, agreed
-from ehls_ros.experiments.monitoring.identified import Identification, wrong_values
+from ehls_ros.experiments.monitoring.identified import Identification, written
 from ehls_ros.experiments.monitoring.samples import Samples
 from ehls_ros.experiments.monitoring.saved_state import SavedState
 from ehls_ros.experiments.monitoring.trends import RATE_READINGS, rates
@@ -431,7 +431,7 @@ class Monitor:
         self._known = IdentifiedRig(self.healthy_rig) if found is None else found.tracked(self.healthy_rig)
         if found is not None and found.wrong:
             name = "rig file" if self.healthy_rig is self.rig else "healthy rig"
-            events.append(Event(now, "differs", f"{name}: {wrong_values(found.wrong)}"))
+            events.append(Event(now, "differs", f"{name}: {written(found.wrong)}"))
             self.healthy_rig = self.model = found.rig
 
     def _end_examination(self, mode: modes.Examining, found: Finding, now: float, events: list[Event]) -> None:
@@ -656,7 +656,7 @@ class Monitor:
             self._baseline.kind,
             float(np.mean(self._outside)) if self._outside else 0.0,
             rates(self.history),
-            self.identification.wrong if self.identification is not None else (),
+            self.identification.wrong if self.identification is not None else {},
         )
 
     def close(self) -> None:
