@@ -10,10 +10,11 @@ QUANTITIES = 12
 INFORMATION = 100.0
 
 
-def healthy(scatter=1.0, certainty=np.inf, spread=0.0, remainder=0.0):
+def healthy(scatter=1.0, certainty=np.inf, spread=0.0, variation=np.inf, remainder=0.0):
     rows = np.full((4, QUANTITIES), 0.0)
     rows[1:] = np.array([certainty, scatter, spread])[:, None]
-    return BlockStatistics(*rows, np.ones(QUANTITIES), 1e4, np.full(QUANTITIES, remainder))
+    many = np.full(QUANTITIES, 1e4)
+    return BlockStatistics(*rows, np.ones(QUANTITIES), 1e4, variation * np.ones(QUANTITIES), many, remainder * np.ones(QUANTITIES))
 
 
 def feed(test, score, information=INFORMATION):

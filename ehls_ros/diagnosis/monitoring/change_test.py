@@ -29,8 +29,11 @@ class BlockStatistics(NamedTuple):
         spread: standard deviation of the size from section to section, shape (n,).
         dependence: ratio of the variance of a sum over blocks to that of independent ones, shape (n,).
         freedom: degrees of freedom of the scatter.
-        remainder: rms residual of a healthy rig beyond noise, as a fraction of the largest term of its balance, shape (n,). Up
-            to that much may look like a departure when the rig runs another programme.
+        variation: standard deviation of the size from block to block beyond noise, shape (n,): the part of the model's
+            remainder that looks like a departure, which is another one when the rig runs another programme.
+        count: number of blocks from which it is known, shape (n,).
+        remainder: rms residual of a healthy rig beyond noise, as a fraction of the largest term of its balance, shape (n,). No
+            more than that can look like a departure.
     """
 
     level: Array
@@ -39,6 +42,8 @@ class BlockStatistics(NamedTuple):
     spread: Array
     dependence: Array
     freedom: float
+    variation: Array
+    count: Array
     remainder: Array
 
 
@@ -68,7 +73,28 @@ def block_statistics(score: Array, information: Array, section: NDArray[np.intp]
     between = np.sum(np.where(seen, (sizes - level) ** 2, 0.0), axis=0) - np.sum(noise, axis=0) * (1.0 - 1.0 / count)
     spread = np.sqrt(np.maximum(between, 0.0) / np.maximum(count - 1, 1))
     freedom = rules.LEARNT_BLOCKS + len(score)
-    return BlockStatistics(level, certainty, scatter, spread, dependence, freedom, np.zeros_like(level))
+    variation, informed = _variation(score, information)
+    return BlockStatistics(level, certainty, scatter, spread, dependence, freedom, variation, informed, np.zeros_like(level))
+
+
+def _variation(score: Array, information: Array) -> tuple[Array, Array]:
+    """Return the standard deviation of the size from block to block beyond noise, and the number of informed blocks.
+
+    The moment estimate for random effects of DerSimonian and Laird (Controlled Clinical Trials 7, 1986).
+
+    Args:
+        score: shape (blocks, n).
+        information: shape (blocks, n).
+
+    Returns:
+        Both of shape (n,).
+    """
+    total, count = np.sum(information, axis=0), np.sum(information > 0.0, axis=0)
+    level = np.divide(np.sum(score, axis=0), total, out=np.zeros_like(total), where=total > 0.0)
+    squares = np.divide((score - level * information) ** 2, information, out=np.zeros_like(score), where=information > 0.0)
+    weight = total - np.divide(np.sum(information**2, axis=0), total, out=np.zeros_like(total), where=total > 0.0)
+    beyond = np.maximum(np.sum(squares, axis=0) - rules.LEAST_SCATTER**2 * (count - 1), 0.0)
+    return np.sqrt(np.divide(beyond, weight, out=np.zeros_like(total), where=weight > 0.0)), count
 
 
 def with_scatter(found: BlockStatistics, more: BlockStatistics) -> BlockStatistics:
@@ -167,6 +193,7 @@ class ChangeTest:
         self.healthy = healthy
         tests = self._hours * HOUR / rules.MONITOR_BLOCK * len(healthy.level) * len(lengths())
         self.bound = float(-scipy.special.stdtrit(healthy.freedom, 0.5 / tests))
+        self._varying = -scipy.special.stdtrit(np.maximum(healthy.count - 1, 1), 0.5 / tests) * healthy.variation
 
     @property
     def blocks(self) -> int:
@@ -195,7 +222,7 @@ class ChangeTest:
 
     def change(self) -> Change | None:
         """Return the sum that exceeds its bound by the largest ratio; None while all could be chance."""
-        sums, information, share, squares = self._sums()
+        whole, sums, information, share, squares = self._sums()
         rows = np.array([n for n in lengths() if n <= self._kept], dtype=np.intp) - 1
         self.largest = 0.0
         if not rows.size:
@@ -205,11 +232,13 @@ class ChangeTest:
         # If blocks scatter about their mean more than the healthy rig's, the deviation of their sum is enlarged accordingly.
         about = squares[rows] - np.divide(sums[rows] ** 2, information[rows], out=np.zeros_like(share), where=informed)
         wider = np.maximum(about / rows[:, None], 1.0)
-        deviation = np.sqrt(wider) * self._deviation(information[rows], share)
-        scaled = sums[rows] * self.healthy.scatter
-        size = np.divide(scaled, information[rows], out=np.zeros_like(deviation), where=informed)
-        ratio = np.divide(np.abs(sums[rows]), self.bound * deviation, out=np.zeros_like(deviation), where=informed)
-        ratio[(np.abs(size) * share < rules.RELEVANT) | (self._rising & (sums[rows] < 0.0))] = 0.0
+        noise = np.sqrt(wider * self.healthy.dependence * information[rows])
+        size = np.divide(whole[rows] * self.healthy.scatter, information[rows], out=np.zeros_like(noise), where=informed)
+        # Of a block, little counts against the noise: one alone is an incident. All of it counts against the allowed size.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = 1.0 / (self.bound * np.hypot(noise / np.abs(sums[rows]), self._allowed(share) / np.abs(size)))
+        counts = informed & (np.abs(size) * share >= rules.RELEVANT) & ~(self._rising & (sums[rows] < 0.0))
+        ratio = np.where(counts & (size * sums[rows] > 0.0), ratio, 0.0)
         row, quantity = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         self.largest = float(ratio[row, quantity]) * self.bound
         if ratio[row, quantity] <= 1.0:
@@ -218,33 +247,32 @@ class ChangeTest:
         same = np.where(sums[:, quantity] * sums[rows[row], quantity] > 0.0, sums[:, quantity], 0.0)
         return self._since(int(quantity), float(ratio[row, quantity]), same, information[:, quantity])
 
-    def _sums(self) -> tuple[Array, Array, Array, Array]:
+    def _sums(self) -> tuple[Array, Array, Array, Array, Array]:
         """Return the sums from each block to the newest, shape (blocks, n) each; the first row is the newest block alone.
 
-        Summed are limited scores times the root of information, information, share, and the limited scores' squares.
+        Summed are scores times the root of information, the same with limited scores, information, share, and the limited
+        scores' squares.
         """
         score, information, share = self.rows()[:, ::-1]
         root = np.sqrt(information)
         unit = root * self.healthy.scatter
         rest = np.divide(score - self.healthy.level * information, unit, out=np.zeros_like(score), where=unit > 0.0)
         limited = np.clip(rest, -rules.MOST_SCORE, rules.MOST_SCORE)
-        sums, informed, shares, squares = (
-            np.cumsum(row, axis=0) for row in (limited * root, information, share, limited * limited)
+        whole, sums, informed, shares, squares = (
+            np.cumsum(row, axis=0) for row in (rest * root, limited * root, information, share, limited * limited)
         )
-        return sums, informed, shares, squares
+        return whole, sums, informed, shares, squares
 
-    def _deviation(self, information: Array, share: Array) -> Array:
-        """Return the standard deviation of a healthy rig's sums; infinite for quantities without information."""
+    def _allowed(self, share: Array) -> Array:
+        """Return the standard deviation of a healthy rig's size, however many blocks are summed; infinite if it is unknown."""
         healthy = self.healthy
         # No model of a rig exceeds this accuracy, and its remainder on a healthy rig is no departure.
-        error = np.broadcast_to(rules.TOLERANCE + healthy.remainder / self.bound, share.shape)
-        tolerated = np.divide(error, share, out=np.zeros_like(share), where=share > 0.0)
+        inverse = np.divide(1.0, share, out=np.zeros_like(share), where=share > 0.0)
+        remainder = np.minimum(self._varying, healthy.remainder * inverse) / self.bound
+        tolerated = rules.TOLERANCE * inverse + remainder
         unsure = np.full_like(healthy.certainty, np.inf)
         np.divide(healthy.scatter**2 * healthy.dependence, healthy.certainty, out=unsure, where=healthy.certainty > 0.0)
-        size = healthy.spread**2 + tolerated**2 + unsure
-        out = np.zeros_like(information)
-        np.multiply(size, (information / healthy.scatter) ** 2, out=out, where=information > 0.0)
-        return np.sqrt(healthy.dependence * information + out)
+        return np.sqrt(healthy.spread**2 + tolerated**2 + unsure)
 
     def _since(self, quantity: int, ratio: float, sums: Array, information: Array) -> Change:
         """Estimate the onset as the likeliest time of a step in the scores' mean."""
