@@ -157,6 +157,22 @@ def test_the_onset_is_sought_in_what_departs_alike():
     assert found.earliest <= blocks + 1
 
 
+def test_of_more_blocks_than_are_held_the_newest_count(monkeypatch):
+    monkeypatch.setattr(rules, "LONGEST_WATCH", 20)
+    rng = np.random.default_rng(14)
+    long, short = ChangeTest(healthy(), 1000.0), ChangeTest(healthy(), 1000.0)
+    for block in range(130):
+        score = noise(rng, 0.25 if block >= 118 else 0.0)
+        feed(long, score)
+        if block >= 110:
+            feed(short, score)
+    long.learn(long.healthy)
+    assert long.blocks == 20
+    assert np.array_equal(long.rows(), short.rows())
+    assert long.change() == pytest.approx(short.change())
+    assert long.change().ratio > 1.0
+
+
 def test_of_what_the_healthy_rig_told_nothing_no_change_is_told():
     rng = np.random.default_rng(6)
     test = ChangeTest(healthy(certainty=0.0), 1000.0)

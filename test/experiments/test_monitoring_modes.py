@@ -53,12 +53,6 @@ def test_a_detected_change_is_examined_and_then_suspected(blocks):
     assert examining.examined() == Suspecting(blocks, FIRST)
 
 
-def test_a_check_without_a_detected_change_leads_to_no_suspicion(blocks):
-    check = Watching(blocks).tested(CHANGE._replace(ratio=0.4), 100.0)
-    assert check.is_check
-    assert check.examined() == Watching(blocks)
-
-
 @pytest.mark.parametrize(
     ("found", "now", "expected"),
     [

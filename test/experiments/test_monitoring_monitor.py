@@ -192,19 +192,6 @@ def test_recordings_of_the_healthy_rig_are_the_baseline_and_one_that_is_too_shor
         Monitor(rig, Parameters(), Scripted(), {"short": short})
 
 
-def test_the_diagnosis_checks_at_doubling_times_what_a_remainder_may_conceal(rig, streams):
-    time, healthy, _ = streams
-    recording = Trajectory(time[:30000], {name: values[:30000] for name, values in healthy.items()})
-    examiner = Scripted(*[consistent(rig)] * 2, leaking(rig), consistent(rig))
-    monitor = Monitor(rig, Parameters(), examiner, {"old": recording})
-    events = []
-    for part in np.array_split(np.arange(len(time)), 75):
-        events += monitor.add(time[part], {name: values[part] for name, values in healthy.items()})
-    lengths = [round(task.recording.time_s[-1]) for task in examiner.tasks if task.recording is not None]
-    assert lengths == [24, 46]
-    assert kinds(events) == ["named"]
-
-
 def test_acceptance_aborts_a_diagnosis_against_the_previous_healthy_rig(rig, streams):
     time, _, signals = streams
     monitor, examiner, _ = watched(rig, time, signals, consistent(rig), leaking(rig))

@@ -229,11 +229,6 @@ class ChangeTest:
 
     def change(self) -> Change | None:
         """Return the sum that exceeds its bound by the largest ratio; None while all could be chance."""
-        found = self.likeliest()
-        return found if found is not None and found.ratio > 1.0 else None
-
-    def likeliest(self) -> Change | None:
-        """Return the sum that is largest beside its bound; None without any."""
         self.largest = 0.0
         if self.blocks < lengths()[0]:
             return None
@@ -255,7 +250,7 @@ class ChangeTest:
         ratio = np.where(counts & (size * sums > 0.0), ratio, 0.0)
         row, quantity = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         self.largest = float(ratio[row, quantity]) * self.bound
-        if not self.largest:
+        if ratio[row, quantity] <= 1.0:
             return None
         newest = self._rows[[1, 4], self._first : self._end, quantity][:, ::-1]
         information, sums = np.cumsum(newest, axis=1)

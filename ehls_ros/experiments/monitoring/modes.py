@@ -3,7 +3,7 @@
 =============  =====================================================================================
 Learning       collects blocks of the healthy rig; once complete → Comparing
 Comparing      a diagnosis compares them with the rig file; judged → Watching, otherwise → Learning
-Watching       no change detected; detected, or a check is due → Examining, samples cannot be judged → Idle
+Watching       no change detected; detected → Examining, samples cannot be judged → Idle
 Suspecting     a detected change has no cause yet; not detected any more → Watching, more samples → Examining
 Examining      a diagnosis examines a change; it has a cause → Watching, it has none yet → Suspecting
 Idle           samples cannot be judged; they can again → Watching or Suspecting, as before
@@ -135,7 +135,7 @@ class Watching:
     state: ClassVar[State] = State.WATCHING
 
     def tested(self, change: Change | None, now: float) -> "Watching | Examining":
-        """Return the mode after a test at a time [s]; the change of a check is the likeliest one."""
+        """Return the mode after a test at a time [s]."""
         return self if change is None else Examining(self.blocks, change, Suspicion(change, now, change.blocks, now))
 
 
@@ -159,21 +159,16 @@ class Suspecting:
 
 @dataclass(frozen=True)
 class Examining:
-    """A diagnosis examines a change; or all samples of the present model, if none is detected."""
+    """A diagnosis examines a change."""
 
     blocks: ScoredBlocks
     change: Change
     suspicion: Suspicion
     state: ClassVar[State] = State.EXAMINING
 
-    @property
-    def is_check(self) -> bool:
-        """Whether no change is detected."""
-        return self.change.ratio <= 1.0
-
-    def examined(self) -> "Watching | Suspecting":
+    def examined(self) -> Suspecting:
         """Return the mode after the diagnosis, until its result is accepted."""
-        return Watching(self.blocks) if self.is_check else Suspecting(self.blocks, self.suspicion)
+        return Suspecting(self.blocks, self.suspicion)
 
 
 @dataclass(frozen=True)

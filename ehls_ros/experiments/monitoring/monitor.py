@@ -5,8 +5,7 @@ blocks, tests each further block for a change, and has detected changes diagnose
 that the test continues with them. Each diagnosis starts from the healthy rig again, so that a growing cause remains the same
 change, and a cause that disappears is cleared.
 
-If a remainder of the model conceals small changes from the sums of blocks, the diagnosis itself checks the samples at doubling
-times. Coefficients are read around the model. Where that is not valid, the rig is identified again from the latest samples, and they
+Coefficients are read around the model. Where that is not valid, the rig is identified again from the latest samples, and they
 are read around the result until the model changes. The test continues with the model, so that no change is lost.
 """
 
@@ -63,12 +62,6 @@ CONFIRMATION_TIME = 60.0
 MIN_UNCERTAIN_TIME = 30.0
 """Duration of samples after which an uncertain cause is named, or a change that no effect of the list explains [s]."""
 
-
-FIRST_CHECK = 20.0
-"""Watched time after which a diagnosis checks a model with a remainder; from check to check, it doubles [s].
-
-So the cost of checks, and their chance of an error, grow with the logarithm of the time.
-"""
 
 MIN_READING_BLOCKS = 8
 """Number of blocks of the present model from which its coefficients are read, after a change."""
@@ -166,7 +159,6 @@ class Monitor:
         self._averaged = max(1, round(parameters.reading_time / rules.MONITOR_BLOCK))
         self._unrecorded = 0
         self._examined_from: float | None = None
-        self._checks, self._model_watched = 0, 0.0
         self._linearisation: Linearisation | None = None
         self._first_readings: tuple[Reading, ...] = ()
         self._known = IdentifiedRig(rig)
@@ -268,7 +260,6 @@ class Monitor:
         if self.mode is not mode:
             self._reason = ""
         self._watched += COMPARED_TIME
-        self._model_watched += COMPARED_TIME
         self._outside.append(self._baseline.is_outside(evidence))
         if self._outside[-1]:
             return
@@ -296,21 +287,11 @@ class Monitor:
         self.mode = mode.tested(change, end)
         if change is None and self._baseline.learn_unchanged(found):
             blocks.test.learn(self._baseline.statistics())
-        if isinstance(self.mode, modes.Watching) and self._is_check_due():
-            self.mode = self.mode.tested(blocks.test.likeliest(), end)
         if isinstance(self.mode, modes.Examining):
             self._identifying = False
             self._examine(self.mode, end, events)
         elif isinstance(self.mode, modes.Watching):
             self._identify_if_invalid(blocks, end)
-
-    def _is_check_due(self) -> bool:
-        """Return whether a diagnosis has to check the healthy rig's model, and count the check."""
-        concealing = self._baseline.kind != RIG_FILE and self.model is self.healthy_rig
-        if not concealing or self._model_watched < FIRST_CHECK * 2.0**self._checks:
-            return False
-        self._checks += 1
-        return True
 
     def _read(self, blocks: modes.ScoredBlocks) -> tuple[Reading, ...]:
         if self._linearisation is not None:
@@ -413,15 +394,12 @@ class Monitor:
         change, begins = mode.change, list(mode.blocks.begins)
         # The block of the onset is only partly changed.
         first = begins[1 - change.blocks]
-        if mode.is_check:
-            first = begins[0] - rules.MONITOR_LEAD
-        elif change.blocks >= len(begins) - 1 and self._examined_from is not None:
+        if change.blocks >= len(begins) - 1 and self._examined_from is not None:
             # The last named cause does not explain all samples since: use more samples.
             first = self._examined_from
         self._examined_from = max(first, now - self.parameters.kept_time)
-        if not mode.is_check:
-            text = f"{self._baseline.quantity(change.quantity)} changed since {begins[-change.blocks]:.1f} s"
-            events.append(Event(now, "noticed", text))
+        text = f"{self._baseline.quantity(change.quantity)} changed since {begins[-change.blocks]:.1f} s"
+        events.append(Event(now, "noticed", text))
         recording, baselines = self._samples.between(self._examined_from, now), tuple(self._baseline.recordings.values())
         self._examiner.begin(Task(recording, self.healthy_rig, baselines, self._preferred()))
 
@@ -463,8 +441,6 @@ class Monitor:
         enough = self._examined_from is not None and now - self._examined_from >= MIN_UNCERTAIN_TIME
         if found.is_certain or (found.names_causes and enough):
             self._name(found, (onset, earliest, latest), now, events)
-        elif mode.is_check:
-            return
         elif found.verdict == "unknown" and enough:
             new = self._add_change(found, (onset, earliest, latest), now)
             events.append(Event(now, "named", new.sentence()))
@@ -525,7 +501,6 @@ class Monitor:
             self.mode = modes.cleared(self.mode)
         self._baseline.forget_unchanged()
         self._forget_linearisation()
-        self._checks, self._model_watched = 0, 0.0
 
     def _forget_linearisation(self) -> None:
         """Read the coefficients around the model again."""
