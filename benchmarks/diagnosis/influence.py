@@ -1,0 +1,237 @@
+"""Influence of the diagnosis' chosen numbers: all of them are multiplied by random factors at once, and answers regressed on these.
+
+    python -m benchmarks.diagnosis.influence --draws 30           # each case with factors of its own: most power
+    python -m benchmarks.diagnosis.influence --draws 30 --common  # one set of factors for all cases: the exam under random rules
+
+Draw 0 has the chosen values. A line of JSON is written per diagnosis; an interrupted run is resumed.
+"""
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import importlib  # noqa: E402
+import math  # noqa: E402
+import pickle  # noqa: E402
+import sys  # noqa: E402
+from collections.abc import Iterator, Sequence  # noqa: E402
+from pathlib import Path  # noqa: E402
+from typing import Any, NamedTuple  # noqa: E402
+
+import numpy as np  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rich.table import Table  # noqa: E402
+
+from benchmarks.common import ROOT, parser_of  # noqa: E402
+from benchmarks.rows import Row, appended, read_rows  # noqa: E402
+from ehls_ros.arrays import Array  # noqa: E402
+from ehls_ros.diagnosis import rules  # noqa: E402
+
+SEED = 360_360
+"""Seed of the cases and of the factors."""
+
+SPREAD = 0.25
+"""Numbers are multiplied or divided by up to 1 + SPREAD, log-uniformly."""
+
+MIXED = {
+    "clean": (0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 13, 16),
+    "partial": (0, 1, 2, 3),
+    "baseline": (0, 1, 2, 3),
+}
+"""Numbers of the cases of each exam: singles, pairs, nothing and outside the list; rigs that no model describes."""
+
+UNSEEN = ("monitor", "free run")
+"""Steps whose rules no diagnosis uses."""
+
+CERTAIN = 6.9
+"""Largest log-odds: a probability of 0.999."""
+
+
+class Number(NamedTuple):
+    """A chosen number: the module that declares it, its name and value."""
+
+    module: str
+    name: str
+    value: float
+
+    def moved(self, x: float) -> float:
+        """Return the number with its factor; of a fraction above one half, the complement is multiplied."""
+        if isinstance(self.value, int):
+            return max(1, round(self.value * math.exp(x)))
+        return 1.0 - (1.0 - self.value) * math.exp(x) if 0.5 < self.value < 1.0 else self.value * math.exp(x)
+
+
+def chosen() -> list[Number]:
+    """Return the numbers chosen by judgement that a diagnosis uses."""
+    return [
+        Number(rules.__name__, e.name, e.value)
+        for e in rules.table()
+        if e.rule.origin == rules.CHOSEN and e.rule.step not in UNSEEN
+    ]
+
+
+def factors_of(draw: int, case: int, common: bool, count: int) -> Array:
+    """Return the logarithms of the factors."""
+    if draw == 0:
+        return np.zeros(count)
+    reach = math.log1p(SPREAD)
+    return np.random.default_rng([SEED, draw, 0 if common else 1 + case]).uniform(-reach, reach, count)
+
+
+class Input(NamedTuple):
+    """A case: what `running.run` tells of it, the recordings, and the seed of its diagnosis."""
+
+    row: Row
+    recordings: list[Any]
+    number: int
+
+
+def inputs(duration: float, path: Path) -> list[Input]:
+    """Return the cases, drawn at the first call."""
+    if not path.exists():
+        from benchmarks.diagnosis import cases, exams  # noqa: PLC0415
+
+        found = []
+        for exam, numbers in MIXED.items():
+            for number in numbers:
+                case = exams.EXAMS[exam].make(SEED, number, duration)
+                recording = cases.recording_of(case)
+                told = {key: recording.truth[key] for key in ("natural", "stages", "appears_in", "near", "outside")}
+                all_of_it = [cases.trajectory_of(r) for r in (recording, *cases.healthy_of(case))]
+                found.append(Input(case.told() | told, all_of_it, number))
+        path.write_bytes(pickle.dumps(found))
+    return list(pickle.loads(path.read_bytes()))  # noqa: S301
+
+
+def rows(todo: Sequence[tuple[int, int]], given: Sequence[Input], common: bool) -> Iterator[Row]:
+    """Yield the row of each draw and case."""
+    numbers = chosen()
+    kept = set(sys.modules)
+    for draw, index in todo:
+        # Numbers are also default values of arguments: the modules that use them are imported afresh.
+        for name in set(sys.modules) - kept:
+            if name.startswith(("ehls_ros.diagnosis", "ehls_ros.experiments", "ehls_ros.identification", "benchmarks.diagnosis")):
+                del sys.modules[name]
+        x = factors_of(draw, index, common, len(numbers))
+        for number, part in zip(numbers, x, strict=True):
+            setattr(importlib.import_module(number.module), number.name, number.moved(float(part)))
+        running, cases = (importlib.import_module(f"benchmarks.diagnosis.{name}") for name in ("running", "cases"))
+        new, *healthy = given[index].recordings
+        row: Row = {"draw": draw, "case": index, "common": common, "factors": [round(float(part), 5) for part in x]}
+        try:
+            how = {"seed": given[index].number, "threads": 1}
+            if healthy:
+                against = importlib.import_module("ehls_ros.experiments.baseline").diagnose_against
+                found = against(new, healthy, cases.rig(), "case", **how)
+            else:
+                found = importlib.import_module("ehls_ros.diagnosis.diagnose").diagnose(new, cases.rig(), "case", **how)
+            row["ours"] = running.told(found)
+        except Exception as error:  # noqa: BLE001
+            row["error"] = repr(error)
+        yield row
+
+
+class Mark(NamedTuple):
+    """How good an answer is: right or wrong, log-odds of the truth, and the largest relative error of a size."""
+
+    right: float
+    margin: float
+    size: float
+
+
+def mark(given: Input, row: Row) -> Mark:
+    """Return the mark of an answer."""
+    from benchmarks.diagnosis.judge import judge  # noqa: PLC0415
+
+    whole = given.row | row
+    if "ours" not in row:
+        return Mark(0.0, -CERTAIN, math.nan)
+    judged, ours, hidden = judge(whole), row["ours"], list(given.row["hidden"])
+    beliefs = [({c["name"], *c["equivalent_to"]}, c["probability"] * (1 + len(c["equivalent_to"]))) for c in ours["causes"]]
+    if given.row["kind"] in ("singles", "pairs"):
+        true = [max((p for names, p in beliefs if name in names), default=0.0) for name in hidden]
+        absent = [p for names, p in beliefs if names.isdisjoint(hidden)]
+        odds = min(*map(_log_odds, true), *[-_log_odds(p) for p in absent], CERTAIN)
+    else:
+        odds = -_log_odds(max((p for _, p in beliefs), default=0.0 if judged.right else 0.5))
+    sizes = [abs(q.error) for q in judged.quantities]
+    return Mark(float(judged.right), odds, max(sizes) if sizes else math.nan)
+
+
+def _log_odds(p: float) -> float:
+    least = 1.0 / (1.0 + math.exp(CERTAIN))
+    p = min(max(p, least), 1.0 - least)
+    return math.log(p / (1.0 - p))
+
+
+def slopes(x: Array, y: Array, case: Array) -> tuple[Array, Array]:
+    """Return the slope of an answer's mark on each factor, and its standard error, with a constant for each case.
+
+    Args:
+        x: logarithms of the factors, in units of their largest, shape (rows, numbers).
+        y: marks, shape (rows,).
+        case: the case of each row, shape (rows,).
+    """
+    for c in np.unique(case):
+        here = case == c
+        x[here], y[here] = x[here] - x[here].mean(axis=0), y[here] - y[here].mean()
+    square = np.maximum(np.sum(x**2, axis=0), 1e-300)
+    slope = x.T @ y / square
+    # One by one: the factors are independent, and the others' effects are scatter.
+    scatter = np.array([np.sum((y - x[:, k] * slope[k]) ** 2) for k in range(x.shape[1])])
+    return slope, np.sqrt(scatter / max(len(y) - len(np.unique(case)) - 1, 1) / square)
+
+
+def show(found: Sequence[Row], given: Sequence[Input], console: Console) -> None:
+    """Print the exam under random rules and the influence of each number."""
+    marks = {(r["draw"], r["case"]): mark(given[r["case"]], r) for r in found}
+    random = [r for r in found if r["draw"] > 0]
+    nominal = [m for (draw, _), m in marks.items() if draw == 0]
+    right = np.array([marks[r["draw"], r["case"]].right for r in random])
+    console.print(f"chosen values: {100 * np.mean([m.right for m in nominal]):.0f} % of {len(nominal)} cases right")
+    console.print(f"random values: {100 * right.mean():.1f} % of {len(random)} right")
+    complete = [d for d in {r["draw"] for r in random} if sum(r["draw"] == d for r in random) == len(given)]
+    if complete:
+        scores = [100 * np.mean([marks[d, c].right for c in range(len(given))]) for d in complete]
+        low, middle, high = np.quantile(scores, [0.0, 0.5, 1.0])
+        console.print(f"{len(scores)} draws: median {middle:.0f} %, {low:.0f} to {high:.0f} %")
+    numbers, reach = chosen(), math.log1p(SPREAD)
+    x = np.array([r["factors"] for r in random]) / reach
+    case = np.array([r["case"] for r in random])
+    y = np.array([marks[r["draw"], r["case"]] for r in random])
+    by_mark = []
+    for k in range(3):
+        known = np.isfinite(y[:, k])
+        by_mark.append(slopes(x[known].copy(), y[known, k].copy(), case[known]))
+    table = Table(title=f"change per + {100 * SPREAD:.0f} % of a number, ± its standard error")
+    for column in ("number", "value", "right, points", "log-odds", "size error, %", "largest"):
+        table.add_column(column)
+    strongest = np.max([np.abs(s) / np.maximum(e, 1e-300) for s, e in by_mark], axis=0)
+    for k in np.argsort(-strongest):
+        cells = [f"{f * s[k]:.2f} ± {f * e[k]:.2f}" for f, (s, e) in zip((100.0, 1.0, 100.0), by_mark, strict=True)]
+        table.add_row(numbers[k].name, f"{numbers[k].value:g}", *cells, f"{strongest[k]:.1f} σ")
+    console.print(table)
+
+
+def main() -> None:
+    """Run the draws and print the influence of each number."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--draws", type=int, default=30)
+    parser.add_argument("--duration", type=float, default=12.0, help="duration of the recordings, s (%(default)s)")
+    parser.add_argument("--common", action="store_true", help="one set of factors for all cases of a draw")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "influence.jsonl", help="file of results (%(default)s)")
+    options = parser.parse_args()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    given = inputs(options.duration, options.out.with_name(f"influence-{SEED}-{options.duration:g}.pickle"))
+    done = read_rows([options.out])
+    known = {(r["draw"], r["case"]) for r in done}
+    todo = [(d, c) for d in range(options.draws + 1) for c in range(len(given)) if (d, c) not in known]
+    for row in appended(options.out, rows(todo, given, options.common)):
+        done.append(row)
+        print(row["draw"], row["case"], row.get("error") or row["ours"]["verdict"], flush=True)
+    show(done, given, Console(width=140))
+
+
+if __name__ == "__main__":
+    main()
