@@ -15,6 +15,7 @@ from ehls_ros.diagnosis.missing_signals import deciding, untried
 from ehls_ros.diagnosis.remainder import remainder_in
 from ehls_ros.diagnosis.result import Cause, Rival
 from ehls_ros.diagnosis.search import Place, Searched
+from ehls_ros.diagnosis.starts import FITTED
 from ehls_ros.diagnosis.stages import Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
@@ -68,7 +69,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
                 fixed=dict(candidate.fixed),
                 gain=gain,
                 sigmas=best.sigmas(index),
-                rivals=tuple(_rival(evidence, found, place.without, j) for j in others[: rules.RIVALS]),
+                rivals=tuple(_rival(evidence, found, place.without, j) for j in others[: FITTED]),
                 channel=main,
                 share=_share(evidence, best, place.without, main),
                 deciding=tuple(dict.fromkeys(signal for signals in equivalent.values() for signal in signals)),

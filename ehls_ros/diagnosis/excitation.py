@@ -13,6 +13,12 @@ from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.stages import Stage
 
+NINE_OF_TEN = 1.2816
+"""Standard deviations below which a normal variable lies in nine of ten cases.
+
+Origin: a quantile.
+"""
+
 
 class Key(NamedTuple):
     """Key parameter by which the excitation of a stage is judged."""
@@ -70,7 +76,7 @@ def smallest_detectable(information: float, effect: float) -> float | None:
     if information <= 0.0:
         return None
     # At the threshold itself, the scatter would hide every other one.
-    sigmas = max(rules.MIN_SIGMAS, math.sqrt(2.0 * rules.NEEDED_GAIN)) + rules.NINE_OF_TEN
+    sigmas = max(rules.MIN_SIGMAS, math.sqrt(2.0 * rules.NEEDED_GAIN)) + NINE_OF_TEN
     smallest = sigmas / math.sqrt(information)
     return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
 

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, in_python
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.record import (
     COMMAND,
@@ -36,6 +35,18 @@ from ehls_ros.physics.plant import TEMPERATURE as OIL
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
 from ehls_ros.trajectory import Trajectory
+
+FREE_RUN = 20.0
+"""Longest time simulated without the measured states [s]."""
+
+FREE_START = 0.01
+"""Time over which the initial state of a free run is averaged [s]."""
+
+MOVED = 10.0
+"""Standard deviation of a signal relative to its noise above which a free run is compared with it."""
+
+BEYOND_STROKE = 1.0
+"""Distance beyond the stroke, relative to the stroke, at which a free run is stopped."""
 
 
 class Followed(NamedTuple):
@@ -73,7 +84,7 @@ class FreeRun(NamedTuple):
 
 
 def free_run(
-    trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = rules.FREE_RUN
+    trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = FREE_RUN
 ) -> FreeRun:
     """Simulate the beginning of a recording with the given and the extended model.
 
@@ -104,7 +115,7 @@ def free_run(
         for column, sensor in enumerate(SENSED)
         if (signal := RECORDED_AS[sensor]) in record
         and signal != TEMPERATURE
-        and float(np.std(record.signals[signal])) > rules.MOVED * record.noise[signal]
+        and float(np.std(record.signals[signal])) > MOVED * record.noise[signal]
     )
     remarks = ["the position integrates any error of the valve's null, so it may drift even with a good model"]
     for which, run in (("the model as it was given", before), ("the extended model", after)):
@@ -150,7 +161,7 @@ def follow(simulator: Simulator, record: Record, begin: int, end: int) -> Array:
     servo, servo_speed = record.values(SERVO_POSITION)[begin:end], record.values(SERVO_VELOCITY)[begin:end]
     oil = record.signals.get(TEMPERATURE, np.full(len(record.time), OIL_TEMPERATURE))[begin:end]
     low, high = simulator.rig.limits.position
-    room = rules.BEYOND_STROKE * (high - low)
+    room = BEYOND_STROKE * (high - low)
     out = np.full((len(command), len(SENSED)), np.nan)
     none = np.zeros(len(SENSED))
     for k in range(len(command)):
@@ -168,7 +179,7 @@ def _first(record: Record, sensor: str, sensors: Mapping[str, Sensor]) -> float:
     signal = RECORDED_AS[sensor]
     if signal not in record:
         return 0.0
-    samples = max(1, round(rules.FREE_START / record.period))
+    samples = max(1, round(FREE_START / record.period))
     known = record.signals[signal][:samples][record.good[signal][:samples]]
     description = sensors.get(sensor, Sensor())
     return (float(np.mean(known)) - description.bias) / description.gain if known.size else 0.0
@@ -186,7 +197,7 @@ def _start(simulator: Simulator, record: Record) -> None:
     if VELOCITY in record:
         y[V] = _first(record, "velocity", sensors)
     else:
-        samples = max(3, round(rules.FREE_START / record.period))
+        samples = max(3, round(FREE_START / record.period))
         y[V] = float(np.polyfit(record.time[:samples] - record.time[0], record.signals[POSITION][:samples], 1)[0])
     balance_friction(simulator, record, 0)
 

@@ -7,7 +7,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.held_out import RESAMPLED, Assessment
 from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.result import ChannelGain, Gain
 from ehls_ros.diagnosis.stages import Channel
@@ -65,12 +65,12 @@ def closed_fraction(before: Array, after: Array, noise: Array, seed: int) -> tup
         seed: of the resampling.
     """
     blocks = len(before)
-    weights = np.random.default_rng(seed).multinomial(blocks, np.ones(blocks) / blocks, rules.RESAMPLED)
+    weights = np.random.default_rng(seed).multinomial(blocks, np.ones(blocks) / blocks, RESAMPLED)
     with np.errstate(divide="ignore", invalid="ignore"):
         fractions = (weights @ (before - after)) / (weights @ (before - noise))
     fractions = fractions[np.isfinite(fractions)]
     low, high = np.quantile(fractions, [0.025, 0.975]) if fractions.size else (0.0, 0.0)
     removable = float(before.sum() - noise.sum())
-    enough = removable > rules.MIN_REMOVABLE * float(noise.sum())
+    enough = removable > (rules.REMOVABLE - 1.0) * float(noise.sum())
     closed = float(before.sum() - after.sum()) / removable if enough else 0.0
     return min(closed, 1.0), (float(min(low, 1.0)), float(min(high, 1.0)))

@@ -24,7 +24,7 @@ from ehls_ros.diagnosis.measurement import BesideForm
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.pruning import needed
 from ehls_ros.diagnosis.remainder import at_a_bound, remainder_as_noise, with_allowances
-from ehls_ros.diagnosis.search import Searched, search
+from ehls_ros.diagnosis.search import POLISHING_STEPS, Searched, search
 from ehls_ros.diagnosis.starts import Starts
 from ehls_ros.physics.effects import EFFECTS
 
@@ -112,7 +112,7 @@ def fitted_values(worker: Worker, alone: Sequence[Fit]) -> Fit | None:
     if not hypothesis:
         return None
     neutral = np.concatenate([c.neutral for c in hypothesis])
-    values = worker.fit(worker.linearise(hypothesis, neutral), rules.POLISHING_STEPS)
+    values = worker.fit(worker.linearise(hypothesis, neutral), POLISHING_STEPS)
     return values if len(wrong(worker.evidence, values)) > 1 else None
 
 

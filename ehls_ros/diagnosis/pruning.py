@@ -16,7 +16,7 @@ from ehls_ros.diagnosis.held_out import Assessment, assess, probabilities
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.pool import Pool
 from ehls_ros.diagnosis.remainder import remainder_as_noise
-from ehls_ros.diagnosis.search import Place, Searched, inflations
+from ehls_ros.diagnosis.search import FITTED, Place, Searched, inflations
 from ehls_ros.diagnosis.starts import Starts
 
 Rivals = Mapping[str, tuple[Fit, ...]]
@@ -73,7 +73,7 @@ def _assessed(pool: Pool, best: Fit, rivals: Rivals, found: Searched) -> Searche
     places = []
     for name, less in zip(now.names, without, strict=True):
         others = [other for other in rivals.get(name, ()) if other.hypothesis[0].name not in now.names]
-        starts = [less.fit.beside(other) for other in others[: rules.RIVALS]]
+        starts = [less.fit.beside(other) for other in others[: FITTED]]
         places.append(Place(less, tuple(pool.map(_fitted, starts))))
     scale = inflations(pool.evidence, [now, *(rival for place in places for rival in place.rivals)])
     return Searched(now, tuple(places), found.screened, scale)

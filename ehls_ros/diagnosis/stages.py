@@ -48,6 +48,33 @@ from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig, unknown_keys
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, earlier_commands
 from ehls_ros.samples import Mask
 
+MEMORY_STEP = 2.5e-4
+"""Longest integration step of an effect's own states and of a separate load [s].
+
+Origin: at twice that, the plays of a hysteresis lag as if by a command delay of 0.13 ms.
+"""
+
+FRICTION_STEP = 1e-3
+"""Longest integration step of a friction model [s]."""
+
+FASTEST_SHARE = 0.999
+"""Quantile of the speed for which a stiff friction model is integrated."""
+
+RELAXED = 1.5
+"""Relaxation times of a friction model per integration step, at most."""
+
+MAX_STEPS = 40
+"""Most integration steps of a friction model per sample."""
+
+MIN_STEP = 1e-4
+"""Shortest integration step of a separate load; a model that diverges at that step is no rig [s]."""
+
+GUIDED_STEP = 0.6
+"""Integration step of a separate load relative to the guide's time constant of the lighter mass, at most."""
+
+KEPT_RUNS = 3
+"""Runs of each part of the model that are kept for reuse."""
+
 Stage = Literal["force_balance", "flow", "valve", "sensors"]
 STAGES: tuple[Stage, ...] = ("force_balance", "flow", "valve", "sensors")
 
@@ -310,7 +337,7 @@ class Comparison:
     def _memory_steps(self, part: str, rig: EffectiveRig) -> int:
         """Return the integration steps per sample required by the effects' states; 0 without such states."""
         states = sum(getattr(EFFECTS.load(use.name), "STATES", 0) for use in _used(part, rig))
-        return max(1, math.ceil(self.record.period / rules.MEMORY_STEP)) if states else 0
+        return max(1, math.ceil(self.record.period / MEMORY_STEP)) if states else 0
 
     def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Any:
         return run_part(part, rig, self._along(part, rig, motion, self._memory_steps(part, rig)))
@@ -318,7 +345,7 @@ class Comparison:
     def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Any:
         period = self.record.period
         steps = max(
-            1, self._memory_steps("friction", rig), math.ceil(period / rules.FRICTION_STEP), self._stiff_steps(rig, motion)
+            1, self._memory_steps("friction", rig), math.ceil(period / FRICTION_STEP), self._stiff_steps(rig, motion)
         )
         scale = value_of(getattr(rig.friction, "stribeck_velocity", math.inf))
         extra = linear(np.ascontiguousarray, self.extra_force(rig)[:, 0])
@@ -328,8 +355,8 @@ class Comparison:
     def _run_load(self, rig: EffectiveRig, motion: Motion) -> Any:
         piston = rig.piston_mass()
         mass, moving = value_of(piston), value_of(rig.plant.moving_mass)
-        longest = min(rules.LOAD_STEP, rules.GUIDED_STEP * min(mass, moving) / (mass + moving) / (2.0 * GUIDE))
-        longest = max(longest, rules.MIN_STEP)
+        longest = min(MEMORY_STEP, GUIDED_STEP * min(mass, moving) / (mass + moving) / (2.0 * GUIDE))
+        longest = max(longest, MIN_STEP)
         steps = max(math.ceil(self.record.period / longest), self._stiff_steps(rig, motion))
         effects, joint = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
         others = rig._replace(effects=tuple(use for use in rig.effects if use not in joint))
@@ -339,10 +366,10 @@ class Comparison:
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:
         """Return the integration steps per sample required by the friction model's relaxation."""
         speed: float = self._keep(
-            "speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), rules.FASTEST_SHARE))
+            "speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), FASTEST_SHARE))
         )
         fastest = rig.friction_law.relaxation_rate(values_of(rig.friction), speed)
-        return min(rules.MAX_STEPS, max(1, math.ceil(fastest * self.record.period / rules.RELAXED)))
+        return min(MAX_STEPS, max(1, math.ceil(fastest * self.record.period / RELAXED)))
 
     def _balance(self, rig: EffectiveRig, motion: Motion) -> Any:
         """Return the friction that balances the other forces at the start of each stretch, from smoothed motion [N]."""
@@ -452,7 +479,7 @@ class Comparison:
         kept = self._kept.setdefault(what, {})
         if key not in kept:
             value = compute()
-            while len(kept) >= rules.KEPT_RUNS:
+            while len(kept) >= KEPT_RUNS:
                 kept.pop(next(iter(kept)), None)
             kept[key] = value
         return kept[key]

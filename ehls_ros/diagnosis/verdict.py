@@ -74,13 +74,9 @@ def decide(findings: Mapping[Stage, Finding], causes: Sequence[Stage], *, excita
 
 def unknown_stage(findings: Mapping[Stage, Finding]) -> Stage | None:
     """Return the stage with the largest unexplained remainder; None if there is none."""
-    worst, found = 0.0, None
-    for stage, finding in findings.items():
-        for item in finding.remainders:
-            excess = item.excess * (rules.SENSORS_FIRST if stage == "sensors" else 1.0)
-            if item.unexplained and excess > worst:
-                worst, found = excess, stage
-    return found
+    # Two sensors that disagree need no model.
+    left = [(s == "sensors", item.excess, s) for s, found in findings.items() for item in found.remainders if item.unexplained]
+    return max(left, key=lambda item: item[:2])[2] if left else None
 
 
 def enough_excited(findings: Mapping[Stage, Finding]) -> bool:
