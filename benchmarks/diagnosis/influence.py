@@ -11,12 +11,19 @@ import os
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"
 
+import ast  # noqa: E402
 import importlib  # noqa: E402
+import inspect  # noqa: E402
 import math  # noqa: E402
 import pickle  # noqa: E402
+import pkgutil  # noqa: E402
+import re  # noqa: E402
 import sys  # noqa: E402
-from collections.abc import Iterator, Sequence  # noqa: E402
+from collections.abc import Iterator, Mapping, Sequence  # noqa: E402
+from importlib.abc import MetaPathFinder  # noqa: E402
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader  # noqa: E402
 from pathlib import Path  # noqa: E402
+from types import CodeType, ModuleType  # noqa: E402
 from typing import Any, NamedTuple  # noqa: E402
 
 import numpy as np  # noqa: E402
@@ -25,7 +32,9 @@ from rich.table import Table  # noqa: E402
 
 from benchmarks.common import ROOT, parser_of  # noqa: E402
 from benchmarks.rows import Row, appended, read_rows  # noqa: E402
+from ehls_ros import diagnosis  # noqa: E402
 from ehls_ros.arrays import Array  # noqa: E402
+from ehls_ros.declared_numbers import DeclaredNumber, declared_numbers  # noqa: E402
 from ehls_ros.diagnosis import rules  # noqa: E402
 
 SEED = 360_360
@@ -41,34 +50,60 @@ MIXED = {
 }
 """Numbers of the cases of each exam: singles, pairs, nothing and outside the list; rigs that no model describes."""
 
-UNSEEN = ("monitor", "free run")
-"""Steps whose rules no diagnosis uses."""
+UNUSED = ("free_run", "prediction")
+"""Modules that no diagnosis uses."""
+
+BASELINE = "ehls_ros.experiments.baseline"
+"""Module that diagnoses against baselines."""
+
+AFRESH = ("ehls_ros.diagnosis", "ehls_ros.experiments", "ehls_ros.identification", "benchmarks.diagnosis")
+"""Modules that depend on the numbers."""
 
 CERTAIN = 6.9
 """Largest log-odds: a probability of 0.999."""
 
 
-class Number(NamedTuple):
-    """A chosen number: the module that declares it, its name and value."""
-
-    module: str
-    name: str
-    value: float
-
-    def moved(self, x: float) -> float:
-        """Return the number with its factor; of a fraction above one half, the complement is multiplied."""
-        if isinstance(self.value, int):
-            return max(1, round(self.value * math.exp(x)))
-        return 1.0 - (1.0 - self.value) * math.exp(x) if 0.5 < self.value < 1.0 else self.value * math.exp(x)
+def moved(value: float, x: float) -> float:
+    """Return a number with the factor exp(x); of a fraction above one half, the complement is multiplied."""
+    if isinstance(value, int):
+        return max(1, round(value * math.exp(x)))
+    return 1.0 - (1.0 - value) * math.exp(x) if 0.5 < value < 1.0 else value * math.exp(x)
 
 
-def chosen() -> list[Number]:
+def chosen() -> list[DeclaredNumber]:
     """Return the numbers chosen by judgement that a diagnosis uses."""
+    names = [f"{diagnosis.__name__}.{found.name}" for found in pkgutil.iter_modules(diagnosis.__path__) if not found.ispkg]
+    modules = [importlib.import_module(name) for name in (*names, BASELINE) if name.rpartition(".")[2] not in UNUSED]
+    used = {name for module in modules for name in re.findall(r"\brules\.([A-Z_]+)\b", inspect.getsource(module))}
     return [
-        Number(rules.__name__, e.name, e.value)
-        for e in rules.table()
-        if e.rule.origin == rules.CHOSEN and e.rule.step not in UNSEEN
+        n for module in modules[:-1] for n in declared_numbers(module) if n.chosen and (module is not rules or n.name in used)
     ]
+
+
+class Moving(MetaPathFinder, SourceFileLoader):
+    """Import of modules with other values of their numbers."""
+
+    def __init__(self, values: Mapping[tuple[str, str], float], name: str = "", path: str = "") -> None:
+        """Store the values by module and name; a finder without a module's name and path."""
+        super().__init__(name, path)
+        self.values = values
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Find a module that depends on the numbers, to be loaded with their values."""
+        spec = PathFinder.find_spec(name, path, target) if name.startswith(AFRESH) else None
+        if spec is not None and spec.origin is not None:
+            spec.loader = Moving(self.values, name, spec.origin)
+        return spec
+
+    def get_code(self, fullname: str) -> CodeType:
+        """Return the module's code with the values."""
+        tree = ast.parse(self.get_data(self.path))
+        for statement in tree.body:
+            if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Name):
+                key = fullname, statement.targets[0].id
+                if key in self.values:
+                    statement.value = ast.copy_location(ast.Constant(self.values[key]), statement.value)
+        return compile(tree, self.path, "exec")
 
 
 def factors_of(draw: int, case: int, common: bool, count: int) -> Array:
@@ -107,15 +142,13 @@ def inputs(duration: float, path: Path) -> list[Input]:
 def rows(todo: Sequence[tuple[int, int]], given: Sequence[Input], common: bool) -> Iterator[Row]:
     """Yield the row of each draw and case."""
     numbers = chosen()
-    kept = set(sys.modules)
     for draw, index in todo:
         # Numbers are also default values of arguments: the modules that use them are imported afresh.
-        for name in set(sys.modules) - kept:
-            if name.startswith(("ehls_ros.diagnosis", "ehls_ros.experiments", "ehls_ros.identification", "benchmarks.diagnosis")):
-                del sys.modules[name]
+        for name in [name for name in sys.modules if name.startswith(AFRESH)]:
+            del sys.modules[name]
         x = factors_of(draw, index, common, len(numbers))
-        for number, part in zip(numbers, x, strict=True):
-            setattr(importlib.import_module(number.module), number.name, number.moved(float(part)))
+        values = {(n.module, n.name): moved(n.value, float(part)) for n, part in zip(numbers, x, strict=True)}
+        sys.meta_path[:] = [Moving(values), *(finder for finder in sys.meta_path if not isinstance(finder, Moving))]
         running, cases = (importlib.import_module(f"benchmarks.diagnosis.{name}") for name in ("running", "cases"))
         new, *healthy = given[index].recordings
         row: Row = {"draw": draw, "case": index, "common": common, "factors": [round(float(part), 5) for part in x]}
