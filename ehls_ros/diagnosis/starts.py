@@ -125,7 +125,7 @@ class Starts:
             key = cause.name, cause.number
             if start.promise > max(least, promises[key].promise if key in promises else 0.0):
                 promises[key] = start
-        return sorted(promises.values(), key=lambda start: -start.promise)[: FITTED]
+        return sorted(promises.values(), key=lambda start: -start.promise)[:FITTED]
 
     def _at_lines(self, member: Assessment) -> list[Fit]:
         """Return single-frequency causes at the spectral lines of a hypothesis' residual, which its causes may have masked."""

@@ -7,10 +7,9 @@ import pytest
 from plain_evidence import MASS, SIZE, VALVE, VISCOUS, assessed, candidate, evidence_of, linear_fit, nothing
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.causes import causes, estimate
+from ehls_ros.diagnosis.causes import causes, closed_fraction, estimate, gain
 from ehls_ros.diagnosis.dependence import depends_on, explained_fraction
 from ehls_ros.diagnosis.excitation import NINE_OF_TEN, Sliding, excited, sensitivities, smallest_detectable
-from ehls_ros.diagnosis.gain import closed_fraction, gain
 from ehls_ros.diagnosis.held_out import probabilities
 from ehls_ros.diagnosis.remainder import (
     Blocks,
