@@ -1,4 +1,4 @@
-"""Causes of the best hypothesis as listed in the result: probability, parameters, equivalents, rivals; their gain, and advice."""
+"""Causes of the best hypothesis as listed in the result, with their rivals and equivalents; their gain, and advice."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence

@@ -352,11 +352,8 @@ Origin: right in 58 of 61 that would have 0.85 or more without it, in benchmarks
 
 # --- baseline ----------------------------------------------------------------------------------
 
-BASELINE_STEPS = 20
-"""Most steps in which the rig is fitted to the baselines."""
-
 BASELINE_FREEDOMS = 30.0
-"""Windows of a channel, in effect, over which errors of form average out in that fit.
+"""Windows of a channel, in effect, over which errors of form average out in the fit to baselines.
 
 Origin: rig files 30 % off in three values: fewer leave much of the error, more drag static friction away.
 """
@@ -392,56 +389,8 @@ Origin: the viscosity of mineral oil falls by some 3 % per K at 40 °C; a third 
 FUNCTION_SPREAD = 0.1
 """The same for the smooth remainder, as a fraction of its standard deviation."""
 
-SECTIONS = 3
-"""Sections of an only baseline that stand for recordings when the healthy spread is estimated."""
-
-SPREAD_STEPS = 12
-"""Rounds in which that spread is estimated."""
-
-MAX_LEARNT = 9000
-"""Most windows of all baselines together that a channel is learnt from."""
-
-TOGETHER = 3.0
-"""Number of neighbouring windows that the sensors' noise moves together.
-
-Origin: windows overlap.
-"""
-
-MIN_SCALE = 1e-3
-"""Least scale of a signal, as a fraction of its largest magnitude."""
-
-SINGLE_CENTRES = 20
-"""Most centres of the function of one signal."""
-
-JOINT_CENTRES = 60
-"""Most centres of the function of all signals together."""
-
 SMOOTH = 0.5
-"""Length over which such a function varies, in units of a signal's scale near its median."""
-
-RESOLVED_KERNEL = 1e-3
-"""Fraction of a function's variance that may be left out at any point."""
-
-COLLINEAR = 0.01
-"""Relative singular value below which derivatives by coefficients count as the same."""
-
-MIN_FUNCTION = 1e-3
-"""Least standard deviation of such a function, as a fraction of the one it starts from."""
-
-STRETCH = 40
-"""Windows in each such stretch: longer than the memory of the remainder, too short to hold all rare events."""
-
-FOLDS = 5
-"""Parts in which stretches are held out when the remainder is learnt."""
-
-LEARNING_STEPS = 8
-"""Rounds in which sizes and noise of the remainder are estimated."""
-
-ROBUST_STEPS = 3
-"""Rounds of Huber's weights in each."""
-
-MAX_MEMORY = 40
-"""Windows over which the remainder may be correlated, at most."""
+"""Length over which a function of signals varies, in units of a signal's scale near its median."""
 
 UNCORRELATED = 0.05
 """Correlation below which windows no longer err together."""
