@@ -1,8 +1,8 @@
 """Influence of the diagnosis' chosen numbers: answers with all numbers off by random factors at once, regressed on these.
 
-    python -m benchmarks.diagnosis.influence --draws 30           # each case with factors of its own: most power
     python -m benchmarks.diagnosis.influence --draws 30           # factors of its own for each case: most power
     python -m benchmarks.diagnosis.influence --draws 30 --common  # the same factors for all cases of a draw: the exam
+
 Draw 0 has the chosen values. A line of JSON is written per diagnosis; an interrupted run is resumed.
 """
 
