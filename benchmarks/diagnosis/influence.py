@@ -107,11 +107,9 @@ class Moving(MetaPathFinder, SourceFileLoader):
 
 
 def factors_of(draw: int, case: int, common: bool, count: int) -> Array:
-    """Return the logarithms of the factors."""
-    if draw == 0:
-        return np.zeros(count)
-    reach = math.log1p(SPREAD)
-    return np.random.default_rng([SEED, draw, 0 if common else 1 + case]).uniform(-reach, reach, count)
+    """Return the logarithms of the factors, in units of the largest."""
+    rng = np.random.default_rng([SEED, draw, 0 if common else 1 + case])
+    return rng.uniform(-1.0, 1.0, count) if draw else np.zeros(count)
 
 
 class Input(NamedTuple):
@@ -141,17 +139,18 @@ def inputs(duration: float, path: Path) -> list[Input]:
 
 def rows(todo: Sequence[tuple[int, int]], given: Sequence[Input], common: bool) -> Iterator[Row]:
     """Yield the row of each draw and case."""
-    numbers = chosen()
+    numbers, reach = chosen(), math.log1p(SPREAD)
     for draw, index in todo:
         # Numbers are also default values of arguments: the modules that use them are imported afresh.
         for name in [name for name in sys.modules if name.startswith(AFRESH)]:
             del sys.modules[name]
         x = factors_of(draw, index, common, len(numbers))
-        values = {(n.module, n.name): moved(n.value, float(part)) for n, part in zip(numbers, x, strict=True)}
+        values = {(n.module, n.name): moved(n.value, reach * float(part)) for n, part in zip(numbers, x, strict=True)}
         sys.meta_path[:] = [Moving(values), *(finder for finder in sys.meta_path if not isinstance(finder, Moving))]
         running, cases = (importlib.import_module(f"benchmarks.diagnosis.{name}") for name in ("running", "cases"))
         new, *healthy = given[index].recordings
-        row: Row = {"draw": draw, "case": index, "common": common, "factors": [round(float(part), 5) for part in x]}
+        factors = {n.name: round(float(part), 4) for n, part in zip(numbers, x, strict=True)}
+        row: Row = {"draw": draw, "case": index, "common": common, "factors": factors}
         try:
             how = {"seed": given[index].number, "threads": 1}
             if healthy:
@@ -229,8 +228,10 @@ def show(found: Sequence[Row], given: Sequence[Input], console: Console) -> None
         scores = [100 * np.mean([marks[d, c].right for c in range(len(given))]) for d in complete]
         low, middle, high = np.quantile(scores, [0.0, 0.5, 1.0])
         console.print(f"{len(scores)} draws: median {middle:.0f} %, {low:.0f} to {high:.0f} %")
-    numbers, reach = chosen(), math.log1p(SPREAD)
-    x = np.array([r["factors"] for r in random]) / reach
+    numbers = {n.name: n.value for n in chosen()}
+    # A number that was dropped since has no value any more.
+    names = list(random[0]["factors"])
+    x = np.array([[r["factors"][name] for name in names] for r in random])
     case = np.array([r["case"] for r in random])
     y = np.array([marks[r["draw"], r["case"]] for r in random])
     by_mark = []
@@ -243,7 +244,7 @@ def show(found: Sequence[Row], given: Sequence[Input], console: Console) -> None
     strongest = np.max([np.abs(s) / np.maximum(e, 1e-300) for s, e in by_mark], axis=0)
     for k in np.argsort(-strongest):
         cells = [f"{f * s[k]:.2f} ± {f * e[k]:.2f}" for f, (s, e) in zip((100.0, 1.0, 100.0), by_mark, strict=True)]
-        table.add_row(numbers[k].name, f"{numbers[k].value:g}", *cells, f"{strongest[k]:.1f} σ")
+        table.add_row(names[k], f"{numbers.get(names[k], math.nan):g}", *cells, f"{strongest[k]:.1f} σ")
     console.print(table)
 
 
