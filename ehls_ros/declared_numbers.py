@@ -15,7 +15,7 @@ class DeclaredNumber(NamedTuple):
         name: name of the number.
         value: its value.
         meaning: first paragraph of its docstring, with the unit in brackets at its end; empty without a docstring.
-        origin: the docstring's ``Origin``: a benchmark run with its figures, or a reason; empty for a number chosen by judgement.
+        origin: the docstring's ``Origin``: a benchmark run with figures, or a reason; empty for a number chosen by judgement.
         derived: the expression that gives it from others; empty for one that is written as a plain number.
     """
 

@@ -16,8 +16,8 @@ from ehls_ros.diagnosis.missing_signals import deciding, untried
 from ehls_ros.diagnosis.remainder import remainder_in
 from ehls_ros.diagnosis.result import Cause, ChannelGain, Gain, Rival
 from ehls_ros.diagnosis.search import Place, Searched
-from ehls_ros.diagnosis.starts import FITTED
 from ehls_ros.diagnosis.stages import Channel, Stage
+from ehls_ros.diagnosis.starts import FITTED
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
@@ -235,4 +235,4 @@ def spring_in_force(rig: Rig, cause: Cause) -> bool:
     if cause.name != SPRING or added is None or not stiffness > 0.0:
         return False
     # A fit beyond zero stiffness has no effect.
-    return added.value + stiffness <= max(rules.SPRING_LEFT * stiffness, rules.SPRING_SIGMAS * added.std)
+    return added.value + stiffness <= max(rules.SPRING_LEFT * stiffness, rules.MAX_ALLOWED * added.std)

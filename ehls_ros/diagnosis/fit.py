@@ -28,13 +28,7 @@ MAX_CHANGE = 5.0
 """Multiple of that change above which the step is shortened."""
 
 STEP_GROWTH = 1e3
-"""Largest factor by which a step is enlarged at once."""
-
-STEP_SHRINKAGE = 0.01
-"""Smallest factor by which a step is shortened at once."""
-
-ENLARGED_BELOW = 0.2
-"""Fraction of a parameter's range below which its step may be enlarged."""
+"""Largest factor by which a step is enlarged or shortened at once."""
 
 MAX_FIT_STEP = 0.25
 """Longest step, as a fraction of a parameter's range."""
@@ -66,11 +60,8 @@ MANY_PARAMETERS = 6
 Origin: fits of about 10 take at most 70 evaluations then, on EMPS, instead of 104 to 191.
 """
 
-LOW_DAMPING = 1e-6
-"""Levenberg damping of the first step from fresh derivatives."""
-
 MIN_DAMPING = 1e-9
-"""Least Levenberg damping, also used to predict the result of a step."""
+"""Levenberg damping of the first step from fresh derivatives, the least."""
 
 DAMPING_FACTOR = 10.0
 """Factor on the damping from one failed step to the next, and its inverse after a good one."""
@@ -231,7 +222,7 @@ class Worker:
         """
         evidence = self.evidence
         lower, upper = bounds(start.hypothesis)
-        now, damping = start, LOW_DAMPING
+        now, damping = start, MIN_DAMPING
         # Expensive derivatives are evaluated again only when the last ones give no further progress.
         fresh = fresh or start
         for iteration in range(iterations):
@@ -256,7 +247,7 @@ class Worker:
             if not gained:
                 if now is fresh:
                     return now._replace(settled=True)
-                now, damping = self._refreshed(now, fresh), LOW_DAMPING
+                now, damping = self._refreshed(now, fresh), MIN_DAMPING
                 fresh = now
                 continue
             decrease = now.loss - total
@@ -312,11 +303,11 @@ class Worker:
             column = {c: (other.values[c] - residuals.values[c]) / signed for c in evidence.channels}
             with np.errstate(over="ignore", invalid="ignore"):
                 change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values())))
-            if change < MIN_CHANGE * enough and step < ENLARGED_BELOW * span:
+            if change < MIN_CHANGE * enough and step < MAX_FIT_STEP * span:
                 factor = STEP_GROWTH if change == 0.0 else min(STEP_GROWTH, enough / change)
                 step = min(step * factor, MAX_FIT_STEP * span)
             elif change > MAX_CHANGE * enough:
-                step *= max(STEP_SHRINKAGE, enough / change)
+                step *= max(1.0 / STEP_GROWTH, enough / change)
             else:
                 break
         if not math.isfinite(change):
@@ -379,7 +370,7 @@ def newton_start(fit: Fit) -> Start:
     """Return a start that first tries a full Gauss-Newton step and then a shortened one."""
     lower, upper = bounds(fit.hypothesis)
     e = fit.residuals.joined(fit.channels)
-    step = gauss_newton(fit.jacobian, e, LOW_DAMPING, fit.values, lower, upper)
+    step = gauss_newton(fit.jacobian, e, MIN_DAMPING, fit.values, lower, upper)
     trials = tuple(np.clip(fit.values + part * step, lower, upper) for part in (1.0, SHORTENED))
     return Start(fit, trials, fit.loss - linear_loss(e, fit.jacobian, trials[0] - fit.values))
 
@@ -391,10 +382,4 @@ def base_loss(evidence: Evidence, fit: Fit) -> float:
 
 def predicted_loss(fit: Fit) -> float:
     """Return the loss expected after one Gauss-Newton step [nats]."""
-    if not fit.values.size:
-        return fit.loss
-    e = fit.residuals.joined(fit.channels)
-    lower, upper = bounds(fit.hypothesis)
-    step = gauss_newton(fit.jacobian, e, MIN_DAMPING, fit.values, lower, upper)
-    step = np.clip(fit.values + step, lower, upper) - fit.values
-    return linear_loss(e, fit.jacobian, step)
+    return fit.loss - newton_start(fit).promise if fit.values.size else fit.loss

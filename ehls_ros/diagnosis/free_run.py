@@ -83,9 +83,7 @@ class FreeRun(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def free_run(
-    trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = FREE_RUN
-) -> FreeRun:
+def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = FREE_RUN) -> FreeRun:
     """Simulate the beginning of a recording with the given and the extended model.
 
     Args:

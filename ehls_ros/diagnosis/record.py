@@ -16,6 +16,12 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise, noise_between_moves
 from ehls_ros.trajectory import Own, Trajectory
 
+MAX_RECORDING = 150.0
+"""Longest recording that is used completely; a longer one is sampled in stretches of this total [s]."""
+
+STRETCHES = 15
+"""Stretches taken of a longer recording, spread evenly over it."""
+
 SPIKE_NEIGHBOURS = 41
 """Samples over which the median change around a command is taken."""
 
@@ -182,11 +188,11 @@ def spread_noise(own: Own, period: float) -> float:
 
 def _stretches(time: Array, remarks: list[str]) -> NDArray[np.intp]:
     duration = float(time[-1] - time[0])
-    if duration <= rules.MAX_RECORDING:
+    if duration <= MAX_RECORDING:
         return np.arange(len(time))
-    length = rules.MAX_RECORDING / rules.STRETCHES
-    begins = time[0] + np.linspace(0.0, duration - length, rules.STRETCHES)
-    remarks.append(f"of {duration:.0f} s, {rules.STRETCHES} stretches of {length:.0f} s spread evenly over it are used")
+    length = MAX_RECORDING / STRETCHES
+    begins = time[0] + np.linspace(0.0, duration - length, STRETCHES)
+    remarks.append(f"of {duration:.0f} s, {STRETCHES} stretches of {length:.0f} s spread evenly over it are used")
     parts = [np.arange(*np.searchsorted(time, [b, b + length])) for b in begins]
     # A stretch in a gap of the recording may be empty; dropping the first sample keeps adjacent stretches apart.
     return np.unique(np.concatenate([p[1:] for p in parts if len(p) > 2]))
@@ -213,9 +219,7 @@ def _not_spikes(values: Array) -> Mask:
     before, after = np.concatenate([whole[:1], whole[:-1]]), np.concatenate([whole[1:], whole[-1:]])
     off = _stands_off(whole)
     alone = (whole - before) * (whole - after) > 0.0
-    around = scipy.ndimage.median_filter(np.abs(whole - before), SPIKE_NEIGHBOURS, mode="nearest") + np.abs(
-        after - before
-    )
+    around = scipy.ndimage.median_filter(np.abs(whole - before), SPIKE_NEIGHBOURS, mode="nearest") + np.abs(after - before)
     jumps = (off > rules.SPIKE * around) & (off > MIN_SPIKE * np.max(np.abs(whole)))
     good: Mask = np.isfinite(values) & ~(alone & jumps)
     return good

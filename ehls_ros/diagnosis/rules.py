@@ -33,12 +33,6 @@ MENTIONED = 1e-3
 UNEVEN = 0.01
 """Fraction of the period by which a time step may differ before the sampling is called uneven."""
 
-MAX_RECORDING = 150.0
-"""Longest recording that is used completely; a longer one is sampled in stretches of this total [s]."""
-
-STRETCHES = 15
-"""Stretches taken of a longer recording, spread evenly over it."""
-
 UNIT_QUANTILE = 0.99
 """Quantile of a signal's magnitude that counts as its reach."""
 
@@ -58,10 +52,7 @@ SIZE_OUTSIDE = 0.1
 """Distance outside the rig's stroke up to which a position may count from mid-stroke, as a fraction of the stroke."""
 
 SPRING_LEFT = 0.05
-"""Fitted stiffness up to which no spring acts in the force, as a fraction of the rig file's."""
-
-SPRING_SIGMAS = 2.0
-"""The same in standard errors."""
+"""Fitted stiffness up to which no spring acts in the force, as a fraction of the rig file's; or MAX_ALLOWED standard errors."""
 
 # --- stages ----------------------------------------------------------------------------------
 
@@ -78,7 +69,7 @@ VELOCITY_FIT = 0.011
 """Length of the local fit that velocities are taken from [s]."""
 
 SPOOL_SETTLING = 0.08
-"""Time left out of the spool's residual after a gap in the command [s]."""
+"""Time left out of the spool's residual after a gap in the command, and of each residual at the end of a recording [s]."""
 
 SLOWEST = 0.25
 """Sampling period relative to the valve's time constant above which commands between two samples would be missed; and rms
@@ -104,9 +95,6 @@ baselines are removed.
 
 SETTLING = 0.3
 """Time left out at the start of a stretch, where the state of the friction model is not known [s]."""
-
-END_SETTLING = 0.06
-"""Time left out at the end of a recording [s]."""
 
 # --- evidence ----------------------------------------------------------------------------------
 
@@ -186,9 +174,6 @@ Origin: the mean over the window then is a sixth of the line's amplitude, and so
 
 # --- starts ------------------------------------------------------------------------------------
 
-PROMISING = 5.0
-"""Predicted gain above which a hypothesis is fitted [nat]."""
-
 # --- search ------------------------------------------------------------------------------------
 
 NEEDED_GAIN = 20.0
@@ -241,9 +226,6 @@ SIMPLER = 5e-3
 
 BETTER = 1.0
 """Gain for which a cause is exchanged for a rival [nat]."""
-
-MAX_CAUSES = 3
-"""Most causes that are sought together."""
 
 # --- verdict -----------------------------------------------------------------------------------
 

@@ -18,7 +18,10 @@ from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis
 from ehls_ros.diagnosis.loss import inflation, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.stages import Channel
-from ehls_ros.diagnosis.starts import FITTED, Starts
+from ehls_ros.diagnosis.starts import FITTED, PROMISING, Starts
+
+MAX_CAUSES = 3
+"""Most causes that are sought together."""
 
 BEAM = 3
 """Hypotheses carried on to the next number of causes."""
@@ -102,7 +105,7 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
 def _alone(evidence: Evidence, pool: Pool, screened: Sequence[Fit]) -> list[Assessment]:
     """Fit the most promising single causes."""
     gains = np.array([base_loss(evidence, f) - predicted_loss(f) for f in screened])
-    order = [int(i) for i in np.argsort(-gains) if gains[i] > rules.PROMISING][: TRIED_SINGLES]
+    order = [int(i) for i in np.argsort(-gains) if gains[i] > PROMISING][:TRIED_SINGLES]
     return _fitted(evidence, pool, [newton_start(screened[i]) for i in order], FITTED_SINGLES)
 
 
@@ -119,15 +122,15 @@ def _added(
         level: the same with one more cause.
         progress: called with the progress.
     """
-    for count in range(1, rules.MAX_CAUSES + 1):
+    for count in range(1, MAX_CAUSES + 1):
         scale = inflations(evidence, [best, *level])
         ranked = [j for j in _ranked(level, scale) if accepted(evidence, j, best, scale)]
         if not ranked:
             break
         best = ranked[0]
-        if count == rules.MAX_CAUSES:
+        if count == MAX_CAUSES:
             break
-        beam = _distinct(ranked)[: BEAM]
+        beam = _distinct(ranked)[:BEAM]
         level = _fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
         progress("causes together", 0.55 + 0.1 * count)
     return best, scale
@@ -179,16 +182,12 @@ def _fitted(
     order = sorted(range(len(starts)), key=lambda i: -_gain(evidence, stepped[i]))
     fits = pool.map(go, [(starts[i], stepped[i]) for i in order[:keep]])
     fits.sort(key=lambda f: -_gain(evidence, f))
-    reach = REACH * max(
-        [_gain(evidence, f) for f in [*fits[:1], *([rival.fit] if rival is not None else [])]], default=0.0
-    )
+    reach = REACH * max([_gain(evidence, f) for f in [*fits[:1], *([rival.fit] if rival is not None else [])]], default=0.0)
 
     def hopeful(fit: Fit) -> bool:
         return base_loss(evidence, fit) - predicted_loss(fit) >= reach
 
-    return pool.map(
-        finish, [f._replace(settled=f.settled or i >= POLISHED or not hopeful(f)) for i, f in enumerate(fits)]
-    )
+    return pool.map(finish, [f._replace(settled=f.settled or i >= POLISHED or not hopeful(f)) for i, f in enumerate(fits)])
 
 
 def inflations(evidence: Evidence, found: Sequence[Assessment]) -> dict[Channel, float]:

@@ -344,9 +344,7 @@ class Comparison:
 
     def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Any:
         period = self.record.period
-        steps = max(
-            1, self._memory_steps("friction", rig), math.ceil(period / FRICTION_STEP), self._stiff_steps(rig, motion)
-        )
+        steps = max(1, self._memory_steps("friction", rig), math.ceil(period / FRICTION_STEP), self._stiff_steps(rig, motion))
         scale = value_of(getattr(rig.friction, "stribeck_velocity", math.inf))
         extra = linear(np.ascontiguousarray, self.extra_force(rig)[:, 0])
         inputs = FrictionInputs(extra, self._balance(rig, motion), scale)
@@ -365,9 +363,7 @@ class Comparison:
 
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:
         """Return the integration steps per sample required by the friction model's relaxation."""
-        speed: float = self._keep(
-            "speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), FASTEST_SHARE))
-        )
+        speed: float = self._keep("speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), FASTEST_SHARE)))
         fastest = rig.friction_law.relaxation_rate(values_of(rig.friction), speed)
         return min(MAX_STEPS, max(1, math.ceil(fastest * self.record.period / RELAXED)))
 
@@ -626,5 +622,5 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
     for begin in np.flatnonzero(record.fresh):
         late[begin : begin + settling] = False
         late[max(begin - window.weights.size, 0) : begin] = False
-    late[-max(1, round(rules.END_SETTLING / record.period)) :] = False
+    late[-max(1, round(rules.SPOOL_SETTLING / record.period)) :] = False
     return window.mean((good & late).astype(np.float64)) > 1.0 - 1e-9

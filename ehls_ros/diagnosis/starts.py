@@ -16,6 +16,9 @@ from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.stages import Channel
 
+PROMISING = 5.0
+"""Predicted gain above which a hypothesis is fitted [nat]."""
+
 MORE_PROMISING = 1.5
 """Ratio of predicted gains above which another start replaces the one that is best alone."""
 
@@ -100,7 +103,7 @@ class Starts:
         for fits in self.tried.fits:
             gains = [_gain_beside(few, remainder, f) for f in fits] if len(fits) > 1 else [0.0]
             best = int(np.argmax(gains))
-            chosen.append(best if gains[best] > MORE_PROMISING * max(gains[0], rules.PROMISING) else 0)
+            chosen.append(best if gains[best] > MORE_PROMISING * max(gains[0], PROMISING) else 0)
         return self._on_all_blocks(chosen)
 
     def extensions(self, member: Assessment, most: float = math.inf) -> list[Start]:
@@ -113,7 +116,7 @@ class Starts:
         evidence = self.pool.evidence
         promises = dict[tuple[str, int], Start]()
         excess = sum(member.excess(evidence, c) for c in member.held_out.gain)
-        least = max(rules.PROMISING, rules.PROMISED_EXCESS * rules.REMOVED_EXCESS * excess)
+        least = max(PROMISING, rules.PROMISED_EXCESS * rules.REMOVED_EXCESS * excess)
         # The gain still available to the hypothesis itself is not due to the further cause.
         least += member.fit.loss - predicted_loss(member.fit)
         for other in [*self.beside(member), *self._at_lines(member)]:
@@ -131,7 +134,7 @@ class Starts:
         """Return single-frequency causes at the spectral lines of a hypothesis' residual, which its causes may have masked."""
         evidence = self.pool.evidence
         main = main_channel(evidence.channels)
-        if not member.names or member.excess(evidence, main) < rules.PROMISING:
+        if not member.names or member.excess(evidence, main) < PROMISING:
             return []
         lines = spectral_lines(member.fit.residuals.values[main], evidence.times[main])
         found = at_lines(self.tried.causes, evidence.record, evidence.rig, lines)
