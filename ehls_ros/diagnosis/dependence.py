@@ -6,6 +6,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.loss import CLIP
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Comparison
 from ehls_ros.physics.rig import Rig
@@ -17,9 +18,6 @@ KNOTS = 12
 RIDGE = 1e-3
 """Ridge of that regression, as a fraction of the mean curvature, for knots without data."""
 
-STRONGEST_CLIP = 5.0 * rules.HUBER
-"""Whitened residual at which the regression on a signal clips."""
-
 
 def depends_on(e: Array, signals: Mapping[str, Array], even: Mask) -> tuple[str, ...]:
     """Return the names of the signals that predict a residual on held-out blocks, strongest first.
@@ -29,7 +27,7 @@ def depends_on(e: Array, signals: Mapping[str, Array], even: Mask) -> tuple[str,
         signals: mean of each signal over the same windows, shape (n,).
         even: the windows in even blocks, shape (n,); each half is predicted from the other.
     """
-    clipped = np.clip(e, -STRONGEST_CLIP, STRONGEST_CLIP)
+    clipped = np.clip(e, -CLIP, CLIP)
     explained = {name: explained_fraction(means, clipped, even) for name, means in signals.items() if np.ptp(means) > 0.0}
     least = max(rules.DEPENDS, rules.DEPENDS_BESIDE * max(explained.values(), default=0.0))
     order = sorted(explained, key=lambda name: -explained[name])

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import weights
+from ehls_ros.diagnosis.windows import OVERLAP
 from ehls_ros.samples import GAUSS, Mask
 
 SECTIONS = 3
@@ -34,29 +35,17 @@ SPREAD_STEPS = 12
 MAX_LEARNT = 9000
 """Most windows of all baselines together that a channel is learnt from."""
 
-TOGETHER = 3.0
-"""Number of neighbouring windows that the sensors' noise moves together.
-
-Origin: windows overlap.
-"""
-
-MIN_SCALE = 1e-3
-"""Least scale of a signal, as a fraction of its largest magnitude."""
-
 SINGLE_CENTRES = 20
 """Most centres of the function of one signal."""
 
 JOINT_CENTRES = 60
 """Most centres of the function of all signals together."""
 
-RESOLVED_KERNEL = 1e-3
-"""Fraction of a function's variance that may be left out at any point."""
+NEGLIGIBLE = 1e-3
+"""Fraction below which the scale of a signal, the size of a function, or the variance that its columns miss does not count."""
 
 COLLINEAR = 0.01
 """Relative singular value below which derivatives by coefficients count as the same."""
-
-MIN_FUNCTION = 1e-3
-"""Least standard deviation of a function of signals, as a fraction of the one it starts from."""
 
 FOLDS = 5
 """Parts in which stretches are held out when the remainder is learnt."""
@@ -188,7 +177,7 @@ class Learnt(NamedTuple):
             data: the windows.
             own: variance of the functions not covered by their columns, shape (n,).
         """
-        return TOGETHER * data.noise**2 + self.together * (self.left**2 + own)
+        return OVERLAP * data.noise**2 + self.together * (self.left**2 + own)
 
     def warped(self, signals: Array) -> Array:
         """Return standardised signals with compressed tails, shape (n, signals)."""
@@ -213,11 +202,11 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
     data, recording = data.thinned(stride), recording[::stride]
     middle = np.median(data.signals, axis=0)
     largest = np.maximum(np.max(np.abs(data.signals), axis=0), 1e-300)
-    scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), MIN_SCALE * largest)
+    scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), NEGLIGIBLE * largest)
     count = 2 * data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
-        data, recording, middle, scale, np.full(count, size), size, TOGETHER, fitted,
+        data, recording, middle, scale, np.full(count, size), size, OVERLAP, fitted,
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
     )  # fmt: skip
     features, y = _features(now.warped(data.signals), data.factor, data.terms, len(data.residual)), data.residual
@@ -233,7 +222,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
         energy = np.bincount(features.group, (mean**2 + np.diag(inverse))[data.terms.shape[1] :], count)
         grown = (energy + (size / now.sizes) ** 2) / (members + 1.0)
         now = now._replace(
-            sizes=np.maximum(now.sizes * np.sqrt(grown), MIN_FUNCTION * size),
+            sizes=np.maximum(now.sizes * np.sqrt(grown), NEGLIGIBLE * size),
             power=(float(np.mean(y**2)), float(np.mean(after**2))),
         ).leaving(after)
     return _with_spread(now, features, default_spread, len(recordings) == 1)
@@ -288,7 +277,7 @@ def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
     count = 0
     while count < most:
         worst = int(np.argmax(rest))
-        if rest[worst] < RESOLVED_KERNEL:
+        if rest[worst] < NEGLIGIBLE:
             break
         distance = np.sum((inputs - inputs[worst]) ** 2, axis=1) / rules.SMOOTH**2
         column = np.exp(-0.5 * distance) - columns[:, :count] @ columns[worst, :count]

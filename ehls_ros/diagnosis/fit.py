@@ -33,11 +33,8 @@ STEP_GROWTH = 1e3
 MAX_FIT_STEP = 0.25
 """Longest step, as a fraction of a parameter's range."""
 
-STEP_TRIES = 5
-"""Most sizes tried for one step."""
-
 FIRST_STEP = 1e-2
-"""First step, as a fraction of the parameter's value."""
+"""First step of a difference quotient, as a fraction of the parameter's value."""
 
 FIRST_STEP_AT_ZERO = 1e-4
 """First step of a parameter that is zero, as a fraction of its range."""
@@ -70,7 +67,7 @@ DAMPED = 1.0 / DAMPING_FACTOR
 """Levenberg damping tried after an undamped step that does not help."""
 
 MAX_TRIES = 4
-"""Most dampings tried for one step."""
+"""Most dampings tried for one step of a fit, and most sizes for one step of a difference quotient."""
 
 SHORTENED = 0.3
 """Fraction of the first step that is tried when the full step falls short."""
@@ -294,7 +291,7 @@ class Worker:
         lower, upper = (bound[index] for bound in bounds(hypothesis))
         span = upper - lower
         column, change = dict[Channel, Array](), 0.0
-        for _ in range(STEP_TRIES):
+        for _ in range(MAX_TRIES):
             # Away from the nearer bound.
             signed = step if values[index] + step <= upper else -step
             moved = values.copy()

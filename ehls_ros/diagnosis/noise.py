@@ -12,6 +12,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.record import COMMAND, HELD, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
 from ehls_ros.diagnosis.stages import Channel, Comparison
+from ehls_ros.diagnosis.windows import OVERLAP
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import noise_of
 
@@ -29,9 +30,6 @@ VARIANCE_WINDOWS = 9
 
 MIN_VARIANCE = 0.5
 """Least noise variance of a window, as a fraction of the channel's median variance."""
-
-FIT_ERROR_WINDOWS = 3
-"""Windows over which the error of the local fit is smoothed."""
 
 EXACT = (COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY)
 """Signals that are commanded, not measured, unless listed in the record's ``measured``: they carry no sensor noise."""
@@ -147,7 +145,7 @@ def scatter(
         typical = float(np.median(variance))
         local = scipy.ndimage.uniform_filter1d(variance, VARIANCE_WINDOWS, mode="nearest")
         # The change of the residual by a wider local fit of the motion measures the uncertainty of the fit.
-        unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, FIT_ERROR_WINDOWS, mode="nearest")
+        unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, OVERLAP, mode="nearest")
         unresolved += scipy.ndimage.uniform_filter1d((led[c] - raw[c]) ** 2, VARIANCE_WINDOWS, mode="nearest")
         out[c] = np.sqrt(np.maximum(local, MIN_VARIANCE * typical) + unresolved)
     return out, added

@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.fit import MIN_DAMPING, Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, at_lines, bounds, extended
-from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
+from ehls_ros.diagnosis.loss import CLIP, gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.stages import Channel
 
@@ -30,9 +30,6 @@ LINES = 3
 
 LINE_SAMPLES = 16
 """Fewest windows in which spectral lines are looked for."""
-
-LINE_CLIP = 20.0
-"""Whitened residual at which the signal is clipped before its spectrum is taken."""
 
 LINE_PADDING = 4
 """Zero padding of the spectrum, as a multiple of the signal's length."""
@@ -245,7 +242,7 @@ def spectral_lines(e: Array, times: Array, count: int = LINES) -> tuple[float, .
     if len(e) < LINE_SAMPLES:
         return ()
     step = float(np.median(np.diff(times)))
-    even = np.interp(np.arange(times[0], times[-1], step), times, np.clip(e, -LINE_CLIP, LINE_CLIP))
+    even = np.interp(np.arange(times[0], times[-1], step), times, np.clip(e, -CLIP, CLIP))
     even = (even - even.mean()) * np.hanning(len(even))
     padded = LINE_PADDING * len(even)
     spectrum = np.abs(np.fft.rfft(even, padded)) ** 2
