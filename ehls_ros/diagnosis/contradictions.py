@@ -343,8 +343,8 @@ def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         return
     available = driving + reach.get("disturbance_force_n", 0.0)
     rate = np.gradient(position, seen.period)
-    travel, fastest = float(np.ptp(position)), float(np.nanquantile(np.abs(rate), rules.UNIT_QUANTILE))
-    acceleration = float(np.nanquantile(np.abs(np.gradient(rate, seen.period)), rules.UNIT_QUANTILE))
+    travel, fastest = float(np.ptp(position)), float(np.nanquantile(np.abs(rate), rules.RARE_QUANTILE))
+    acceleration = float(np.nanquantile(np.abs(np.gradient(rate, seen.period)), rules.RARE_QUANTILE))
     viscous = plant.viscous_damping + rig.friction.viscous_coefficient
     terms = {
         "moving_mass times the recorded acceleration": plant.moving_mass * acceleration,
@@ -368,7 +368,7 @@ def _seen(trajectory: Trajectory) -> Seen:
     return Seen(
         signals={s: _means(values, index) for s, values in signals.items()},
         reach={
-            s: float(np.nanquantile(np.abs(values[np.isfinite(values)]), rules.UNIT_QUANTILE)) for s, values in signals.items()
+            s: float(np.nanquantile(np.abs(values[np.isfinite(values)]), rules.RARE_QUANTILE)) for s, values in signals.items()
         },
         period=period,
     )

@@ -33,9 +33,6 @@ MENTIONED = 1e-3
 UNEVEN = 0.01
 """Fraction of the period by which a time step may differ before the sampling is called uneven."""
 
-UNIT_QUANTILE = 0.99
-"""Quantile of a signal's magnitude that counts as its reach."""
-
 SIZE_FACTOR = 10.0
 """Factor between a measured and a modelled quantity above which a unit, a sign or a column is taken to be wrong.
 
@@ -129,7 +126,7 @@ Origin: 1 / √12: even within a sample.
 """
 
 OFFSET = 3e-4
-"""Fault-free offset of a converter, standard deviation, as a fraction of UNIT_QUANTILE of its signal.
+"""Fault-free offset of a converter, standard deviation, as a fraction of its signal's reach.
 
 Origin: data sheets of 12-bit converters state some units of 1 / 4096 at most.
 """
@@ -198,7 +195,7 @@ SHOWN = 0.5
 """Rms change in units of the noise below which a cause may be an error of the noise floor itself."""
 
 RARE_QUANTILE = 0.99
-"""Quantile of a residual that stands for rare errors, which a mean would hide."""
+"""Quantile of magnitudes that stands for the largest: a signal's reach, and rare errors, which a mean would hide."""
 
 RARE_FACTOR = 5.0
 """Factor by which that quantile may exceed the limit of the rms."""
@@ -288,9 +285,6 @@ MAX_UNDETECTED = 0.3
 
 MAX_UNDETECTED_BESIDE_SPREAD = 1.0
 """The same of a recording judged against baselines, whose healthy spread may hide more."""
-
-ENOUGH_STAGES = 0.5
-"""Fraction of the recorded stages that must be excited for the model to be called consistent."""
 
 DEPENDS = 0.05
 """Fraction of a residual's variance a signal must explain on held-out data to be named."""

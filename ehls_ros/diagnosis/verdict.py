@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.excitation import KEYS
 from ehls_ros.diagnosis.remainder import Remainder
 from ehls_ros.diagnosis.result import StageResult, Verdict
@@ -89,7 +88,7 @@ def enough_excited(findings: Mapping[Stage, Finding]) -> bool:
     judged = [stage for stage in recorded if findings[stage].judged]
     balance = findings["force_balance"]
     enough = balance.judged or findings["flow"].judged or (findings["valve"].judged and not balance.remainders)
-    return len(judged) >= rules.ENOUGH_STAGES * len(recorded) and enough
+    return 2 * len(judged) >= len(recorded) and enough
 
 
 class Nrmse(NamedTuple):
