@@ -79,15 +79,38 @@ Stage = Literal["force_balance", "flow", "valve", "sensors"]
 STAGES: tuple[Stage, ...] = ("force_balance", "flow", "valve", "sensors")
 
 Channel = Literal["spool", "volume", "supply", "force", "cell", "velocity"]
-CHANNELS: Mapping[Channel, Stage] = {
-    "spool": "valve",
-    "volume": "flow",
-    "supply": "flow",
-    "force": "force_balance",
-    "cell": "sensors",
-    "velocity": "sensors",
+
+
+class ChannelKind(NamedTuple):
+    """Kind of a residual channel.
+
+    Attributes:
+        stage: the stage it belongs to.
+        unit: unit of the residual.
+        needed: signals from which it is formed, those whose noise affects the residual most first.
+        sensor: name in the rig file of the sensor of the measured quantity; empty for a balance.
+        averaged: whether the windows are those of spool and sensors, not those of the balances.
+    """
+
+    stage: Stage
+    unit: str
+    needed: tuple[str, ...]
+    sensor: str = ""
+    averaged: bool = False
+
+
+KINDS: Mapping[Channel, ChannelKind] = {
+    "spool": ChannelKind("valve", "m", (SPOOL, COMMAND), "spool_position", averaged=True),
+    "volume": ChannelKind("flow", "m³/s", (POSITION, VELOCITY, SPOOL, PRESSURE, FORCE)),
+    "supply": ChannelKind("flow", "Pa", (SUPPLY,), "supply_pressure", averaged=True),
+    "force": ChannelKind("force_balance", "N", (POSITION, VELOCITY, PRESSURE, FORCE, LOAD)),
+    "cell": ChannelKind("sensors", "N", (PRESSURE, FORCE), "force", averaged=True),
+    "velocity": ChannelKind("sensors", "m/s", (POSITION, VELOCITY), "velocity"),
 }
-"""Residual channels, and the stage of each."""
+"""Residual channels."""
+
+CHANNELS: Mapping[Channel, Stage] = {channel: kind.stage for channel, kind in KINDS.items()}
+"""Stage of each channel."""
 
 COMMAND_UNSEEN = "needs a slower command or faster samples: at {rate} Hz, commands between two samples were missed"
 TURNS_UNSEEN = (
@@ -95,10 +118,6 @@ TURNS_UNSEEN = (
 )
 NOT_IN_FILE = "needs {keys} in the rig file"
 """Reason why a stage is not judged although its signals were recorded."""
-
-UNITS: Mapping[Channel, str] = {
-    "spool": "m", "volume": "m³/s", "supply": "Pa", "force": "N", "cell": "N", "velocity": "m/s",
-}  # fmt: skip
 
 REQUIRED: frozenset[Channel] = frozenset({"force"})
 """Channels whose residual is required minus measured; in the others it is measured minus modelled."""
@@ -120,14 +139,6 @@ SENSED = {
     "oil_temperature": TEMPERATURE,
 }
 """Recorded signals, by the sensors' names in the rig file."""
-
-
-_SENSOR_OF: Mapping[Channel, str] = {
-    "spool": "spool_position",
-    "supply": "supply_pressure",
-    "cell": "force",
-    "velocity": "velocity",
-}
 
 
 class Setup(NamedTuple):
@@ -153,7 +164,7 @@ class Setup(NamedTuple):
 
     def window_of(self, channel: Channel) -> Window:
         """Return the windows of a channel."""
-        return self.average if channel in ("spool", "supply", "cell") else self.window
+        return self.average if KINDS[channel].averaged else self.window
 
 
 class Comparison:
@@ -197,7 +208,7 @@ class Comparison:
             return self._taken_up(effective)
         if channel == "force":
             return window.mean(effective.plant.piston_area * self.pressure(effective))
-        return window.mean(self.corrected(effective, _SENSOR_OF[channel]))
+        return window.mean(self.corrected(effective, KINDS[channel].sensor))
 
     def relevant(self, rig: Rig) -> dict[Channel, Any]:
         """Return the dependencies of each channel's residual; equal dependencies imply equal residuals."""
@@ -583,24 +594,13 @@ def _friction_known(comparison: Comparison) -> Mask:
     return friction_known(record, position, velocity, used.presliding, noise)
 
 
-NEEDED: Mapping[Channel, tuple[str, ...]] = {
-    "spool": (SPOOL, COMMAND),
-    "volume": (POSITION, VELOCITY, SPOOL, PRESSURE, FORCE),
-    "supply": (SUPPLY,),
-    "force": (POSITION, VELOCITY, PRESSURE, FORCE, LOAD),
-    "cell": (PRESSURE, FORCE),
-    "velocity": (POSITION, VELOCITY),
-}
-"""Signals from which a channel is formed, those whose noise affects its residual most first."""
-
-
 def formed_of(record: Record, channel: Channel) -> tuple[str, ...]:
-    """Return the recorded signals from which a channel is formed, in the order of :data:`NEEDED`.
+    """Return the recorded signals from which a channel is formed, those whose noise affects its residual most first.
 
     The load cell replaces a missing pressure, and the command a missing spool.
     """
     spare = FORCE if PRESSURE in record and channel != "cell" else ""
-    named = (COMMAND if signal == SPOOL and SPOOL not in record else signal for signal in NEEDED[channel])
+    named = (COMMAND if signal == SPOOL and SPOOL not in record else signal for signal in KINDS[channel].needed)
     return tuple(signal for signal in named if signal in record and signal != spare)
 
 
