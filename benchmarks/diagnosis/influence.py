@@ -197,22 +197,19 @@ def _log_odds(p: float) -> float:
     return math.log(p / (1.0 - p))
 
 
-def slopes(x: Array, y: Array, case: Array) -> tuple[Array, Array]:
-    """Return the slope of an answer's mark on each factor, and its standard error, with a constant for each case.
+def slopes(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the slope of an answer's mark on each factor, and its standard error.
 
     Args:
         x: logarithms of the factors, in units of their largest, shape (rows, numbers).
-        y: marks, shape (rows,).
-        case: the case of each row, shape (rows,).
+        y: marks less those of the same cases with the chosen values, shape (rows,).
     """
-    for c in np.unique(case):
-        here = case == c
-        x[here], y[here] = x[here] - x[here].mean(axis=0), y[here] - y[here].mean()
+    x, y = x - x.mean(axis=0), y - y.mean()
     square = np.maximum(np.sum(x**2, axis=0), 1e-300)
     slope = x.T @ y / square
     # One by one: the factors are independent, and the others' effects are scatter.
-    scatter = np.array([np.sum((y - x[:, k] * slope[k]) ** 2) for k in range(x.shape[1])])
-    return slope, np.sqrt(scatter / max(len(y) - len(np.unique(case)) - 1, 1) / square)
+    scatter = np.sum((y[:, None] - x * slope) ** 2, axis=0)
+    return slope, np.sqrt(scatter / max(len(y) - 2, 1) / square)
 
 
 def show(found: Sequence[Row], given: Sequence[Input], console: Console) -> None:
@@ -232,12 +229,11 @@ def show(found: Sequence[Row], given: Sequence[Input], console: Console) -> None
     # A number that was dropped since has no value any more.
     names = list(random[0]["factors"])
     x = np.array([[r["factors"][name] for name in names] for r in random])
-    case = np.array([r["case"] for r in random])
-    y = np.array([marks[r["draw"], r["case"]] for r in random])
+    y = np.array([np.subtract(marks[r["draw"], r["case"]], marks[0, r["case"]]) for r in random])
     by_mark = []
     for k in range(3):
         known = np.isfinite(y[:, k])
-        by_mark.append(slopes(x[known].copy(), y[known, k].copy(), case[known]))
+        by_mark.append(slopes(x[known], y[known, k]))
     table = Table(title=f"change per + {100 * SPREAD:.0f} % of a number, ± its standard error")
     for column in ("number", "value", "right, points", "log-odds", "size error, %", "largest"):
         table.add_column(column)
