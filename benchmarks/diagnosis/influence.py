@@ -239,7 +239,9 @@ def show(found: Sequence[Row], given: Sequence[Input], console: Console) -> None
         table.add_column(column)
     strongest = np.max([np.abs(s) / np.maximum(e, 1e-300) for s, e in by_mark], axis=0)
     chance = math.sqrt(2.0 * math.log(strongest.size * len(by_mark)))
-    console.print(f"without any influence, the largest of {strongest.size} × {len(by_mark)} slopes would be about {chance:.1f} σ")
+    console.print(
+        f"without any influence, the largest of {strongest.size} × {len(by_mark)} slopes would be about {chance:.1f} σ"
+    )
     for k in np.argsort(-strongest):
         cells = [f"{f * s[k]:.2f} ± {f * e[k]:.2f}" for f, (s, e) in zip((100.0, 1.0, 100.0), by_mark, strict=True)]
         table.add_row(names[k], f"{numbers.get(names[k], math.nan):g}", *cells, f"{strongest[k]:.1f} σ")
