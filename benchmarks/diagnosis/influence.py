@@ -80,20 +80,13 @@ def chosen() -> list[DeclaredNumber]:
     ]
 
 
-class Moving(MetaPathFinder, SourceFileLoader):
-    """Import of modules with other values of their numbers."""
+class MovedModule(SourceFileLoader):
+    """Loader of a module with other values of its numbers."""
 
-    def __init__(self, values: Mapping[tuple[str, str], float], name: str = "", path: str = "") -> None:
-        """Store the values by module and name; a finder without a module's name and path."""
+    def __init__(self, name: str, path: str, values: Mapping[tuple[str, str], float]) -> None:
+        """Store the values, by module and name."""
         super().__init__(name, path)
         self.values = values
-
-    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """Find a module that depends on the numbers, to be loaded with their values."""
-        spec = PathFinder.find_spec(name, path, target) if name.startswith(AFRESH) else None
-        if spec is not None and spec.origin is not None:
-            spec.loader = Moving(self.values, name, spec.origin)
-        return spec
 
     def get_code(self, fullname: str) -> CodeType:
         """Return the module's code with the values."""
@@ -104,6 +97,21 @@ class Moving(MetaPathFinder, SourceFileLoader):
                 if key in self.values:
                     statement.value = ast.copy_location(ast.Constant(self.values[key]), statement.value)
         return compile(tree, self.path, "exec")
+
+
+class Moving(MetaPathFinder):
+    """Import of modules with other values of their numbers."""
+
+    def __init__(self, values: Mapping[tuple[str, str], float]) -> None:
+        """Store the values, by module and name."""
+        self.values = values
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Find a module that depends on the numbers, to be loaded with their values."""
+        spec = PathFinder.find_spec(name, path, target) if name.startswith(AFRESH) else None
+        if spec is not None and spec.origin is not None:
+            spec.loader = MovedModule(name, spec.origin, self.values)
+        return spec
 
 
 def factors_of(draw: int, case: int, common: bool, count: int) -> Array:
