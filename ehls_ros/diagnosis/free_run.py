@@ -103,17 +103,12 @@ def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recor
     part = time <= time[0] + seconds
     head = Trajectory(time[part], {name: values[part] for name, values in trajectory.signals.items()})
     record = prepare(head, rig, name)
-    for needed in ((COMMAND,), (POSITION,), (PRESSURE, FORCE)):
-        if not any(signal in record for signal in needed):
-            raise BadInput(f"there is no {' or '.join(needed)}", name, "the command, the position and the load pressure")
+    columns = simulated_columns(record, name, TEMPERATURE)
     before = _run(record, rig)
     after = None if extended == rig else _run(record, extended)
     signals = tuple(
         _followed(record, signal, before[:, column], None if after is None else after[:, column])
-        for column, sensor in enumerate(SENSED)
-        if (signal := RECORDED_AS[sensor]) in record
-        and signal != TEMPERATURE
-        and float(np.std(record.signals[signal])) > MOVED * record.noise[signal]
+        for signal, column in columns.items()
     )
     remarks = ["the position integrates any error of the valve's null, so it may drift even with a good model"]
     for which, run in (("the model as it was given", before), ("the extended model", after)):
@@ -121,6 +116,23 @@ def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recor
             until = float(record.time[np.argmin(np.all(np.isfinite(run), axis=1))] - record.time[0])
             remarks.append(f"{which} leaves the stroke and was stopped after {until:.2g} s")
     return FreeRun(record.time - record.time[0], signals, tuple(remarks))
+
+
+def simulated_columns(record: Record, name: str, *omitted: str) -> dict[str, int]:
+    """Return the columns of the simulator's readings, by the recorded signals that move, without some signals.
+
+    Raises:
+        BadInput: a signal that a simulation requires is missing from the recording of this name.
+    """
+    for needed in ((COMMAND,), (POSITION,), (PRESSURE, FORCE)):
+        if not any(signal in record for signal in needed):
+            raise BadInput(f"there is no {' or '.join(needed)}", name, "the command, the position and the load pressure")
+    recorded = ((RECORDED_AS[sensor], column) for column, sensor in enumerate(SENSED))
+    return {
+        signal: column
+        for signal, column in recorded
+        if signal in record and signal not in omitted and float(np.std(record.signals[signal])) > MOVED * record.noise[signal]
+    }
 
 
 def _followed(record: Record, signal: str, before: Array, after: Array | None) -> Followed:

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.free_run import MOVED, balance_friction, follow
+from ehls_ros.diagnosis.free_run import balance_friction, follow, simulated_columns
 from ehls_ros.diagnosis.record import COMMAND, FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY, Record, prepare
-from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.diagnosis.stages import Comparison, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.plant import PL, XV, V, X, hold
-from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, earlier_commands
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
@@ -97,14 +96,11 @@ def predict(
         BadInput: a required signal is missing, or there is no window of a length.
     """
     record = prepare(trajectory, next(iter(rigs.values())), name)
-    for needed in ((COMMAND,), (POSITION,), (PRESSURE, FORCE)):
-        if not any(signal in record for signal in needed):
-            raise BadInput(f"there is no {' or '.join(needed)}", name, "the command, the position and the load pressure")
+    columns = simulated_columns(record, name, TEMPERATURE, SUPPLY)
     wanted = sorted(set(lengths))
     counts = [max(1, round(length / record.period)) for length in wanted]
     starts = _starts(record, max(1, counts[0] // STARTS_A_WINDOW), begin)
     ends = _ends(record, starts, end)
-    columns = _columns(record)
     missing = np.cumsum(_missing(record), dtype=np.intp)
     inside = [(starts + count <= ends) & _whole(missing, starts - _past(record), starts + count) for count in counts]
     for length, some in zip(wanted, inside, strict=True):
@@ -128,17 +124,6 @@ def predict(
             errors[signal] = {called: _errors(record, signal, starts[chosen], runs) for called, runs in models.items()}
         found.append(Windows(length, record.time[starts[chosen]] - record.time[0], errors))
     return Prediction(tuple(found), record.remarks)
-
-
-def _columns(record: Record) -> dict[str, int]:
-    """Return the columns of the simulator's readings, by the recorded signals that move."""
-    return {
-        signal: column
-        for column, sensor in enumerate(SENSED)
-        if (signal := RECORDED_AS[sensor]) in record
-        and signal not in (TEMPERATURE, SUPPLY)
-        and float(np.std(record.signals[signal])) > MOVED * record.noise[signal]
-    }
 
 
 def _past(record: Record) -> int:
