@@ -27,7 +27,7 @@ MIN_CHANGE = 0.1
 MAX_CHANGE = 5.0
 """Multiple of that change above which the step is shortened."""
 
-STEP_GROWTH = 1e3
+STEP_GROWTH = 100.0
 """Largest factor by which a step is enlarged or shortened at once."""
 
 MAX_FIT_STEP = 0.25
