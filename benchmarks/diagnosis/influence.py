@@ -261,6 +261,7 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--draws", type=int, default=30)
     parser.add_argument("--duration", type=float, default=12.0, help="duration of the recordings, s (%(default)s)")
+    parser.add_argument("--only", choices=MIXED, help="cases of this exam only")
     parser.add_argument("--common", action="store_true", help="one set of factors for all cases of a draw")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "influence.jsonl", help="file of results (%(default)s)")
     options = parser.parse_args()
@@ -268,7 +269,8 @@ def main() -> None:
     given = inputs(options.duration, options.out.with_name(f"influence-{SEED}-{options.duration:g}.pickle"))
     done = read_rows([options.out])
     known = {(r["draw"], r["case"]) for r in done}
-    todo = [(d, c) for d in range(options.draws + 1) for c in range(len(given)) if (d, c) not in known]
+    wanted = [c for c, case in enumerate(given) if options.only in (None, case.row["exam"])]
+    todo = [(d, c) for d in range(options.draws + 1) for c in wanted if (d, c) not in known]
     for row in appended(options.out, rows(todo, given, options.common)):
         done.append(row)
         print(row["draw"], row["case"], row.get("error") or row["ours"]["verdict"], flush=True)
