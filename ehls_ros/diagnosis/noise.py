@@ -19,9 +19,6 @@ from ehls_ros.samples import noise_of
 REALISATIONS = 8
 """Realisations of sensor noise that the noise floor is averaged over."""
 
-SLOW_SAMPLES = 0.5
-"""Fraction of a signal's samples, the slowest, whose noise is taken to be free of jitter."""
-
 FAST_SAMPLES = 0.75
 """Quantile of a signal's rate above which more noise than there is due to jitter."""
 
@@ -75,7 +72,7 @@ def _sampling(values: Array) -> Sampling:
     """Separate noise that grows with a signal's rate from the rest."""
     rate = np.gradient(values)
     speed = 0.5 * np.abs(rate[1:-2] + rate[2:-1])
-    fast, slow = speed >= np.quantile(speed, FAST_SAMPLES), speed <= np.quantile(speed, SLOW_SAMPLES)
+    fast, slow = speed >= np.quantile(speed, FAST_SAMPLES), speed <= np.median(speed)
     quickly, slowly = (float(np.mean(speed[part] ** 2)) for part in (fast, slow))
     differences = np.diff(values, 3)
     more, less = (noise_of(differences[part]) ** 2 for part in (fast, slow))
