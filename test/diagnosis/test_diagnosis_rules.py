@@ -40,3 +40,7 @@ def test_derived_numbers_name_their_source():
     assert by_name["GUIDE"].derived
     assert not by_name["GUIDE"].chosen
     assert by_name["TOLERANCE"].chosen
+
+
+def test_rules_are_few():
+    assert len(declared_numbers(rules)) <= 120
