@@ -19,20 +19,12 @@ NINE_OF_TEN = 1.2816
 Origin: a quantile.
 """
 
-
-class Key(NamedTuple):
-    """Key parameter by which the excitation of a stage is judged."""
-
-    effect: str
-    parameter: str
-
-
-KEYS: Mapping[Stage, Key] = {
-    "valve": Key("valve_gain_shift", "gain"),
-    "flow": Key("valve_gain_shift", "flow_gain"),
-    "force_balance": Key("coulomb_shift", "offset"),
+KEYS: Mapping[Stage, tuple[str, str]] = {
+    "valve": ("valve_gain_shift", "gain"),
+    "flow": ("valve_gain_shift", "flow_gain"),
+    "force_balance": ("coulomb_shift", "offset"),
 }
-"""Stages that need excitation, and their key parameters; the sensors' stage needs none."""
+"""Stages that need excitation, with the effect and its parameter by which it is judged; the sensors' stage needs none."""
 
 
 def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitivity, ...]:
@@ -128,4 +120,4 @@ def excited(stage: Stage, found: Sequence[Sensitivity], slid: Sliding, largest: 
     if stage == "force_balance" and slid.travel < rules.SLIDING * slid.presliding:
         return False
     nominal = slid.coulomb if stage == "force_balance" else 1.0
-    return any(s.smallest < largest * nominal for s in found if Key(s.name, s.parameter) == KEYS[stage])
+    return any(s.smallest < largest * nominal for s in found if (s.name, s.parameter) == KEYS[stage])
