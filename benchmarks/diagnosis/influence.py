@@ -234,8 +234,8 @@ def show(found: Sequence[Row], given: Sequence[Input], console: Console) -> None
         low, middle, high = np.quantile(scores, [0.0, 0.5, 1.0])
         console.print(f"{len(scores)} draws: median {middle:.0f} %, {low:.0f} to {high:.0f} %")
     numbers = {n.name: n.value for n in chosen()}
-    # A number that was dropped since has no value any more.
-    names = list(random[0]["factors"])
+    # Rows of an older version may lack some numbers, and have others.
+    names = sorted(set(numbers).intersection(*(r["factors"] for r in random)))
     x = np.array([[r["factors"][name] for name in names] for r in random])
     y = np.array([np.subtract(marks[r["draw"], r["case"]], marks[0, r["case"]]) for r in random])
     by_mark = []
@@ -252,7 +252,7 @@ def show(found: Sequence[Row], given: Sequence[Input], console: Console) -> None
     )
     for k in np.argsort(-strongest):
         cells = [f"{f * s[k]:.2f} ± {f * e[k]:.2f}" for f, (s, e) in zip((100.0, 1.0, 100.0), by_mark, strict=True)]
-        table.add_row(names[k], f"{numbers.get(names[k], math.nan):g}", *cells, f"{strongest[k]:.1f} σ")
+        table.add_row(names[k], f"{numbers[names[k]]:g}", *cells, f"{strongest[k]:.1f} σ")
     console.print(table)
 
 
