@@ -111,7 +111,7 @@ class Remainder(NamedTuple):
     @property
     def doubtful(self) -> bool:
         """Whether more remains than a correct cause usually leaves because of its inexact form."""
-        return self.closed < 1.0 - rules.LEFT_BY_FORM and self.after > rules.STANDS_OUT * self.noise
+        return self.closed < 1.0 - rules.FORM and self.after > rules.STANDS_OUT * self.noise
 
     @property
     def excess(self) -> float:

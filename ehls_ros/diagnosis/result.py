@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.stages import REQUIRED, UNITS, Channel, Stage
+from ehls_ros.diagnosis.stages import KINDS, REQUIRED, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
 
@@ -314,7 +314,7 @@ def trace(evidence: Evidence, channel: Channel, after: Array, signals: Mapping[s
     floor = evidence.floor[channel]
     return ChannelTrace(
         channel=channel,
-        unit=UNITS[channel],
+        unit=KINDS[channel].unit,
         size=evidence.sizes[channel],
         time=evidence.times[channel],
         measured=evidence.comparison().measured(evidence.rig, channel)[evidence.masks[channel]],

@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.duals import linear
 
+OVERLAP = 3
+"""Windows of a balance that begin within the length of one, and over which their noise and the error of a local fit extend."""
+
 
 class Window(NamedTuple):
     """A window of ``weights.size`` samples that begins every ``hop`` samples.
@@ -65,7 +68,7 @@ class Window(NamedTuple):
         return self.over(values, self.curvatures)
 
 
-def smooth_window(samples: int, period: float, hop: int = 3) -> Window:
+def smooth_window(samples: int, period: float, hop: int = OVERLAP) -> Window:
     """Return a sin^4 window over a number of sampling periods, with ``hop`` windows beginning within one length."""
     angle = np.pi * np.arange(samples + 1) / samples
     scale = np.pi / (samples * period)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from ehls_ros import __version__
-from ehls_ros.diagnosis.advice import advice
+from ehls_ros.diagnosis.causes import advice
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import (
     Cause,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.diagnosis.advice import spring_in_force
+from ehls_ros.diagnosis.causes import spring_in_force
 from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage

@@ -7,10 +7,9 @@ import pytest
 from plain_evidence import MASS, SIZE, VALVE, VISCOUS, assessed, candidate, evidence_of, linear_fit, nothing
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.causes import causes, estimate
+from ehls_ros.diagnosis.causes import causes, closed_fraction, estimate, gain
 from ehls_ros.diagnosis.dependence import depends_on, explained_fraction
-from ehls_ros.diagnosis.excitation import Sliding, excited, sensitivities, smallest_detectable
-from ehls_ros.diagnosis.gain import closed_fraction, gain
+from ehls_ros.diagnosis.excitation import NINE_OF_TEN, Sliding, excited, sensitivities, smallest_detectable
 from ehls_ros.diagnosis.held_out import probabilities
 from ehls_ros.diagnosis.remainder import (
     Blocks,
@@ -326,9 +325,9 @@ def test_a_cause_has_to_close_most_of_what_the_others_leave(closes, at_end, imit
     ("information", "effect", "expected"),
     [
         (0.0, 1.0, None),
-        (4.0, 1.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + rules.NINE_OF_TEN) / 2.0),
+        (4.0, 1.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + NINE_OF_TEN) / 2.0),
         (1e12, 0.01, rules.RELEVANT / 0.01),
-        (4.0, 0.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + rules.NINE_OF_TEN) / 2.0),
+        (4.0, 0.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + NINE_OF_TEN) / 2.0),
     ],
     ids=["nothing is told", "the noise limits", "relevance limits", "no size is known"],
 )

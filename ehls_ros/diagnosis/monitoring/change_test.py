@@ -17,6 +17,10 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.samples import Mask
 
 HOUR = 3600.0
+"""An hour [s].
+
+Origin: a unit.
+"""
 
 
 class BlockStatistics(NamedTuple):
