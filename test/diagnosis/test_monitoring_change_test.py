@@ -14,7 +14,8 @@ def healthy(scatter=1.0, certainty=np.inf, spread=0.0, variation=np.inf, remaind
     rows = np.full((4, QUANTITIES), 0.0)
     rows[1:] = np.array([certainty, scatter, spread])[:, None]
     many = np.full(QUANTITIES, 1e4)
-    return BlockStatistics(*rows, np.ones(QUANTITIES), 1e4, variation * np.ones(QUANTITIES), many, remainder * np.ones(QUANTITIES))
+    one = np.ones(QUANTITIES)
+    return BlockStatistics(*rows, one, 1e4, variation * one, many, remainder * one)
 
 
 def feed(test, score, information=INFORMATION):

@@ -34,7 +34,13 @@ def identified(factor: float, std: float, count: int = len(NAMES), before: float
 
 @pytest.mark.parametrize(
     ("factor", "std", "before", "wrong"),
-    [(1.3, 0.01, 0.1, True), (1.05, 0.001, 0.1, True), (1.3, 0.1, 0.1, False), (0.7, 0.01, 0.1, True), (1.3, 0.01, 0.002, False)],
+    [
+        (1.3, 0.01, 0.1, True),
+        (1.05, 0.001, 0.1, True),
+        (1.3, 0.1, 0.1, False),
+        (0.7, 0.01, 0.1, True),
+        (1.3, 0.01, 0.002, False),
+    ],
     ids=["far off", "near", "vague", "far below", "as good"],
 )
 def test_a_number_is_wrong_that_contradicts_a_certain_and_better_estimate(factor, std, before, wrong):
