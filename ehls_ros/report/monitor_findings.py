@@ -70,9 +70,8 @@ def answer(watched: MonitoringResult, clock: Clock = FROM_ZERO) -> tuple[str, bo
         return f"The rig is not judged: {reason}.", None
     past = [change for change in health.changes if not change.active]
     cleared = f" {len(past)} earlier changes have cleared." if past else ""
-    file = (
-        f" The rig file is wrong: {listed([_wrong(*item) for item in health.rig_values.items()])}." if health.rig_values else ""
-    )
+    wrong = [_wrong(*item) for item in health.rig_values.items()]
+    file = f" The rig file is wrong: {listed(wrong)}." if wrong else ""
     return f"No change detected in {duration(health.watched)} against {health.baseline}.{cleared}{file}", True
 
 

@@ -14,9 +14,8 @@ def healthy(scatter=1.0, certainty=np.inf, spread=0.0, variation=np.inf, remaind
     rows = np.full((4, QUANTITIES), 0.0)
     rows[1:] = np.array([certainty, scatter, spread])[:, None]
     many = np.full(QUANTITIES, 1e4)
-    return BlockStatistics(
-        *rows, np.ones(QUANTITIES), 1e4, variation * np.ones(QUANTITIES), many, remainder * np.ones(QUANTITIES)
-    )
+    one = np.ones(QUANTITIES)
+    return BlockStatistics(*rows, one, 1e4, variation * one, many, remainder * one)
 
 
 def feed(test, score, information=INFORMATION):
@@ -133,6 +132,7 @@ def test_the_variation_is_that_between_blocks_beyond_their_noise():
     found = block_statistics(sizes * information + noise, information, section)
     assert found.variation == pytest.approx(variation, rel=0.15)
     assert np.all(block_statistics(information + noise, information, section).variation < 0.3 * variation)
+    assert np.all(np.isinf(block_statistics(sizes * information + noise, information, np.zeros(1000)).variation))
     few = ChangeTest(found._replace(remainder=np.ones(QUANTITIES), count=np.full(QUANTITIES, 6)), 1000.0)
     many = ChangeTest(found._replace(remainder=np.ones(QUANTITIES)), 1000.0)
     blocks = []

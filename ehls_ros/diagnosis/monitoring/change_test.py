@@ -34,7 +34,8 @@ class BlockStatistics(NamedTuple):
         dependence: ratio of the variance of a sum over blocks to that of independent ones, shape (n,).
         freedom: degrees of freedom of the scatter.
         variation: standard deviation of the size from block to block beyond noise, shape (n,): the part of the model's
-            remainder that looks like a departure, which is another one when the rig runs another programme.
+            remainder that looks like a departure, which is another one when the rig runs another programme. It is unknown,
+            infinite, from a single section, which may be of one programme.
         count: number of blocks from which it is known, shape (n,).
         remainder: rms residual of a healthy rig beyond noise, as a fraction of the largest term of its balance, shape (n,). No
             more than that can look like a departure.
@@ -78,6 +79,7 @@ def block_statistics(score: Array, information: Array, section: NDArray[np.intp]
     spread = np.sqrt(np.maximum(between, 0.0) / np.maximum(count - 1, 1))
     freedom = rules.LEARNT_BLOCKS + len(score)
     variation, informed = _variation(score, information)
+    variation = variation if len(sections) > 1 else np.full_like(level, np.inf)
     return BlockStatistics(level, certainty, scatter, spread, dependence, freedom, variation, informed, np.zeros_like(level))
 
 
