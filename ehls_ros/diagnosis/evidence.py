@@ -71,13 +71,23 @@ class Standard:
         """Return the standard by which a single small cause is accepted where nothing else is; None if there is none."""
         return None
 
-    def noise_power(self, e: Array) -> float:
-        """Return the fault-free mean square of whitened residuals.
+    def noise_power(self, channel: Channel, e: Array) -> float:
+        """Return the fault-free mean square of a channel's whitened residuals.
 
         Args:
+            channel: the channel.
             e: change of the residuals by added noise, shape (n,).
         """
         return max(float(np.mean(e * e)), rules.MIN_NOISE_POWER)
+
+    def rare_square(self, channel: Channel, noise: float) -> float:
+        """Return the fault-free square of a channel's rare whitened residuals, at the quantile :data:`rules.RARE_QUANTILE`.
+
+        Args:
+            channel: the channel.
+            noise: fault-free mean square.
+        """
+        return rules.RARE_SCATTER * noise
 
     def scatter(self, windows: float) -> float:
         """Return the multiple of its mean that the mean square of so many independent windows may reach by noise."""
@@ -373,4 +383,4 @@ def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Chann
 
 def noise_power(evidence: Evidence, channel: Channel) -> float:
     """Return the fault-free mean square of a channel's whitened residual."""
-    return evidence.standard.noise_power(evidence.noise[channel])
+    return evidence.standard.noise_power(channel, evidence.noise[channel])
