@@ -9,6 +9,7 @@ error in standard errors, whose root mean square should be 1.
 """
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -17,11 +18,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import CONFIG, parser_of
+from ehls_ros.arrays import Array
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.loop import run_in_process, sampled
 from ehls_ros.experiments.spec import load_rig, load_spec
+from ehls_ros.identification.balance import Recorded
+from ehls_ros.identification.covariance import normal_covariance
 from ehls_ros.identification.identify import identify
-from ehls_ros.identification.joint import least_covariance
+from ehls_ros.identification.joint import JointFit, Problem, Start
+from ehls_ros.identification.motion import Motion
 from ehls_ros.identification.uncertainty import estimates
 from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.rig import Rig
@@ -101,6 +106,18 @@ def truth(friction: Friction, elements: int) -> dict[str, float]:
             out[f"element_stiffness_{i + 1}"] = friction.element_stiffness[i]
             out[f"element_weight_{i + 1}"] = friction.element_weight[i]
     return out
+
+
+def least_covariance(fit: JointFit, motions: Sequence[Motion]) -> Array:
+    """Return the Cramér-Rao bound of a fit's coefficients for the force sensor's white noise alone.
+
+    Args:
+        fit: the fit, for its coefficients and the fitted blocks.
+        motions: its recordings.
+    """
+    recorded = Recorded(tuple(motions), tuple(np.isfinite(r) for r in fit.residuals), fit.linear_names)
+    problem = Problem(recorded, Start(fit.coordinates, None, fit.free), fit.z, [m.force_noise for m in motions])
+    return normal_covariance(problem.design(problem.free(fit.z)), len(fit.free))
 
 
 def bound(found: Any, rig: Rig) -> dict[str, float]:

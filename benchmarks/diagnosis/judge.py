@@ -130,10 +130,18 @@ def peer_right(row: Row, named: list[str]) -> bool:
 
 
 def below_power(row: Row) -> bool:
-    """Return whether nothing was found, and the only hidden effect is smaller than the size said to be detectable."""
-    if row.get("ours", {}).get("verdict") != "consistent" or len(row["hidden"]) != 1:
+    """Return whether all that is named is right, and each hidden effect not named is below the size said to be detectable."""
+    if row.get("ours", {}).get("verdict") not in ("consistent", "effect"):
         return False
-    [name] = row["hidden"]
+    causes = row["ours"]["causes"]
+    classes = [{c["name"], *c["equivalent_to"]} for c in causes]
+    if len(_matched([c["name"] for c in causes], classes, list(row["hidden"]))) < len(causes):
+        return False
+    missed = [name for name in row["hidden"] if not any(name in names for names in classes)]
+    return all(_below(row, name) for name in missed)
+
+
+def _below(row: Row, name: str) -> bool:
     detectable = {p: [size, 0.0] for effect, p, size in row["ours"].get("sensitivities", ()) if effect == name}
     if name not in row["natural"] or not detectable:
         return False

@@ -102,6 +102,7 @@ def hard_headline(exam: str, judged: Judged, of: dict[str, Judged]) -> Table:
     if pair:
         row("pair: both named, no other", [j.right for _, j in pair], 0.9)
         row("  both named, whatever is named beside them", [j.first for _, j in pair])
+        row("  or the other rightly said to be too small to be seen", [j.right or below_power(r) for r, j in pair])
     row("confident wrong name", [j.confident_wrong for _, j in judged], None, confident)
     if nothing:
         row("nothing hidden: false alarms", [not j.right for _, j in nothing], None, 0.01)

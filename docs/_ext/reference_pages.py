@@ -4,6 +4,7 @@ import argparse
 import ast
 import inspect
 import os
+import pkgutil
 import re
 import runpy
 import sys
@@ -15,6 +16,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 from unittest import mock
 
 import ehls_ros
+from ehls_ros import diagnosis
 from ehls_ros.cli.main import parser
 from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.controllers import CONTROLLERS
@@ -23,6 +25,7 @@ from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.programme import declaration as programme_declaration
 from ehls_ros.control.programme.blocks import BLOCKS
 from ehls_ros.control.references import REFERENCES
+from ehls_ros.declared_numbers import declared_numbers
 from ehls_ros.diagnosis import rules
 from ehls_ros.experiments import spec
 from ehls_ros.experiments.campaign import plan, variation
@@ -435,20 +438,20 @@ def signals_page() -> str:
 
 
 def rules_page() -> str:
-    """Return the tuning numbers of diagnosis, step by step."""
+    """Return the tuning numbers of diagnosis: those of judgement, then those of its algorithms, module by module."""
     parts = [
         "# Rules of diagnosis\n\nEvery tuning number of `ehls diagnose`.\n",
         "A *whitened* residual is in units of its noise floor; 1 nat is a factor e of likelihood.\n",
     ]
-    for step in rules.STEPS:
+    names = (module.name for module in pkgutil.walk_packages(diagnosis.__path__, f"{diagnosis.__name__}."))
+    for module in (rules, *(import_module(name) for name in names if name != rules.__name__)):
         rows = [
-            (f"`{e.name}`", f"{e.value:g}", e.rule.unit, e.rule.meaning, e.rule.origin)
-            for e in rules.table()
-            if e.rule.step == step
+            (f"`{n.name}`", f"{n.value:g}", n.meaning, f"`{n.derived}`" if n.derived else n.origin or "chosen")
+            for n in declared_numbers(module)
         ]
-        parts.append(
-            f"## {step.capitalize()}\n\n{rows_of(('name', 'value', 'unit', 'what it is', 'where it comes from'), rows)}"
-        )
+        if rows:
+            title = "Judgement" if module is rules else f"`{module.__name__.removeprefix(f'{diagnosis.__name__}.')}.py`"
+            parts.append(f"## {title}\n\n{rows_of(('name', 'value', 'what it is', 'where it comes from'), rows)}")
     return "\n".join(parts)
 
 

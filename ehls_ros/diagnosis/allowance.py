@@ -14,6 +14,9 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 
+MIN_ALLOWED = 0.01
+"""Variance in units of the noise below which a direction is not allowed for."""
+
 
 class Allowance(NamedTuple):
     """Expectation and variation of a channel's fault-free residual.
@@ -41,7 +44,7 @@ class Allowance(NamedTuple):
         """
         directions = self.directions / floor[:, None]
         squares, along = np.linalg.eigh(directions.T @ directions)
-        kept = squares > rules.MIN_ALLOWED * correlation
+        kept = squares > MIN_ALLOWED * correlation
         basis = directions @ along[:, kept] / np.sqrt(squares[kept])
         return Allowed(self.mean, basis, np.sqrt(1.0 + squares[kept] / correlation), self.most * np.sqrt(1.0 + squares[kept]))
 

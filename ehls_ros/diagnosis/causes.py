@@ -1,23 +1,27 @@
-"""Causes of the best hypothesis as listed in the result: probability, parameters, equivalents, rivals."""
+"""Causes of the best hypothesis as listed in the result, with their rivals and equivalents; their gain, and advice."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import mostly_in
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.held_out import Assessment, probabilities
+from ehls_ros.diagnosis.held_out import RESAMPLED, Assessment, probabilities
 from ehls_ros.diagnosis.hypotheses import parts
-from ehls_ros.diagnosis.loss import closed
+from ehls_ros.diagnosis.loss import closed, power
 from ehls_ros.diagnosis.missing_signals import deciding, untried
 from ehls_ros.diagnosis.remainder import remainder_in
-from ehls_ros.diagnosis.result import Cause, Rival
+from ehls_ros.diagnosis.result import Cause, ChannelGain, Gain, Rival
 from ehls_ros.diagnosis.search import Place, Searched
 from ehls_ros.diagnosis.stages import Channel, Stage
+from ehls_ros.diagnosis.starts import FITTED
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import Words
+from ehls_ros.physics.rig import Rig
 
 STAGE_OF_GROUP: Mapping[str, Stage] = {
     "valve": "valve",
@@ -28,6 +32,9 @@ STAGE_OF_GROUP: Mapping[str, Stage] = {
     "environment": "force_balance",
 }
 """Model stage of an effect, by the group given in its file."""
+
+SPRING, ADDED = "spring_rate_shift", "added"
+"""The effect that changes the spring's stiffness, and its parameter."""
 
 
 def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, last: Collection[str] = ()) -> tuple[Cause, ...]:
@@ -68,7 +75,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
                 fixed=dict(candidate.fixed),
                 gain=gain,
                 sigmas=best.sigmas(index),
-                rivals=tuple(_rival(evidence, found, place.without, j) for j in others[: rules.RIVALS]),
+                rivals=tuple(_rival(evidence, found, place.without, j) for j in others[:FITTED]),
                 channel=main,
                 share=_share(evidence, best, place.without, main),
                 deciding=tuple(dict.fromkeys(signal for signals in equivalent.values() for signal in signals)),
@@ -140,3 +147,92 @@ def _rival(evidence: Evidence, found: Searched, without: Assessment, rival: Asse
     closed = (before - after) / (before - noise) if before > noise else 0.0
     behind = found.best.score(found.inflation) - rival.score(found.inflation)
     return Rival(rival.hypothesis[-1].name, behind, closed, _estimates(rival, len(rival.hypothesis) - 1))
+
+
+def gain(evidence: Evidence, best: Assessment, noise: Mapping[Channel, float], seed: int) -> Gain | None:
+    """Return the gain of the causes on held-out data; None if they change nothing.
+
+    Args:
+        evidence: the recording compared with the given model.
+        best: the causes.
+        noise: rms noise in each channel, as a fraction of the largest term.
+        seed: of the resampling.
+    """
+    channels = tuple(best.held_out.gain)
+    if not channels:
+        return None
+    base, held_out = evidence.base.values, best.held_out.residuals.values
+
+    def removed(c: Channel) -> float:
+        return float(np.sum(base[c] ** 2 - held_out[c] ** 2))
+
+    main = max(channels, key=removed)
+    # A channel without removable error holds no information on the fraction removed.
+    counted = tuple(c for c in channels if power(base[c]) > rules.REMOVABLE * power(evidence.noise[c])) or (main,)
+    before, after, chance = (
+        np.sum([np.bincount(evidence.block[c], e[c] ** 2, evidence.blocks) for c in counted], axis=0)
+        for e in (base, held_out, evidence.noise)
+    )
+    fraction, ci95 = closed_fraction(before, after, chance, seed)
+    return Gain(
+        channel=main,
+        heldout_nrmse_before=evidence.nrmse(main, base[main]),
+        heldout_nrmse_after=evidence.nrmse(main, held_out[main]),
+        noise_floor=noise[main],
+        closed_fraction=fraction,
+        ci95=ci95,
+        channels={c: _channel_gain(evidence, held_out[c], c) for c in counted},
+    )
+
+
+def _channel_gain(evidence: Evidence, after: Array, channel: Channel) -> ChannelGain:
+    before, noise = evidence.base.values[channel], evidence.noise[channel]
+    removable = max(power(before) - power(noise), 1e-300)
+    return ChannelGain(min(closed(before, after, noise), 1.0), power(noise) / removable)
+
+
+def closed_fraction(before: Array, after: Array, noise: Array, seed: int) -> tuple[float, tuple[float, float]]:
+    """Return the fraction of the removable power that was removed, and its 95 % interval from a bootstrap of the blocks.
+
+    Args:
+        before: sum of squares of the given model's whitened residuals, by block.
+        after: the same of the extended model.
+        noise: the same of noise alone.
+        seed: of the resampling.
+    """
+    blocks = len(before)
+    weights = np.random.default_rng(seed).multinomial(blocks, np.ones(blocks) / blocks, RESAMPLED)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fractions = (weights @ (before - after)) / (weights @ (before - noise))
+    fractions = fractions[np.isfinite(fractions)]
+    low, high = np.quantile(fractions, [0.025, 0.975]) if fractions.size else (0.0, 0.0)
+    removable = float(before.sum() - noise.sum())
+    enough = removable > (rules.REMOVABLE - 1.0) * float(noise.sum())
+    closed = float(before.sum() - after.sum()) / removable if enough else 0.0
+    return min(closed, 1.0), (float(min(low, 1.0)), float(min(high, 1.0)))
+
+
+def advice(rig: Rig, cause: Cause) -> Words:
+    """Return the terms and the advice for a cause.
+
+    Args:
+        rig: the given model.
+        cause: the cause.
+    """
+    words: Words = EFFECTS.load(cause.name).WORDS
+    if not spring_in_force(rig, cause):
+        return words
+    return words._replace(
+        inspect="check where the load cell sits: behind the spring, its reading contains the spring's force already",
+        measure="hold the piston at two positions without load and compare the readings",
+        change="map the cell as `load_cell_n`, with the mass before it as `moving_mass`, or set `spring_stiffness` to 0",
+    )
+
+
+def spring_in_force(rig: Rig, cause: Cause) -> bool:
+    """Return whether a cause removes the spring of the rig file: the recorded force contains it already, or none is mounted."""
+    stiffness, added = rig.plant.spring_stiffness, cause.parameters.get(ADDED)
+    if cause.name != SPRING or added is None or not stiffness > 0.0:
+        return False
+    # A fit beyond zero stiffness has no effect.
+    return added.value + stiffness <= max(rules.SPRING_LEFT * stiffness, rules.MAX_ALLOWED * added.std)

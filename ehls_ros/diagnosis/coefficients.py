@@ -8,6 +8,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.fit import FIRST_STEP
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
@@ -80,12 +81,12 @@ def terms(evidence: Evidence) -> dict[Channel, tuple[Term, ...]]:
     """Return the sensitivities of each channel's residual to errors of the coefficients."""
     comparison = evidence.comparison()
     found: dict[Channel, list[Term]] = {c: [] for c in evidence.channels}
-    for name, rig in varied(evidence.rig, rules.COEFFICIENT_STEP):
+    for name, rig in varied(evidence.rig, FIRST_STEP):
         residuals = evidence.residuals(comparison, rig)
         for c in evidence.channels:
             moved = (residuals.values[c] - evidence.base.values[c]) * evidence.floor[c]
             if np.any(moved) and np.all(np.isfinite(moved)):
                 oily = name in WITH_OIL or name in rig.friction._fields
                 spread = rules.SPREAD_WITH_OIL if oily else rules.SPREAD
-                found[c].append(Term(name, moved / rules.COEFFICIENT_STEP, spread))
+                found[c].append(Term(name, moved / FIRST_STEP, spread))
     return {c: tuple(items) for c, items in found.items()}

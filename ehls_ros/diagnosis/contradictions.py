@@ -20,6 +20,18 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import notes
 from ehls_ros.trajectory import MEASURED, Trajectory
 
+SIZE_READINGS = 3
+"""Most values and signals that are taken to be wrong at once."""
+
+SIZE_BLOCKS = 2000
+"""Most blocks that signals are averaged over before they are compared by size."""
+
+SIZE_BLOCK = 0.02
+"""Shortest of these blocks [s]."""
+
+SIZE_FEWEST = 50
+"""Fewest blocks that determine a factor."""
+
 
 class Ratio(NamedTuple):
     """Ratio of a measured quantity to the value implied by the rig file.
@@ -174,7 +186,7 @@ def _resolving(rig: Rig, seen: Seen) -> list[Reading]:
     """Return few alternative readings, chosen greedily, that resolve all contradictions; empty if too many are needed."""
     chosen = list[Reading]()
     while any(ratio.impossible for ratio in _ratios(rig, seen)):
-        best = _best_reading(rig, seen) if len(chosen) < rules.SIZE_READINGS else None
+        best = _best_reading(rig, seen) if len(chosen) < SIZE_READINGS else None
         if best is None:
             return []
         chosen.append(best)
@@ -238,7 +250,7 @@ def _with_unit(value: Any, unit: str) -> str:
 
 def _ratios(rig: Rig, seen: Seen, *, fitted: bool = False) -> Iterator[Ratio]:
     """Yield every known ratio: those of the rig file alone, unless it is fitted, then those of recording to rig file."""
-    long = all(len(values) >= rules.SIZE_FEWEST for values in seen.signals.values())
+    long = all(len(values) >= SIZE_FEWEST for values in seen.signals.values())
     with np.errstate(all="ignore"):
         for ratio in (
             *(() if fitted else _of_rig(rig)),
@@ -301,7 +313,9 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         flow = plant.discharge_coefficient * plant.valve_area_gradient * spool * np.sqrt(drop / plant.oil_density)
         stored = plant.total_volume / (4.0 * plant.bulk_modulus) * np.gradient(pressure, seen.period)
         used = plant.piston_area * moves + stored + plant.leakage_coefficient * pressure
-        yield from _slope("the flow that moves the piston over the valve's by the orifice law", used, flow, rules.SIZE_FLOW)
+        # The flow depends on more coefficients, and on the compressed oil.
+        within = rules.SIZE_DOUBT * rules.SIZE_FACTOR
+        yield from _slope("the flow that moves the piston over the valve's by the orifice law", used, flow, within)
 
 
 def _lagged(values: Array, kept: float) -> Array:
@@ -329,8 +343,8 @@ def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         return
     available = driving + reach.get("disturbance_force_n", 0.0)
     rate = np.gradient(position, seen.period)
-    travel, fastest = float(np.ptp(position)), float(np.nanquantile(np.abs(rate), rules.UNIT_QUANTILE))
-    acceleration = float(np.nanquantile(np.abs(np.gradient(rate, seen.period)), rules.UNIT_QUANTILE))
+    travel, fastest = float(np.ptp(position)), float(np.nanquantile(np.abs(rate), rules.RARE_QUANTILE))
+    acceleration = float(np.nanquantile(np.abs(np.gradient(rate, seen.period)), rules.RARE_QUANTILE))
     viscous = plant.viscous_damping + rig.friction.viscous_coefficient
     terms = {
         "moving_mass times the recorded acceleration": plant.moving_mass * acceleration,
@@ -345,16 +359,16 @@ def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
 
 def _seen(trajectory: Trajectory) -> Seen:
     if len(trajectory) < 2 or not np.all(np.diff(trajectory.time_s) > 0.0):
-        return Seen({}, {}, rules.SIZE_BLOCK)  # reported when the recording is prepared
+        return Seen({}, {}, SIZE_BLOCK)  # reported when the recording is prepared
     time = trajectory.time_s - trajectory.time_s[0]
     signals = {s: np.asarray(trajectory[s], dtype=np.float64) for s in MEASURED if s in trajectory and s != "oil_temperature_k"}
     signals = {s: values for s, values in signals.items() if np.any(np.isfinite(values)) and np.nanmax(np.abs(values)) > 0.0}
-    period = max(rules.SIZE_BLOCK, float(time[-1]) / rules.SIZE_BLOCKS, float(np.median(np.diff(time))))
+    period = max(SIZE_BLOCK, float(time[-1]) / SIZE_BLOCKS, float(np.median(np.diff(time))))
     index = (time / period).astype(np.intp)
     return Seen(
         signals={s: _means(values, index) for s, values in signals.items()},
         reach={
-            s: float(np.nanquantile(np.abs(values[np.isfinite(values)]), rules.UNIT_QUANTILE)) for s, values in signals.items()
+            s: float(np.nanquantile(np.abs(values[np.isfinite(values)]), rules.RARE_QUANTILE)) for s, values in signals.items()
         },
         period=period,
     )

@@ -6,10 +6,17 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.loss import CLIP
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Comparison
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
+
+KNOTS = 12
+"""Knots of the piecewise linear curve that relates a residual to a signal."""
+
+RIDGE = 1e-3
+"""Ridge of that regression, as a fraction of the mean curvature, for knots without data."""
 
 
 def depends_on(e: Array, signals: Mapping[str, Array], even: Mask) -> tuple[str, ...]:
@@ -20,7 +27,7 @@ def depends_on(e: Array, signals: Mapping[str, Array], even: Mask) -> tuple[str,
         signals: mean of each signal over the same windows, shape (n,).
         even: the windows in even blocks, shape (n,); each half is predicted from the other.
     """
-    clipped = np.clip(e, -rules.STRONGEST_CLIP, rules.STRONGEST_CLIP)
+    clipped = np.clip(e, -CLIP, CLIP)
     explained = {name: explained_fraction(means, clipped, even) for name, means in signals.items() if np.ptp(means) > 0.0}
     least = max(rules.DEPENDS, rules.DEPENDS_BESIDE * max(explained.values(), default=0.0))
     order = sorted(explained, key=lambda name: -explained[name])
@@ -52,7 +59,7 @@ def explained_fraction(signal: Array, e: Array, even: Mask) -> float:
             return 0.0
         a = basis[train]
         normal = a.T @ a
-        normal += rules.RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
+        normal += RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
         weights = np.linalg.solve(normal, a.T @ e[train])
         rest += float(np.sum((e[~train] - basis[~train] @ weights) ** 2))
         total += float(np.sum(e[~train] ** 2))
@@ -61,7 +68,7 @@ def explained_fraction(signal: Array, e: Array, even: Mask) -> float:
 
 def _basis(values: Array) -> Array:
     """Return hat functions over a signal with knots at its quantiles, shape (n, knots)."""
-    knots = np.unique(np.quantile(values, np.linspace(0.0, 1.0, rules.KNOTS)))
+    knots = np.unique(np.quantile(values, np.linspace(0.0, 1.0, KNOTS)))
     if len(knots) < 2:
         return np.ones((len(values), 1))
     return np.column_stack([np.interp(values, knots, row) for row in np.eye(len(knots))])

@@ -7,11 +7,10 @@ from contextlib import closing
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.causes import causes
+from ehls_ros.diagnosis.causes import causes, gain
 from ehls_ros.diagnosis.dependence import depends_on, signals_along
 from ehls_ros.diagnosis.evidence import Evidence, Standard, gather
 from ehls_ros.diagnosis.excitation import excited, mass_observable, sensitivities, sliding
-from ehls_ros.diagnosis.gain import gain
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.measurement import BEYOND_MEASUREMENT, allowed_for

@@ -23,7 +23,44 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import weights
+from ehls_ros.diagnosis.windows import OVERLAP
 from ehls_ros.samples import GAUSS, Mask
+
+SECTIONS = 3
+"""Sections of an only baseline that stand for recordings when the healthy spread is estimated."""
+
+SPREAD_STEPS = 12
+"""Rounds in which the healthy spread is estimated."""
+
+MAX_LEARNT = 9000
+"""Most windows of all baselines together that a channel is learnt from."""
+
+SINGLE_CENTRES = 20
+"""Most centres of the function of one signal."""
+
+JOINT_CENTRES = 60
+"""Most centres of the function of all signals together."""
+
+NEGLIGIBLE = 1e-3
+"""Fraction below which the scale of a signal, the size of a function, or the variance that its columns miss does not count."""
+
+COLLINEAR = 0.01
+"""Relative singular value below which derivatives by coefficients count as the same."""
+
+FOLDS = 5
+"""Parts in which stretches are held out when the remainder is learnt."""
+
+LEARNING_STEPS = 8
+"""Rounds in which sizes and noise of the remainder are estimated."""
+
+ROBUST_STEPS = 3
+"""Rounds of Huber's weights in each of these."""
+
+MAX_MEMORY = 40
+"""Windows over which the remainder may be correlated, at most, and length of the stretches that are held out.
+
+Longer stretches could hold all rare events.
+"""
 
 
 class Windows(NamedTuple):
@@ -140,7 +177,7 @@ class Learnt(NamedTuple):
             data: the windows.
             own: variance of the functions not covered by their columns, shape (n,).
         """
-        return rules.TOGETHER * data.noise**2 + self.together * (self.left**2 + own)
+        return OVERLAP * data.noise**2 + self.together * (self.left**2 + own)
 
     def warped(self, signals: Array) -> Array:
         """Return standardised signals with compressed tails, shape (n, signals)."""
@@ -160,22 +197,22 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
     if len(recordings) > 1:
         recording = np.repeat(np.arange(len(recordings)), [len(r.residual) for r in recordings])
     else:
-        recording = data.block * rules.SECTIONS // (int(np.max(data.block)) + 1)
-    stride = -(-len(data.residual) // rules.MAX_LEARNT)
+        recording = data.block * SECTIONS // (int(np.max(data.block)) + 1)
+    stride = -(-len(data.residual) // MAX_LEARNT)
     data, recording = data.thinned(stride), recording[::stride]
     middle = np.median(data.signals, axis=0)
     largest = np.maximum(np.max(np.abs(data.signals), axis=0), 1e-300)
-    scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), rules.MIN_SCALE * largest)
+    scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), NEGLIGIBLE * largest)
     count = 2 * data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
-        data, recording, middle, scale, np.full(count, size), size, rules.TOGETHER, fitted,
+        data, recording, middle, scale, np.full(count, size), size, OVERLAP, fitted,
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
     )  # fmt: skip
     features, y = _features(now.warped(data.signals), data.factor, data.terms, len(data.residual)), data.residual
     fold = _folds(len(y))
     members = np.bincount(features.group, minlength=count)
-    for _ in range(rules.LEARNING_STEPS):
+    for _ in range(LEARNING_STEPS):
         functions, own = features.sized(now.sizes)
         columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
         variance = now.variance(data, own)
@@ -185,7 +222,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
         energy = np.bincount(features.group, (mean**2 + np.diag(inverse))[data.terms.shape[1] :], count)
         grown = (energy + (size / now.sizes) ** 2) / (members + 1.0)
         now = now._replace(
-            sizes=np.maximum(now.sizes * np.sqrt(grown), rules.MIN_FUNCTION * size),
+            sizes=np.maximum(now.sizes * np.sqrt(grown), NEGLIGIBLE * size),
             power=(float(np.mean(y**2)), float(np.mean(after**2))),
         ).leaving(after)
     return _with_spread(now, features, default_spread, len(recordings) == 1)
@@ -219,13 +256,13 @@ def _features(warped: Array, factor: Array, terms: Array, known: int) -> _Featur
         known: number of leading windows on which the features are orthogonal to these.
     """
     single = warped.shape[1]
-    made = [_kernel_columns(warped[:, g : g + 1], rules.SINGLE_CENTRES) for g in range(single)]
+    made = [_kernel_columns(warped[:, g : g + 1], SINGLE_CENTRES) for g in range(single)]
     made += [(part * factor[:, None], rest * factor**2) for part, rest in made]
-    made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), rules.JOINT_CENTRES))
+    made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), JOINT_CENTRES))
     group = np.repeat(np.arange(len(made)), [part.shape[1] for part, _ in made])
     columns = np.hstack([part for part, _ in made])
     scaled = terms / np.maximum(np.sqrt(np.mean(terms[:known] ** 2, axis=0)), 1e-300)
-    along = np.linalg.lstsq(scaled[:known], columns[:known], rcond=rules.COLLINEAR)[0]
+    along = np.linalg.lstsq(scaled[:known], columns[:known], rcond=COLLINEAR)[0]
     return _Features(columns - scaled @ along, group, np.column_stack([rest for _, rest in made]))
 
 
@@ -240,7 +277,7 @@ def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
     count = 0
     while count < most:
         worst = int(np.argmax(rest))
-        if rest[worst] < rules.RESOLVED_KERNEL:
+        if rest[worst] < NEGLIGIBLE:
             break
         distance = np.sum((inputs - inputs[worst]) ** 2, axis=1) / rules.SMOOTH**2
         column = np.exp(-0.5 * distance) - columns[:, :count] @ columns[worst, :count]
@@ -252,7 +289,7 @@ def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
 
 def _folds(windows: int) -> NDArray[np.intp]:
     """Return the fold in which each window is held out, shape (windows,)."""
-    return np.arange(windows) // rules.STRETCH % rules.FOLDS
+    return np.arange(windows) // MAX_MEMORY % FOLDS
 
 
 def _chosen(fitted: Mask, columns: Array) -> Mask:
@@ -264,7 +301,7 @@ def _posterior(columns: Array, y: Array, variance: Array, fitted: Mask) -> tuple
     """Return mean and covariance of standard normal weights under the Huber loss; the mean of unfitted ones is zero."""
     chosen = _chosen(fitted, columns)
     mean, normal = np.zeros(columns.shape[1]), np.eye(columns.shape[1])
-    for _ in range(rules.ROBUST_STEPS):
+    for _ in range(ROBUST_STEPS):
         w = weights((y - columns @ mean) / np.sqrt(variance)) / variance
         normal = columns.T @ (columns * w[:, None]) + np.eye(columns.shape[1])
         mean[chosen] = scipy.linalg.cho_solve(
@@ -291,7 +328,7 @@ def _together(e: Array, block: NDArray[np.intp]) -> float:
     limit = rules.HUBER * GAUSS * float(np.median(np.abs(e)))
     e = np.clip(e, -limit, limit)
     total, power = 1.0, float(np.mean(e * e))
-    for lag in range(1, rules.MAX_MEMORY):
+    for lag in range(1, MAX_MEMORY):
         same = block[lag:] == block[:-lag]
         if not np.any(same) or power == 0.0:
             break
@@ -325,7 +362,7 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
         between[:terms] = np.minimum(between[:terms], np.maximum(np.abs(mean[:terms]), 1.0))
     beyond = np.maximum(between**2 - default**2, 0.0)
     # A drift within a single recording is extrapolated to the next one as a random walk.
-    spread = np.sqrt(default**2 + beyond * (rules.SECTIONS if only else 1))
+    spread = np.sqrt(default**2 + beyond * (SECTIONS if only else 1))
     return found._replace(
         spread=spread[:terms] * rules.LEFT_ERROR,
         changing=spread[terms:],
@@ -348,7 +385,7 @@ def _between(rest: Learnt, columns: Array, own: Array, group: NDArray[np.intp], 
     data, members = rest.windows, np.unique(rest.recording)
     between, fold = np.where(default > 0.0, 1.0, 0.0), _folds(len(data.residual))
     all_fitted = np.ones(0, dtype=np.bool_)
-    for _ in range(rules.SPREAD_STEPS):
+    for _ in range(SPREAD_STEPS):
         energy, determined, after = np.zeros(len(default)), np.zeros(len(default)), data.residual.copy()
         variance = rest.variance(data, own)
         for k in members:

@@ -17,13 +17,16 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance, Allowed
 from ehls_ros.diagnosis.hypotheses import Hypothesis
 from ehls_ros.diagnosis.loss import loss, rms
-from ehls_ros.diagnosis.noise import deviations, largest_terms, scatter, with_noise
+from ehls_ros.diagnosis.noise import REALISATIONS, deviations, largest_terms, scatter, with_noise
 from ehls_ros.diagnosis.record import POSITION, VELOCITY, Record
 from ehls_ros.diagnosis.resolution import coarseness
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Comparison, Setup, formed_of, usable
 from ehls_ros.duals import tangents_of, value_of
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
+
+MAX_RESIDUAL = 1e6
+"""Whitened residual that stands for any larger one and for a model that diverges."""
 
 
 class Residuals(NamedTuple):
@@ -68,13 +71,23 @@ class Standard:
         """Return the standard by which a single small cause is accepted where nothing else is; None if there is none."""
         return None
 
-    def noise_power(self, e: Array) -> float:
-        """Return the fault-free mean square of whitened residuals.
+    def noise_power(self, channel: Channel, e: Array) -> float:
+        """Return the fault-free mean square of a channel's whitened residuals.
 
         Args:
+            channel: the channel.
             e: change of the residuals by added noise, shape (n,).
         """
         return max(float(np.mean(e * e)), rules.MIN_NOISE_POWER)
+
+    def rare_square(self, channel: Channel, noise: float) -> float:
+        """Return the fault-free square of a channel's rare whitened residuals, at the quantile :data:`rules.RARE_QUANTILE`.
+
+        Args:
+            channel: the channel.
+            noise: fault-free mean square.
+        """
+        return rules.RARE_SCATTER * noise
 
     def scatter(self, windows: float) -> float:
         """Return the multiple of its mean that the mean square of so many independent windows may reach by noise."""
@@ -202,7 +215,7 @@ class Evidence:
         return self.setup.window_of(channel).mean(values)[self.masks[channel]]
 
 
-def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int = rules.REALISATIONS) -> Evidence:
+def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int = REALISATIONS) -> Evidence:
     """Compare the given model with a recording and estimate the noise floor.
 
     Args:
@@ -224,7 +237,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
     channels, setup = moving, setup._replace(why_not={**dict.fromkeys(still, "its signals are 0 throughout"), **setup.why_not})
     coarse = {c: setup.window_of(c).mean(coarseness(record, formed_of(record, c)) ** 2) for c in channels}
     floor = {c: np.sqrt(deviation[c] ** 2 + coarse[c] * (rules.TOLERANCE * sizes[c]) ** 2)[masks[c]] for c in channels}
-    blocks = int(np.clip(round(len(record.time) * record.period / rules.BLOCK), rules.MIN_BLOCKS, rules.MAX_BLOCKS))
+    blocks = max(round(len(record.time) * record.period / rules.BLOCK), rules.MIN_BLOCKS)
     block, times = dict[Channel, NDArray[np.intp]](), dict[Channel, Array]()
     for c in channels:
         window = setup.window_of(c)
@@ -328,7 +341,7 @@ def whitened(
     allowed: Mapping[Channel, Allowed] | None = None,
 ) -> dict[Channel, Array]:
     """Return the residuals of the usable windows in units of their noise floor; finite but large for a diverged model."""
-    far = rules.MAX_RESIDUAL
+    far = MAX_RESIDUAL
     out = {}
     for channel, values in raw.items():
         given = (allowed or {}).get(channel)
@@ -350,7 +363,7 @@ def whitened_slopes(evidence: Evidence, raw: Mapping[Channel, Any], parameters: 
     for channel, values in raw.items():
         mask, floor = evidence.masks[channel], evidence.floor[channel]
         out[channel] = np.zeros((len(floor), parameters))
-        far = ~(np.abs(value_of(values)[mask] / floor) < rules.MAX_RESIDUAL)
+        far = ~(np.abs(value_of(values)[mask] / floor) < MAX_RESIDUAL)
         for parameter, tangent in tangents_of(values).items():
             column = np.broadcast_to(tangent, mask.shape)[mask] / floor
             out[channel][:, parameter] = np.where(far, 0.0, np.nan_to_num(column))
@@ -370,4 +383,4 @@ def sections(block: Mapping[Channel, NDArray[np.intp]], channels: Sequence[Chann
 
 def noise_power(evidence: Evidence, channel: Channel) -> float:
     """Return the fault-free mean square of a channel's whitened residual."""
-    return evidence.standard.noise_power(evidence.noise[channel])
+    return evidence.standard.noise_power(channel, evidence.noise[channel])

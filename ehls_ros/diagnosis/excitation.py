@@ -13,20 +13,18 @@ from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.stages import Stage
 
+NINE_OF_TEN = 1.2816
+"""Standard deviations below which a normal variable lies in nine of ten cases.
 
-class Key(NamedTuple):
-    """Key parameter by which the excitation of a stage is judged."""
+Origin: a quantile.
+"""
 
-    effect: str
-    parameter: str
-
-
-KEYS: Mapping[Stage, Key] = {
-    "valve": Key("valve_gain_shift", "gain"),
-    "flow": Key("valve_gain_shift", "flow_gain"),
-    "force_balance": Key("coulomb_shift", "offset"),
+KEYS: Mapping[Stage, tuple[str, str]] = {
+    "valve": ("valve_gain_shift", "gain"),
+    "flow": ("valve_gain_shift", "flow_gain"),
+    "force_balance": ("coulomb_shift", "offset"),
 }
-"""Stages that need excitation, and their key parameters; the sensors' stage needs none."""
+"""Stages that need excitation, with the effect and its parameter by which it is judged; the sensors' stage needs none."""
 
 
 def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitivity, ...]:
@@ -70,7 +68,7 @@ def smallest_detectable(information: float, effect: float) -> float | None:
     if information <= 0.0:
         return None
     # At the threshold itself, the scatter would hide every other one.
-    sigmas = max(rules.MIN_SIGMAS, math.sqrt(2.0 * rules.NEEDED_GAIN)) + rules.NINE_OF_TEN
+    sigmas = max(rules.MIN_SIGMAS, math.sqrt(2.0 * rules.NEEDED_GAIN)) + NINE_OF_TEN
     smallest = sigmas / math.sqrt(information)
     return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
 
@@ -122,4 +120,4 @@ def excited(stage: Stage, found: Sequence[Sensitivity], slid: Sliding, largest: 
     if stage == "force_balance" and slid.travel < rules.SLIDING * slid.presliding:
         return False
     nominal = slid.coulomb if stage == "force_balance" else 1.0
-    return any(s.smallest < largest * nominal for s in found if Key(s.name, s.parameter) == KEYS[stage])
+    return any(s.smallest < largest * nominal for s in found if (s.name, s.parameter) == KEYS[stage])

@@ -6,12 +6,80 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended, parts
 from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.stages import Channel, Comparison
 from ehls_ros.physics.rig import Rig
+
+CHANGE = 5.0
+"""Least norm of the change in whitened residuals that a difference quotient's step should make."""
+
+CHANGE_FRACTION = 0.03
+"""The same as a fraction of the residuals' norm: where friction elements break away early or late, they are rough."""
+
+MAX_COUNTED = 1e6
+"""Square at which a whitened residual is cut off in that norm."""
+
+MIN_CHANGE = 0.1
+"""Fraction of that change below which the step is enlarged."""
+
+MAX_CHANGE = 5.0
+"""Multiple of that change above which the step is shortened."""
+
+STEP_GROWTH = 100.0
+"""Largest factor by which a step is enlarged or shortened at once."""
+
+MAX_FIT_STEP = 0.25
+"""Longest step, as a fraction of a parameter's range."""
+
+FIRST_STEP = 1e-2
+"""First step of a difference quotient, as a fraction of the parameter's value."""
+
+FIRST_STEP_AT_ZERO = 1e-4
+"""First step of a parameter that is zero, as a fraction of its range."""
+
+MAX_ITERATIONS = 8
+"""Most Gauss-Newton steps of a fit."""
+
+CONVERGED = 0.02
+"""Decrease of the loss below which a fit has settled [nat]."""
+
+CONVERGED_FRACTION = 1e-4
+"""The same as a fraction of the loss, added to it."""
+
+CONVERGED_EXCESS = 3e-3
+"""The same, for a fit whose runs are expensive, as a fraction of the loss beyond noise: details say little then."""
+
+MANY_PARAMETERS = 6
+"""Free parameters above which derivatives are updated and not evaluated again after every step.
+
+Origin: fits of about 10 take at most 70 evaluations then, on EMPS, instead of 104 to 191.
+"""
+
+MIN_DAMPING = 1e-9
+"""Levenberg damping of the first step from fresh derivatives, the least."""
+
+DAMPING_FACTOR = 10.0
+"""Factor on the damping from one failed step to the next, and its inverse after a good one."""
+
+DAMPED = 1.0 / DAMPING_FACTOR
+"""Levenberg damping tried after an undamped step that does not help."""
+
+MAX_TRIES = 4
+"""Most dampings tried for one step of a fit, and most sizes for one step of a difference quotient."""
+
+SHORTENED = 0.3
+"""Fraction of the first step that is tried when the full step falls short."""
+
+TRUSTED = 0.5
+"""Fraction of its predicted decrease that a step must reach for its derivatives to be updated, not redone."""
+
+MIN_STEP_EFFICIENCY = 0.05
+"""Fraction of its predicted decrease below which a step shows that the loss is too rough to go on."""
+
+MIN_STEP_FRACTION = 5e-3
+"""Fraction of the loss below which a step's decrease must lie as well for the fit to stop there."""
 
 
 class Fit(NamedTuple):
@@ -40,7 +108,7 @@ class Fit(NamedTuple):
     @property
     def costly(self) -> bool:
         """Whether derivatives are expensive: each needs a simulation of a separate load, or there are many."""
-        return len(self.values) > rules.MANY_PARAMETERS or any(c.separates_load for c in self.hypothesis)
+        return len(self.values) > MANY_PARAMETERS or any(c.separates_load for c in self.hypothesis)
 
     def without(self, index: int) -> "Fit":
         """Return the hypothesis without one cause, to be fitted; residuals and derivatives are still those with the cause."""
@@ -70,7 +138,7 @@ class Fit(NamedTuple):
             windows: number of residuals it sums; noise alone costs at most about 1 nat each.
         """
         excess = max(0.0, total - windows) if self.costly else 0.0
-        return rules.CONVERGED + rules.CONVERGED_FRACTION * total + rules.CONVERGED_EXCESS * excess
+        return CONVERGED + CONVERGED_FRACTION * total + CONVERGED_EXCESS * excess
 
 
 class Start(NamedTuple):
@@ -137,11 +205,11 @@ class Worker:
             total = float(np.sum(loss(residuals.joined(now.channels))))
             if total < best.loss:
                 best = now._replace(values=values, residuals=residuals, loss=total)
-            if now.loss - total > rules.TRUSTED * start.promise:
+            if now.loss - total > TRUSTED * start.promise:
                 break
         return best
 
-    def fit(self, start: Fit, iterations: int = rules.MAX_ITERATIONS, fresh: Fit | None = None) -> Fit:
+    def fit(self, start: Fit, iterations: int = MAX_ITERATIONS, fresh: Fit | None = None) -> Fit:
         """Minimise the loss by Gauss-Newton steps with Levenberg's damping, within the parameters' ranges.
 
         Args:
@@ -151,14 +219,14 @@ class Worker:
         """
         evidence = self.evidence
         lower, upper = bounds(start.hypothesis)
-        now, damping = start, rules.LOW_DAMPING
+        now, damping = start, MIN_DAMPING
         # Expensive derivatives are evaluated again only when the last ones give no further progress.
         fresh = fresh or start
         for iteration in range(iterations):
             e = now.residuals.joined(now.channels)
             gained = False
             promised = -math.inf
-            for _ in range(rules.MAX_TRIES):
+            for _ in range(MAX_TRIES):
                 step = gauss_newton(now.jacobian, e, damping, now.values, lower, upper)
                 useful = self._useful(now, e, np.clip(now.values + step, lower, upper) - now.values)
                 if np.any(useful):
@@ -172,18 +240,18 @@ class Worker:
                 if total < now.loss:
                     gained = True
                     break
-                damping = max(rules.DAMPING_FACTOR * damping, rules.DAMPED)
+                damping = max(DAMPING_FACTOR * damping, DAMPED)
             if not gained:
                 if now is fresh:
                     return now._replace(settled=True)
-                now, damping = self._refreshed(now, fresh), rules.LOW_DAMPING
+                now, damping = self._refreshed(now, fresh), MIN_DAMPING
                 fresh = now
                 continue
             decrease = now.loss - total
-            damping = max(damping / rules.DAMPING_FACTOR, rules.MIN_DAMPING)
+            damping = max(damping / DAMPING_FACTOR, MIN_DAMPING)
             settled = decrease < now.negligible(total, len(e))
-            settled = settled or decrease < min(rules.MIN_STEP_EFFICIENCY * promised, rules.MIN_STEP_FRACTION * total)
-            if now.costly and not settled and decrease > rules.TRUSTED * promised:
+            settled = settled or decrease < min(MIN_STEP_EFFICIENCY * promised, MIN_STEP_FRACTION * total)
+            if now.costly and not settled and decrease > TRUSTED * promised:
                 now = self._updated(now, values, residuals, total)
                 continue
             settled &= now is fresh
@@ -199,10 +267,10 @@ class Worker:
         lower, upper = bounds(hypothesis)
         if steps is None:
             span = np.minimum(np.where(np.isfinite(upper - lower), upper - lower, 1.0), 1e12)
-            steps = np.where(values != 0.0, rules.FIRST_STEP * np.abs(values), rules.FIRST_STEP_AT_ZERO * span)
+            steps = np.where(values != 0.0, FIRST_STEP * np.abs(values), FIRST_STEP_AT_ZERO * span)
         steps = steps.copy()
-        norm = float(np.sqrt(sum(np.sum(np.minimum(v * v, rules.MAX_COUNTED)) for v in residuals.values.values())))
-        change = max(rules.CHANGE, rules.CHANGE_FRACTION * norm)
+        norm = float(np.sqrt(sum(np.sum(np.minimum(v * v, MAX_COUNTED)) for v in residuals.values.values())))
+        change = max(CHANGE, CHANGE_FRACTION * norm)
         columns, touched = list[Residuals](), set[Channel]()
         for i in range(len(values)):
             column = None if known is None else self._kept_column(known, residuals, i)
@@ -223,7 +291,7 @@ class Worker:
         lower, upper = (bound[index] for bound in bounds(hypothesis))
         span = upper - lower
         column, change = dict[Channel, Array](), 0.0
-        for _ in range(rules.STEP_TRIES):
+        for _ in range(MAX_TRIES):
             # Away from the nearer bound.
             signed = step if values[index] + step <= upper else -step
             moved = values.copy()
@@ -232,11 +300,11 @@ class Worker:
             column = {c: (other.values[c] - residuals.values[c]) / signed for c in evidence.channels}
             with np.errstate(over="ignore", invalid="ignore"):
                 change = abs(signed) * float(np.sqrt(sum(np.sum(v * v) for v in column.values())))
-            if change < rules.MIN_CHANGE * enough and step < rules.ENLARGED_BELOW * span:
-                factor = rules.STEP_GROWTH if change == 0.0 else min(rules.STEP_GROWTH, enough / change)
-                step = min(step * factor, rules.MAX_FIT_STEP * span)
-            elif change > rules.MAX_CHANGE * enough:
-                step *= max(rules.STEP_SHRINKAGE, enough / change)
+            if change < MIN_CHANGE * enough and step < MAX_FIT_STEP * span:
+                factor = STEP_GROWTH if change == 0.0 else min(STEP_GROWTH, enough / change)
+                step = min(step * factor, MAX_FIT_STEP * span)
+            elif change > MAX_CHANGE * enough:
+                step *= max(1.0 / STEP_GROWTH, enough / change)
             else:
                 break
         if not math.isfinite(change):
@@ -299,8 +367,8 @@ def newton_start(fit: Fit) -> Start:
     """Return a start that first tries a full Gauss-Newton step and then a shortened one."""
     lower, upper = bounds(fit.hypothesis)
     e = fit.residuals.joined(fit.channels)
-    step = gauss_newton(fit.jacobian, e, rules.LOW_DAMPING, fit.values, lower, upper)
-    trials = tuple(np.clip(fit.values + part * step, lower, upper) for part in (1.0, rules.SHORTENED))
+    step = gauss_newton(fit.jacobian, e, MIN_DAMPING, fit.values, lower, upper)
+    trials = tuple(np.clip(fit.values + part * step, lower, upper) for part in (1.0, SHORTENED))
     return Start(fit, trials, fit.loss - linear_loss(e, fit.jacobian, trials[0] - fit.values))
 
 
@@ -311,10 +379,4 @@ def base_loss(evidence: Evidence, fit: Fit) -> float:
 
 def predicted_loss(fit: Fit) -> float:
     """Return the loss expected after one Gauss-Newton step [nats]."""
-    if not fit.values.size:
-        return fit.loss
-    e = fit.residuals.joined(fit.channels)
-    lower, upper = bounds(fit.hypothesis)
-    step = gauss_newton(fit.jacobian, e, rules.MIN_DAMPING, fit.values, lower, upper)
-    step = np.clip(fit.values + step, lower, upper) - fit.values
-    return linear_loss(e, fit.jacobian, step)
+    return fit.loss - newton_start(fit).promise if fit.values.size else fit.loss

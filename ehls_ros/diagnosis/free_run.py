@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, in_python
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.record import (
     COMMAND,
@@ -36,6 +35,18 @@ from ehls_ros.physics.plant import TEMPERATURE as OIL
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
 from ehls_ros.trajectory import Trajectory
+
+FREE_RUN = 20.0
+"""Longest time simulated without the measured states [s]."""
+
+FREE_START = 0.01
+"""Time over which the initial state of a free run is averaged [s]."""
+
+MOVED = 10.0
+"""Standard deviation of a signal relative to its noise above which a free run is compared with it."""
+
+BEYOND_STROKE = 1.0
+"""Distance beyond the stroke, relative to the stroke, at which a free run is stopped."""
 
 
 class Followed(NamedTuple):
@@ -72,9 +83,7 @@ class FreeRun(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def free_run(
-    trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = rules.FREE_RUN
-) -> FreeRun:
+def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recording", seconds: float = FREE_RUN) -> FreeRun:
     """Simulate the beginning of a recording with the given and the extended model.
 
     Args:
@@ -94,17 +103,12 @@ def free_run(
     part = time <= time[0] + seconds
     head = Trajectory(time[part], {name: values[part] for name, values in trajectory.signals.items()})
     record = prepare(head, rig, name)
-    for needed in ((COMMAND,), (POSITION,), (PRESSURE, FORCE)):
-        if not any(signal in record for signal in needed):
-            raise BadInput(f"there is no {' or '.join(needed)}", name, "the command, the position and the load pressure")
+    columns = simulated_columns(record, name, TEMPERATURE)
     before = _run(record, rig)
     after = None if extended == rig else _run(record, extended)
     signals = tuple(
         _followed(record, signal, before[:, column], None if after is None else after[:, column])
-        for column, sensor in enumerate(SENSED)
-        if (signal := RECORDED_AS[sensor]) in record
-        and signal != TEMPERATURE
-        and float(np.std(record.signals[signal])) > rules.MOVED * record.noise[signal]
+        for signal, column in columns.items()
     )
     remarks = ["the position integrates any error of the valve's null, so it may drift even with a good model"]
     for which, run in (("the model as it was given", before), ("the extended model", after)):
@@ -112,6 +116,23 @@ def free_run(
             until = float(record.time[np.argmin(np.all(np.isfinite(run), axis=1))] - record.time[0])
             remarks.append(f"{which} leaves the stroke and was stopped after {until:.2g} s")
     return FreeRun(record.time - record.time[0], signals, tuple(remarks))
+
+
+def simulated_columns(record: Record, name: str, *omitted: str) -> dict[str, int]:
+    """Return the columns of the simulator's readings, by the recorded signals that move, without some signals.
+
+    Raises:
+        BadInput: a signal that a simulation requires is missing from the recording of this name.
+    """
+    for needed in ((COMMAND,), (POSITION,), (PRESSURE, FORCE)):
+        if not any(signal in record for signal in needed):
+            raise BadInput(f"there is no {' or '.join(needed)}", name, "the command, the position and the load pressure")
+    recorded = ((RECORDED_AS[sensor], column) for column, sensor in enumerate(SENSED))
+    return {
+        signal: column
+        for signal, column in recorded
+        if signal in record and signal not in omitted and float(np.std(record.signals[signal])) > MOVED * record.noise[signal]
+    }
 
 
 def _followed(record: Record, signal: str, before: Array, after: Array | None) -> Followed:
@@ -150,7 +171,7 @@ def follow(simulator: Simulator, record: Record, begin: int, end: int) -> Array:
     servo, servo_speed = record.values(SERVO_POSITION)[begin:end], record.values(SERVO_VELOCITY)[begin:end]
     oil = record.signals.get(TEMPERATURE, np.full(len(record.time), OIL_TEMPERATURE))[begin:end]
     low, high = simulator.rig.limits.position
-    room = rules.BEYOND_STROKE * (high - low)
+    room = BEYOND_STROKE * (high - low)
     out = np.full((len(command), len(SENSED)), np.nan)
     none = np.zeros(len(SENSED))
     for k in range(len(command)):
@@ -168,7 +189,7 @@ def _first(record: Record, sensor: str, sensors: Mapping[str, Sensor]) -> float:
     signal = RECORDED_AS[sensor]
     if signal not in record:
         return 0.0
-    samples = max(1, round(rules.FREE_START / record.period))
+    samples = max(1, round(FREE_START / record.period))
     known = record.signals[signal][:samples][record.good[signal][:samples]]
     description = sensors.get(sensor, Sensor())
     return (float(np.mean(known)) - description.bias) / description.gain if known.size else 0.0
@@ -186,7 +207,7 @@ def _start(simulator: Simulator, record: Record) -> None:
     if VELOCITY in record:
         y[V] = _first(record, "velocity", sensors)
     else:
-        samples = max(3, round(rules.FREE_START / record.period))
+        samples = max(3, round(FREE_START / record.period))
         y[V] = float(np.polyfit(record.time[:samples] - record.time[0], record.signals[POSITION][:samples], 1)[0])
     balance_friction(simulator, record, 0)
 

@@ -15,7 +15,7 @@ from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
 from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing, part_of
 from ehls_ros.diagnosis.hypotheses import Hypothesis, extended
-from ehls_ros.diagnosis.loss import loss, rms
+from ehls_ros.diagnosis.loss import loss, power, rms
 from ehls_ros.diagnosis.measurement import measurement
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
@@ -203,9 +203,17 @@ class HealthyVariation(Standard):
             allowances[c] = together([variation, measured[c]])
         return allowing(evidence, allowances, self)
 
-    def noise_power(self, e: Array) -> float:
-        """Return the fault-free mean square of whitened residuals, that of all allowances."""
-        return 1.0
+    def noise_power(self, channel: Channel, e: Array) -> float:
+        """Return the fault-free mean square of a channel's whitened residuals: that of all allowances, or of a baseline.
+
+        The scatter is estimated without the largest residuals, which a baseline has too, such as those at reversals.
+        """
+        return max([1.0, *(power(b.base.values[channel]) for b in self.healthy if channel in b.base.values)])
+
+    def rare_square(self, channel: Channel, noise: float) -> float:
+        """Return the fault-free square of a channel's rare whitened residuals, that of normal ones or of a baseline."""
+        own = [b.base.values[channel] for b in self.healthy if channel in b.base.values]
+        return max([rules.RARE_SCATTER * noise, *(float(np.quantile(e * e, rules.RARE_QUANTILE)) for e in own)])
 
     def scatter(self, windows: float) -> float:
         """Return the multiple of its mean that the mean square of so many independent windows may reach by chance."""

@@ -15,6 +15,12 @@ from ehls_ros.diagnosis.hypotheses import Hypothesis, extended, parts
 from ehls_ros.diagnosis.loss import inflation, loss, products, weights
 from ehls_ros.diagnosis.stages import Channel
 
+HELD_OUT_CUTOFF = 1e-10
+"""Relative singular value below which a direction is left out of the step to the held-out fit."""
+
+RESAMPLED = 1000
+"""Bootstrap samples of the blocks for probabilities and intervals."""
+
 
 class HeldOut(NamedTuple):
     """Performance of a fit on held-out blocks.
@@ -85,7 +91,7 @@ class Assessment(NamedTuple):
     def excess(self, evidence: Evidence, channel: Channel) -> float:
         """Return the excess of a channel's loss over that of noise [nats]."""
         e = self.fit.residuals.values[channel]
-        return max(0.0, float(np.sum(loss(e)) - rules.NOISE_LOSS * np.sum(loss(evidence.noise[channel]))))
+        return max(0.0, float(np.sum(loss(e)) - rules.LITTLE * np.sum(loss(evidence.noise[channel]))))
 
 
 def assess(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Assessment:
@@ -147,7 +153,7 @@ def leave_out(jacobian: Array, e: Array, block: NDArray[np.intp], blocks: int, s
     without = e.copy()
     for b, inside in enumerate(members):
         if p and np.any(inside):
-            shift = np.linalg.lstsq(normal - normals[b], gradients[b], rcond=rules.HELD_OUT_CUTOFF)[0]
+            shift = np.linalg.lstsq(normal - normals[b], gradients[b], rcond=HELD_OUT_CUTOFF)[0]
             without[inside] = e[inside] + j[inside] @ shift
     if not p:
         return without, np.empty((0, 0))
@@ -178,7 +184,7 @@ def probabilities(gains: Sequence[Array], parameters: Sequence[int], seed: int) 
     blocks = max((len(g) for g in gains), default=1)
     table = np.array([np.resize(g, blocks) if len(g) else np.zeros(blocks) for g in gains])
     penalty = rules.PENALTY * np.array(parameters)
-    weights = rng.dirichlet(np.ones(blocks), rules.RESAMPLED) * blocks
+    weights = rng.dirichlet(np.ones(blocks), RESAMPLED) * blocks
     scores = weights @ table.T - penalty
     scores -= scores.max(axis=1, keepdims=True)
     likelihood = np.exp(scores)

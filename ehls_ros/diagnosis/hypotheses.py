@@ -196,9 +196,9 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
             # A threshold at one end of a signal's range must not settle in its middle.
             values = record.values(quantiles[0].signal)
             if min(q.fraction for q in quantiles) > 0.5:
-                lower[column] = max(lower[column], float(np.quantile(values, rules.OUTER)))
+                lower[column] = max(lower[column], float(np.median(values)))
             elif max(q.fraction for q in quantiles) < 0.5:
-                upper[column] = min(upper[column], float(np.quantile(values, 1.0 - rules.OUTER)))
+                upper[column] = min(upper[column], float(np.median(values)))
         elif form.free[parameter] and all(isinstance(start, Peak) for start in form.free[parameter]):
             # A faster line shows only in the initial state of the friction.
             window = max(rules.WINDOW, rules.MIN_WINDOW * record.period)

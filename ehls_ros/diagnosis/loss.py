@@ -7,6 +7,9 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 
+CLIP = 5.0 * rules.HUBER
+"""Whitened residual at which a regression on a signal and a spectrum clip."""
+
 
 def loss(e: Array) -> Array:
     """Return the loss of each whitened residual: a negative log-likelihood up to a constant [nats]."""

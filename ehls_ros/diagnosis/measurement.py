@@ -68,7 +68,7 @@ def measurement(evidence: Evidence) -> dict[Channel, Allowance]:
             for c in moving:
                 late[c].append(0.5 * (later[c] - sooner[c]))
         if seen and signal not in HELD:
-            offset = rules.OFFSET * float(np.quantile(np.abs(values), rules.UNIT_QUANTILE))
+            offset = rules.OFFSET * float(np.quantile(np.abs(values), rules.RARE_QUANTILE))
             higher = _residuals(evidence, signal, values + offset, seen)
             for c in seen:
                 off[c].append(higher[c] - evidence.base.values[c] * evidence.floor[c])

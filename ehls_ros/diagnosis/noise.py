@@ -12,8 +12,21 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.record import COMMAND, HELD, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
 from ehls_ros.diagnosis.stages import Channel, Comparison
+from ehls_ros.diagnosis.windows import OVERLAP
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import noise_of
+
+REALISATIONS = 8
+"""Realisations of sensor noise that the noise floor is averaged over."""
+
+FAST_SAMPLES = 0.75
+"""Quantile of a signal's rate above which more noise than there is due to jitter."""
+
+VARIANCE_WINDOWS = 9
+"""Windows over which the noise variance and the error of an unseen command, which a lagging spool remembers, are smoothed."""
+
+MIN_VARIANCE = 0.5
+"""Least noise variance of a window, as a fraction of the channel's median variance."""
 
 EXACT = (COMMAND, LOAD, SERVO_POSITION, SERVO_VELOCITY)
 """Signals that are commanded, not measured, unless listed in the record's ``measured``: they carry no sensor noise."""
@@ -59,7 +72,7 @@ def _sampling(values: Array) -> Sampling:
     """Separate noise that grows with a signal's rate from the rest."""
     rate = np.gradient(values)
     speed = 0.5 * np.abs(rate[1:-2] + rate[2:-1])
-    fast, slow = speed >= np.quantile(speed, rules.FAST_SAMPLES), speed <= np.quantile(speed, rules.SLOW_SAMPLES)
+    fast, slow = speed >= np.quantile(speed, FAST_SAMPLES), speed <= np.median(speed)
     quickly, slowly = (float(np.mean(speed[part] ** 2)) for part in (fast, slow))
     differences = np.diff(values, 3)
     more, less = (noise_of(differences[part]) ** 2 for part in (fast, slow))
@@ -93,7 +106,7 @@ def scatter(
     raw: Mapping[Channel, Array],
     deviation: Mapping[str, Array],
     seed: int,
-    realisations: int = rules.REALISATIONS,
+    realisations: int = REALISATIONS,
 ) -> tuple[dict[Channel, Array], list[dict[Channel, Array]]]:
     """Return the standard deviation of each window's residual for a correct model, by channel.
 
@@ -116,7 +129,7 @@ def scatter(
         for c in channels:
             squares[c] += added[-1][c] ** 2
     led: Mapping[Channel, Array] = raw
-    if record.period > rules.UNSEEN_COMMANDS * rules.RESOLVED_PERIOD and COMMAND in record:
+    if record.period > rules.UNSEEN_PERIOD and COMMAND in record:
         # A command sent between two samples was not recorded; the error is at most one sample of lead.
         early = dict(record.signals) | {COMMAND: np.append(record.signals[COMMAND][1:], record.signals[COMMAND][-1])}
         led = Comparison(record._replace(signals=early), comparison.setup).residuals(rig, channels)
@@ -127,11 +140,11 @@ def scatter(
     for c in channels:
         variance = squares[c] / realisations
         typical = float(np.median(variance))
-        local = scipy.ndimage.uniform_filter1d(variance, rules.VARIANCE_WINDOWS, mode="nearest")
+        local = scipy.ndimage.uniform_filter1d(variance, VARIANCE_WINDOWS, mode="nearest")
         # The change of the residual by a wider local fit of the motion measures the uncertainty of the fit.
-        unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, rules.FIT_ERROR_WINDOWS, mode="nearest")
-        unresolved += scipy.ndimage.uniform_filter1d((led[c] - raw[c]) ** 2, rules.LEAD_WINDOWS, mode="nearest")
-        out[c] = np.sqrt(np.maximum(local, rules.MIN_VARIANCE * typical) + unresolved)
+        unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, OVERLAP, mode="nearest")
+        unresolved += scipy.ndimage.uniform_filter1d((led[c] - raw[c]) ** 2, VARIANCE_WINDOWS, mode="nearest")
+        out[c] = np.sqrt(np.maximum(local, MIN_VARIANCE * typical) + unresolved)
     return out, added
 
 

@@ -7,10 +7,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.loss import loss
+
+SCREENED_BLOCKS = 8
+"""Blocks of the recording in which the starting values are compared."""
 
 Item = TypeVar("Item")
 Done = TypeVar("Done")
@@ -83,7 +85,7 @@ def informative_blocks(evidence: Evidence) -> list[tuple[int, int]] | None:
 
     None if the recording is too short for a selection to save time.
     """
-    samples, blocks, count = len(evidence.record.time), evidence.blocks, rules.SCREENED_BLOCKS
+    samples, blocks, count = len(evidence.record.time), evidence.blocks, SCREENED_BLOCKS
     if blocks <= 3 * count // 2:
         return None
     worst = np.zeros(blocks)

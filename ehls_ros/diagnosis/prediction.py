@@ -14,17 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.free_run import balance_friction, follow
+from ehls_ros.diagnosis.free_run import balance_friction, follow, simulated_columns
 from ehls_ros.diagnosis.record import COMMAND, FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY, Record, prepare
-from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.diagnosis.stages import Comparison, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.plant import PL, XV, V, X, hold
-from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, earlier_commands
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import Trajectory
+
+PAST = 0.02
+"""Time before a window of a prediction from which its initial state is taken [s]."""
+
+FEWEST_PAST = 8
+"""Fewest samples from which that state is taken."""
+
+STARTS_A_WINDOW = 4
+"""Number of windows of a prediction that start within the length of the shortest."""
 
 UNCHANGED = "value kept"
 """Name of the trivial prediction: each signal keeps its value at the start of the window."""
@@ -89,14 +96,11 @@ def predict(
         BadInput: a required signal is missing, or there is no window of a length.
     """
     record = prepare(trajectory, next(iter(rigs.values())), name)
-    for needed in ((COMMAND,), (POSITION,), (PRESSURE, FORCE)):
-        if not any(signal in record for signal in needed):
-            raise BadInput(f"there is no {' or '.join(needed)}", name, "the command, the position and the load pressure")
+    columns = simulated_columns(record, name, TEMPERATURE, SUPPLY)
     wanted = sorted(set(lengths))
     counts = [max(1, round(length / record.period)) for length in wanted]
-    starts = _starts(record, max(1, counts[0] // rules.STARTS_A_WINDOW), begin)
+    starts = _starts(record, max(1, counts[0] // STARTS_A_WINDOW), begin)
     ends = _ends(record, starts, end)
-    columns = _columns(record)
     missing = np.cumsum(_missing(record), dtype=np.intp)
     inside = [(starts + count <= ends) & _whole(missing, starts - _past(record), starts + count) for count in counts]
     for length, some in zip(wanted, inside, strict=True):
@@ -122,20 +126,9 @@ def predict(
     return Prediction(tuple(found), record.remarks)
 
 
-def _columns(record: Record) -> dict[str, int]:
-    """Return the columns of the simulator's readings, by the recorded signals that move."""
-    return {
-        signal: column
-        for column, sensor in enumerate(SENSED)
-        if (signal := RECORDED_AS[sensor]) in record
-        and signal not in (TEMPERATURE, SUPPLY)
-        and float(np.std(record.signals[signal])) > rules.MOVED * record.noise[signal]
-    }
-
-
 def _past(record: Record) -> int:
     """Return the number of samples before a window from which its initial state is taken."""
-    return max(rules.FEWEST_PAST, round(rules.PAST / record.period))
+    return max(FEWEST_PAST, round(PAST / record.period))
 
 
 def _starts(record: Record, apart: int, begin: float) -> NDArray[np.intp]:
@@ -190,8 +183,8 @@ def _runs(record: Record, rig: Rig, starts: NDArray[np.intp], ends: NDArray[np.i
     position, pressure = comparison.corrected(effective, "position"), comparison.pressure(effective)
     past, history, command = _past(record), earlier_commands(effective, record.period), record.values(COMMAND)
     latest = record.period * np.arange(1 - past, 1)
-    # A curve through the past samples removes noise and keeps the motion.
-    row = np.linalg.pinv(np.vander(latest, rules.PAST_ORDER + 1, increasing=True))
+    # A parabola through the past samples removes noise and keeps the motion.
+    row = np.linalg.pinv(np.vander(latest, 3, increasing=True))
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
         simulator = Simulator(rig.quiet(), record.period)
         for k in range(max(start - history, 0), start):

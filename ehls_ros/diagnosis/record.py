@@ -16,6 +16,24 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise, noise_between_moves
 from ehls_ros.trajectory import Own, Trajectory
 
+MAX_RECORDING = 150.0
+"""Longest recording that is used completely; a longer one is sampled in stretches of this total [s]."""
+
+STRETCHES = 15
+"""Stretches taken of a longer recording, spread evenly over it."""
+
+SPIKE_NEIGHBOURS = 41
+"""Samples over which the median change around a command is taken."""
+
+MIN_SPIKE = 1e-6
+"""Fraction of the largest command below which a jump is rounding and not a spike."""
+
+RESOLUTION_SAMPLES = 20000
+"""Samples in which a signal's resolution is looked for."""
+
+RESOLUTION_MISFIT = 1e-3
+"""Largest distance of a difference from a multiple of the smallest step for that step to be a resolution."""
+
 COMMAND, SPOOL, PRESSURE, SUPPLY = "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa"
 POSITION, VELOCITY, FORCE, LOAD = "position_m", "velocity_m_s", "force_n", "disturbance_force_n"
 TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY = "oil_temperature_k", "disturbance_displacement_m", "disturbance_velocity_m_s"
@@ -119,7 +137,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     fresh[np.cumsum([0, *[len(g) for g in grids[:-1]]])] = True
     signals, good, level = dict[str, Array](), dict[str, Mask](), dict[str, float]()
     lost = 1.0 - len(chosen) / len(grid)
-    if lost > rules.MENTIONED_LOSS:
+    if lost > rules.MENTIONED:
         remarks.append(f"{100 * lost:.2g} % of the samples are missing")
     recorded = {s: np.asarray(trajectory[s], dtype=np.float64)[chosen] for s in USED if s in trajectory}
     empty = [s for s, values in recorded.items() if not np.any(np.isfinite(values))]
@@ -134,11 +152,11 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         if bad > rules.MAX_BAD:
             what = f"{100 * bad:.0f} % of signal '{signal}' are missing or outliers"
             raise BadInput(what, name, f"at most {100 * rules.MAX_BAD:.0f} %")
-        if bad > rules.MENTIONED_BAD:
+        if bad > rules.MENTIONED:
             remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
         level[signal] = _noise(values[right], period) if own is None else spread_noise(own, period)
-    if period > 0.0 and float(np.max(np.abs(steps - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED_LOSS:
+    if period > 0.0 and float(np.max(np.abs(steps - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED:
         remarks.append("the sampling is uneven; values are taken at even times by straight lines")
     return Record(
         name,
@@ -170,11 +188,11 @@ def spread_noise(own: Own, period: float) -> float:
 
 def _stretches(time: Array, remarks: list[str]) -> NDArray[np.intp]:
     duration = float(time[-1] - time[0])
-    if duration <= rules.MAX_RECORDING:
+    if duration <= MAX_RECORDING:
         return np.arange(len(time))
-    length = rules.MAX_RECORDING / rules.STRETCHES
-    begins = time[0] + np.linspace(0.0, duration - length, rules.STRETCHES)
-    remarks.append(f"of {duration:.0f} s, {rules.STRETCHES} stretches of {length:.0f} s spread evenly over it are used")
+    length = MAX_RECORDING / STRETCHES
+    begins = time[0] + np.linspace(0.0, duration - length, STRETCHES)
+    remarks.append(f"of {duration:.0f} s, {STRETCHES} stretches of {length:.0f} s spread evenly over it are used")
     parts = [np.arange(*np.searchsorted(time, [b, b + length])) for b in begins]
     # A stretch in a gap of the recording may be empty; dropping the first sample keeps adjacent stretches apart.
     return np.unique(np.concatenate([p[1:] for p in parts if len(p) > 2]))
@@ -201,10 +219,8 @@ def _not_spikes(values: Array) -> Mask:
     before, after = np.concatenate([whole[:1], whole[:-1]]), np.concatenate([whole[1:], whole[-1:]])
     off = _stands_off(whole)
     alone = (whole - before) * (whole - after) > 0.0
-    around = scipy.ndimage.median_filter(np.abs(whole - before), rules.SPIKE_NEIGHBOURS, mode="nearest") + np.abs(
-        after - before
-    )
-    jumps = (off > rules.SPIKE * around) & (off > rules.MIN_SPIKE * np.max(np.abs(whole)))
+    around = scipy.ndimage.median_filter(np.abs(whole - before), SPIKE_NEIGHBOURS, mode="nearest") + np.abs(after - before)
+    jumps = (off > rules.SPIKE * around) & (off > MIN_SPIKE * np.max(np.abs(whole)))
     good: Mask = np.isfinite(values) & ~(alone & jumps)
     return good
 
@@ -239,11 +255,11 @@ def _answered(command: Array, spool: Array, rig: Rig, period: float) -> Mask:
 
 def _noise(values: Array, period: float) -> float:
     """Return the standard deviation of a signal's noise, or of its quantisation if that is larger."""
-    moves = np.abs(np.diff(values[: min(len(values), rules.RESOLUTION_SAMPLES)]))
+    moves = np.abs(np.diff(values[: min(len(values), RESOLUTION_SAMPLES)]))
     moves = moves[moves > 1e-12 * max(float(np.max(np.abs(values))), 1e-300)]
     lattice = float(np.min(moves)) if moves.size else 0.0
     # All differences must be multiples of a resolution.
-    if lattice > 0.0 and np.max(np.abs(moves / lattice - np.round(moves / lattice))) > rules.RESOLUTION_MISFIT:
+    if lattice > 0.0 and np.max(np.abs(moves / lattice - np.round(moves / lattice))) > RESOLUTION_MISFIT:
         lattice = 0.0
     found = noise_between_moves if period > rules.SLOWEST_TURN else noise
     return max(found(values), lattice / math.sqrt(12.0))

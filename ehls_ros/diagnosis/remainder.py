@@ -56,12 +56,14 @@ class Relevance(NamedTuple):
 
     Attributes:
         noise: mean square due to noise.
+        rare: square of rare residuals due to noise.
         limit: relevant rms whitened residual beyond the noise.
         clear: mean square that is relevant even if small beside the largest term, or from one block only.
         scatter: multiple of the noise power that noise alone may reach.
     """
 
     noise: float
+    rare: float
     limit: float
     clear: float = math.inf
     scatter: float = rules.SCATTER
@@ -70,7 +72,7 @@ class Relevance(NamedTuple):
         """Return whether whitened residuals exceed the noise by a relevant amount."""
         rms = power(e) - self.scatter * self.noise
         # A rare error has a small rms, but is relevant where it acts.
-        rare = float(np.quantile(e * e, rules.RARE_QUANTILE)) - rules.RARE_SCATTER * self.scatter * self.noise
+        rare = float(np.quantile(e * e, rules.RARE_QUANTILE)) - self.scatter * self.rare
         return math.sqrt(max(rms, 0.0)) > self.limit or math.sqrt(max(rare, 0.0)) > rules.RARE_FACTOR * self.limit
 
     def recurs(self, e: Array, blocks: Blocks) -> bool:
@@ -111,7 +113,7 @@ class Remainder(NamedTuple):
     @property
     def doubtful(self) -> bool:
         """Whether more remains than a correct cause usually leaves because of its inexact form."""
-        return self.closed < 1.0 - rules.LEFT_BY_FORM and self.after > rules.STANDS_OUT * self.noise
+        return self.closed < 1.0 - rules.FORM and self.after > rules.STANDS_OUT * self.noise
 
     @property
     def excess(self) -> float:
@@ -230,7 +232,8 @@ def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -
     size = max(evidence.sizes[channel], 1e-300)
     limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
     scatter = evidence.standard.scatter(len(evidence.floor[channel]) / evidence.correlation.get(channel, 1.0))
-    return Relevance(noise, limit, (scatter + rules.CLEAR**2) * noise if alone else math.inf, scatter)
+    rare = evidence.standard.rare_square(channel, noise)
+    return Relevance(noise, rare, limit, (scatter + rules.CLEAR**2) * noise if alone else math.inf, scatter)
 
 
 def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]:

@@ -57,7 +57,7 @@ def friction_known(record: Record, position: Array, velocity: Array, travel: flo
     coarse = velocity[::stride]
     turns = np.flatnonzero(coarse[1:] * coarse[:-1] < 0.0)
     change = np.abs(coarse[turns + 1] - coarse[turns])
-    unresolved = (0.5 * change * period > rules.TURN_SEEN * travel) & (change > rules.CLEAR_TURN * noise)
+    unresolved = (0.5 * change * period > rules.TURN_SEEN * travel) & (change > rules.NOISE_MARGIN * noise)
     for turn in turns[unresolved] * stride:
         end = min(turn + stride, len(position) - 1)
         away = np.abs(position[end:] - position[turn]) >= rules.SLIDING * travel
@@ -86,12 +86,12 @@ def coarseness(record: Record, signals: Collection[str]) -> Array:
 def _bends(record: Record, signal: str) -> Array:
     period, values = record.sampled(signal), record.signals[signal]
     stride, size = max(1, round(period / record.period)), rms(values)
-    if period <= rules.UNSEEN_COMMANDS * rules.RESOLVED_PERIOD or size == 0.0:
+    if period <= rules.UNSEEN_PERIOD or size == 0.0:
         return np.ones(len(values))
     longer = np.pad(values, stride, mode="reflect", reflect_type="odd")
     bend = np.abs(longer[2 * stride :] - 2.0 * values + longer[: -2 * stride])
     # The second difference of white noise has six times its variance.
     noise = math.sqrt(6.0 * record.period / period) * record.noise[signal]
-    bend = np.where(bend > rules.CLEAR_BEND * noise, np.sqrt(np.maximum(bend**2 - noise**2, 0.0)), 0.0)
+    bend = np.where(bend > rules.MAX_ALLOWED * noise, np.sqrt(np.maximum(bend**2 - noise**2, 0.0)), 0.0)
     worst: Array = scipy.ndimage.maximum_filter1d(bend, 2 * stride + 1, mode="nearest") / (8.0 * size * rules.TOLERANCE)
     return worst

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.stages import REQUIRED, UNITS, Channel, Stage
+from ehls_ros.diagnosis.stages import KINDS, REQUIRED, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
 
@@ -215,13 +215,13 @@ class Healthy(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """A coefficient fitted to the baselines.
+    """A coefficient of the rig file and its value fitted to recordings.
 
     Attributes:
         given: its value in the rig file.
-        fitted: its value for the baselines, with its standard error.
-        spread: relative standard deviation from recording to recording that counts as no change; None for a bias, whose spread
-            is that of its channel's offset.
+        fitted: its value for the recordings, with its standard error.
+        spread: relative standard deviation from baseline to baseline that counts as no change; None for a bias, whose spread
+            is that of its channel's offset, and without baselines.
     """
 
     given: float
@@ -273,7 +273,8 @@ class Diagnosis:
         seed: seed of the noise added to find the noise floor, and of resampling.
         wall_s: wall time [s].
         baseline: the baselines against which the recording was judged; None if it was judged by itself.
-        corrected: wrong numbers of the rig file that were corrected before, by name; the given model has the right ones.
+        corrected: wrong numbers of the rig file that were corrected before, by dotted section and name; the given
+            model has the right ones.
     """
 
     verdict: Verdict
@@ -313,7 +314,7 @@ def trace(evidence: Evidence, channel: Channel, after: Array, signals: Mapping[s
     floor = evidence.floor[channel]
     return ChannelTrace(
         channel=channel,
-        unit=UNITS[channel],
+        unit=KINDS[channel].unit,
         size=evidence.sizes[channel],
         time=evidence.times[channel],
         measured=evidence.comparison().measured(evidence.rig, channel)[evidence.masks[channel]],

@@ -18,7 +18,31 @@ from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis
 from ehls_ros.diagnosis.loss import inflation, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.stages import Channel
-from ehls_ros.diagnosis.starts import Starts
+from ehls_ros.diagnosis.starts import FITTED, PROMISING, Starts
+
+MAX_CAUSES = 3
+"""Most causes that are sought together."""
+
+BEAM = 3
+"""Hypotheses carried on to the next number of causes."""
+
+POLISHED = 3
+"""Hypotheses of these that are fitted further if they have not settled."""
+
+POLISHING_STEPS = 25
+"""Gauss-Newton steps of such a further fit."""
+
+REACH = 0.9
+"""Fraction of the best gain that an unsettled fit must predict to be fitted further."""
+
+TRIED_SINGLES = 24
+"""Single causes that are tried."""
+
+FITTED_SINGLES = 10
+"""Single causes that are fitted to the end."""
+
+MAX_EXCHANGES = 4
+"""Most rounds in which causes are exchanged or dropped."""
 
 
 class Place(NamedTuple):
@@ -81,8 +105,8 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
 def _alone(evidence: Evidence, pool: Pool, screened: Sequence[Fit]) -> list[Assessment]:
     """Fit the most promising single causes."""
     gains = np.array([base_loss(evidence, f) - predicted_loss(f) for f in screened])
-    order = [int(i) for i in np.argsort(-gains) if gains[i] > rules.PROMISING][: rules.TRIED_SINGLES]
-    return _fitted(evidence, pool, [newton_start(screened[i]) for i in order], rules.FITTED_SINGLES)
+    order = [int(i) for i in np.argsort(-gains) if gains[i] > PROMISING][:TRIED_SINGLES]
+    return _fitted(evidence, pool, [newton_start(screened[i]) for i in order], FITTED_SINGLES)
 
 
 def _added(
@@ -98,15 +122,15 @@ def _added(
         level: the same with one more cause.
         progress: called with the progress.
     """
-    for count in range(1, rules.MAX_CAUSES + 1):
+    for count in range(1, MAX_CAUSES + 1):
         scale = inflations(evidence, [best, *level])
         ranked = [j for j in _ranked(level, scale) if accepted(evidence, j, best, scale)]
         if not ranked:
             break
         best = ranked[0]
-        if count == rules.MAX_CAUSES:
+        if count == MAX_CAUSES:
             break
-        beam = _distinct(ranked)[: rules.BEAM]
+        beam = _distinct(ranked)[:BEAM]
         level = _fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
         progress("causes together", 0.55 + 0.1 * count)
     return best, scale
@@ -133,7 +157,7 @@ def _gain(evidence: Evidence, fit: Fit) -> float:
 
 
 def _fitted(
-    evidence: Evidence, pool: Pool, starts: Sequence[Start], keep: int = rules.FITTED, rival: Assessment | None = None
+    evidence: Evidence, pool: Pool, starts: Sequence[Start], keep: int = FITTED, rival: Assessment | None = None
 ) -> list[Assessment]:
     """Take the first step of every fit, complete the best ones and assess them.
 
@@ -152,22 +176,18 @@ def _fitted(
         return worker.fit(worker.linearise_again(start.fit, worker.closer(start.fit, after.values)))
 
     def finish(worker: Worker, fit: Fit) -> Assessment:
-        return assess(evidence, fit if fit.settled else worker.fit(fit, rules.POLISHING_STEPS), worker)
+        return assess(evidence, fit if fit.settled else worker.fit(fit, POLISHING_STEPS), worker)
 
     stepped = pool.map(Worker.first_step, starts)
     order = sorted(range(len(starts)), key=lambda i: -_gain(evidence, stepped[i]))
     fits = pool.map(go, [(starts[i], stepped[i]) for i in order[:keep]])
     fits.sort(key=lambda f: -_gain(evidence, f))
-    reach = rules.REACH * max(
-        [_gain(evidence, f) for f in [*fits[:1], *([rival.fit] if rival is not None else [])]], default=0.0
-    )
+    reach = REACH * max([_gain(evidence, f) for f in [*fits[:1], *([rival.fit] if rival is not None else [])]], default=0.0)
 
     def hopeful(fit: Fit) -> bool:
         return base_loss(evidence, fit) - predicted_loss(fit) >= reach
 
-    return pool.map(
-        finish, [f._replace(settled=f.settled or i >= rules.POLISHED or not hopeful(f)) for i, f in enumerate(fits)]
-    )
+    return pool.map(finish, [f._replace(settled=f.settled or i >= POLISHED or not hopeful(f)) for i, f in enumerate(fits)])
 
 
 def inflations(evidence: Evidence, found: Sequence[Assessment]) -> dict[Channel, float]:
@@ -207,14 +227,14 @@ def _exchanged(
         return Place(without, tuple(_fitted(evidence, pool, starts.extensions(without), rival=best)))
 
     visited = set[frozenset[tuple[str, int]]]()
-    for exchanges in range(rules.MAX_EXCHANGES + 1):
+    for exchanges in range(MAX_EXCHANGES + 1):
         visited.add(_key(best.hypothesis))
         keys = {i: _key([c for j, c in enumerate(best.hypothesis) if j != i]) for i in range(kept, len(best.hypothesis))}
         missing = [i for i, key in keys.items() if key not in known]
         known.update(zip([keys[i] for i in missing], pool.lead(partial(place_of, best), missing), strict=True))
         places = tuple(Place(known[key].without, _rivals(evidence, best, known[key], scale)) for key in keys.values())
         scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
-        if exchanges == rules.MAX_EXCHANGES:
+        if exchanges == MAX_EXCHANGES:
             break
         simple = simpler(best, places, scale)
         # Do not return to a simpler hypothesis that was already exchanged for this one.

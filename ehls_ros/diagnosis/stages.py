@@ -48,19 +48,69 @@ from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig, unknown_keys
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, earlier_commands
 from ehls_ros.samples import Mask
 
+MEMORY_STEP = 2.5e-4
+"""Longest integration step of an effect's own states and of a separate load [s].
+
+Origin: at twice that, the plays of a hysteresis lag as if by a command delay of 0.13 ms.
+"""
+
+FRICTION_STEP = 1e-3
+"""Longest integration step of a friction model [s]."""
+
+FASTEST_SHARE = 0.999
+"""Quantile of the speed for which a stiff friction model is integrated."""
+
+RELAXED = 1.5
+"""Relaxation times of a friction model per integration step, at most."""
+
+MAX_STEPS = 40
+"""Most integration steps of a friction model per sample."""
+
+MIN_STEP = 1e-4
+"""Shortest integration step of a separate load; a model that diverges at that step is no rig [s]."""
+
+GUIDED_STEP = 0.6
+"""Integration step of a separate load relative to the guide's time constant of the lighter mass, at most."""
+
+KEPT_RUNS = 3
+"""Runs of each part of the model that are kept for reuse."""
+
 Stage = Literal["force_balance", "flow", "valve", "sensors"]
 STAGES: tuple[Stage, ...] = ("force_balance", "flow", "valve", "sensors")
 
 Channel = Literal["spool", "volume", "supply", "force", "cell", "velocity"]
-CHANNELS: Mapping[Channel, Stage] = {
-    "spool": "valve",
-    "volume": "flow",
-    "supply": "flow",
-    "force": "force_balance",
-    "cell": "sensors",
-    "velocity": "sensors",
+
+
+class ChannelKind(NamedTuple):
+    """Kind of a residual channel.
+
+    Attributes:
+        stage: the stage it belongs to.
+        unit: unit of the residual.
+        needed: signals from which it is formed, those whose noise affects the residual most first.
+        sensor: name in the rig file of the sensor of the measured quantity; empty for a balance.
+        averaged: whether the windows are those of spool and sensors, not those of the balances.
+    """
+
+    stage: Stage
+    unit: str
+    needed: tuple[str, ...]
+    sensor: str = ""
+    averaged: bool = False
+
+
+KINDS: Mapping[Channel, ChannelKind] = {
+    "spool": ChannelKind("valve", "m", (SPOOL, COMMAND), "spool_position", averaged=True),
+    "volume": ChannelKind("flow", "m³/s", (POSITION, VELOCITY, SPOOL, PRESSURE, FORCE)),
+    "supply": ChannelKind("flow", "Pa", (SUPPLY,), "supply_pressure", averaged=True),
+    "force": ChannelKind("force_balance", "N", (POSITION, VELOCITY, PRESSURE, FORCE, LOAD)),
+    "cell": ChannelKind("sensors", "N", (PRESSURE, FORCE), "force", averaged=True),
+    "velocity": ChannelKind("sensors", "m/s", (POSITION, VELOCITY), "velocity"),
 }
-"""Residual channels, and the stage of each."""
+"""Residual channels."""
+
+CHANNELS: Mapping[Channel, Stage] = {channel: kind.stage for channel, kind in KINDS.items()}
+"""Stage of each channel."""
 
 COMMAND_UNSEEN = "needs a slower command or faster samples: at {rate} Hz, commands between two samples were missed"
 TURNS_UNSEEN = (
@@ -68,10 +118,6 @@ TURNS_UNSEEN = (
 )
 NOT_IN_FILE = "needs {keys} in the rig file"
 """Reason why a stage is not judged although its signals were recorded."""
-
-UNITS: Mapping[Channel, str] = {
-    "spool": "m", "volume": "m³/s", "supply": "Pa", "force": "N", "cell": "N", "velocity": "m/s",
-}  # fmt: skip
 
 REQUIRED: frozenset[Channel] = frozenset({"force"})
 """Channels whose residual is required minus measured; in the others it is measured minus modelled."""
@@ -93,14 +139,6 @@ SENSED = {
     "oil_temperature": TEMPERATURE,
 }
 """Recorded signals, by the sensors' names in the rig file."""
-
-
-_SENSOR_OF: Mapping[Channel, str] = {
-    "spool": "spool_position",
-    "supply": "supply_pressure",
-    "cell": "force",
-    "velocity": "velocity",
-}
 
 
 class Setup(NamedTuple):
@@ -126,7 +164,7 @@ class Setup(NamedTuple):
 
     def window_of(self, channel: Channel) -> Window:
         """Return the windows of a channel."""
-        return self.average if channel in ("spool", "supply", "cell") else self.window
+        return self.average if KINDS[channel].averaged else self.window
 
 
 class Comparison:
@@ -170,7 +208,7 @@ class Comparison:
             return self._taken_up(effective)
         if channel == "force":
             return window.mean(effective.plant.piston_area * self.pressure(effective))
-        return window.mean(self.corrected(effective, _SENSOR_OF[channel]))
+        return window.mean(self.corrected(effective, KINDS[channel].sensor))
 
     def relevant(self, rig: Rig) -> dict[Channel, Any]:
         """Return the dependencies of each channel's residual; equal dependencies imply equal residuals."""
@@ -310,16 +348,14 @@ class Comparison:
     def _memory_steps(self, part: str, rig: EffectiveRig) -> int:
         """Return the integration steps per sample required by the effects' states; 0 without such states."""
         states = sum(getattr(EFFECTS.load(use.name), "STATES", 0) for use in _used(part, rig))
-        return max(1, math.ceil(self.record.period / rules.MEMORY_STEP)) if states else 0
+        return max(1, math.ceil(self.record.period / MEMORY_STEP)) if states else 0
 
     def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Any:
         return run_part(part, rig, self._along(part, rig, motion, self._memory_steps(part, rig)))
 
     def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Any:
         period = self.record.period
-        steps = max(
-            1, self._memory_steps("friction", rig), math.ceil(period / rules.FRICTION_STEP), self._stiff_steps(rig, motion)
-        )
+        steps = max(1, self._memory_steps("friction", rig), math.ceil(period / FRICTION_STEP), self._stiff_steps(rig, motion))
         scale = value_of(getattr(rig.friction, "stribeck_velocity", math.inf))
         extra = linear(np.ascontiguousarray, self.extra_force(rig)[:, 0])
         inputs = FrictionInputs(extra, self._balance(rig, motion), scale)
@@ -328,8 +364,8 @@ class Comparison:
     def _run_load(self, rig: EffectiveRig, motion: Motion) -> Any:
         piston = rig.piston_mass()
         mass, moving = value_of(piston), value_of(rig.plant.moving_mass)
-        longest = min(rules.LOAD_STEP, rules.GUIDED_STEP * min(mass, moving) / (mass + moving) / (2.0 * GUIDE))
-        longest = max(longest, rules.MIN_STEP)
+        longest = min(MEMORY_STEP, GUIDED_STEP * min(mass, moving) / (mass + moving) / (2.0 * GUIDE))
+        longest = max(longest, MIN_STEP)
         steps = max(math.ceil(self.record.period / longest), self._stiff_steps(rig, motion))
         effects, joint = PARTS["load"].effects, tuple(use for use in rig.effects if use.piston_share > 0.0)
         others = rig._replace(effects=tuple(use for use in rig.effects if use not in joint))
@@ -338,11 +374,9 @@ class Comparison:
 
     def _stiff_steps(self, rig: EffectiveRig, motion: Motion) -> int:
         """Return the integration steps per sample required by the friction model's relaxation."""
-        speed: float = self._keep(
-            "speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), rules.FASTEST_SHARE))
-        )
+        speed: float = self._keep("speed", self._moves(rig), lambda: float(np.quantile(np.abs(motion.velocity), FASTEST_SHARE)))
         fastest = rig.friction_law.relaxation_rate(values_of(rig.friction), speed)
-        return min(rules.MAX_STEPS, max(1, math.ceil(fastest * self.record.period / rules.RELAXED)))
+        return min(MAX_STEPS, max(1, math.ceil(fastest * self.record.period / RELAXED)))
 
     def _balance(self, rig: EffectiveRig, motion: Motion) -> Any:
         """Return the friction that balances the other forces at the start of each stretch, from smoothed motion [N]."""
@@ -452,7 +486,7 @@ class Comparison:
         kept = self._kept.setdefault(what, {})
         if key not in kept:
             value = compute()
-            while len(kept) >= rules.KEPT_RUNS:
+            while len(kept) >= KEPT_RUNS:
                 kept.pop(next(iter(kept)), None)
             kept[key] = value
         return kept[key]
@@ -560,24 +594,13 @@ def _friction_known(comparison: Comparison) -> Mask:
     return friction_known(record, position, velocity, used.presliding, noise)
 
 
-NEEDED: Mapping[Channel, tuple[str, ...]] = {
-    "spool": (SPOOL, COMMAND),
-    "volume": (POSITION, VELOCITY, SPOOL, PRESSURE, FORCE),
-    "supply": (SUPPLY,),
-    "force": (POSITION, VELOCITY, PRESSURE, FORCE, LOAD),
-    "cell": (PRESSURE, FORCE),
-    "velocity": (POSITION, VELOCITY),
-}
-"""Signals from which a channel is formed, those whose noise affects its residual most first."""
-
-
 def formed_of(record: Record, channel: Channel) -> tuple[str, ...]:
-    """Return the recorded signals from which a channel is formed, in the order of :data:`NEEDED`.
+    """Return the recorded signals from which a channel is formed, those whose noise affects its residual most first.
 
     The load cell replaces a missing pressure, and the command a missing spool.
     """
     spare = FORCE if PRESSURE in record and channel != "cell" else ""
-    named = (COMMAND if signal == SPOOL and SPOOL not in record else signal for signal in NEEDED[channel])
+    named = (COMMAND if signal == SPOOL and SPOOL not in record else signal for signal in KINDS[channel].needed)
     return tuple(signal for signal in named if signal in record and signal != spare)
 
 
@@ -599,5 +622,5 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
     for begin in np.flatnonzero(record.fresh):
         late[begin : begin + settling] = False
         late[max(begin - window.weights.size, 0) : begin] = False
-    late[-max(1, round(rules.END_SETTLING / record.period)) :] = False
+    late[-max(1, round(rules.SPOOL_SETTLING / record.period)) :] = False
     return window.mean((good & late).astype(np.float64)) > 1.0 - 1e-9

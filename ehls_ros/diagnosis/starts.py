@@ -9,12 +9,36 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
-from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
+from ehls_ros.diagnosis.fit import MIN_DAMPING, Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, at_lines, bounds, extended
-from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss
+from ehls_ros.diagnosis.loss import CLIP, gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.stages import Channel
+
+PROMISING = 5.0
+"""Predicted gain above which a hypothesis is fitted [nat]."""
+
+MORE_PROMISING = 1.5
+"""Ratio of predicted gains above which another start replaces the one that is best alone."""
+
+FITTED = 5
+"""Hypotheses fitted to the end, of those tried together, and most rivals of a cause."""
+
+LINES = 3
+"""Spectral lines of a residual from which periodic disturbances start."""
+
+LINE_SAMPLES = 16
+"""Fewest windows in which spectral lines are looked for."""
+
+LINE_PADDING = 4
+"""Zero padding of the spectrum, as a multiple of the signal's length."""
+
+LINE_WIDTH = 3.0
+"""Half width of the band removed around a line, in multiples of the frequency resolution."""
+
+LOWEST_LINE = 2.0
+"""Lowest line, in periods within the recording."""
 
 
 class Tried(NamedTuple):
@@ -76,7 +100,7 @@ class Starts:
         for fits in self.tried.fits:
             gains = [_gain_beside(few, remainder, f) for f in fits] if len(fits) > 1 else [0.0]
             best = int(np.argmax(gains))
-            chosen.append(best if gains[best] > rules.MORE_PROMISING * max(gains[0], rules.PROMISING) else 0)
+            chosen.append(best if gains[best] > MORE_PROMISING * max(gains[0], PROMISING) else 0)
         return self._on_all_blocks(chosen)
 
     def extensions(self, member: Assessment, most: float = math.inf) -> list[Start]:
@@ -89,7 +113,7 @@ class Starts:
         evidence = self.pool.evidence
         promises = dict[tuple[str, int], Start]()
         excess = sum(member.excess(evidence, c) for c in member.held_out.gain)
-        least = max(rules.PROMISING, rules.PROMISED_EXCESS * rules.REMOVED_EXCESS * excess)
+        least = max(PROMISING, rules.PROMISED_EXCESS * rules.REMOVED_EXCESS * excess)
         # The gain still available to the hypothesis itself is not due to the further cause.
         least += member.fit.loss - predicted_loss(member.fit)
         for other in [*self.beside(member), *self._at_lines(member)]:
@@ -101,13 +125,13 @@ class Starts:
             key = cause.name, cause.number
             if start.promise > max(least, promises[key].promise if key in promises else 0.0):
                 promises[key] = start
-        return sorted(promises.values(), key=lambda start: -start.promise)[: rules.EXTENSIONS]
+        return sorted(promises.values(), key=lambda start: -start.promise)[:FITTED]
 
     def _at_lines(self, member: Assessment) -> list[Fit]:
         """Return single-frequency causes at the spectral lines of a hypothesis' residual, which its causes may have masked."""
         evidence = self.pool.evidence
         main = main_channel(evidence.channels)
-        if not member.names or member.excess(evidence, main) < rules.PROMISING:
+        if not member.names or member.excess(evidence, main) < PROMISING:
             return []
         lines = spectral_lines(member.fit.residuals.values[main], evidence.times[main])
         found = at_lines(self.tried.causes, evidence.record, evidence.rig, lines)
@@ -141,7 +165,7 @@ def _gain_beside(few: Evidence, remainder: Residuals, other: Fit) -> float:
     """
     before = remainder.joined(other.channels)
     e = before + other.residuals.joined(other.channels) - few.base.joined(other.channels)
-    step = gauss_newton(other.jacobian, e, rules.MIN_DAMPING, other.values, *bounds(other.hypothesis))
+    step = gauss_newton(other.jacobian, e, MIN_DAMPING, other.values, *bounds(other.hypothesis))
     return float(np.sum(loss(before))) - linear_loss(e, other.jacobian, step)
 
 
@@ -192,7 +216,7 @@ def combined(evidence: Evidence, fit: Fit, other: Fit) -> Start:
     hypothesis = (*fit.hypothesis, *other.hypothesis)
     lower, upper = bounds(hypothesis)
     values = np.concatenate([fit.values, other.values])
-    moved = np.clip(values + gauss_newton(j, e, rules.MIN_DAMPING, values, lower, upper), lower, upper)
+    moved = np.clip(values + gauss_newton(j, e, MIN_DAMPING, values, lower, upper), lower, upper)
     after = linear_loss(e, j, moved - values)
     before = float(np.sum(loss(fit.residuals.joined(channels))))
     steps = np.concatenate([fit.steps, other.steps])
@@ -207,7 +231,7 @@ def main_channel(channels: Sequence[Channel]) -> Channel:
     return "force" if "force" in channels else channels[0]
 
 
-def spectral_lines(e: Array, times: Array, count: int = rules.LINES) -> tuple[float, ...]:
+def spectral_lines(e: Array, times: Array, count: int = LINES) -> tuple[float, ...]:
     """Return the frequencies of the strongest lines in a residual's spectrum, strongest first [Hz].
 
     Args:
@@ -215,18 +239,18 @@ def spectral_lines(e: Array, times: Array, count: int = rules.LINES) -> tuple[fl
         times: their times, shape (n,) [s].
         count: number of lines.
     """
-    if len(e) < rules.LINE_SAMPLES:
+    if len(e) < LINE_SAMPLES:
         return ()
     step = float(np.median(np.diff(times)))
-    even = np.interp(np.arange(times[0], times[-1], step), times, np.clip(e, -rules.LINE_CLIP, rules.LINE_CLIP))
+    even = np.interp(np.arange(times[0], times[-1], step), times, np.clip(e, -CLIP, CLIP))
     even = (even - even.mean()) * np.hanning(len(even))
-    padded = rules.LINE_PADDING * len(even)
+    padded = LINE_PADDING * len(even)
     spectrum = np.abs(np.fft.rfft(even, padded)) ** 2
     frequency = np.fft.rfftfreq(padded, step)
-    spectrum[frequency < rules.LOWEST_LINE / (len(even) * step)] = 0.0
+    spectrum[frequency < LOWEST_LINE / (len(even) * step)] = 0.0
     found = []
     for _ in range(count):
         peak = int(np.argmax(spectrum))
         found.append(float(frequency[peak]))
-        spectrum[np.abs(frequency - frequency[peak]) < rules.LINE_WIDTH / (len(even) * step)] = 0.0
+        spectrum[np.abs(frequency - frequency[peak]) < LINE_WIDTH / (len(even) * step)] = 0.0
     return tuple(found)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.excitation import KEYS
 from ehls_ros.diagnosis.remainder import Remainder
 from ehls_ros.diagnosis.result import StageResult, Verdict
@@ -74,13 +73,9 @@ def decide(findings: Mapping[Stage, Finding], causes: Sequence[Stage], *, excita
 
 def unknown_stage(findings: Mapping[Stage, Finding]) -> Stage | None:
     """Return the stage with the largest unexplained remainder; None if there is none."""
-    worst, found = 0.0, None
-    for stage, finding in findings.items():
-        for item in finding.remainders:
-            excess = item.excess * (rules.SENSORS_FIRST if stage == "sensors" else 1.0)
-            if item.unexplained and excess > worst:
-                worst, found = excess, stage
-    return found
+    # Two sensors that disagree need no model.
+    left = [(s == "sensors", item.excess, s) for s, found in findings.items() for item in found.remainders if item.unexplained]
+    return max(left, key=lambda item: item[:2])[2] if left else None
 
 
 def enough_excited(findings: Mapping[Stage, Finding]) -> bool:
@@ -93,7 +88,7 @@ def enough_excited(findings: Mapping[Stage, Finding]) -> bool:
     judged = [stage for stage in recorded if findings[stage].judged]
     balance = findings["force_balance"]
     enough = balance.judged or findings["flow"].judged or (findings["valve"].judged and not balance.remainders)
-    return len(judged) >= rules.ENOUGH_STAGES * len(recorded) and enough
+    return 2 * len(judged) >= len(recorded) and enough
 
 
 class Nrmse(NamedTuple):

@@ -13,11 +13,14 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.duals import linear
+
+OVERLAP = 3
+"""Windows of a balance that begin within the length of one, and over which their noise and the error of a local fit extend."""
 
 
 class Window(NamedTuple):
@@ -44,9 +47,12 @@ class Window(NamedTuple):
         return linear(partial(self._sums, weights), values)
 
     def _sums(self, weights: Array, values: Array) -> Array:
-        if len(values) < weights.size:
+        count = (len(values) - weights.size) // self.hop + 1
+        if count < 1:
             return np.empty(0)
-        sums: Array = sliding_window_view(values, weights.size)[:: self.hop] @ weights
+        [step] = values.strides
+        # A view without the checks of sliding_window_view, which take as long as the product.
+        sums: Array = as_strided(values, (count, weights.size), (self.hop * step, step), writeable=False) @ weights
         return sums
 
     def mean(self, values: Any) -> Any:
@@ -62,7 +68,7 @@ class Window(NamedTuple):
         return self.over(values, self.curvatures)
 
 
-def smooth_window(samples: int, period: float, hop: int = 3) -> Window:
+def smooth_window(samples: int, period: float, hop: int = OVERLAP) -> Window:
     """Return a sin^4 window over a number of sampling periods, with ``hop`` windows beginning within one length."""
     angle = np.pi * np.arange(samples + 1) / samples
     scale = np.pi / (samples * period)

@@ -32,6 +32,9 @@ from ehls_ros.trajectory import Trajectory
 LEARNING = 0.35
 """Fraction of the work for learning the baselines."""
 
+MAX_STEPS = 20
+"""Most steps in which the rig is fitted to the baselines."""
+
 
 def diagnose_against(
     new: Trajectory,
@@ -123,7 +126,7 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
     determined = [c for c in wanted if c.path not in missing]
     basic = [c for c in determined if not c.path.startswith("friction.") or c.path in (COULOMB, VISCOUS)]
-    steps, freedoms = rules.BASELINE_STEPS, rules.BASELINE_FREEDOMS
+    steps, freedoms = MAX_STEPS, rules.BASELINE_FREEDOMS
     few = fit(stack, rig, basic, stack.channels, steps, freedoms=freedoms)
     every = fit(stack, few.rig, determined, stack.channels, steps, freedoms=freedoms)
     gained = few.loss - float(np.sum(loss(every.e * every.scales / few.scales)))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from ehls_ros import __version__
-from ehls_ros.diagnosis.advice import advice
+from ehls_ros.diagnosis.causes import advice
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import (
     Cause,
@@ -224,7 +224,7 @@ class DiagnosisDocument(NamedTuple):
         diagnosis_s: wall time of the diagnosis alone [s].
         wall_s: wall time of everything [s].
         baseline: baselines of the judgement; None without baselines.
-        corrected: wrong numbers of the rig file that were corrected first, by name.
+        corrected: wrong numbers of the rig file that were corrected first, by dotted section and name.
     """
 
     verdict: Verdict | Literal["unchanged", "changed"]

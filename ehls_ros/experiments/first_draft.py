@@ -1,20 +1,21 @@
-"""First drafts of rig files: their wrong numbers are corrected before the causes of the remaining error are sought."""
+"""Wrong numbers of a rig file, and first drafts: those are fitted before the causes of the remaining error are sought."""
 
 from collections.abc import Mapping
 
+from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.result import Fitted
 from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.physics.rig import Rig
 
 OFF = 0.1
-"""Relative error above which a number of a rig file counts as wrong."""
+"""Relative error above which a wrong number of plant or friction is one of a first draft."""
 
 CERTAIN = 5.0
-"""Standard errors by which it has to differ from the identified one."""
+"""Standard errors by which a wrong number differs from the identified one."""
 
 DRAFT = 4
-"""Number of wrong ones from which a rig file counts as a first draft.
+"""Number of such ones from which a rig file counts as a first draft.
 
 One or two wrong numbers are causes of an error: a diagnosis names them, with their rivals. Four at once are none: their shares
 of the error cannot be separated one by one, and a fault that shifts four coefficients of the model is not on the list.
@@ -22,22 +23,23 @@ of the error cannot be separated one by one, and a fault that shifts four coeffi
 
 
 def wrong_numbers(given: Rig, found: RigIdentification) -> dict[str, Fitted]:
-    """Return the coefficients of plant and friction that contradict their values in the rig file, by their names there.
+    """Return the numbers of a rig file that recordings contradict, by dotted section and name, the least probable first.
+
+    There are none if the residuals of the given rig are no larger by a relevant fraction of a balance.
 
     Args:
         given: the rig of the file.
         found: the rig identified from recordings.
     """
-    out = {}
-    for path, estimate in found.estimates.items():
-        section, _, name = path.partition(".")
-        if section in ("plant", "friction"):
-            off = abs(estimate.value - read(given, path))
-            if off > OFF * abs(estimate.value) and off > CERTAIN * estimate.std:
-                out[name] = Fitted(read(given, path), estimate, None)
-    return out
+    gained = max((c.before**2 - c.after**2 for c in found.channels.values()), default=0.0)
+    if gained < rules.RELEVANT**2:
+        return {}
+    sigmas = {path: abs(e.value - read(given, path)) / max(e.std, 1e-300) for path, e in found.estimates.items()}
+    order = sorted((path for path in sigmas if sigmas[path] > CERTAIN), key=lambda path: -sigmas[path])
+    return {path: Fitted(read(given, path), found.estimates[path], None) for path in order}
 
 
 def is_first_draft(wrong: Mapping[str, Fitted]) -> bool:
-    """Return whether a rig file has so many wrong numbers that it has to be fitted first."""
-    return len(wrong) >= DRAFT
+    """Return whether a rig file has so many numbers that are far off that it has to be fitted first."""
+    off = [path for path, w in wrong.items() if abs(w.fitted.value - w.given) > OFF * abs(w.fitted.value)]
+    return sum(path.startswith(("plant.", "friction.")) for path in off) >= DRAFT

@@ -15,7 +15,7 @@ import scipy
 from ehls_ros.arrays import Array
 from ehls_ros.duals import Dual
 from ehls_ros.identification.balance import Recorded, linear_columns
-from ehls_ros.identification.covariance import PRIOR_STD, clustered_covariance, correlation_time, normal_covariance
+from ehls_ros.identification.covariance import PRIOR_STD, clustered_covariance, correlation_time
 from ehls_ros.identification.friction_run import MAX_TANGENTS
 from ehls_ros.identification.motion import Motion
 from ehls_ros.samples import GAUSS
@@ -381,15 +381,3 @@ def strokes(recorded: Recorded) -> Array:
         numbers.append(stroke[mask])
         first = int(stroke[-1]) + 1
     return np.concatenate(numbers)
-
-
-def least_covariance(fit: JointFit, motions: Sequence[Motion]) -> Array:
-    """Return the Cramér-Rao bound of a fit's coefficients for the force sensor's white noise alone.
-
-    Args:
-        fit: the fit, for its coefficients and the fitted blocks.
-        motions: its recordings.
-    """
-    recorded = Recorded(tuple(motions), tuple(np.isfinite(r) for r in fit.residuals), fit.linear_names)
-    problem = Problem(recorded, Start(fit.coordinates, None, fit.free), fit.z, [m.force_noise for m in motions])
-    return normal_covariance(problem.design(problem.free(fit.z)), len(fit.free))

@@ -180,16 +180,6 @@ def friction_of(x: Array, velocity: Array) -> StaticFriction:
     return StaticFriction(coulomb, coulomb + excess, math.exp(log_velocity), exponent, viscous)
 
 
-def coordinates_of(friction: StaticFriction, velocity: Array) -> Array:
-    """Return the coordinates of coefficients, shape (5,), for data at these velocities, shape (n,) [m/s]."""
-    slowest, fastest = _ends(velocity)
-    log_velocity, exponent = math.log(friction.stribeck_velocity), friction.stribeck_exponent
-    visible = (friction.static_force - friction.coulomb_force) * math.exp(-math.exp(exponent * (slowest - log_velocity)))
-    lowest = _log_velocity(0.0, exponent, slowest, fastest)
-    w = (log_velocity - lowest) / (fastest - lowest)
-    return np.array([friction.coulomb_force, visible, w, exponent, friction.viscous_coefficient])
-
-
 def _ends(velocity: Array) -> tuple[float, float]:
     """Return the logarithms of the slowest and the fastest speed in m/s."""
     speed = np.abs(velocity)

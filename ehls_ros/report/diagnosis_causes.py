@@ -1,6 +1,6 @@
 """Sections of a diagnosis report on causes: named ones with their rivals, an unknown one, or insufficient data."""
 
-from ehls_ros.diagnosis.advice import advice as advice_for
+from ehls_ros.diagnosis.causes import advice as advice_for
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION, NEEDED_SIGNALS
 from ehls_ros.physics.effects import EFFECTS

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehls_ros.diagnosis.advice import spring_in_force
+from ehls_ros.diagnosis.causes import spring_in_force
 from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
@@ -347,7 +347,7 @@ def corrected(found: Diagnosis) -> str:
     """Return a sentence on the rig file's wrong numbers, which were corrected first; empty without any."""
     if not found.corrected:
         return ""
-    pairs = [(name, item.fitted, value(item.given, item.fitted.unit)) for name, item in found.corrected.items()]
+    pairs = [(p.partition(".")[2], w.fitted, value(w.given, w.fitted.unit)) for p, w in found.corrected.items()]
     numbers = ", ".join(f"{name} {estimate(right, 1)} instead of {wrong}" for name, right, wrong in pairs)
     return f" The recordings contradict these numbers of the rig file, which were corrected first: {numbers}."
 

@@ -6,10 +6,10 @@ from datetime import datetime, timedelta
 from typing import NamedTuple
 
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.diagnosis.result import Fitted
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.baseline import RIG_FILE
 from ehls_ros.experiments.monitoring.health import FoundChange, State
-from ehls_ros.experiments.monitoring.identified import WrongValue
 from ehls_ros.experiments.monitoring.replay import MonitoringResult
 from ehls_ros.experiments.monitoring.trends import NORMAL_95, LimitPrediction
 from ehls_ros.physics.rig import Rig
@@ -70,15 +70,16 @@ def answer(watched: MonitoringResult, clock: Clock = FROM_ZERO) -> tuple[str, bo
         return f"The rig is not judged: {reason}.", None
     past = [change for change in health.changes if not change.active]
     cleared = f" {len(past)} earlier changes have cleared." if past else ""
-    file = f" The rig file is wrong: {listed(list(map(_wrong, health.rig_values)))}." if health.rig_values else ""
+    wrong = [_wrong(*item) for item in health.rig_values.items()]
+    file = f" The rig file is wrong: {listed(wrong)}." if wrong else ""
     return f"No change detected in {duration(health.watched)} against {health.baseline}.{cleared}{file}", True
 
 
-def _wrong(wrong: WrongValue) -> str:
+def _wrong(path: str, wrong: Fitted) -> str:
     """Write a wrong number of the rig file, with the identified one and its 95 % interval."""
-    unit = unit_for(wrong.unit, abs(wrong.fitted))
-    text = written(unit.factor * wrong.fitted, unit.factor * NORMAL_95 * wrong.std)
-    name = wrong.name.partition(".")[2].replace("_", " ")
+    unit = unit_for(wrong.fitted.unit, abs(wrong.fitted.value))
+    text = written(unit.factor * wrong.fitted.value, unit.factor * NORMAL_95 * wrong.fitted.std)
+    name = path.partition(".")[2].replace("_", " ")
     return f"{name} {number(unit.factor * wrong.given)}, identified {text.value} ± {text.error}{after(unit)}"
 
 

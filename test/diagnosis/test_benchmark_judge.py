@@ -11,7 +11,7 @@ from rich.console import Console
 from benchmarks.diagnosis import tables
 from benchmarks.diagnosis.cases import Case, healthy_of, recording_of, rig
 from benchmarks.diagnosis.exams import EXAMS, JITTER, effect_of, numbers
-from benchmarks.diagnosis.judge import closed_off, judge, peer_right
+from benchmarks.diagnosis.judge import below_power, closed_off, judge, peer_right
 from benchmarks.diagnosis.running import diagnose_case
 from truth_generator import LISTED, Day, FormErrors, Measurement
 from truth_generator.forms import STAGES
@@ -59,6 +59,17 @@ def test_a_pair_with_a_third_cause_is_wrong_and_one_with_both_is_right():
     assert more.not_there == ("constant_load",)
     assert not more.confident_wrong
     assert not judge(row(hidden, both[:1])).right
+
+
+@pytest.mark.parametrize(
+    ("named", "detectable", "rightly"),
+    [(["mass_shift"], 5.0, True), (["mass_shift"], 1.0, False), (["constant_load"], 5.0, False), ([], 5.0, False)],
+)
+def test_a_missed_effect_counts_as_too_small_if_the_answer_says_so_and_names_nothing_wrong(named, detectable, rightly):
+    answer = row(["mass_shift", "valve_null_bias"], [cause(name) for name in named])
+    answer["natural"] = {"mass_shift": {"factor": 1.5}, "valve_null_bias": {"bias": 2e-6, "site": "ports"}}
+    answer["ours"]["sensitivities"] = [("mass_shift", "factor", 1.1), ("valve_null_bias", "opening", detectable * 1e-6)]
+    assert below_power(answer) is rightly
 
 
 def test_a_second_name_for_the_same_cause_is_one_too_many():

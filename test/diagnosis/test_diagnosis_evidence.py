@@ -8,7 +8,7 @@ import pytest
 from plain_evidence import evidence_of
 
 from ehls_ros.diagnosis import rules, stages
-from ehls_ros.diagnosis.evidence import Residuals, gather, part_of, sections, whitened
+from ehls_ros.diagnosis.evidence import MAX_RESIDUAL, Residuals, gather, part_of, sections, whitened
 from ehls_ros.diagnosis.loss import inflation, loss, power, weights
 from ehls_ros.diagnosis.noise import deviations, with_noise
 from ehls_ros.diagnosis.record import prepare
@@ -79,7 +79,7 @@ def test_a_diverged_model_has_large_finite_residuals():
     raw = {"force": np.array([1.0, np.nan, np.inf, -np.inf, -1e9, 7.0])}
     mask = {"force": np.array([True, True, True, True, True, False])}
     e = whitened(raw, mask, {"force": np.full(5, 0.5)})["force"]
-    far = rules.MAX_RESIDUAL
+    far = MAX_RESIDUAL
     np.testing.assert_array_equal(e, [2.0, far, far, -far, -far])
 
 

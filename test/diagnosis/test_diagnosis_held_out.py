@@ -80,7 +80,7 @@ def test_a_score_divides_by_inflation_and_charges_parameters():
 def test_noise_has_no_excess_and_a_model_error_has():
     evidence = evidence_of({"force": np.full(240, 2.0)})
     noise = float(np.sum(loss(evidence.noise["force"])))
-    assert nothing(evidence).excess(evidence, "force") == pytest.approx(480.0 - rules.NOISE_LOSS * noise)
+    assert nothing(evidence).excess(evidence, "force") == pytest.approx(480.0 - rules.LITTLE * noise)
     assert nothing(evidence_of({"force": np.zeros(240)})).excess(evidence_of({"force": np.zeros(240)}), "force") == 0.0
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plain_evidence import MASS, VISCOUS, candidate, evidence_of, linear_fit, nothing
 
-from ehls_ros.diagnosis.pruning import needed
+from ehls_ros.diagnosis.partial import needed
 from ehls_ros.diagnosis.search import Place, Searched
 
 WINDOWS = 2000

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.record import MAX_RECORDING, STRETCHES, prepare
 from ehls_ros.errors import BadInput
 from ehls_ros.trajectory import Trajectory
 
@@ -158,8 +157,8 @@ def test_what_cannot_be_read_is_refused(rig, spoil):
 def test_of_a_long_recording_stretches_are_taken(rig):
     t, signals = plain(40_000, period=0.01)
     r = prepare(Trajectory(t, signals), rig, "it")
-    assert len(r.time) * r.period == pytest.approx(rules.MAX_RECORDING, rel=0.02)
-    assert np.sum(r.fresh) == rules.STRETCHES
+    assert len(r.time) * r.period == pytest.approx(MAX_RECORDING, rel=0.02)
+    assert np.sum(r.fresh) == STRETCHES
     assert r.duration == pytest.approx(400.0, rel=0.01)
     begins = np.flatnonzero(r.fresh)
     assert np.all(np.diff(r.time) > 0.0)

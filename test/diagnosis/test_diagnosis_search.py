@@ -19,7 +19,7 @@ from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended
 from ehls_ros.diagnosis.pool import Pool, informative_blocks
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.search import Place, simpler
-from ehls_ros.diagnosis.starts import combined, main_channel, spectral_lines
+from ehls_ros.diagnosis.starts import LINE_SAMPLES, combined, main_channel, spectral_lines
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.trajectory import Trajectory
@@ -125,7 +125,7 @@ def test_spectral_lines_are_found_strongest_first():
 
 
 def test_few_windows_have_no_lines():
-    t = 0.01 * np.arange(rules.LINE_SAMPLES - 1)
+    t = 0.01 * np.arange(LINE_SAMPLES - 1)
     assert spectral_lines(np.sin(t), t) == ()
 
 
@@ -360,7 +360,7 @@ def test_an_unsure_cause_gives_way_to_a_sure_one_and_not_to_nothing(monkeypatch)
 
 
 def test_places_are_those_of_the_hypothesis_when_the_rounds_are_used_up(monkeypatch):
-    monkeypatch.setattr(rules, "MAX_EXCHANGES", 1)
+    monkeypatch.setattr(searching, "MAX_EXCHANGES", 1)
     one = scored((VISCOUS,), 1000.0)
     alone = Place(scored((), 0.0), (one,))
     best, places = exchanged(monkeypatch, scored((VISCOUS, MASS), 990.0), alone, dropped=one)

@@ -1,16 +1,17 @@
 """From the results of a search to its conclusions: each step on plain data."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from plain_evidence import MASS, SIZE, VALVE, VISCOUS, assessed, candidate, evidence_of, linear_fit, nothing
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.causes import causes, estimate
+from ehls_ros.diagnosis.causes import causes, closed_fraction, estimate, gain
 from ehls_ros.diagnosis.dependence import depends_on, explained_fraction
-from ehls_ros.diagnosis.excitation import Sliding, excited, sensitivities, smallest_detectable
-from ehls_ros.diagnosis.gain import closed_fraction, gain
+from ehls_ros.diagnosis.excitation import NINE_OF_TEN, Sliding, excited, sensitivities, smallest_detectable
+from ehls_ros.diagnosis.healthy_variation import HealthyVariation
 from ehls_ros.diagnosis.held_out import probabilities
 from ehls_ros.diagnosis.remainder import (
     Blocks,
@@ -182,7 +183,18 @@ N, BLOCKS = 1200, 12
 NOISE = np.random.default_rng(21).standard_normal(N)
 ERROR = 10.0 * np.random.default_rng(22).standard_normal(N)
 GROUPS = Blocks(np.arange(N) * BLOCKS // N, BLOCKS, 0.02 * np.arange(N))
-MATTERS = Relevance(noise=1.0, limit=0.1)
+@pytest.mark.parametrize(("bursts", "remains"), [(0, True), (30, False)])
+def test_rare_errors_that_a_baseline_has_too_are_no_change(bursts, remains):
+    rng = np.random.default_rng(7)
+    old, new = rng.standard_normal((2, 1000))
+    old[:bursts] *= 10.0
+    new[::33] *= 10.0
+    standard = HealthyVariation({}, (evidence_of({"force": old}),))
+    judged = replace(evidence_of({"force": new}), standard=standard)
+    assert remainder_in(judged, nothing(judged), "force").remains is remains
+
+
+MATTERS = Relevance(noise=1.0, rare=rules.RARE_SCATTER, limit=0.1)
 
 
 def remaining(before, after, *, changed=True, imitated=False, relevance=MATTERS):
@@ -221,7 +233,7 @@ def test_what_is_imitated_is_unexplained_however_much_is_closed():
 
 
 def test_what_is_too_small_to_matter_does_not_remain():
-    large = Relevance(noise=1.0, limit=100.0)
+    large = Relevance(noise=1.0, rare=rules.RARE_SCATTER, limit=100.0)
     item = remaining(NOISE + ERROR, NOISE + ERROR, changed=False, relevance=large)
     assert not any((item.exceeded, item.remains, item.unexplained))
     # But a cause that acts in the channel has to close it.
@@ -271,14 +283,14 @@ def test_what_lies_in_one_block_mostly_is_no_incident():
     ids=["more than noise", "noise", "rarely more", "an outlier"],
 )
 def test_more_than_noise_is_told_by_mean_and_quantile(e, exceeded):
-    assert Relevance(noise=1.0, limit=0.1).exceeded(e) is exceeded
+    assert Relevance(noise=1.0, rare=rules.RARE_SCATTER, limit=0.1).exceeded(e) is exceeded
 
 
 def test_a_rare_event_matters_at_five_times_the_limit():
     rare = np.where(np.arange(1000) < 15, 9.0, 0.0)
     beyond = math.sqrt(81.0 - rules.RARE_SCATTER * rules.SCATTER)
-    assert Relevance(noise=1.0, limit=0.99 * beyond / rules.RARE_FACTOR).exceeded(rare)
-    assert not Relevance(noise=1.0, limit=1.01 * beyond / rules.RARE_FACTOR).exceeded(rare)
+    assert Relevance(noise=1.0, rare=rules.RARE_SCATTER, limit=0.99 * beyond / rules.RARE_FACTOR).exceeded(rare)
+    assert not Relevance(noise=1.0, rare=rules.RARE_SCATTER, limit=1.01 * beyond / rules.RARE_FACTOR).exceeded(rare)
 
 
 @pytest.mark.parametrize(
@@ -326,9 +338,9 @@ def test_a_cause_has_to_close_most_of_what_the_others_leave(closes, at_end, imit
     ("information", "effect", "expected"),
     [
         (0.0, 1.0, None),
-        (4.0, 1.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + rules.NINE_OF_TEN) / 2.0),
+        (4.0, 1.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + NINE_OF_TEN) / 2.0),
         (1e12, 0.01, rules.RELEVANT / 0.01),
-        (4.0, 0.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + rules.NINE_OF_TEN) / 2.0),
+        (4.0, 0.0, (math.sqrt(2.0 * rules.NEEDED_GAIN) + NINE_OF_TEN) / 2.0),
     ],
     ids=["nothing is told", "the noise limits", "relevance limits", "no size is known"],
 )

@@ -8,7 +8,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import share_closed
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.coefficients import Term
-from ehls_ros.diagnosis.discrepancy import Windows, learn
+from ehls_ros.diagnosis.discrepancy import SECTIONS, Windows, learn
 from ehls_ros.diagnosis.evidence import Standard, allowing
 from ehls_ros.diagnosis.healthy_variation import DescribedEvidence, HealthyVariation, RemainderTerms
 
@@ -117,7 +117,7 @@ def test_what_drifts_within_an_only_recording_goes_on_drifting(level, drift):
     data = made(1, level=level, windows=3000)
     drifting = np.repeat([-drift, 0.0, drift], 1000)
     learnt = learn([data._replace(residual=data.residual + drifting * data.terms[:, 0])], SPREAD, FITTED)
-    assert learnt.spread[0] == pytest.approx(drift * np.sqrt(rules.SECTIONS), rel=0.2)
+    assert learnt.spread[0] == pytest.approx(drift * np.sqrt(SECTIONS), rel=0.2)
     assert learn([data], SPREAD, FITTED).spread[0] < 3.0 * SPREAD[0]
 
 

@@ -10,10 +10,12 @@ QUANTITIES = 12
 INFORMATION = 100.0
 
 
-def healthy(scatter=1.0, certainty=np.inf, spread=0.0, remainder=0.0):
+def healthy(scatter=1.0, certainty=np.inf, spread=0.0, variation=np.inf, remainder=0.0):
     rows = np.full((4, QUANTITIES), 0.0)
     rows[1:] = np.array([certainty, scatter, spread])[:, None]
-    return BlockStatistics(*rows, np.ones(QUANTITIES), 1e4, np.full(QUANTITIES, remainder))
+    many = np.full(QUANTITIES, 1e4)
+    one = np.ones(QUANTITIES)
+    return BlockStatistics(*rows, one, 1e4, variation * one, many, remainder * one)
 
 
 def feed(test, score, information=INFORMATION):
@@ -106,6 +108,42 @@ def test_a_departure_no_larger_than_what_the_model_leaves_of_a_healthy_rig_is_no
     assert any(found)
 
 
+def test_a_departure_beyond_the_healthy_variation_is_found_below_the_remainder():
+    """Blocks so certain that a departure is many scatters in each; of the healthy rig, sizes vary by 0.05."""
+    rng = np.random.default_rng(12)
+    known, concealed = (ChangeTest(healthy(variation=v, remainder=0.02), 1000.0) for v in (0.05, np.inf))
+    for size, expected in ((0.2, False), (0.8, True)):
+        known.restart()
+        concealed.restart()
+        for _ in range(20):
+            score = 100.0 * (INFORMATION * size + np.sqrt(INFORMATION) / 10.0 * rng.standard_normal(QUANTITIES))
+            for test in (known, concealed):
+                feed(test, score, 100.0 * INFORMATION)
+        assert (known.change() is not None) is expected
+        assert concealed.change() is None
+
+
+def test_the_variation_is_that_between_blocks_beyond_their_noise():
+    rng, variation = np.random.default_rng(13), 0.3
+    information = np.tile([[25.0], [400.0]], (500, QUANTITIES))
+    sizes = 1.0 + variation * rng.standard_normal(information.shape)
+    noise = np.sqrt(information) * rng.standard_normal(information.shape)
+    section = np.repeat([0, 1], 500)
+    found = block_statistics(sizes * information + noise, information, section)
+    assert found.variation == pytest.approx(variation, rel=0.15)
+    assert np.all(block_statistics(information + noise, information, section).variation < 0.3 * variation)
+    assert np.all(np.isinf(block_statistics(sizes * information + noise, information, np.zeros(1000)).variation))
+    few = ChangeTest(found._replace(remainder=np.ones(QUANTITIES), count=np.full(QUANTITIES, 6)), 1000.0)
+    many = ChangeTest(found._replace(remainder=np.ones(QUANTITIES)), 1000.0)
+    blocks = []
+    for test in (few, many):
+        for _ in range(10):
+            feed(test, 5.0 * INFORMATION * np.ones(QUANTITIES))
+        blocks.append(test.change())
+    assert blocks[0] is None
+    assert blocks[1] is not None
+
+
 def test_the_onset_is_sought_in_what_departs_alike():
     """An earlier long period of smaller departures is not part of it."""
     rng = np.random.default_rng(10)
@@ -119,6 +157,22 @@ def test_the_onset_is_sought_in_what_departs_alike():
             break
     assert found is not None
     assert found.earliest <= blocks + 1
+
+
+def test_of_more_blocks_than_are_held_the_newest_count(monkeypatch):
+    monkeypatch.setattr(rules, "LONGEST_WATCH", 20)
+    rng = np.random.default_rng(14)
+    long, short = ChangeTest(healthy(), 1000.0), ChangeTest(healthy(), 1000.0)
+    for block in range(130):
+        score = noise(rng, 0.25 if block >= 118 else 0.0)
+        feed(long, score)
+        if block >= 110:
+            feed(short, score)
+    long.learn(long.healthy)
+    assert long.blocks == 20
+    assert np.array_equal(long.rows(), short.rows())
+    assert long.change() == pytest.approx(short.change())
+    assert long.change().ratio > 1.0
 
 
 def test_of_what_the_healthy_rig_told_nothing_no_change_is_told():

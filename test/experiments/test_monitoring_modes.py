@@ -28,7 +28,7 @@ FIRST = Suspicion(CHANGE, 100.0, 4, 100.0)
 @pytest.fixture
 def blocks() -> ScoredBlocks:
     one = np.ones(1)
-    healthy = BlockStatistics(0.0 * one, np.inf * one, one, 0.0 * one, one, 1e4, 0.0 * one)
+    healthy = BlockStatistics(0.0 * one, np.inf * one, one, 0.0 * one, one, 1e4, 0.0 * one, one, 0.0 * one)
     return ScoredBlocks(ChangeTest(healthy, 1000.0), averaged=2)
 
 

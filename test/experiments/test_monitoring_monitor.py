@@ -99,6 +99,18 @@ def test_a_change_is_noticed_named_and_in_the_model_from_then_on(rig, streams):
     assert abs(leakage.value - 1.6 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
 
 
+def test_the_onset_is_that_of_the_detection_however_long_the_diagnosis_takes(rig, streams):
+    time, _, signals = streams
+    examiner, events = Scripted(consistent(rig), leaking(rig)), []
+    monitor = Monitor(rig, Parameters(learning_time=30.0), examiner)
+    for part in np.array_split(np.arange(len(time)), 75):
+        examiner.held = 40.0 < time[part[0]] < 72.0
+        events += monitor.add(time[part], {name: values[part] for name, values in signals.items()})
+    assert kinds(events) == ["learnt", "watching", "noticed", "named"]
+    assert monitor.changes[0].named > 72.0
+    assert monitor.changes[0].earliest <= ONSET <= monitor.changes[0].latest + 5.0
+
+
 def test_a_healthy_rig_gives_no_word_over_gaps_and_a_restart_of_its_time(rig, streams):
     time, signals, _ = streams
     late = np.where(time > 45.0, time + 10.0, time)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from made_motions import PowerCoordinates, PowerLaw, motion, sine
 
+from benchmarks.identification import least_covariance
 from ehls_ros.identification import joint
 from ehls_ros.identification.balance import Recorded
 from ehls_ros.identification.joint import Problem, Start
@@ -190,7 +191,7 @@ def test_a_recording_that_did_not_count_has_no_residuals():
 def test_the_bound_of_white_noise_is_below_what_a_fit_reports():
     data = recorded(noise=2.0)
     fit = joint.fit(data, START)
-    bound = np.sqrt(np.diag(joint.least_covariance(fit, data.motions)))
+    bound = np.sqrt(np.diag(least_covariance(fit, data.motions)))
     reported = np.sqrt(np.diag(fit.covariance))
     assert np.all(bound < 1.5 * reported)
     np.testing.assert_allclose(reported, bound, rtol=0.6)

@@ -13,9 +13,19 @@ from ehls_ros.identification.optimisers import OPTIMISERS, least_squares
 VELOCITY = np.concatenate([SPEEDS, -SPEEDS])
 
 
+def coordinates_of(friction, velocity):
+    """Return the coordinates of coefficients, shape (5,), for data at these velocities, shape (n,) [m/s]."""
+    slowest, fastest = stribeck._ends(velocity)
+    log_velocity, exponent = math.log(friction.stribeck_velocity), friction.stribeck_exponent
+    visible = (friction.static_force - friction.coulomb_force) * math.exp(-math.exp(exponent * (slowest - log_velocity)))
+    lowest = stribeck._log_velocity(0.0, exponent, slowest, fastest)
+    w = (log_velocity - lowest) / (fastest - lowest)
+    return np.array([friction.coulomb_force, visible, w, exponent, friction.viscous_coefficient])
+
+
 def residuals(problem, friction=TRUTH):
     out = np.empty(problem.residual_count)
-    stribeck.residuals(stribeck.coordinates_of(friction, problem.data.velocity), problem.data, out)
+    stribeck.residuals(coordinates_of(friction, problem.data.velocity), problem.data, out)
     return out
 
 
@@ -47,14 +57,14 @@ def test_the_bounds_hold_the_truth_in_any_size_of_rig(scale):
         viscous_coefficient=TRUTH.viscous_coefficient * scale,
     )
     problem = stribeck.problem(VELOCITY, steady_force(VELOCITY, friction, DAMPING * scale), None, DAMPING * scale)
-    x = stribeck.coordinates_of(friction, VELOCITY)
+    x = coordinates_of(friction, VELOCITY)
     assert np.all((problem.lower < x) & (x < problem.upper))
     found = least_squares.minimise(problem, least_squares.Parameters(), 1)
     np.testing.assert_allclose(stribeck.friction_of(found.x, VELOCITY), friction, rtol=1e-5)
 
 
 def test_coordinates_and_friction_are_each_others_inverse():
-    np.testing.assert_allclose(stribeck.friction_of(stribeck.coordinates_of(TRUTH, VELOCITY), VELOCITY), TRUTH, rtol=1e-12)
+    np.testing.assert_allclose(stribeck.friction_of(coordinates_of(TRUTH, VELOCITY), VELOCITY), TRUTH, rtol=1e-12)
 
 
 def test_every_point_of_the_box_is_a_friction_that_shows_in_the_data():

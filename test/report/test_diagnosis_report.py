@@ -340,7 +340,7 @@ def test_agreement_names_the_sizes_that_would_have_shown_and_the_numbers_correct
     quiet = replace(
         consistent(),
         sensitivities=(Sensitivity("mass_shift", "factor", 0.023, "1"), Sensitivity("coulomb_shift", "offset", 24.0, "N")),
-        corrected={"moving_mass": Fitted(49.0, Estimate(70.0, 0.2, "kg"), None)},
+        corrected={"plant.moving_mass": Fitted(49.0, Estimate(70.0, 0.2, "kg"), None)},
     )
     sentence, _ = answer(quiet)
     assert "a wrong value shows from these sizes on: the Coulomb friction 24 N, the moving mass 2.3 %." in sentence

@@ -9,11 +9,11 @@ import pytest
 from report_pages import check, numbers, panels, parts, row, rows
 
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
+from ehls_ros.diagnosis.result import Fitted
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, State
-from ehls_ros.experiments.monitoring.identified import WrongValue
 from ehls_ros.experiments.monitoring.monitor import Parameters
 from ehls_ros.experiments.monitoring.offer import Offer
 from ehls_ros.experiments.monitoring.replay import MonitoringResult, RecordingSpan
@@ -179,7 +179,8 @@ def test_times_and_rates_in_words():
 
 
 def test_wrong_numbers_of_the_rig_file_are_stated(healthy):
-    wrong = (WrongValue("plant.moving_mass", 105.0, 70.0, 0.1, "kg"), WrongValue("plant.valve_gain", 1.1, 1.0, 0.001, "1"))
+    mass, gain = Fitted(105.0, Estimate(70.0, 0.1, "kg"), None), Fitted(1.1, Estimate(1.0, 0.001, "1"), None)
+    wrong = {"plant.moving_mass": mass, "plant.valve_gain": gain}
     sentence, good = answer(healthy._replace(health=healthy.health._replace(rig_values=wrong)))
     assert good
     assert "The rig file is wrong: moving mass 105, identified 70.00 ± 0.20 kg and valve gain 1.10, identified" in sentence

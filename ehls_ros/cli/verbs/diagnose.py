@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ehls_ros.cli.arguments import add_columns, add_results, add_rig, add_span, check_range, columns_of
 from ehls_ros.cli.results import all_or_nothing, print_files, print_table, writable, write_json
-from ehls_ros.diagnosis.advice import advice
+from ehls_ros.diagnosis.causes import advice
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput

@@ -17,6 +17,10 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.samples import Mask
 
 HOUR = 3600.0
+"""An hour [s].
+
+Origin: a unit.
+"""
 
 
 class BlockStatistics(NamedTuple):
@@ -29,8 +33,12 @@ class BlockStatistics(NamedTuple):
         spread: standard deviation of the size from section to section, shape (n,).
         dependence: ratio of the variance of a sum over blocks to that of independent ones, shape (n,).
         freedom: degrees of freedom of the scatter.
-        remainder: rms residual of a healthy rig beyond noise, as a fraction of the largest term of its balance, shape (n,). Up
-            to that much may look like a departure when the rig runs another programme.
+        variation: standard deviation of the size from block to block beyond noise, shape (n,): the part of the model's
+            remainder that looks like a departure, which is another one when the rig runs another programme. It is unknown,
+            infinite, from a single section, which may be of one programme.
+        count: number of blocks from which it is known, shape (n,).
+        remainder: rms residual of a healthy rig beyond noise, as a fraction of the largest term of its balance, shape (n,). No
+            more than that can look like a departure.
     """
 
     level: Array
@@ -39,6 +47,8 @@ class BlockStatistics(NamedTuple):
     spread: Array
     dependence: Array
     freedom: float
+    variation: Array
+    count: Array
     remainder: Array
 
 
@@ -68,7 +78,29 @@ def block_statistics(score: Array, information: Array, section: NDArray[np.intp]
     between = np.sum(np.where(seen, (sizes - level) ** 2, 0.0), axis=0) - np.sum(noise, axis=0) * (1.0 - 1.0 / count)
     spread = np.sqrt(np.maximum(between, 0.0) / np.maximum(count - 1, 1))
     freedom = rules.LEARNT_BLOCKS + len(score)
-    return BlockStatistics(level, certainty, scatter, spread, dependence, freedom, np.zeros_like(level))
+    variation, informed = _variation(score, information)
+    variation = variation if len(sections) > 1 else np.full_like(level, np.inf)
+    return BlockStatistics(level, certainty, scatter, spread, dependence, freedom, variation, informed, np.zeros_like(level))
+
+
+def _variation(score: Array, information: Array) -> tuple[Array, Array]:
+    """Return the standard deviation of the size from block to block beyond noise, and the number of informed blocks.
+
+    The moment estimate for random effects of DerSimonian and Laird (Controlled Clinical Trials 7, 1986).
+
+    Args:
+        score: shape (blocks, n).
+        information: shape (blocks, n).
+
+    Returns:
+        Both of shape (n,).
+    """
+    total, count = np.sum(information, axis=0), np.sum(information > 0.0, axis=0)
+    level = np.divide(np.sum(score, axis=0), total, out=np.zeros_like(total), where=total > 0.0)
+    squares = np.divide((score - level * information) ** 2, information, out=np.zeros_like(score), where=information > 0.0)
+    weight = total - np.divide(np.sum(information**2, axis=0), total, out=np.zeros_like(total), where=total > 0.0)
+    beyond = np.maximum(np.sum(squares, axis=0) - rules.LEAST_SCATTER**2 * (count - 1), 0.0)
+    return np.sqrt(np.divide(beyond, weight, out=np.zeros_like(total), where=weight > 0.0)), count
 
 
 def with_scatter(found: BlockStatistics, more: BlockStatistics) -> BlockStatistics:
@@ -156,8 +188,9 @@ class ChangeTest:
             rising: quantities of which only a rise is a change, shape (n,).
         """
         self._rising = np.zeros(len(healthy.level), dtype=np.bool_) if rising is None else rising
-        self._rows = np.zeros((3, rules.LONGEST_WATCH, len(healthy.level)))
-        self._kept = 0
+        # Score, information and share of the blocks held, and after them the terms of their sums.
+        self._rows = np.zeros((6, 2 * rules.LONGEST_WATCH, len(healthy.level)))
+        self._first = self._end = 0
         self._hours = hours
         self.largest = 0.0
         self.learn(healthy)
@@ -167,15 +200,17 @@ class ChangeTest:
         self.healthy = healthy
         tests = self._hours * HOUR / rules.MONITOR_BLOCK * len(healthy.level) * len(lengths())
         self.bound = float(-scipy.special.stdtrit(healthy.freedom, 0.5 / tests))
+        self._varying = -scipy.special.stdtrit(np.maximum(healthy.count - 1, 1), 0.5 / tests) * healthy.variation
+        self._rows[3:, self._first : self._end] = self._terms(self.rows())
 
     @property
     def blocks(self) -> int:
         """Number of blocks held."""
-        return self._kept
+        return self._end - self._first
 
     def restart(self) -> None:
         """Discard all blocks."""
-        self._kept = 0
+        self._first = self._end = 0
 
     def add(self, score: Array, information: Array, share: Array) -> None:
         """Add a block.
@@ -185,66 +220,78 @@ class ChangeTest:
             information: of each quantity, 0 if the block holds none, shape (n,).
             share: change of the balance by one departure, as a fraction of its largest term, shape (n,).
         """
-        self._rows[:, :-1] = self._rows[:, 1:]
-        self._rows[:, -1] = score, information, share
-        self._kept = min(self._kept + 1, rules.LONGEST_WATCH)
+        if self._end == self._rows.shape[1]:
+            kept = self._rows[:, self._first :].copy()
+            self._first, self._end = 0, kept.shape[1]
+            self._rows[:, : self._end] = kept
+        raw = np.array([score, information, share])
+        self._rows[:3, self._end], self._rows[3:, self._end] = raw, self._terms(raw)
+        self._end += 1
+        self._first = max(self._first, self._end - rules.LONGEST_WATCH)
 
     def rows(self) -> Array:
         """Return score, information and share of all blocks held, oldest first, shape (3, blocks, n)."""
-        return self._rows[:, rules.LONGEST_WATCH - self._kept :].copy()
+        return self._rows[:3, self._first : self._end].copy()
 
     def change(self) -> Change | None:
         """Return the sum that exceeds its bound by the largest ratio; None while all could be chance."""
-        sums, information, share, squares = self._sums()
-        rows = np.array([n for n in lengths() if n <= self._kept], dtype=np.intp) - 1
         self.largest = 0.0
-        if not rows.size:
+        if self.blocks < lengths()[0]:
             return None
-        informed = information[rows] > 0.0
-        share = share[rows] / (rows + 1.0)[:, None]
+        blocks = np.array([n for n in lengths() if n <= self.blocks], dtype=np.intp)
+        # Sums over the newest blocks, the fewest first, shape (sums, n).
+        pieces = np.add.reduceat(self._rows[1:, : self._end], self._end - blocks[::-1], axis=1)
+        information, share, whole, sums, squares = np.cumsum(pieces[:, ::-1], axis=1)
+        informed = information > 0.0
+        share = share / blocks[:, None]
         # If blocks scatter about their mean more than the healthy rig's, the deviation of their sum is enlarged accordingly.
-        about = squares[rows] - np.divide(sums[rows] ** 2, information[rows], out=np.zeros_like(share), where=informed)
-        wider = np.maximum(about / rows[:, None], 1.0)
-        deviation = np.sqrt(wider) * self._deviation(information[rows], share)
-        scaled = sums[rows] * self.healthy.scatter
-        size = np.divide(scaled, information[rows], out=np.zeros_like(deviation), where=informed)
-        ratio = np.divide(np.abs(sums[rows]), self.bound * deviation, out=np.zeros_like(deviation), where=informed)
-        ratio[(np.abs(size) * share < rules.RELEVANT) | (self._rising & (sums[rows] < 0.0))] = 0.0
+        about = squares - np.divide(sums**2, information, out=np.zeros_like(share), where=informed)
+        wider = np.maximum(about / (blocks - 1.0)[:, None], 1.0)
+        noise = np.sqrt(wider * self.healthy.dependence * information)
+        size = np.divide(whole * self.healthy.scatter, information, out=np.zeros_like(noise), where=informed)
+        # Of a block, little counts against the noise: one alone is an incident. All of it counts against the allowed size.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = 1.0 / (self.bound * np.hypot(noise / np.abs(sums), self._allowed(share) / np.abs(size)))
+        counts = informed & (np.abs(size) * share >= rules.RELEVANT) & ~(self._rising & (sums < 0.0))
+        ratio = np.where(counts & (size * sums > 0.0), ratio, 0.0)
         row, quantity = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         self.largest = float(ratio[row, quantity]) * self.bound
         if ratio[row, quantity] <= 1.0:
             return None
+        newest = self._rows[[1, 4], self._first : self._end, quantity][:, ::-1]
+        information, sums = np.cumsum(newest, axis=1)
         # A departure of opposite sign is another change, or the tolerance of a quantity of which only a rise counts.
-        same = np.where(sums[:, quantity] * sums[rows[row], quantity] > 0.0, sums[:, quantity], 0.0)
-        return self._since(int(quantity), float(ratio[row, quantity]), same, information[:, quantity])
+        same = np.where(sums * sums[blocks[row] - 1] > 0.0, sums, 0.0)
+        return self._since(int(quantity), float(ratio[row, quantity]), same, information)
 
-    def _sums(self) -> tuple[Array, Array, Array, Array]:
-        """Return the sums from each block to the newest, shape (blocks, n) each; the first row is the newest block alone.
+    def _terms(self, rows: Array) -> Array:
+        """Return the terms of the sums: scores by the root of information, the same of limited scores, and these squared.
 
-        Summed are limited scores times the root of information, information, share, and the limited scores' squares.
+        Scores are in units of the healthy scatter.
+
+        Args:
+            rows: score, information and share, shape (3, ..., n).
+
+        Returns:
+            Shape (3, ..., n).
         """
-        score, information, share = self.rows()[:, ::-1]
+        score, information, _ = rows
         root = np.sqrt(information)
         unit = root * self.healthy.scatter
         rest = np.divide(score - self.healthy.level * information, unit, out=np.zeros_like(score), where=unit > 0.0)
         limited = np.clip(rest, -rules.MOST_SCORE, rules.MOST_SCORE)
-        sums, informed, shares, squares = (
-            np.cumsum(row, axis=0) for row in (limited * root, information, share, limited * limited)
-        )
-        return sums, informed, shares, squares
+        return np.array([rest * root, limited * root, limited * limited])
 
-    def _deviation(self, information: Array, share: Array) -> Array:
-        """Return the standard deviation of a healthy rig's sums; infinite for quantities without information."""
+    def _allowed(self, share: Array) -> Array:
+        """Return the standard deviation of a healthy rig's size, however many blocks are summed; infinite if it is unknown."""
         healthy = self.healthy
         # No model of a rig exceeds this accuracy, and its remainder on a healthy rig is no departure.
-        error = np.broadcast_to(rules.TOLERANCE + healthy.remainder / self.bound, share.shape)
-        tolerated = np.divide(error, share, out=np.zeros_like(share), where=share > 0.0)
+        inverse = np.divide(1.0, share, out=np.zeros_like(share), where=share > 0.0)
+        remainder = np.minimum(self._varying, healthy.remainder * inverse) / self.bound
+        tolerated = rules.TOLERANCE * inverse + remainder
         unsure = np.full_like(healthy.certainty, np.inf)
         np.divide(healthy.scatter**2 * healthy.dependence, healthy.certainty, out=unsure, where=healthy.certainty > 0.0)
-        size = healthy.spread**2 + tolerated**2 + unsure
-        out = np.zeros_like(information)
-        np.multiply(size, (information / healthy.scatter) ** 2, out=out, where=information > 0.0)
-        return np.sqrt(healthy.dependence * information + out)
+        return np.sqrt(healthy.spread**2 + tolerated**2 + unsure)
 
     def _since(self, quantity: int, ratio: float, sums: Array, information: Array) -> Change:
         """Estimate the onset as the likeliest time of a step in the scores' mean."""

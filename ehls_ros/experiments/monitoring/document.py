@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 from ehls_ros import __version__
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
+from ehls_ros.diagnosis.result import Fitted
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.health import Event, FoundChange
-from ehls_ros.experiments.monitoring.identified import WrongValue
 from ehls_ros.experiments.monitoring.offer import Offer
 from ehls_ros.experiments.monitoring.replay import MonitoringResult, RecordingSpan
 from ehls_ros.experiments.monitoring.trends import NORMAL_95, LimitPrediction
@@ -75,7 +75,7 @@ class MonitorDocument(NamedTuple):
         changes: detected changes, oldest first.
         coefficients: coefficients by name.
         events: events in order.
-        rig_values: numbers of the rig file that the recordings of the healthy rig contradict.
+        rig_values: numbers of the rig file that the recordings of the healthy rig contradict, by dotted section and name.
         offer: shortest experiment for the coefficients that this programme does not determine.
         version: version of this package.
         wall_s: wall time of everything [s].
@@ -93,7 +93,7 @@ class MonitorDocument(NamedTuple):
     changes: tuple[ChangeEntry, ...]
     coefficients: Mapping[str, CoefficientEntry]
     events: Sequence[Event]
-    rig_values: Sequence[WrongValue]
+    rig_values: Mapping[str, Fitted]
     offer: Offer | None
     version: str
     wall_s: float

@@ -118,7 +118,7 @@ def examine(task: Task) -> Finding:
         if len(identification.wrong) <= MAX_CHANGED or identified.verdict not in ("consistent", "insufficient"):
             given = _diagnosed(task, task.recording)
             if given.verdict == "effect" and given.names_causes:
-                return given._replace(identification=identification._replace(wrong=()))
+                return given._replace(identification=identification._replace(wrong={}))
         return identified._replace(identification=identification)
     return _diagnosed(task, task.recording)._replace(identification=identification)
 

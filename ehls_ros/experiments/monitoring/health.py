@@ -8,9 +8,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading, Tracked
+from ehls_ros.diagnosis.result import Fitted
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import FoundCause
-from ehls_ros.experiments.monitoring.identified import WrongValue
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
 
@@ -185,7 +185,7 @@ class Health(NamedTuple):
         baseline: description of the baseline.
         outside: fraction of the last minute's blocks outside the range of the baseline.
         rates: change per hour of each determined coefficient.
-        rig_values: numbers of the rig file that the recordings of the healthy rig contradict.
+        rig_values: numbers of the rig file that the recordings of the healthy rig contradict, by dotted section and name.
     """
 
     time: float
@@ -197,7 +197,7 @@ class Health(NamedTuple):
     baseline: str
     outside: float
     rates: Mapping[str, Estimate]
-    rig_values: tuple[WrongValue, ...] = ()
+    rig_values: Mapping[str, Fitted] = {}
 
     @property
     def active(self) -> tuple[FoundChange, ...]:
@@ -224,7 +224,7 @@ class Health(NamedTuple):
             parts.append(f"{100.0 * self.outside:.0f} % of the last minute is outside the range of the baseline")
         quiet = f"no change against {self.baseline} in {self.watched / 3600.0:.3g} h"
         if self.rig_values:
-            quiet += f"; the rig file is wrong in {', '.join(wrong.name.partition('.')[2] for wrong in self.rig_values)}"
+            quiet += f"; the rig file is wrong in {', '.join(path.partition('.')[2] for path in self.rig_values)}"
         return Summary(WARNING if new else GOOD, "; ".join(parts) if parts else quiet)
 
 

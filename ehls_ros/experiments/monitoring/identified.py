@@ -1,39 +1,19 @@
 """The identified rig from which the monitor starts, and the numbers of the rig file that are wrong."""
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.hypotheses import only_shifts
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, IdentifiedRig
+from ehls_ros.diagnosis.result import Fitted
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
-from ehls_ros.identification.rig_coefficients import Sizes, coefficients, read
+from ehls_ros.experiments.first_draft import wrong_numbers
+from ehls_ros.identification.rig_coefficients import Sizes, coefficients
 from ehls_ros.identification.rig_identifiability import ACCURACY
-from ehls_ros.identification.rig_result import RigIdentification
-from ehls_ros.identification.rig_stages import MIN_SIGMAS
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
-
-
-class WrongValue(NamedTuple):
-    """A number of the rig file that the recordings contradict.
-
-    Attributes:
-        name: dotted section and name in the rig file.
-        given: value in the file.
-        fitted: identified value.
-        std: its standard error.
-        unit: unit of all.
-    """
-
-    name: str
-    given: float
-    fitted: float
-    std: float
-    unit: str
 
 
 class Identification(NamedTuple):
@@ -41,14 +21,13 @@ class Identification(NamedTuple):
 
     Attributes:
         rig: the identified rig.
-        wrong: numbers of the given rig that the recordings contradict, the least probable first; none if the given rig is
-            as good.
+        wrong: numbers of the given rig that the recordings contradict, by dotted section and name, the least probable first.
         estimates: identified coefficients, by dotted section and name in the rig file; also errors that are not significant.
         why_not: reasons for those not identifiable.
     """
 
     rig: Rig
-    wrong: tuple[WrongValue, ...]
+    wrong: Mapping[str, Fitted]
     estimates: Mapping[str, Estimate]
     why_not: Mapping[str, str]
 
@@ -92,7 +71,7 @@ def identify(recordings: Mapping[str, Trajectory], rig: Rig) -> Identification |
         found = identify_rig(recordings, rig)
     except BadInput:
         return None
-    return Identification(found.rig, _wrong_values(found, rig), {**found.absent, **found.estimates}, found.not_identifiable)
+    return Identification(found.rig, wrong_numbers(rig, found), {**found.absent, **found.estimates}, found.not_identifiable)
 
 
 def with_shifts_included(rig: Rig) -> Rig:
@@ -103,21 +82,11 @@ def with_shifts_included(rig: Rig) -> Rig:
     return rig._replace(plant=whole.plant, friction=whole.friction, sensors=whole.sensors, effects=others)
 
 
-def _wrong_values(found: RigIdentification, rig: Rig) -> tuple[WrongValue, ...]:
-    """Return the significantly wrong numbers of the given rig if its residuals are larger by a relevant part of a balance."""
-    gained = max((math.sqrt(max(c.before**2 - c.after**2, 0.0)) for c in found.channels.values()), default=0.0)
-    if gained < rules.RELEVANT:
-        return ()
-    sigmas = {path: abs(e.value - read(rig, path)) / max(e.std, 1e-300) for path, e in found.estimates.items()}
-    order = sorted((path for path in sigmas if sigmas[path] > MIN_SIGMAS), key=lambda path: -sigmas[path])
-    return tuple(WrongValue(path, read(rig, path), *found.estimates[path]) for path in order)
-
-
-def wrong_values(wrong: tuple[WrongValue, ...]) -> str:
+def written(wrong: Mapping[str, Fitted]) -> str:
     """Describe wrong numbers of the rig file."""
     parts = (
-        f"{w.name.partition('.')[2]} {w.given:.3g}, the recordings say {w.fitted:.4g} ± {1.96 * w.std:.2g}"
-        f"{'' if w.unit == '1' else f' {w.unit}'}"
-        for w in wrong
+        f"{path.partition('.')[2]} {w.given:.3g}, the recordings say {w.fitted.value:.4g} ± {1.96 * w.fitted.std:.2g}"
+        f"{'' if w.fitted.unit == '1' else f' {w.fitted.unit}'}"
+        for path, w in wrong.items()
     )
     return "; ".join(parts)

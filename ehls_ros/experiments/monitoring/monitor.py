@@ -36,7 +36,7 @@ from ehls_ros.experiments.monitoring import modes
 from ehls_ros.experiments.monitoring.baseline import OWN_RECORDING, RECORDINGS, RIG_FILE, Baseline
 from ehls_ros.experiments.monitoring.examination import Examiner, Finding, Task
 from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health, agreed
-from ehls_ros.experiments.monitoring.identified import Identification, wrong_values
+from ehls_ros.experiments.monitoring.identified import Identification, written
 from ehls_ros.experiments.monitoring.samples import Samples
 from ehls_ros.experiments.monitoring.saved_state import SavedState
 from ehls_ros.experiments.monitoring.trends import RATE_READINGS, rates
@@ -159,6 +159,7 @@ class Monitor:
         self._averaged = max(1, round(parameters.reading_time / rules.MONITOR_BLOCK))
         self._unrecorded = 0
         self._examined_from: float | None = None
+        self._onset = (math.nan, math.nan, math.nan)
         self._linearisation: Linearisation | None = None
         self._first_readings: tuple[Reading, ...] = ()
         self._known = IdentifiedRig(rig)
@@ -392,13 +393,15 @@ class Monitor:
 
     def _examine(self, mode: modes.Examining, now: float, events: list[Event]) -> None:
         change, begins = mode.change, list(mode.blocks.begins)
+        onset, earliest, latest = (begins[-min(n, len(begins))] for n in (change.blocks, change.earliest, change.latest))
+        self._onset = onset, earliest, latest
         # The block of the onset is only partly changed.
         first = begins[1 - change.blocks]
         if change.blocks >= len(begins) - 1 and self._examined_from is not None:
             # The last named cause does not explain all samples since: use more samples.
             first = self._examined_from
         self._examined_from = max(first, now - self.parameters.kept_time)
-        text = f"{self._baseline.quantity(change.quantity)} changed since {begins[-change.blocks]:.1f} s"
+        text = f"{self._baseline.quantity(change.quantity)} changed since {onset:.1f} s"
         events.append(Event(now, "noticed", text))
         recording, baselines = self._samples.between(self._examined_from, now), tuple(self._baseline.recordings.values())
         self._examiner.begin(Task(recording, self.healthy_rig, baselines, self._preferred()))
@@ -431,18 +434,17 @@ class Monitor:
         self._known = IdentifiedRig(self.healthy_rig) if found is None else found.tracked(self.healthy_rig)
         if found is not None and found.wrong:
             name = "rig file" if self.healthy_rig is self.rig else "healthy rig"
-            events.append(Event(now, "differs", f"{name}: {wrong_values(found.wrong)}"))
+            events.append(Event(now, "differs", f"{name}: {written(found.wrong)}"))
             self.healthy_rig = self.model = found.rig
 
     def _end_examination(self, mode: modes.Examining, found: Finding, now: float, events: list[Event]) -> None:
         self.mode = mode.examined()
-        change, begins = mode.change, list(mode.blocks.begins)
-        onset, earliest, latest = (begins[-min(n, len(begins))] for n in (change.blocks, change.earliest, change.latest))
+        change = mode.change
         enough = self._examined_from is not None and now - self._examined_from >= MIN_UNCERTAIN_TIME
         if found.is_certain or (found.names_causes and enough):
-            self._name(found, (onset, earliest, latest), now, events)
+            self._name(found, self._onset, now, events)
         elif found.verdict == "unknown" and enough:
-            new = self._add_change(found, (onset, earliest, latest), now)
+            new = self._add_change(found, self._onset, now)
             events.append(Event(now, "named", new.sentence()))
             # An unknown change cannot be included in the model.
             self._learn_anew()
@@ -656,7 +658,7 @@ class Monitor:
             self._baseline.kind,
             float(np.mean(self._outside)) if self._outside else 0.0,
             rates(self.history),
-            self.identification.wrong if self.identification is not None else (),
+            self.identification.wrong if self.identification is not None else {},
         )
 
     def close(self) -> None:

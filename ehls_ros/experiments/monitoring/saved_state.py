@@ -15,12 +15,13 @@ from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.monitoring.blocks import Scores
 from ehls_ros.diagnosis.monitoring.directions import Direction
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, PastReadings, Reading
+from ehls_ros.diagnosis.result import Fitted
 from ehls_ros.diagnosis.stages import STAGES
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.monitoring.examination import FoundCause
 from ehls_ros.experiments.monitoring.health import FoundChange
-from ehls_ros.experiments.monitoring.identified import Identification, WrongValue
+from ehls_ros.experiments.monitoring.identified import Identification
 from ehls_ros.experiments.state_files.kinds import (
     CauseRecord,
     ChangeRecord,
@@ -102,7 +103,7 @@ def state_record(state: SavedState) -> dict[str, Any]:
 def _identification_record(found: Identification) -> dict[str, Any]:
     return {
         "rig": rig_to_mapping(found.rig),
-        "wrong": [wrong._asdict() for wrong in found.wrong],
+        "wrong": {path: wrong.given for path, wrong in found.wrong.items()},
         "estimates": {path: _finite_values(estimate) for path, estimate in found.estimates.items()},
         "why_not": dict(found.why_not),
     }
@@ -145,12 +146,15 @@ def identification_of(record: IdentificationRecord, origin: Origin) -> Identific
     """
     rig = rig_of(record.rig, origin)
     try:
-        for path in (*record.estimates, *(wrong.name for wrong in record.wrong)):
+        for path in record.estimates:
             read(rig, path)
     except (LookupError, AttributeError, ValueError, BadInput):
         raise ValueError(f"the identification is of {path!r}") from None
     estimates = {path: Estimate(e.value, math.nan if e.std is None else e.std, e.unit) for path, e in record.estimates.items()}
-    return Identification(rig, tuple(WrongValue(*wrong) for wrong in record.wrong), estimates, dict(record.why_not))
+    if unknown := record.wrong.keys() - estimates.keys():
+        raise ValueError(f"a wrong number is {min(unknown)!r}, which is not identified")
+    wrong = {path: Fitted(given, estimates[path], None) for path, given in record.wrong.items()}
+    return Identification(rig, wrong, estimates, dict(record.why_not))
 
 
 def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:

@@ -159,21 +159,14 @@ class ChangeRecord(NamedTuple):
     before: bool
 
 
-class WrongRecord(NamedTuple):
-    """A wrong number of the rig file; attributes of :class:`ehls_ros.experiments.monitoring.identified.WrongValue`."""
-
-    name: str
-    given: float
-    fitted: float
-    std: float
-    unit: str
-
-
 class IdentificationRecord(NamedTuple):
-    """An identified rig; attributes of :class:`ehls_ros.experiments.monitoring.identified.Identification`."""
+    """An identified rig; attributes of :class:`ehls_ros.experiments.monitoring.identified.Identification`.
+
+    Of wrong numbers there are the given ones.
+    """
 
     rig: Mapping[str, Any]
-    wrong: tuple[WrongRecord, ...]
+    wrong: Mapping[str, float]
     estimates: Mapping[str, EstimateRecord]
     why_not: Mapping[str, str]
 
