@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ehls_ros.api.campaign import CampaignResult, campaign
+    from ehls_ros.api.control import SteppedController, SteppedPlant, controller, plant
     from ehls_ros.api.diagnosis import DiagnosisResult, diagnose
     from ehls_ros.api.identification import FrictionResult, RigResult, identify
     from ehls_ros.api.monitoring import MonitorResult, monitor
@@ -38,14 +39,18 @@ __all__ = [
     "Simulation",
     "Simulator",
     "Spec",
+    "SteppedController",
+    "SteppedPlant",
     "VerificationResult",
     "WorkFailed",
     "campaign",
+    "controller",
     "diagnose",
     "evaluate",
     "identify",
     "load",
     "monitor",
+    "plant",
     "rig",
     "save_rig",
     "simulate",
@@ -54,6 +59,7 @@ __all__ = [
 
 _HOME = {
     "ehls_ros.api.campaign": ("CampaignResult", "campaign"),
+    "ehls_ros.api.control": ("SteppedController", "SteppedPlant", "controller", "plant"),
     "ehls_ros.api.diagnosis": ("DiagnosisResult", "diagnose"),
     "ehls_ros.api.identification": ("FrictionResult", "RigResult", "identify"),
     "ehls_ros.api.monitoring": ("MonitorResult", "monitor"),

@@ -138,7 +138,7 @@ def simulate(
 
 def _changed(source: SpecSource | None, true: RigSource | None, assumed: RigSource | None, changes: Mapping[str, Any]) -> Spec:
     """Return an experiment with some keys replaced."""
-    content, where, folder = _content(source)
+    content, where, folder = spec_content(source)
     if true is not None:
         content |= {"rig": rig_to_mapping(rig(true)), "controller_rig": None, "effects": None}
     if assumed is not None:
@@ -154,7 +154,7 @@ def _changed(source: SpecSource | None, true: RigSource | None, assumed: RigSour
     return spec
 
 
-def _content(source: SpecSource | None) -> tuple[dict[str, Any], str, Path]:
+def spec_content(source: SpecSource | None) -> tuple[dict[str, Any], str, Path]:
     """Return an experiment's keys, its name in errors, and the folder to which its file names are relative."""
     if source is None:
         return {"controller": "fasmc"}, "simulate", Path()

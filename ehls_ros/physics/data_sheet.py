@@ -90,7 +90,23 @@ class DataSheet(NamedTuple):
     leakage: Annotated[
         Figure, quantity("l/min", "leakage past piston and spool at supply pressure", minimum=0.0, maximum=1e3)
     ] = None
+    delay: Annotated[
+        Figure,
+        quantity("ms", "time from the reading to the valve's input: cycles, field bus, converters", minimum=0.0, maximum=50.0),
+    ] = None
+    position_noise: Annotated[
+        Figure, quantity("µm", "rms noise of the position reading, or its resolution / 3.5", minimum=0.0, maximum=1e4)
+    ] = None
+    pressure_noise: Annotated[
+        Figure, quantity("kPa", "rms noise of the load pressure's reading, or its resolution / 3.5", minimum=0.0, maximum=1e4)
+    ] = None
+    force_noise: Annotated[
+        Figure, quantity("N", "rms noise of the load cell's reading, or its resolution / 3.5", minimum=0.0, maximum=1e6)
+    ] = None
 
+
+NOISES: Mapping[str, str] = {"position": "position_noise", "load_pressure": "pressure_noise", "force": "force_noise"}
+"""Figure with the noise of each sensor."""
 
 HINTS: Mapping[str, Any] = get_type_hints(DataSheet, include_extras=True)
 """Type and declaration of each figure."""
@@ -194,6 +210,9 @@ def rig_values(sheet: DataSheet) -> dict[str, dict[str, Source]]:
 
     Args:
         sheet: the figures.
+
+    Returns:
+        The keys of ``effects`` are names of effects, those of ``sensors`` names of signals, with one value each.
     """
     plant = _plant(sheet)
     value = {key: source.value for key, source in plant.items()}
@@ -209,7 +228,10 @@ def rig_values(sheet: DataSheet) -> dict[str, dict[str, Source]]:
         "position": Source([-half, half], "computed", "the stroke with 0 in its middle"),
         "velocity": Source(fastest, "computed", "flow at full opening and supply_pressure, over piston_area"),
     }
-    return {"plant": plant, "friction": _friction(sheet, pressure * area, fastest), "limits": limits}
+    sensors = {sensor: _figure(sheet, name) for sensor, name in NOISES.items() if getattr(sheet, name) is not None}
+    effects = {} if sheet.delay is None else {"command_delay": _figure(sheet, "delay")}
+    friction = _friction(sheet, pressure * area, fastest)
+    return {"plant": plant, "friction": friction, "effects": effects, "sensors": sensors, "limits": limits}
 
 
 def _plant(sheet: DataSheet) -> dict[str, Source]:

@@ -39,6 +39,15 @@ def test_a_rig_from_a_file_of_answers(answers, tmp_path, capsys):
     assert all(" # " in line for line in values)
 
 
+def test_the_loop_is_described_as_far_as_it_is_stated(answers, tmp_path):
+    answers.write_text(ANSWERS + "delay: 1\nposition_noise: 2\npressure_noise: 0.1 bar\nforce_noise: 5\n", encoding="utf-8")
+    assert main(["new-rig", "--out", str(tmp_path / "rig.yaml"), "--from", str(answers)]) == 0
+    rig = load_rig(tmp_path / "rig.yaml")
+    assert [(use.name, use.parameters.delay) for use in rig.effects] == [("command_delay", 1e-3)]
+    noise = {name: sensor.noise_std for name, sensor in rig.sensors.items() if sensor.noise_std}
+    assert noise == {"position": 2e-6, "load_pressure": 1e4, "force": 5.0}
+
+
 def test_the_template_has_every_question_and_needs_seven(capsys):
     assert main(["new-rig", "--template"]) == 0
     text = capsys.readouterr().out
@@ -88,7 +97,7 @@ def dialogue(rig, answers):
 
 def test_questions_on_a_terminal(tmp_path):
     first = ["63\n", "36\n", "both\n", "two\n", "200\n", "3000 psi\n", "38\n", "70 bar\n"]
-    code, shown = dialogue(tmp_path / "rig.yaml", [*first, *16 * ["\n"]])
+    code, shown = dialogue(tmp_path / "rig.yaml", [*first, *20 * ["\n"]])
     assert code == 0, shown
     assert "'both' is not valid" in shown
     assert "piston diameter" in shown

@@ -57,7 +57,7 @@ def run(options: Namespace) -> int:
     _write(options.out, f"# Made by `ehls new-rig` from {source}.\n{rig_text(content, origins)}")
     _print(values, options.out)
     if options.json:
-        print(json.dumps({"rig": str(options.out), "values": _document(values, content)}))
+        print(json.dumps({"rig": str(options.out), "values": _document(values)}))
     return 0
 
 
@@ -123,20 +123,25 @@ def _line(console: Console, name: str, offered: str) -> str:
         raise BadInput(f"the answers end before {name}", TERMINAL, "an answer to each question, or --from a file") from None
 
 
+def _rounded(value: Any) -> Any:
+    return [_rounded(one) for one in value] if isinstance(value, list) else float(f"{value:.{DIGITS}g}")
+
+
 def _content(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
     """Return the content of the rig file."""
-
-    def rounded(value: Any) -> Any:
-        return [rounded(one) for one in value] if isinstance(value, list) else float(f"{value:.{DIGITS}g}")
-
-    plain = {section: {key: rounded(source.value) for key, source in own.items()} for section, own in values.items()}
-    friction = {"model": DEFAULT_FRICTION, **plain["friction"]}
-    return {"plant": plain["plant"], "friction": friction, "effects": [], "sensors": {}, "limits": plain["limits"]}
-
-
-def _document(values: Mapping[str, Mapping[str, Source]], content: Mapping[str, Any]) -> dict[str, Any]:
+    plain = {section: {key: _rounded(source.value) for key, source in own.items()} for section, own in values.items()}
     return {
-        f"{section}.{key}": {"value": content[section][key], "origin": source.origin, "from": source.basis}
+        "plant": plain["plant"],
+        "friction": {"model": DEFAULT_FRICTION, **plain["friction"]},
+        "effects": [{"name": name, "delay": delay} for name, delay in plain["effects"].items()],
+        "sensors": {name: {"noise_std": noise} for name, noise in plain["sensors"].items()},
+        "limits": plain["limits"],
+    }
+
+
+def _document(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
+    return {
+        f"{section}.{key}": {"value": _rounded(source.value), "origin": source.origin, "from": source.basis}
         for section, own in values.items()
         for key, source in own.items()
     }
