@@ -102,6 +102,7 @@ API: Mapping[str, tuple[str, ...]] = {
     "Monitoring": ("monitor", "MonitorResult"),
     "Identification": ("identify", "FrictionResult", "RigResult", "Estimate"),
     "Verification": ("verify", "VerificationResult"),
+    "Loops of one's own": ("controller", "SteppedController", "plant", "SteppedPlant"),
     "Rigs": ("rig", "save_rig", "Rig"),
     "More": ("evaluate", "Metrics", "Spec", "Simulator"),
     "Errors": ("BadInput", "WorkFailed"),

@@ -183,6 +183,8 @@ N, BLOCKS = 1200, 12
 NOISE = np.random.default_rng(21).standard_normal(N)
 ERROR = 10.0 * np.random.default_rng(22).standard_normal(N)
 GROUPS = Blocks(np.arange(N) * BLOCKS // N, BLOCKS, 0.02 * np.arange(N))
+
+
 @pytest.mark.parametrize(("bursts", "remains"), [(0, True), (30, False)])
 def test_rare_errors_that_a_baseline_has_too_are_no_change(bursts, remains):
     rng = np.random.default_rng(7)

@@ -66,7 +66,9 @@ def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
-    assert complaint.splitlines() == [f"the recording so far is kept in {out / 'bag'}", "ehls experiment: interrupted"]
+    # Kernels that no earlier test compiled are announced first.
+    told = [line for line in complaint.splitlines() if ": compiling " not in line]
+    assert told == [f"the recording so far is kept in {out / 'bag'}", "ehls experiment: interrupted"]
     recorded = read_bag(out / "bag")
     assert len(recorded) > 100
     assert not np.isnan(recorded["force_n"]).any()
