@@ -18,7 +18,7 @@ from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured_names
 from ehls_ros.experiments.spec import Spec, check_spec, company_of, spec_from_mapping
-from ehls_ros.physics.rig import SENSED, Rig, rig_to_mapping
+from ehls_ros.physics.rig import SENSED, Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.sensors import VELOCITY
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.recording.topics import CONTROLLER_STATUS, LOADER_STATE
@@ -224,7 +224,9 @@ def _experiment(source: SpecSource | RigSource, period: float) -> tuple[dict[str
     if isinstance(source, Rig):
         return _controlled(source, period), "controller", Path()
     content, where, folder = spec_content(source)
-    return (_controlled(read_rig(source), period), where, folder) if "plant" in content else (content, where, folder)
+    if "plant" in content:
+        content = _controlled(rig_from_mapping(content, where), period)
+    return content, where, folder
 
 
 def _controlled(rig: Rig, period: float) -> dict[str, Any]:

@@ -133,7 +133,7 @@ def test_the_variation_is_that_between_blocks_beyond_their_noise():
     assert found.variation == pytest.approx(variation, rel=0.15)
     assert np.all(block_statistics(information + noise, information, section).variation < 0.3 * variation)
     assert np.all(np.isinf(block_statistics(sizes * information + noise, information, np.zeros(1000)).variation))
-    few = ChangeTest(found._replace(remainder=np.ones(QUANTITIES), count=np.full(QUANTITIES, 6)), 1000.0)
+    few = ChangeTest(found._replace(remainder=np.ones(QUANTITIES), varied=np.full(QUANTITIES, 6)), 1000.0)
     many = ChangeTest(found._replace(remainder=np.ones(QUANTITIES)), 1000.0)
     blocks = []
     for test in (few, many):

@@ -36,7 +36,7 @@ class BlockStatistics(NamedTuple):
         variation: standard deviation of the size from block to block beyond noise, shape (n,): the part of the model's
             remainder that looks like a departure, which is another one when the rig runs another programme. It is unknown,
             infinite, from a single section, which may be of one programme.
-        count: number of blocks from which it is known, shape (n,).
+        varied: number of blocks from which it is known, shape (n,).
         remainder: rms residual of a healthy rig beyond noise, as a fraction of the largest term of its balance, shape (n,). No
             more than that can look like a departure.
     """
@@ -48,7 +48,7 @@ class BlockStatistics(NamedTuple):
     dependence: Array
     freedom: float
     variation: Array
-    count: Array
+    varied: Array
     remainder: Array
 
 
@@ -200,7 +200,7 @@ class ChangeTest:
         self.healthy = healthy
         tests = self._hours * HOUR / rules.MONITOR_BLOCK * len(healthy.level) * len(lengths())
         self.bound = float(-scipy.special.stdtrit(healthy.freedom, 0.5 / tests))
-        self._varying = -scipy.special.stdtrit(np.maximum(healthy.count - 1, 1), 0.5 / tests) * healthy.variation
+        self._varying = -scipy.special.stdtrit(np.maximum(healthy.varied - 1, 1), 0.5 / tests) * healthy.variation
         self._rows[3:, self._first : self._end] = self._terms(self.rows())
 
     @property
