@@ -78,6 +78,13 @@ def test_a_reading_that_is_unknown_or_missing_is_named(measured, error):
         ehls.controller(RIG, "fasmc").step(measured, 0.0)
 
 
+def test_too_many_values_are_refused():
+    with pytest.raises(BadInput, match="reference: it has 4 values"):
+        ehls.controller(RIG, "fasmc").step(ehls.plant(RIG).measured, (1.0, 0.0, 0.0, 0.0))
+    with pytest.raises(BadInput, match="disturbance: it has 5 values"):
+        ehls.plant(RIG).step(0.0, np.zeros(5))
+
+
 def test_a_command_that_is_no_number_is_refused():
     with pytest.raises(BadInput, match="the command is nan"):
         ehls.plant(RIG).step(math.nan)

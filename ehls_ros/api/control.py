@@ -11,6 +11,7 @@ import numpy as np
 from ehls_ros.api.arguments import check_kind
 from ehls_ros.api.simulation import Part, RigSource, SpecSource, spec_content
 from ehls_ros.api.simulation import rig as read_rig
+from ehls_ros.arrays import Array
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import STATUS_TO_SI, model_of
@@ -71,7 +72,7 @@ class SteppedController:
             elapsed: cycles since the last call; more than 1 after missed ones.
 
         Raises:
-            BadInput: a reading is unknown, or one that the law needs is missing.
+            BadInput: a reading is unknown, one that the law needs is missing, or the reference has too many values.
         """
         readings = self._measured
         readings[:] = math.nan
@@ -79,14 +80,10 @@ class SteppedController:
             if name not in UNITS:
                 raise BadInput(f"the reading {name!r} is unknown", "measured", one_of(name, list(UNITS)))
             readings[_PLACES[name]] = value
-        if not measured.keys() >= set(self.needs):
-            missing = ", ".join(f"{name} [{UNITS[name]}]" for name in self.needs if name not in measured)
-            raise BadInput(f"{missing} missing", "measured", f"the readings that {self.spec.controller.name} needs")
-        self._wanted[:] = 0.0
-        if isinstance(reference, Sequence | np.ndarray):
-            self._wanted[: len(reference)] = reference
-        else:
-            self._wanted[0] = reference
+        if missing := [f"{name} [{UNITS[name]}]" for name in self.needs if name not in measured]:
+            expected = f"the readings that {self.spec.controller.name} needs"
+            raise BadInput(f"{', '.join(missing)} missing", "measured", expected)
+        _fill(self._wanted, reference, "reference")
         self.cycle += elapsed if self.cycle else 1
         friction = self._friction.update(float(readings[VELOCITY]), elapsed)
         return self._law.step(readings, self._wanted, friction, elapsed, Outlook(self.cycle - 1))
@@ -123,7 +120,7 @@ class SteppedPlant:
         """
         self.rig, self.period = rig, period
         self._simulator = Simulator(rig, period)
-        self._random = np.random.default_rng(seed)
+        self._random, self._disturbance = np.random.default_rng(seed), np.zeros(4)
         self.measured = self._read()
 
     def step(self, command: float, disturbance: float | Sequence[float] = 0.0) -> dict[str, float]:
@@ -135,16 +132,12 @@ class SteppedPlant:
                 [N/s], and the displacement [m] and velocity [m/s] of that actuator, for a rig with a coupling to it.
 
         Raises:
-            BadInput: the command is not finite.
+            BadInput: the command is not finite, or the disturbance has too many values.
         """
         if not math.isfinite(command):
             raise BadInput(f"the command is {command}", "command", "a finite spool displacement [m]")
-        row = np.zeros(4)
-        if isinstance(disturbance, Sequence | np.ndarray):
-            row[: len(disturbance)] = disturbance
-        else:
-            row[0] = disturbance
-        self._simulator.advance(command, *row.tolist())
+        _fill(self._disturbance, disturbance, "disturbance")
+        self._simulator.advance(command, *self._disturbance.tolist())
         self.measured = self._read()
         return self.measured
 
@@ -166,6 +159,14 @@ class SteppedPlant:
     def trouble(self) -> str:
         """An impossible state of the rig with advice; empty if there is none."""
         return self._simulator.trouble()
+
+
+def _fill(row: Array, given: float | Sequence[float], where: str) -> None:
+    """Write a value, or several, to the beginning of a row, and zeros after it."""
+    values = np.atleast_1d(given)
+    if values.size > row.size:
+        raise BadInput(f"it has {values.size} values", where, f"1 to {row.size}")
+    row[: values.size], row[values.size :] = values, 0.0
 
 
 _PLACES = {name: place for place, name in enumerate(SENSED)}

@@ -67,7 +67,7 @@ class Standard:
         """Return evidence, so far without allowances, judged by this standard."""
         return replace(evidence, standard=self)
 
-    def stricter(self) -> "Standard | None":
+    def lenient(self) -> "Standard | None":
         """Return the standard by which a single small cause is accepted where nothing else is; None if there is none."""
         return None
 

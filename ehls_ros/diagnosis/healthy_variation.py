@@ -208,12 +208,16 @@ class HealthyVariation(Standard):
 
         The scatter is estimated without the largest residuals, which a baseline has too, such as those at reversals.
         """
-        return max([1.0, *(power(b.base.values[channel]) for b in self.healthy if channel in b.base.values)])
+        return max([1.0, *(power(own) for own in self._healthy_residuals(channel))])
 
     def rare_square(self, channel: Channel, noise: float) -> float:
         """Return the fault-free square of a channel's rare whitened residuals, that of normal ones or of a baseline."""
-        own = [b.base.values[channel] for b in self.healthy if channel in b.base.values]
-        return max([rules.RARE_SCATTER * noise, *(float(np.quantile(e * e, rules.RARE_QUANTILE)) for e in own)])
+        rare = (float(np.quantile(own * own, rules.RARE_QUANTILE)) for own in self._healthy_residuals(channel))
+        return max([rules.RARE_SCATTER * noise, *rare])
+
+    def _healthy_residuals(self, channel: Channel) -> list[Array]:
+        """Return the whitened residuals of each baseline that has the channel."""
+        return [baseline.base.values[channel] for baseline in self.healthy if channel in baseline.base.values]
 
     def scatter(self, windows: float) -> float:
         """Return the multiple of its mean that the mean square of so many independent windows may reach by chance."""

@@ -45,7 +45,7 @@ class BesideForm(BeyondMeasurement):
     form: float = rules.FORM_ERROR
     accepted_rivals_only = True
 
-    def stricter(self) -> "BesideForm":
+    def lenient(self) -> "BesideForm":
         """Return the standard by which a single small cause is accepted where nothing else is."""
         return BesideForm(rules.RELEVANT)
 

@@ -91,9 +91,9 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     level = _fitted(evidence, pool, starts.extensions(base)) if base.names else _alone(evidence, pool, starts.alone)
     progress("causes together", 0.55)
     best, scale = _added(evidence, pool, starts, base, level, progress)
-    stricter = evidence.standard.stricter()
-    if stricter is not None and not best.names:
-        evidence = replace(evidence, standard=stricter)
+    lenient = evidence.standard.lenient()
+    if lenient is not None and not best.names:
+        evidence = replace(evidence, standard=lenient)
         best, scale = _added(evidence, pool, starts, base, level, progress)
     always = None if best.names else explaining(evidence, base, level, scale)
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
