@@ -19,13 +19,20 @@ PLANT = (
 )  # fmt: skip
 """Fitted coefficients of the plant."""
 
-BIASES = ("effects.valve_null_bias.command", "effects.valve_null_bias.opening", "effects.constant_load.force")
+LOAD = "effects.constant_load.force"
+BIASES = ("effects.valve_null_bias.command", "effects.valve_null_bias.opening", LOAD)
 """Effects present in every real rig; they enter linearly."""
 
 DEAD_ZONE = ("effects.valve_dead_zone.positive", "effects.valve_dead_zone.negative")
 DELAY = "effects.command_delay.delay"
+HYSTERESIS = ("effects.valve_hysteresis.width", "effects.valve_hysteresis.spread")
+SECOND_ORDER = ("effects.valve_second_order.natural_frequency", "effects.valve_second_order.damping")
+DROOP = ("effects.supply_pressure_droop.resistance", "effects.supply_pressure_droop.time_constant")
 
-OPTIONAL = (*DEAD_ZONE, DELAY)
+SHAPES = (HYSTERESIS[1], *SECOND_ORDER, DROOP[1])
+"""Coefficients of an effect's shape, without a neutral value of their own."""
+
+OPTIONAL = (*DEAD_ZONE, DELAY, *HYSTERESIS, *SECOND_ORDER, *DROOP)
 """Effects fitted only if a stage requires them, since the residuals are not smooth at their neutral values."""
 
 SENSORS = ("sensors.force.gain", "sensors.force.bias", "sensors.velocity.gain", "sensors.velocity.bias")
@@ -45,6 +52,9 @@ MIN_COULOMB = 1e-4
 
 SMALL_LEAKAGE, SMALL_VISCOUS = 1e-3, 1e-2
 """Negligible leakage and viscous friction, as fractions of flow and force at the rig's limits."""
+
+SMALL_DROOP, TYPICAL_LAG = 0.1, 0.03
+"""Loss of supply pressure that counts as large, as a fraction of it at the rig's limit of velocity; and its typical lag [s]."""
 
 SMALL_GAIN = 0.1
 """Deviation of a sensor's gain that counts as large."""
@@ -106,6 +116,29 @@ def read(rig: Rig, path: str) -> float:
     return float(sum(value)) if isinstance(value, tuple) else float(value)
 
 
+def uses(rig: Rig, path: str) -> bool:
+    """Return whether a rig has the effect that a coefficient belongs to, or it belongs to none."""
+    return not effect_of(path) or effect_of(path) in {use.name for use in rig.effects}
+
+
+def effect_of(path: str) -> str:
+    """Return the name of the effect that a coefficient belongs to, empty if it belongs to none."""
+    section, name, *_ = path.split(".")
+    return name if section == "effects" else ""
+
+
+def without(rig: Rig, paths: Iterable[str]) -> Rig:
+    """Return a rig whose effects that some coefficients belong to are neutral, still among them."""
+    names = {effect_of(path) for path in paths}
+    neutral = (EffectUse(u.name, type(u.parameters)()) if u.name in names else u for u in rig.effects)
+    return rig._replace(effects=tuple(neutral))
+
+
+def acting(rig: Rig) -> Rig:
+    """Return a rig without its neutral effects."""
+    return rig._replace(effects=tuple(u for u in rig.effects if u.parameters != type(u.parameters)()))
+
+
 def placed(rig: Rig, values: Mapping[str, Any]) -> Rig:
     """Return a rig with some coefficients replaced; effects that become neutral are removed.
 
@@ -149,9 +182,9 @@ def coefficients(rig: Rig, sizes: Sizes) -> tuple[Coefficient, ...]:
     """
     paths = [f"plant.{name}" for name in PLANT if name != "spring_stiffness" or rig.plant.spring_stiffness > 0.0]
     paths += _friction_paths(rig)
-    paths += [*BIASES, *DEAD_ZONE, DELAY, *SENSORS]
+    paths += [*BIASES, *OPTIONAL, *SENSORS]
     found = [_coefficient(path, rig, sizes) for path in paths]
-    return tuple(c._replace(given=min(max(c.coordinate(rig), c.low), c.high)) for c in found)
+    return tuple(c._replace(given=min(max(c.coordinate(rig), c.low), c.high)) if uses(rig, c.path) else c for c in found)
 
 
 def _friction_paths(rig: Rig) -> list[str]:
@@ -187,15 +220,18 @@ def _coefficient(path: str, rig: Rig, sizes: Sizes) -> Coefficient:
         "effects.valve_null_bias.opening": sizes.spool,
         "effects.valve_dead_zone.positive": sizes.spool,
         "effects.valve_dead_zone.negative": sizes.spool,
-        "effects.constant_load.force": sizes.force,
+        LOAD: sizes.force,
         DELAY: 1.0 / plant.valve_bandwidth,
+        HYSTERESIS[0]: sizes.spool,
+        HYSTERESIS[1]: 1.0,
+        DROOP[0]: SMALL_DROOP * plant.supply_pressure / (plant.piston_area * limits.velocity),
         "sensors.force.gain": SMALL_GAIN,
         "sensors.force.bias": sizes.force,
         "sensors.velocity.gain": SMALL_GAIN,
         "sensors.velocity.bias": sizes.velocity,
     }
-    value = read(rig, path)
-    neutral = None if path.startswith(("plant.", "friction.")) else float(declared.default)
+    value = read(rig, path) or {SECOND_ORDER[0]: plant.valve_bandwidth, DROOP[1]: TYPICAL_LAG}.get(path, 0.0)
+    neutral = None if path.startswith(("plant.", "friction.")) or path in SHAPES else float(declared.default)
     if path in scales:
         scale = max(scales[path], abs(value) if neutral is None else 0.0)
         unit = {"sensors.force.bias": "N", "sensors.velocity.bias": "m/s"}.get(path, unit)
@@ -209,7 +245,7 @@ def _coefficient(path: str, rig: Rig, sizes: Sizes) -> Coefficient:
     if path == COULOMB:
         # Seals may have next to no friction, however large the rig.
         lowest = min(lowest, math.log(MIN_COULOMB * sizes.force))
-    return Coefficient(path, unit, 0.0, max(lowest, bottom), min(middle + RANGE, top), neutral=neutral)
+    return Coefficient(path, unit, 0.0, max(lowest, bottom), min(middle + RANGE, top), middle, neutral)
 
 
 def values_at(rig: Rig, chosen: Sequence[Coefficient], z: Iterable[Any]) -> dict[str, Any]:

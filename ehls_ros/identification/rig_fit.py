@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +66,11 @@ class Stack:
         """Index in ``channels`` of each row's channel."""
         self.cluster = np.concatenate(cluster) if cluster else np.empty(0, dtype=np.intp)
         """Index of the stretch of each row."""
+
+    def only(self, channels: Collection[Channel]) -> "Stack":
+        """Return the stack of some channels."""
+        parts = [replace(e, channels=tuple(c for c in e.channels if c in channels)) for e in self.evidences]
+        return Stack([part for part in parts if part.channels])
 
     def residuals(self, rig: Rig, known: Sequence[Residuals] | None = None) -> tuple[Residuals, ...]:
         """Return the whitened residuals of a model in each recording, reusing equal ones of another model."""

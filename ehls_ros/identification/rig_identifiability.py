@@ -43,6 +43,15 @@ square of the sampling period.
 ACCURATE_PERIOD = 1e-3
 """Sampling period of the recordings behind :data:`ACCURACY` [s]."""
 
+FORM_WINDOWS = 100.0
+"""Number of windows over which an error of the model's form averages out, however long the recording.
+
+It depends on the operating point, to which the rig returns, so that the jackknife over stretches sees too little of it.
+"""
+
+NO_FORM = 1.2
+"""Power of a channel's residuals, in units of its noise floor, up to which they count as noise: the floor is an estimate."""
+
 AT_LIMIT = 1e-9
 """Distance from a limit of the search within which a coordinate counts as at the limit."""
 
@@ -61,18 +70,29 @@ class Unidentifiable(NamedTuple):
     excited: bool = True
 
 
-def covariance(stack: Stack, fit: RigFit, doubtful: int = 0) -> Array:
+def covariance(stack: Stack, fit: RigFit, doubtful: int = 0, form: bool = False) -> Array:
     """Return the jackknife covariance of a fit's coordinates over stretches of the recordings, shape (p, p).
 
     Args:
         stack: the recordings.
         fit: the fit.
         doubtful: number of leading coefficients that were not fitted and are as uncertain as a guess.
+        form: whether errors of the model's form count in full.
     """
     if not fit.chosen:
         return np.empty((0, 0))
     root, clusters = np.sqrt(weights(fit.e)), stack.cluster[fit.rows].astype(np.float64)
-    return clustered_covariance(fit.jacobian * root[:, np.newaxis], fit.e * root, clusters, doubtful)
+    e = fit.e * root * (_form(stack, fit) if form else 1.0)
+    return clustered_covariance(fit.jacobian * root[:, np.newaxis], e, clusters, doubtful)
+
+
+def _form(stack: Stack, fit: RigFit) -> Array:
+    """Return the factor on each residual by which an error of the form counts more than one that averages out, shape (n,)."""
+    power = fit.scales**2
+    share = np.maximum(0.0, power - NO_FORM) / power
+    channel = stack.channel[fit.rows]
+    windows = np.bincount(channel, minlength=len(stack.channels))[channel]
+    return np.sqrt(1.0 + share * windows / (OVERLAP * FORM_WINDOWS))
 
 
 def unidentifiable(stack: Stack, fit: RigFit, rank: Mapping[str, int]) -> tuple[Unidentifiable, ...]:
@@ -154,7 +174,13 @@ class Estimated(NamedTuple):
 
 
 def estimated(
-    stack: Stack, fit: RigFit, doubtful: int = 0, spread: Mapping[str, float] | None = None, gain: Array | None = None
+    stack: Stack,
+    fit: RigFit,
+    doubtful: int = 0,
+    spread: Mapping[str, float] | None = None,
+    gain: Array | None = None,
+    *,
+    form: bool = False,
 ) -> Estimated:
     """Return the values of a fit's coefficients with their standard errors.
 
@@ -164,12 +190,13 @@ def estimated(
         doubtful: number of leading coefficients that were not fitted; their uncertainty propagates to the others.
         spread: by path, further standard errors of coordinates.
         gain: response of the coordinates to those of least squares, shape (p, p); by default they are those.
+        form: whether errors of the model's form count in full.
     """
     values, slopes = values_at(fit.rig, fit.chosen, fit.z.tolist()), slopes_at(fit.rig, fit.chosen, fit.z)
     slower = max([1.0, *((e.record.period / ACCURATE_PERIOD) ** 2 for e in stack.evidences)])
     wrong = np.array([slower * ACCURACY.get(c.path, 0.0) * values[c.path] for c in fit.chosen])
     further = np.array([(spread or {}).get(path, 0.0) for path in fit.paths])
-    least_squares = covariance(stack, fit, doubtful)
+    least_squares = covariance(stack, fit, doubtful, form)
     coordinates = least_squares if gain is None else gain @ least_squares @ gain.T
     own: Array = slopes @ (coordinates + np.diag(further**2)) @ slopes.T + np.diag(wrong**2)
     std = np.sqrt(np.maximum(np.diag(own), 0.0))

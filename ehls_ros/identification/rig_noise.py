@@ -23,6 +23,9 @@ REALISATIONS = 3
 STEPS = 3
 """Newton steps to the solution of the corrected equations."""
 
+NEGLIGIBLE = 1e-3
+"""Squared length of a step, in standard errors, at which the equations count as solved."""
+
 LONGEST_STEP = 0.5
 """Largest change of a coordinate in one step."""
 
@@ -39,10 +42,12 @@ class Corrected(NamedTuple):
     Attributes:
         fit: the fit at the corrected coordinates.
         spread: by path, standard error of the correction.
+        gain: response of its coordinates to those of the uncorrected fit, shape (p, p).
     """
 
     fit: RigFit
     spread: dict[str, float]
+    gain: Array
 
 
 def corrected(stack: Stack, found: RigFit, noisy: Sequence[Stack]) -> Corrected:
@@ -60,11 +65,14 @@ def corrected(stack: Stack, found: RigFit, noisy: Sequence[Stack]) -> Corrected:
         pull, lost, information = _equations(now, noisy)
         score = now.jacobian.T @ (weights(now.e) * now.e) - pull + now.z - guess
         step = np.clip(-np.linalg.solve(information - lost, score), -LONGEST_STEP, LONGEST_STEP)
+        if float(step @ information @ step) < NEGLIGIBLE:
+            break
         z = np.clip(now.z + step, low, high)
         now = fit(stack, model_at(now.rig, chosen, z.tolist()), chosen, channels, iterations=0)
     # An error of the noise's level changes the correction the more, the less information is left beside the noise.
-    uncertain = LEVEL_ERROR * np.abs(gain(now, noisy) @ (now.z - found.z))
-    return Corrected(now, dict(zip(now.paths, uncertain.tolist(), strict=True)))
+    response = gain(now, noisy)
+    uncertain = LEVEL_ERROR * np.abs(response @ (now.z - found.z))
+    return Corrected(now, dict(zip(now.paths, uncertain.tolist(), strict=True)), response)
 
 
 def gain(now: RigFit, noisy: Sequence[Stack], doubtful: int = 0) -> Array:

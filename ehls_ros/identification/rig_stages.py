@@ -11,20 +11,31 @@ from ehls_ros.identification.rig_coefficients import (
     COULOMB,
     DEAD_ZONE,
     DELAY,
+    DROOP,
+    HYSTERESIS,
+    LOAD,
+    SECOND_ORDER,
     SENSORS,
     STIFFNESS,
+    TYPICAL_LAG,
     VISCOUS,
     Coefficient,
     Sizes,
+    acting,
     placed,
     read,
+    without,
 )
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
-from ehls_ros.identification.rig_identifiability import estimated
+from ehls_ros.identification.rig_identifiability import OVERLAP, estimated
 from ehls_ros.physics.rig import Rig
 
 BANDWIDTH, GAIN, NULL = "plant.valve_bandwidth", "plant.valve_gain", "effects.valve_null_bias.command"
 VALVE = (BANDWIDTH, GAIN, NULL)
+FURTHER = (HYSTERESIS, SECOND_ORDER, (DELAY,))
+"""Effects between command and spool that are included if they are significant."""
+
+ALL_OF_VALVE = (*VALVE, *(path for group in FURTHER for path in group))
 SUPPLY_PRESSURE = "plant.supply_pressure"
 FLOW = (
     SUPPLY_PRESSURE,
@@ -33,7 +44,7 @@ FLOW = (
     "plant.bulk_modulus",
     "effects.valve_null_bias.opening",
 )
-BEAM = ("plant.moving_mass", "plant.spring_stiffness", "effects.constant_load.force", VISCOUS)
+BEAM = ("plant.moving_mass", "plant.spring_stiffness", LOAD, VISCOUS)
 STRIBECK_VELOCITY = "friction.stribeck_velocity"
 
 SHARP = (COULOMB, VISCOUS, STIFFNESS)
@@ -43,6 +54,9 @@ OF_VALVE: tuple[Channel, ...] = ("spool",)
 OF_FLOW: tuple[Channel, ...] = ("volume", "supply")
 OF_BALANCE: tuple[Channel, ...] = ("force",)
 """Residual channels of the stages."""
+
+OF_SENSORS: tuple[Channel, ...] = ("cell", "velocity")
+"""Residuals of two sensors of one quantity, which need no model."""
 
 NEEDED: Mapping[Channel, str] = {
     "spool": "the valve command and the spool, sampled fast enough for the valve",
@@ -62,8 +76,20 @@ ABOVE_LOAD = 1.02
 LAPS = (0.02, 0.1, 0.3)
 """Dead zones from which the flow is fitted, as fractions of a large spool displacement."""
 
-DELAYS = (1e-3, 4e-3, 1.2e-2)
-"""Delays of the command from which the valve is fitted [s]."""
+DELAYS = (0.03, 0.4)
+"""Delays of the command from which the valve is fitted, as fractions of its whole lag."""
+
+PLAY = 0.01
+"""Width of a hysteresis from which the valve is fitted, as a fraction of a large spool displacement."""
+
+ROUND = 0.5
+"""Spread of a hysteresis's plays from which it is fitted."""
+
+DAMPING = 0.7
+"""Damping ratio of a valve of second order from which it is fitted."""
+
+DROOPED = 0.3
+"""Droop of the supply from which the flow is fitted, in its coordinate."""
 
 STRIBECK_FACTORS = (1.0, 0.4, 2.5)
 """Factors on the given Stribeck velocity from which friction is fitted."""
@@ -73,6 +99,9 @@ NEEDED_GAIN = 60.0
 
 MIN_SIGMAS = 4.0
 """Standard errors by which an optional coefficient must differ from its neutral value to be included."""
+
+KEPT_GAIN = 0.5 * OVERLAP * MIN_SIGMAS**2
+"""Least gain for which one of several effects of the valve is kept [nats]; without it, the others take its share."""
 
 LARGE = 0.98
 """Quantile of a signal's magnitude that counts as large."""
@@ -119,27 +148,58 @@ def without_signals(records: Sequence[Record], stack: Stack, known: Collection[s
         stack: their residuals.
         known: the coefficients that can be fitted, by path.
     """
-    friction = [path for path in known if path.startswith("friction.")]
-    groups: Mapping[Channel, Sequence[str]] = {
-        "spool": (*VALVE, DELAY),
-        "volume": (*FLOW, *DEAD_ZONE),
-        "force": (*BEAM, *friction),
-        "cell": SENSORS[:2],
-        "velocity": SENSORS[2:],
-    }
+    groups = by_channel(known)
     out = {
         path: f"it requires {NEEDED[channel]}"
         for channel, paths in groups.items()
         if channel not in stack.channels
         for path in paths
-        if path in known
     }
     if "volume" in stack.channels and not any(SPOOL in r for r in records):
-        # The spool is simulated, so the bandwidth is identified from the flow.
-        del out[BANDWIDTH]
+        # The spool is simulated, so its dynamics are identified from the flow.
+        for path in (BANDWIDTH, *(path for group in FURTHER for path in group)):
+            out.pop(path, None)
         out[GAIN] = "without a recorded spool, only its product with plant.discharge_coefficient is known"
         out[NULL] = "without a recorded spool, it acts like effects.valve_null_bias.opening"
     return out
+
+
+def by_channel(known: Collection[str]) -> dict[Channel, list[str]]:
+    """Return the coefficients that the residuals of a stage or of two sensors depend on, by the first of their channels."""
+    groups: Mapping[Channel, Sequence[str]] = {
+        "spool": ALL_OF_VALVE,
+        "volume": (*FLOW, *DEAD_ZONE, *DROOP),
+        "force": (*BEAM, *(p for p in known if p.startswith("friction.") and p not in BEAM)),
+        "cell": SENSORS[:2],
+        "velocity": SENSORS[2:],
+    }
+    return {channel: [path for path in paths if path in known] for channel, paths in groups.items()}
+
+
+class Block(NamedTuple):
+    """Coefficients that no other residuals depend on.
+
+    Attributes:
+        paths: the coefficients.
+        channels: the residuals that depend on them.
+    """
+
+    paths: Sequence[str]
+    channels: tuple[Channel, ...]
+
+
+def blocks(stack: Stack, known: Collection[str]) -> list[Block]:
+    """Return the independent blocks of coefficients.
+
+    Each stage takes its inputs from the recording and has coefficients of its own; but where the spool was not recorded, it is
+    simulated, and valve and flow are one block.
+    """
+    paths = by_channel(known)
+    valve, flow = Block(paths["spool"], OF_VALVE), Block(paths["volume"], OF_FLOW)
+    if any("volume" in e.channels and SPOOL not in e.record for e in stack.evidences):
+        flow, valve = Block([*valve.paths, *flow.paths], (*OF_VALVE, *OF_FLOW)), Block((), ())
+    found = [valve, flow, Block(paths["force"], OF_BALANCE), Block(paths["cell"] + paths["velocity"], OF_SENSORS)]
+    return [block for block in found if set(block.channels) & set(stack.channels)]
 
 
 class Start(NamedTuple):
@@ -169,19 +229,48 @@ def stage_by_stage(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], reco
         The starting point of the joint fit.
     """
     if "spool" in stack.channels:
-        rig = _valve(stack, rig, free)
+        rig = _valve(stack.only(OF_VALVE), rig, free)
     if "volume" in stack.channels:
-        rig = _flow(stack, rig, free, records)
-    return _force(stack, rig, free) if "force" in stack.channels else Start(rig, {})
+        rig = _flow(stack.only((*OF_VALVE, *OF_FLOW)), rig, free, records)
+    return _force(stack.only(OF_BALANCE), rig, free) if "force" in stack.channels else Start(rig, {})
 
 
 def _valve(stack: Stack, rig: Rig, free: Mapping[str, Coefficient]) -> Rig:
-    chosen = [free[path] for path in VALVE if path in free]
-    basic = fit(stack, rig, chosen, OF_VALVE)
-    if DELAY not in free:
-        return basic.rig
-    starts = [placed(rig, {DELAY: delay}) for delay in DELAYS]
-    return _better(stack, basic, _best(stack, starts, [*chosen, free[DELAY]], OF_VALVE), (DELAY,))
+    basic = fit(stack, rig, [free[path] for path in VALVE if path in free], OF_VALVE)
+    return _with_further(stack, basic, free, OF_VALVE).rig
+
+
+def _with_further(stack: Stack, basic: RigFit, free: Mapping[str, Coefficient], channels: Collection[Channel]) -> RigFit:
+    """Fit all further effects of the valve as well, and leave out those that gain too little."""
+    groups = [group for group in FURTHER if set(group) <= set(free)]
+    if not groups:
+        return basic
+    lag = 1.0 / read(basic.rig, BANDWIDTH)
+    starts = []
+    for part in DELAYS:
+        # Of the same lag in all; 2 ζ / ωn is that of the second order.
+        values = {DELAY: part * lag, HYSTERESIS[0]: PLAY * free[HYSTERESIS[0]].scale, HYSTERESIS[1]: ROUND}
+        values |= {SECOND_ORDER[0]: 2.0 * DAMPING / ((1.0 - part) * lag), SECOND_ORDER[1]: DAMPING}
+        starts.append(placed(basic.rig, values))
+    best = _best(stack, starts, _chosen(basic, free, groups), channels)
+    for group in groups:
+        left = [other for other in groups if other != group]
+        if group == (DELAY,) and SECOND_ORDER in left:
+            # Left out, an insignificant delay would give a wrong natural frequency for certain.
+            continue
+        # A neutral effect has the same compiled model as one that acts.
+        other = fit(stack, without(best.rig, group), _chosen(basic, free, left), channels)
+        needed = SECOND_ORDER if group == SECOND_ORDER else group[:1]
+        if not _is_better(stack, other, best, [needed], KEPT_GAIN):
+            best, groups = other, left
+    return best._replace(rig=acting(best.rig))
+
+
+def _chosen(basic: RigFit, free: Mapping[str, Coefficient], groups: Sequence[Sequence[str]]) -> list[Coefficient]:
+    """Return the coefficients of a fit with further effects of the valve; one of second order has no bandwidth beside."""
+    further = [path for group in groups for path in group]
+    kept = [c for c in basic.chosen if not (c.path == BANDWIDTH and SECOND_ORDER[0] in further)]
+    return [*kept, *(free[path] for path in further)]
 
 
 def _flow(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], records: Sequence[Record]) -> Rig:
@@ -193,12 +282,19 @@ def _flow(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], records: Sequ
     starts = [placed(rig, {SUPPLY_PRESSURE: start}) for start in recorded[:1] or sorted(set(given))]
     if SUPPLY_PRESSURE in free:
         rig = min((fit(stack, start, linear, OF_FLOW[:1], TRIED) for start in starts), key=lambda f: f.comparable).rig
-    basic = fit(stack, rig, chosen, OF_FLOW)
-    if not set(DEAD_ZONE) <= set(free):
-        return basic.rig
-    spool = free[DEAD_ZONE[0]].scale
-    laps = [placed(basic.rig, dict.fromkeys(DEAD_ZONE, lap * spool)) for lap in LAPS]
-    return _better(stack, basic, _best(stack, laps, [*chosen, *(free[path] for path in DEAD_ZONE)], OF_FLOW), DEAD_ZONE)
+    best = fit(stack, rig, chosen, OF_FLOW)
+    if set(DROOP) <= set(free):
+        drooping = [*chosen, *(free[path] for path in DROOP)]
+        starts = [placed(best.rig, {DROOP[0]: DROOPED * free[DROOP[0]].scale, DROOP[1]: TYPICAL_LAG})]
+        best = _better(stack, best, _best(stack, starts, drooping, OF_FLOW), [DROOP[:1]])
+    if set(DEAD_ZONE) <= set(free):
+        spool = free[DEAD_ZONE[0]].scale
+        laps = [placed(best.rig, dict.fromkeys(DEAD_ZONE, lap * spool)) for lap in LAPS]
+        lapped = [*best.chosen, *(free[path] for path in DEAD_ZONE)]
+        best = _better(stack, best, _best(stack, laps, lapped, OF_FLOW), [[path] for path in DEAD_ZONE])
+    if "spool" not in stack.channels:
+        best = _with_further(stack, best, free, OF_FLOW)
+    return best.rig
 
 
 def _force(stack: Stack, rig: Rig, free: Mapping[str, Coefficient]) -> Start:
@@ -224,8 +320,15 @@ def _best(stack: Stack, starts: Sequence[Rig], chosen: Sequence[Coefficient], ch
     return fit(stack, min(trials, key=lambda f: f.comparable).rig, chosen, channels)
 
 
-def _better(stack: Stack, basic: RigFit, other: RigFit, more: Sequence[str]) -> Rig:
-    """Return the rig with additional coefficients if they gain enough and one is significant, else the basic rig."""
+def _better(stack: Stack, basic: RigFit, other: RigFit, needed: Sequence[Sequence[str]]) -> RigFit:
+    """Return the fit with additional coefficients if it is better, else the basic one."""
+    return other if _is_better(stack, basic, other, needed) else basic
+
+
+def _is_better(
+    stack: Stack, basic: RigFit, other: RigFit, needed: Sequence[Sequence[str]], least_gain: float = NEEDED_GAIN
+) -> bool:
+    """Return whether additional coefficients gain enough and are significant: all of one of the needed groups."""
     found = estimated(stack, other).by_path
-    significant = any(found[path].value > MIN_SIGMAS * found[path].std for path in more)
-    return other.rig if significant and basic.comparable - other.comparable > NEEDED_GAIN else basic.rig
+    significant = any(all(found[path].value > MIN_SIGMAS * found[path].std for path in group) for group in needed)
+    return significant and basic.comparable - other.comparable > least_gain

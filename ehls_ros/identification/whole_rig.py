@@ -1,11 +1,11 @@
-"""Identification of all coefficients of a rig: stage by stage, then jointly.
+"""Identification of all coefficients of a rig: a starting point stage by stage, then each independent block with its errors.
 
 The residuals are those of a diagnosis (:mod:`ehls_ros.diagnosis.stages`), in units of their noise floor.
 """
 
 import math
 import time as clock
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,25 +19,38 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import (
     COULOMB,
-    OPTIONAL,
+    DELAY,
+    LOAD,
+    SECOND_ORDER,
     SENSORS,
+    SHAPES,
     STATIC,
     Coefficient,
+    acting,
     coefficients,
+    effect_of,
     placed,
     read,
+    uses,
     with_ratio,
+    without,
 )
 from ehls_ros.identification.rig_fit import Stack, fit
 from ehls_ros.identification.rig_identifiability import estimated, unidentifiable
 from ehls_ros.identification.rig_noise import corrected, gain, with_added_noise
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
-from ehls_ros.identification.rig_stages import BANDWIDTH, MIN_SIGMAS, sizes, stage_by_stage, without_signals
+from ehls_ros.identification.rig_stages import (
+    BANDWIDTH,
+    MIN_SIGMAS,
+    OF_SENSORS,
+    Block,
+    blocks,
+    sizes,
+    stage_by_stage,
+    without_signals,
+)
 from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.trajectory import Trajectory
-
-OF_SENSORS: tuple[Channel, ...] = ("cell", "velocity")
-"""Residuals of two sensors of one quantity; they need no model and are fitted beside from its errors."""
 
 CONTRADICTS = 20.0
 """Increase of the loss above which a given value of a coefficient contradicts the data [nats]."""
@@ -136,28 +149,45 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
     sensors = _fitted(stack, rig, rig, [free[path] for path in SENSORS if path in free], OF_SENSORS, least, {})
     model, spread = stage_by_stage(stack, sensors.rig, {p: c for p, c in free.items() if p not in SENSORS}, records)
 
-    progress("all stages together", 2, STEPS)
+    progress("with intervals", 2, STEPS)
     # The noise floor depends on the model, and the first guess was far off.
     stack = _stack(records, model, seed)
-    absent = {c.path for c in free.values() if c.path in OPTIONAL and read(model, c.path) == c.neutral}
-    chosen = [c for path, c in free.items() if path not in SENSORS and path not in absent]
-    others = tuple(c for c in stack.channels if c not in OF_SENSORS)
-    whole = _fitted(stack, rig, model, chosen, others, least, spread)
+    lost = without_signals(records, stack, free)
+    model, missing = _restored(model, rig, list(lost)), {**missing, **lost}
+    parts = list[_Fitted]()
+    for block in blocks(stack, [path for path in free if path not in lost]):
+        own = stack.only(block.channels)
+        part = _fitted(own, rig, model, _of_block(block, free, model), block.channels, least, spread)
+        if SECOND_ORDER[0] in part.not_identifiable:
+            model = acting(without(model, SECOND_ORDER))
+            part = _fitted(own, rig, model, _of_block(block, free, model), block.channels, least, spread)
+        parts.append(part)
+        model = part.rig
+    if uses(model, SECOND_ORDER[0]):
+        missing[BANDWIDTH] = f"the spool follows {SECOND_ORDER[0]}"
 
-    covariance = _block_diagonal([whole.covariance, sensors.covariance])
+    covariance = _block_diagonal([part.covariance for part in parts])
     std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     return RigIdentification(
-        rig=whole.rig,
-        estimates={**whole.estimates, **sensors.estimates},
+        rig=model,
+        estimates={path: estimate for part in parts for path, estimate in part.estimates.items()},
         covariance=covariance,
         correlations=np.clip(covariance / np.outer(std, std), -1.0, 1.0),
-        absent={**whole.absent, **sensors.absent},
-        not_identifiable={**missing, **whole.not_identifiable, **sensors.not_identifiable, **KEPT},
-        channels=_channels(stack, rig, whole.rig),
+        absent={path: estimate for part in parts for path, estimate in part.absent.items()},
+        not_identifiable={**missing, **{path: why for part in parts for path, why in part.not_identifiable.items()}, **KEPT},
+        channels=_channels(stack, rig, model),
         recordings=(),
-        remarks=() if whole.converged else ("the fit had not converged after its last step",),
+        remarks=() if all(part.converged for part in parts) else ("the fit had not converged after its last step",),
         wall_s=0.0,
     )
+
+
+def _of_block(block: Block, free: Mapping[str, Coefficient], model: Rig) -> list[Coefficient]:
+    """Return the coefficients of a block that a model has; one with a valve of second order has no bandwidth beside."""
+    second = uses(model, SECOND_ORDER[0])
+    used = [free[path] for path in block.paths if uses(model, path) and not (second and path == BANDWIDTH)]
+    # Left out, an insignificant delay would give a wrong natural frequency for certain.
+    return [c._replace(neutral=None) if second and c.path == DELAY else c for c in used]
 
 
 def _stack(records: Sequence[Record], rig: Rig, seed: int) -> Stack:
@@ -236,8 +266,7 @@ def _fitted(
         }
         if none:
             absent |= {path: found.by_path[path] for path in none}
-            fitted = [c for c in fitted if c.path not in none]
-            now = fit(stack, placed(now.rig, none), fitted, channels)
+            now = fit(stack, placed(now.rig, none), fitted := _left(fitted, none), channels)
             continue
         found_unidentifiable = () if doubtful else unidentifiable(stack, now, {c.path: i for i, c in enumerate(chosen)})
         if not found_unidentifiable:
@@ -252,18 +281,28 @@ def _fitted(
             again = fit(stack, _restored(now.rig, given, unseen), fitted, channels)
             reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in found_unidentifiable if d.excited}
         now = again
+    if LOAD in absent and given.plant.gravity:
+        # Taken as zero for certain, a constant load would give the mass by its weight.
+        doubtful.append(next(c for c in chosen if c.path == LOAD))
     noisy = with_added_noise(stack)
     free_of_noise = corrected(stack, now, noisy)
     now = free_of_noise.fit._replace(converged=now.converged)
     whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
     further = {p: math.hypot(spread.get(p, 0.0), error) for p, error in free_of_noise.spread.items()}
-    found = estimated(stack, whole, len(doubtful), {**spread, **further}, gain(whole, noisy, len(doubtful)))
+    response = gain(whole, noisy, len(doubtful)) if doubtful else free_of_noise.gain
+    found = estimated(stack, whole, len(doubtful), {**spread, **further}, response, form=True)
     vague = [c.path for c in fitted if c.path in found.vague]
     because = f" as long as {', '.join(reasons)} are not" if reasons else ""
     reasons |= dict.fromkeys(vague, f"its standard error is large{because}; the value that fits is kept")
-    kept = [i for i, c in enumerate(whole.chosen) if c.path not in reasons]
+    kept = [i for i, c in enumerate(whole.chosen) if c.path not in reasons and c.path not in absent]
     estimates = {whole.paths[i]: found.by_path[whole.paths[i]] for i in kept}
     return _Fitted(now.rig, estimates, found.covariance[np.ix_(kept, kept)], reasons, absent, now.converged)
+
+
+def _left(fitted: Sequence[Coefficient], none: Container[str]) -> list[Coefficient]:
+    """Return the coefficients left without insignificant ones; an effect's shape goes with its size."""
+    gone = {effect_of(c.path) for c in fitted if c.path in none}
+    return [c for c in fitted if c.path not in none and not (c.path in SHAPES and effect_of(c.path) in gone)]
 
 
 def _is_insignificant(c: Coefficient, found: Estimate, given: Rig, least: Mapping[str, float]) -> bool:

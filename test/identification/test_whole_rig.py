@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 import yaml
 from tiers import tiered
 
 from ehls_ros.errors import BadInput
-from ehls_ros.identification.rig_coefficients import COULOMB, Sizes, coefficients, read
+from ehls_ros.identification.rig_coefficients import COULOMB, DELAY, HYSTERESIS, SECOND_ORDER, Sizes, coefficients, read
 from ehls_ros.identification.rig_result import rig_to_json
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
@@ -104,6 +105,30 @@ def test_biases_and_a_delay_are_found(rig_file, guess, truth):
     assert abs(delay.value - 4e-3) < 3.0 * delay.std < 4e-4
     assert abs(out.estimates["effects.constant_load.force"].value) == pytest.approx(300.0, rel=0.05)
     assert out.estimates["plant.valve_bandwidth"].value == pytest.approx(truth.plant.valve_bandwidth, rel=0.02)
+
+
+def test_a_valve_with_inertia_hysteresis_and_delay_is_found(guess):
+    """Its spool is the exact response to a held command: delayed, then lost at reversals, then of second order."""
+    delay, width, frequency, damping, fine = 1.2e-3, 6e-6, 420.0, 0.75, 5
+    rng, period = np.random.default_rng(4), 1e-3
+    time = period * np.arange(12_000)
+    sines = [1e-4 * np.sin(2.0 * np.pi * f * time + rng.uniform(0.0, 6.0)) for f in (0.7, 3.1, 11.0, 37.0)]
+    command = np.sum(sines, axis=0) + 2e-4 * np.repeat(rng.uniform(-1.0, 1.0, 40), 300)
+    late = np.repeat(command, fine)
+    late = np.concatenate([np.zeros(round(delay / period * fine)), late])[: len(late)]
+    played, at = np.empty_like(late), 0.0
+    for k, value in enumerate(late):
+        at = min(max(at, value - 0.5 * width), value + 0.5 * width)
+        played[k] = at
+    system = scipy.signal.cont2discrete(([frequency**2], [1.0, 2.0 * damping * frequency, frequency**2]), period / fine)
+    spool = scipy.signal.lfilter(system[0].ravel(), system[1], played)[::fine]
+    noisy = spool + 2e-7 * rng.standard_normal(len(spool))
+    out = identify_rig({"valve": Trajectory(time, {"valve_command_m": command, "spool_m": noisy})}, guess)
+    truth = dict(zip((DELAY, HYSTERESIS[0], *SECOND_ORDER), (delay, width, frequency, damping), strict=True))
+    for path, true in truth.items():
+        assert abs(out.estimates[path].value - true) < 3.0 * out.estimates[path].std
+        assert out.estimates[path].value == pytest.approx(true, rel=0.02)
+    assert SECOND_ORDER[0] in out.not_identifiable["plant.valve_bandwidth"]
 
 
 def test_a_load_cell_that_reads_too_much_is_found(rich, guess):
