@@ -253,6 +253,8 @@ def _with_further(stack: Stack, basic: RigFit, free: Mapping[str, Coefficient], 
         values |= {SECOND_ORDER[0]: 2.0 * DAMPING / ((1.0 - part) * lag), SECOND_ORDER[1]: DAMPING}
         starts.append(placed(basic.rig, values))
     best = _best(stack, starts, _chosen(basic, free, groups), channels)
+    if basic.comparable - best.comparable < KEPT_GAIN:
+        return basic
     for group in groups:
         left = [other for other in groups if other != group]
         if group == (DELAY,) and SECOND_ORDER in left:

@@ -258,7 +258,7 @@ def _fitted(
     reasons, doubtful = dict[str, str](), list[Coefficient]()
     for _ in range(ROUNDS):
         whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
-        found = estimated(stack, whole, len(doubtful), spread)
+        found = estimated(stack, whole, len(doubtful), spread, form=True)
         none = {
             c.path: c.neutral
             for c in fitted
