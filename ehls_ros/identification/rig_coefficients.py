@@ -56,6 +56,9 @@ SMALL_LEAKAGE, SMALL_VISCOUS = 1e-3, 1e-2
 SMALL_DROOP, TYPICAL_LAG = 0.1, 0.03
 """Loss of supply pressure that counts as large, as a fraction of it at the rig's limit of velocity; and its typical lag [s]."""
 
+LEAST = 1e-3
+"""Least coordinate of a positive effect while it is fitted; at zero, the rig would not have it and no residual depend on it."""
+
 SMALL_GAIN = 0.1
 """Deviation of a sensor's gain that counts as large."""
 
@@ -235,7 +238,8 @@ def _coefficient(path: str, rig: Rig, sizes: Sizes) -> Coefficient:
     if path in scales:
         scale = max(scales[path], abs(value) if neutral is None else 0.0)
         unit = {"sensors.force.bias": "N", "sensors.velocity.bias": "m/s"}.get(path, unit)
-        return Coefficient(path, unit, scale, low / scale, high / scale, neutral=neutral)
+        lowest = LEAST if path in (DELAY, HYSTERESIS[0], DROOP[0]) else low / scale
+        return Coefficient(path, unit, scale, lowest, high / scale, neutral=neutral)
     if path == COULOMB:
         value = max(value, MIN_COULOMB * limits.force)
     middle = math.log(value) if value > 0.0 else 0.0

@@ -262,6 +262,9 @@ def _with_further(stack: Stack, basic: RigFit, free: Mapping[str, Coefficient], 
             continue
         # A neutral effect has the same compiled model as one that acts.
         other = fit(stack, without(best.rig, group), _chosen(basic, free, left), channels)
+        # A large gain counts whatever the standard errors, which are large where effects can replace each other.
+        if other.comparable - best.comparable > NEEDED_GAIN:
+            continue
         needed = SECOND_ORDER if group == SECOND_ORDER else group[:1]
         if not _is_better(stack, other, best, [needed], KEPT_GAIN):
             best, groups = other, left
