@@ -58,19 +58,22 @@ def corrected(stack: Stack, found: RigFit, noisy: Sequence[Stack]) -> Corrected:
         found: the fit.
         noisy: the same recordings with added noise, from :func:`with_added_noise`.
     """
+    if not found.chosen:
+        return Corrected(found, {}, np.empty((0, 0)))
     chosen, channels = found.chosen, tuple(stack.channels[i] for i in np.unique(stack.channel[found.rows]))
     low, high, guess = (np.array([getattr(c, name) for c in chosen]) for name in ("low", "high", "given"))
     now = found
-    for _ in range(STEPS if chosen else 0):
-        pull, lost, information = _equations(now, noisy)
+    pull, lost, information = _equations(now, noisy)
+    for _ in range(STEPS):
         score = now.jacobian.T @ (weights(now.e) * now.e) - pull + now.z - guess
         step = np.clip(-np.linalg.solve(information - lost, score), -LONGEST_STEP, LONGEST_STEP)
         if float(step @ information @ step) < NEGLIGIBLE:
             break
         z = np.clip(now.z + step, low, high)
         now = fit(stack, model_at(now.rig, chosen, z.tolist()), chosen, channels, iterations=0)
+        pull, lost, information = _equations(now, noisy)
     # An error of the noise's level changes the correction the more, the less information is left beside the noise.
-    response = gain(now, noisy)
+    response = np.asarray(np.linalg.solve(information - lost, information), dtype=np.float64)
     uncertain = LEVEL_ERROR * np.abs(response @ (now.z - found.z))
     return Corrected(now, dict(zip(now.paths, uncertain.tolist(), strict=True)), response)
 

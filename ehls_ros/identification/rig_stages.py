@@ -36,6 +36,8 @@ FURTHER = (HYSTERESIS, SECOND_ORDER, (DELAY,))
 """Effects between command and spool that are included if they are significant."""
 
 ALL_OF_VALVE = (*VALVE, *(path for group in FURTHER for path in group))
+"""All coefficients that the spool depends on."""
+
 SUPPLY_PRESSURE = "plant.supply_pressure"
 FLOW = (
     SUPPLY_PRESSURE,
@@ -157,8 +159,8 @@ def without_signals(records: Sequence[Record], stack: Stack, known: Collection[s
     }
     if "volume" in stack.channels and not any(SPOOL in r for r in records):
         # The spool is simulated, so its dynamics are identified from the flow.
-        for path in (BANDWIDTH, *(path for group in FURTHER for path in group)):
-            out.pop(path, None)
+        for path in groups["spool"]:
+            del out[path]
         out[GAIN] = "without a recorded spool, only its product with plant.discharge_coefficient is known"
         out[NULL] = "without a recorded spool, it acts like effects.valve_null_bias.opening"
     return out
@@ -189,7 +191,7 @@ class Block(NamedTuple):
 
 
 def blocks(stack: Stack, known: Collection[str]) -> list[Block]:
-    """Return the independent blocks of coefficients.
+    """Return the independent blocks of coefficients, without those of the sensors.
 
     Each stage takes its inputs from the recording and has coefficients of its own; but where the spool was not recorded, it is
     simulated, and valve and flow are one block.
@@ -198,12 +200,11 @@ def blocks(stack: Stack, known: Collection[str]) -> list[Block]:
     valve, flow = Block(paths["spool"], OF_VALVE), Block(paths["volume"], OF_FLOW)
     if any("volume" in e.channels and SPOOL not in e.record for e in stack.evidences):
         flow, valve = Block([*valve.paths, *flow.paths], (*OF_VALVE, *OF_FLOW)), Block((), ())
-    found = [valve, flow, Block(paths["force"], OF_BALANCE), Block(paths["cell"] + paths["velocity"], OF_SENSORS)]
-    return [block for block in found if set(block.channels) & set(stack.channels)]
+    return [block for block in (valve, flow, Block(paths["force"], OF_BALANCE)) if set(block.channels) & set(stack.channels)]
 
 
 class Start(NamedTuple):
-    """Starting point of the joint fit.
+    """Starting point of the fits with standard errors.
 
     Attributes:
         rig: the rig.
@@ -217,7 +218,7 @@ class Start(NamedTuple):
 def stage_by_stage(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], records: Sequence[Record]) -> Start:
     """Fit valve, flow and force balance one after the other, each to the residuals of its stage.
 
-    A dead zone and a delay of the command are included if they are significant.
+    The effects of :data:`~ehls_ros.identification.rig_coefficients.OPTIONAL` are included if they are significant.
 
     Args:
         stack: the recordings.
@@ -226,7 +227,7 @@ def stage_by_stage(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], reco
         records: the recordings.
 
     Returns:
-        The starting point of the joint fit.
+        The starting point of the fits with standard errors.
     """
     if "spool" in stack.channels:
         rig = _valve(stack.only(OF_VALVE), rig, free)
@@ -272,10 +273,14 @@ def _with_further(stack: Stack, basic: RigFit, free: Mapping[str, Coefficient], 
 
 
 def _chosen(basic: RigFit, free: Mapping[str, Coefficient], groups: Sequence[Sequence[str]]) -> list[Coefficient]:
-    """Return the coefficients of a fit with further effects of the valve; one of second order has no bandwidth beside."""
-    further = [path for group in groups for path in group]
-    kept = [c for c in basic.chosen if not (c.path == BANDWIDTH and SECOND_ORDER[0] in further)]
-    return [*kept, *(free[path] for path in further)]
+    """Return the coefficients of a fit with further effects of the valve."""
+    return effective([*basic.chosen, *(free[path] for group in groups for path in group)])
+
+
+def effective(chosen: Sequence[Coefficient]) -> list[Coefficient]:
+    """Return coefficients without the bandwidth if the valve is of second order, whose response does not depend on it."""
+    second = any(c.path == SECOND_ORDER[0] for c in chosen)
+    return [c for c in chosen if not (second and c.path == BANDWIDTH)]
 
 
 def _flow(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], records: Sequence[Record]) -> Rig:

@@ -21,6 +21,7 @@ from ehls_ros.identification.rig_coefficients import (
     COULOMB,
     DELAY,
     LOAD,
+    OPTIONAL,
     SECOND_ORDER,
     SENSORS,
     SHAPES,
@@ -45,6 +46,7 @@ from ehls_ros.identification.rig_stages import (
     OF_SENSORS,
     Block,
     blocks,
+    effective,
     sizes,
     stage_by_stage,
     without_signals,
@@ -146,23 +148,25 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
     least = _least(records)
 
     progress("stage by stage", 1, STEPS)
-    sensors = _fitted(stack, rig, rig, [free[path] for path in SENSORS if path in free], OF_SENSORS, least, {})
-    model, spread = stage_by_stage(stack, sensors.rig, {p: c for p, c in free.items() if p not in SENSORS}, records)
+    own = [free.pop(path) for path in SENSORS if path in free]
+    sensors = _fitted(stack.only(OF_SENSORS), rig, rig, own, OF_SENSORS, least, {})
+    model, spread = stage_by_stage(stack, sensors.rig, free, records)
 
-    progress("with intervals", 2, STEPS)
+    progress("standard errors", 2, STEPS)
     # The noise floor depends on the model, and the first guess was far off.
     stack = _stack(records, model, seed)
     lost = without_signals(records, stack, free)
     model, missing = _restored(model, rig, list(lost)), {**missing, **lost}
     parts = list[_Fitted]()
     for block in blocks(stack, [path for path in free if path not in lost]):
-        own = stack.only(block.channels)
-        part = _fitted(own, rig, model, _of_block(block, free, model), block.channels, least, spread)
+        of_block = stack.only(block.channels)
+        part = _fitted(of_block, rig, model, _of_block(block, free, model), block.channels, least, spread)
         if SECOND_ORDER[0] in part.not_identifiable:
             model = acting(without(model, SECOND_ORDER))
-            part = _fitted(own, rig, model, _of_block(block, free, model), block.channels, least, spread)
+            part = _fitted(of_block, rig, model, _of_block(block, free, model), block.channels, least, spread)
         parts.append(part)
         model = part.rig
+    parts.append(sensors)
     if uses(model, SECOND_ORDER[0]):
         missing[BANDWIDTH] = f"the spool follows {SECOND_ORDER[0]}"
 
@@ -183,9 +187,9 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
 
 
 def _of_block(block: Block, free: Mapping[str, Coefficient], model: Rig) -> list[Coefficient]:
-    """Return the coefficients of a block that a model has; one with a valve of second order has no bandwidth beside."""
+    """Return the coefficients of a block, of the optional ones those that a model has."""
+    used = effective([free[path] for path in block.paths if path not in OPTIONAL or uses(model, path)])
     second = uses(model, SECOND_ORDER[0])
-    used = [free[path] for path in block.paths if uses(model, path) and not (second and path == BANDWIDTH)]
     # Left out, an insignificant delay would give a wrong natural frequency for certain.
     return [c._replace(neutral=None) if second and c.path == DELAY else c for c in used]
 
@@ -266,7 +270,8 @@ def _fitted(
         }
         if none:
             absent |= {path: found.by_path[path] for path in none}
-            now = fit(stack, placed(now.rig, none), fitted := _left(fitted, none), channels)
+            fitted = _left(fitted, none)
+            now = fit(stack, placed(now.rig, none), fitted, channels)
             continue
         found_unidentifiable = () if doubtful else unidentifiable(stack, now, {c.path: i for i, c in enumerate(chosen)})
         if not found_unidentifiable:
