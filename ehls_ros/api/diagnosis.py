@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ehls_ros.api.arguments import check_least
-from ehls_ros.api.recordings import Columns, Data, as_recording, by_name
+from ehls_ros.api.recordings import Columns, Data, by_name
 from ehls_ros.api.results import fields_of, figure, html, written
 from ehls_ros.api.simulation import RigSource
 from ehls_ros.api.simulation import rig as rig_of
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Diagnosis
-from ehls_ros.experiments.analysis import diagnose_recording
+from ehls_ros.experiments.analysis import diagnose_recordings
 from ehls_ros.experiments.consequences import Consequences
 from ehls_ros.progress import progress_bar
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
@@ -82,7 +82,7 @@ class DiagnosisResult(Diagnosis):
 
 
 def diagnose(
-    data: Data,
+    data: Data | Iterable[Data],
     rig: RigSource,
     *,
     columns: Columns | None = None,
@@ -94,7 +94,7 @@ def diagnose(
     """Find errors of a rig's model, or changes since a healthy state, from a recording.
 
     Args:
-        data: the recording, or its path.
+        data: the recording, or its path; several of the rig in one condition, such as short strokes, are judged together.
         rig: the rig, or its file.
         columns: names and units used in the data, for paths.
         baseline: one or several recordings of the healthy rig; none: the recording is judged by itself.
@@ -113,9 +113,7 @@ def diagnose(
     check_least(seed, 0, "seed")
     model = rig_of(rig)
     with progress_bar("diagnosing", shown=progress, lines=False) as bar:
-        recording = as_recording(data, columns, USED)
+        recordings = by_name(data, columns, USED)
         baselines = by_name(baseline, columns, USED)
-        found, follows = diagnose_recording(
-            recording, model, recording.name, baselines=baselines, seed=seed, threads=threads, progress=bar
-        )
-    return DiagnosisResult(**fields_of(Diagnosis, found), follows=follows, name=recording.name)
+        found, follows = diagnose_recordings(recordings, model, baselines=baselines, seed=seed, threads=threads, progress=bar)
+    return DiagnosisResult(**fields_of(Diagnosis, found), follows=follows, name=", ".join(recordings))

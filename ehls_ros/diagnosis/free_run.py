@@ -37,7 +37,7 @@ from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
 from ehls_ros.trajectory import Trajectory
 
 FREE_RUN = 20.0
-"""Longest time simulated without the measured states [s]."""
+"""Longest time simulated without the measured states, up to the first pause of the recording [s]."""
 
 FREE_START = 0.01
 """Time over which the initial state of a free run is averaged [s]."""
@@ -102,7 +102,8 @@ def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recor
     time = trajectory.time_s
     part = time <= time[0] + seconds
     head = Trajectory(time[part], {name: values[part] for name, values in trajectory.signals.items()})
-    record = prepare(head, rig, name)
+    whole = prepare(head, rig, name)
+    record = whole.parts([(0, int(np.append(np.flatnonzero(whole.fresh), len(whole.time))[1]))])
     columns = simulated_columns(record, name, TEMPERATURE)
     before = _run(record, rig)
     after = None if extended == rig else _run(record, extended)

@@ -40,7 +40,7 @@ def deviations(record: Record) -> dict[str, Array]:
     """
     exact = {name for name in EXACT if name not in record.measured}
     sampling = {
-        name: _sampling(values) for name, values in record.signals.items() if name not in HELD and name not in record.own
+        name: _sampling(values, record) for name, values in record.signals.items() if name not in HELD and name not in record.own
     }
     most = max((found.jitter for found in sampling.values() if found.clear), default=0.0)
     out = {}
@@ -50,7 +50,7 @@ def deviations(record: Record) -> dict[str, Array]:
         if found is not None and most > 0.0:
             jitter = min(found.jitter, most)
             level = found.steady if found.clear and jitter > 0.0 else level
-        out[name] = np.hypot(level, jitter * np.gradient(values))
+        out[name] = np.hypot(level, jitter * record.by_stretch(np.gradient, values))
     return out
 
 
@@ -68,13 +68,15 @@ class Sampling(NamedTuple):
     clear: bool
 
 
-def _sampling(values: Array) -> Sampling:
+def _sampling(values: Array, record: Record) -> Sampling:
     """Separate noise that grows with a signal's rate from the rest."""
-    rate = np.gradient(values)
-    speed = 0.5 * np.abs(rate[1:-2] + rate[2:-1])
+    rate = record.by_stretch(np.gradient, values)
+    # Differences across a pause are none of the signal's.
+    inside = ~(record.fresh[1:-2] | record.fresh[2:-1] | record.fresh[3:])
+    speed = 0.5 * np.abs(rate[1:-2] + rate[2:-1])[inside]
     fast, slow = speed >= np.quantile(speed, FAST_SAMPLES), speed <= np.median(speed)
     quickly, slowly = (float(np.mean(speed[part] ** 2)) for part in (fast, slow))
-    differences = np.diff(values, 3)
+    differences = np.diff(values, 3)[inside]
     more, less = (noise_of(differences[part]) ** 2 for part in (fast, slow))
     if quickly <= slowly:
         return Sampling(0.0, math.sqrt(less), clear=False)

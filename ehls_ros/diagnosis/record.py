@@ -1,7 +1,7 @@
 """Preparation of a recording for diagnosis: signals on a uniform time base, with masks of the valid samples."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,12 @@ MAX_RECORDING = 150.0
 
 STRETCHES = 15
 """Stretches taken of a longer recording, spread evenly over it."""
+
+PAUSE, PAUSE_STEPS = 1.0, 100.0
+"""Step between two samples from which a new stretch begins [s], and the same in sampling periods; the larger one counts."""
+
+SAME_PERIOD = 0.02
+"""Relative difference of sampling periods up to which recordings are of one rate."""
 
 SPIKE_NEIGHBOURS = 41
 """Samples over which the median change around a command is taken."""
@@ -90,6 +96,11 @@ class Record(NamedTuple):
         """Return a signal, or zeros if it was not recorded, shape (n,)."""
         return self.signals[signal] if signal in self.signals else np.zeros(len(self.time))
 
+    def by_stretch(self, function: Callable[[Array], Array], values: Array) -> Array:
+        """Return a function of each continuous stretch of a signal, none of which sees the samples beyond a pause."""
+        starts = np.flatnonzero(self.fresh)[1:]
+        return np.concatenate([function(part) for part in np.split(values, starts)]) if len(starts) else function(values)
+
     def parts(self, ranges: Sequence[tuple[int, int]]) -> "Record":
         """Return the record of some sample ranges, each as a separate stretch."""
         index = np.concatenate([np.arange(*r) for r in ranges])
@@ -129,7 +140,8 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     remarks = [*preparation.remarks, *check_suits(trajectory, rig, name, fitted=True)]
     chosen = _stretches(time, remarks)
     # Each sample belongs to the nearest grid point.
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(chosen) > 1]))
+    apart = np.diff(time[chosen]) > max(PAUSE, PAUSE_STEPS * period)
+    starts = np.flatnonzero(np.concatenate([[True], (np.diff(chosen) > 1) | apart]))
     pieces = np.split(chosen, starts[1:])
     grids = [time[p[0]] + period * np.arange(round((time[p[-1]] - time[p[0]]) / period) + 1) for p in pieces]
     grid = np.concatenate(grids)
@@ -156,7 +168,8 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
             remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
         level[signal] = _noise(values[right], period) if own is None else spread_noise(own, period)
-    if period > 0.0 and float(np.max(np.abs(steps - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED:
+    within = np.diff(time[chosen])[~apart]
+    if period > 0.0 and float(np.max(np.abs(within - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED:
         remarks.append("the sampling is uneven; values are taken at even times by straight lines")
     return Record(
         name,
@@ -171,6 +184,51 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         own={signal: own.period for signal, own in preparation.interpolated.items() if signal in signals},
         measured=preparation.measured,
         not_judged=preparation.not_judged,
+    )
+
+
+def successive(recordings: Mapping[str, Trajectory]) -> Trajectory:
+    """Return recordings of a rig in one condition as a single recording with pauses, so that they are judged together.
+
+    Args:
+        recordings: by their names in remarks and errors, each with at least two samples.
+
+    Returns:
+        The signals that all of them have, each recording as a separate stretch; remarks name the signals left out.
+
+    Raises:
+        BadInput: their sampling periods, or the areas to which their load pressures refer, differ.
+    """
+    if len(recordings) == 1:
+        return next(iter(recordings.values()))
+    periods = {name: float(np.median(np.diff(recording.time_s))) for name, recording in recordings.items()}
+    first, period = next(iter(periods.items()))
+    for name, own in periods.items():
+        if abs(own - period) > SAME_PERIOD * period:
+            what = f"it has a sample every {own:.4g} s, and {first} one every {period:.4g} s"
+            raise BadInput(what, name, "recordings of one sampling rate, or a diagnosis of each")
+    every = list(recordings.values())
+    if len({recording.preparation.equivalent_area for recording in every}) > 1:
+        raise BadInput("their load pressures refer to different areas", ", ".join(recordings), "recordings of one cylinder")
+    common = [signal for signal in every[0].signals if all(signal in recording for recording in every)]
+    partly = dict.fromkeys(signal for recording in every for signal in recording.signals if signal not in common)
+    pause, begin, times = 2.0 * max(PAUSE, PAUSE_STEPS * period), 0.0, list[Array]()
+    for recording in every:
+        times.append(begin + recording.time_s - recording.time_s[0])
+        begin = float(times[-1][-1]) + pause
+    prepared = [recording.preparation for recording in every]
+    return Trajectory(
+        np.concatenate(times),
+        {signal: np.concatenate([recording[signal] for recording in every]) for signal in common},
+        preparation=prepared[0]._replace(
+            remarks=(
+                *(f"{name}: {remark}" for name, recording in recordings.items() for remark in recording.preparation.remarks),
+                *(f"{signal} is not in all recordings and is left out" for signal in partly),
+            ),
+            interpolated={signal: own for p in prepared for signal, own in p.interpolated.items() if signal in common},
+            measured=tuple(dict.fromkeys(signal for p in prepared for signal in p.measured)),
+            not_judged={stage: why for p in prepared for stage, why in p.not_judged.items()},
+        ),
     )
 
 

@@ -380,7 +380,7 @@ class Comparison:
 
     def _balance(self, rig: EffectiveRig, motion: Motion) -> Any:
         """Return the friction that balances the other forces at the start of each stretch, from smoothed motion [N]."""
-        acceleration = self._keep("acceleration", self._moves(rig), lambda: np.gradient(motion.velocity, self.record.period))
+        acceleration = self._keep("acceleration", self._moves(rig), lambda: self._rate(motion.velocity))
         plant, fresh = rig.plant, self.record.fresh
         damping = plant.viscous_damping + rig.friction.viscous_coefficient
         inertia = plant.moving_mass * acceleration[fresh] + damping * motion.velocity[fresh]
@@ -417,7 +417,12 @@ class Comparison:
         """Return a signal or its derivative from a local cubic fit, shape (n,)."""
         samples = self.setup.fit
         row = local_row(samples, 3 if derivative else 2, derivative, self.record.period)
-        return np.convolve(np.pad(values, samples // 2, mode="edge"), row[::-1], mode="valid")
+        padded = (samples // 2, samples // 2)
+        return self.record.by_stretch(lambda part: np.convolve(np.pad(part, padded, mode="edge"), row[::-1], mode="valid"), values)
+
+    def _rate(self, values: Array) -> Array:
+        """Return the rate of a signal without noise, shape (n,)."""
+        return self.record.by_stretch(lambda part: np.gradient(part, self.record.period), values)
 
     def motion(self, rig: EffectiveRig) -> Motion:
         """Return the motion along which the parts are run; a missing spool signal is replaced by the simulated one."""
@@ -472,15 +477,16 @@ class Comparison:
         # The slope of a line through n samples scatters by sqrt(12/n³) of theirs, the mean of n samples by 1/sqrt(n).
         samples = math.sqrt(12.0) * noise[POSITION] / (max(noise[VELOCITY], 1e-300) * period)
         window = 2 * round(0.5 * max(samples, self.setup.fit)) + 1
-        if window >= len(position):
-            return velocity
         good, time = self.record.good, self.record.time
         # The position bridges gaps of the velocity sensor, and vice versa.
         velocity = np.where(good[VELOCITY], velocity, self.local_fit(position, 1))
         left = position - integral(velocity, period)
         left = np.interp(time, time[good[POSITION]], left[good[POSITION]])
-        kept: Array = velocity + local_slope(left, window, period)
-        return kept
+
+        def slope(part: Array) -> Array:
+            return local_slope(part, window, period) if window < len(part) else np.zeros(len(part))
+
+        return velocity + self.record.by_stretch(slope, left)
 
     def _keep(self, what: str, key: Any, compute: Any) -> Any:
         kept = self._kept.setdefault(what, {})

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.record import successive
 from ehls_ros.diagnosis.result import Diagnosis
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
@@ -30,10 +31,9 @@ class Diagnosed(NamedTuple):
     follows: Consequences
 
 
-def diagnose_recording(
-    trajectory: Trajectory,
+def diagnose_recordings(
+    recordings: Mapping[str, Trajectory],
     rig: Rig,
-    name: str,
     *,
     baselines: Mapping[str, Trajectory],
     seed: int,
@@ -43,9 +43,8 @@ def diagnose_recording(
     """Find the errors of a rig's model, or the changes since its baselines, and their consequences.
 
     Args:
-        trajectory: the recording.
+        recordings: one recording, or several of the rig in one condition, which are judged together; by name.
         rig: the rig as described in its file.
-        name: name of the recording in errors.
         baselines: recordings of the healthy rig, by name; none: the recording is judged against the rig file alone.
         seed: seed of the noise added to find the noise floor, and of resampling.
         threads: number of hypotheses tried in parallel; None: one per processor.
@@ -58,7 +57,8 @@ def diagnose_recording(
     def report(doing: str, part: float) -> None:
         progress(round(CORE * STEPS * part), STEPS, doing)
 
-    for called, recording in ({name: trajectory} | dict(baselines)).items():
+    trajectory, name = successive(recordings), ", ".join(recordings)
+    for called, recording in (dict(recordings) | dict(baselines)).items():
         check_suits(recording, rig, called)  # before the time-consuming compilation
     with Workers() as workers:
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
@@ -69,7 +69,7 @@ def diagnose_recording(
             )
         else:
             report("comparing the rig file", 0.0)
-            identified = identify_rig({name: trajectory}, rig, seed=seed)
+            identified = identify_rig(recordings, rig, seed=seed)
             wrong = wrong_numbers(rig, identified)
             draft = is_first_draft(wrong)
             found = diagnose(trajectory, identified.rig if draft else rig, name, seed=seed, threads=threads, progress=report)

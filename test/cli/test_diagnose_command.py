@@ -85,6 +85,15 @@ def test_a_foreign_file_is_diagnosed_by_the_map_proposed_for_it(diagnosed, recor
         np.testing.assert_allclose(read, whole[name], atol=1e-6 / names[name][2])
 
 
+def test_several_recordings_are_judged_together(diagnosed, recording, tmp_path, monkeypatch):
+    other, judged = tmp_path / "second.csv", []
+    other.write_bytes(recording.read_bytes())
+    monkeypatch.setattr(analysis, "diagnose", lambda trajectory, *a, **k: judged.append(trajectory) or diagnosed[1])
+    assert main(["diagnose", str(recording), str(other), "--rig", str(RIG), "--out", str(tmp_path)]) == 0
+    assert len(judged[0]) == 2 * len(load(recording))
+    assert "axis.csv, second.csv, 24 s" in (tmp_path / "rig_extended.yaml").read_text()
+
+
 def test_diagnosis_json_keeps_the_contract(diagnosed):
     result = json.loads((diagnosed[0] / "diagnosis.json").read_text())
     assert set(result) >= CONTRACT
@@ -259,7 +268,7 @@ def complaint(capsys, *arguments):
     ("arguments", "said"),
     [
         (["nowhere.csv"], "nowhere.csv"),
-        (["{data}", "{data}"], "2 recordings"),
+        (["{data}", "{data}"], "given twice"),
         (["{data}", "--threads", "0"], "--threads is 0"),
         (["{data}", "--seed", "-1"], "--seed is -1"),
         (["{data}", "--columns", "nowhere.yaml"], "nowhere.yaml"),

@@ -4,7 +4,7 @@ import json
 import os
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ehls_ros.cli.arguments import add_columns, add_results, add_rig, add_span, check_range, columns_of
@@ -13,7 +13,7 @@ from ehls_ros.diagnosis.causes import advice
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.analysis import STEPS, diagnose_recording
+from ehls_ros.experiments.analysis import STEPS, diagnose_recordings
 from ehls_ros.experiments.consequences import Consequences
 from ehls_ros.experiments.diagnosis_document import diagnosis_document
 from ehls_ros.experiments.json_document import json_document
@@ -42,7 +42,8 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="DATA",
-        help="one recording: bag, run folder, table (text, Excel, MAT, TDMS, MDF, RPC III, Parquet), or the tables of the map",
+        help="recording: bag, run folder, table (text, Excel, MAT, TDMS, MDF, RPC III, Parquet), or the tables of the map;"
+        " several of the rig in one condition, such as short strokes, are judged together",
     )
     add_rig(parser, "rig file of the simulation")
     about = "recordings of the healthy rig: find the changes since then, whatever errors the rig file has"
@@ -61,24 +62,24 @@ def run(options: Namespace) -> int:
     began = time.perf_counter()
     columns = columns_of(options)
     given = recordings(options.data, columns)
-    if len(given) > 1:
-        names = ", ".join(str(path) for path in given)
-        expected = "one; diagnose them one by one, or list the tables of one recording in the map of columns"
-        raise BadInput(f"{len(given)} recordings are given ({names})", "command line", expected)
-    [data] = given
+    twice = [str(data) for number, data in enumerate(given) if data in given[:number]]
+    if twice:
+        raise BadInput(f"{twice[0]} is given twice", "command line", "each recording once")
     rig = load_rig(options.rig)
     folder = writable(options.out, RESULT)
-    name = data.name or str(data)
+    short = len({data.name for data in given}) == len(given)
+    names = {(data.name if short else "") or str(data): data for data in given}
+    name = ", ".join(names)
     with progress_bar("diagnosing") as bar:
         bar(0, STEPS, "reading")
-        trajectory = _load(data, columns).between(options.begin, options.end, name)
+        new = {called: _load(data, columns).between(options.begin, options.end, called) for called, data in names.items()}
         baselines = {str(path): _load(path, columns) for path in options.baseline}
-        found, follows = diagnose_recording(
-            trajectory, rig, name, baselines=baselines, seed=options.seed, threads=options.threads, progress=bar
+        found, follows = diagnose_recordings(
+            new, rig, baselines=baselines, seed=options.seed, threads=options.threads, progress=bar
         )
         wall = time.perf_counter() - began
         document = json_document(diagnosis_document(found, follows, answer(found)[0], RIG, wall))
-        _write(folder, found, follows, document, options.rig, _source(data, options, trajectory))
+        _write(folder, found, follows, document, options.rig, _source(new, options))
     _print(found, follows, folder, time.perf_counter() - began)
     if options.json:
         print(json.dumps(document))
@@ -89,10 +90,11 @@ def _load(data: Path, columns: ColumnMap | None) -> Trajectory:
     return load(recording_in(data), columns, USED)
 
 
-def _source(data: Path, options: Namespace, trajectory: Trajectory) -> str:
-    seconds = float(trajectory.time_s[-1] - trajectory.time_s[0])
+def _source(new: Mapping[str, Trajectory], options: Namespace) -> str:
+    seconds = sum(float(recording.time_s[-1] - recording.time_s[0]) for recording in new.values())
+    samples = sum(map(len, new.values()))
     fitted = f" fitted to {', '.join(path.name for path in options.baseline)}" if options.baseline else ""
-    return f"{data.name or data}, {seconds:.4g} s, {len(trajectory)} samples, against {options.rig.name}{fitted}"
+    return f"{', '.join(new)}, {seconds:.4g} s, {samples} samples, against {options.rig.name}{fitted}"
 
 
 # --- results -----------------------------------------------------------------------------------
