@@ -1,6 +1,6 @@
 """Acceptance of a further cause, which must have sufficient gain, significance and relevance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import singledispatch
 
@@ -41,11 +41,12 @@ def _explains(
     beside = main in less.fit.channels
     apart = differences(evidence, more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    matters = relevance(evidence, apart) >= (rules.RELEVANT_BESIDE if beside else rules.RELEVANT)
-    clear = not less.names and shows(apart, rules.CLEAR)
-    if gain < rules.NEEDED_GAIN or not (matters or clear) or not (beside or shows(apart)):
+    beyond = beyond_form(evidence, apart)
+    matters = relevance(evidence, beyond) >= (rules.RELEVANT_BESIDE if beside else rules.RELEVANT)
+    clear = not less.names and shows(beyond.values(), rules.CLEAR)
+    if gain < standard.needed_gain or not (matters or clear) or not (beside or shows(apart.values())):
         return False
-    if gain_ratio(evidence, more, less) < rules.MIN_GAIN_RATIO or not recurs(more, less, inflation):
+    if gain_ratio(evidence, more, less) < standard.min_gain_ratio or not recurs(more, less, inflation):
         return False
     if beside and corrects_form(evidence.base.values[main], before, after, noise_power(evidence, main)):
         return False
@@ -75,16 +76,21 @@ def _stands_out(
     return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.MIN_SIGMAS
 
 
-def differences(evidence: Evidence, more: Assessment, less: Assessment) -> list[Array]:
-    """Return the difference between two hypotheses' residuals in each channel, in units of the noise floor.
+def differences(evidence: Evidence, more: Assessment, less: Assessment) -> dict[Channel, Array]:
+    """Return the difference between two hypotheses' residuals by channel, in units of the noise floor.
 
     Only the part beyond possible measurement errors counts.
     """
     one, other = more.fit.residuals.values, less.fit.residuals.values
-    return [evidence.standard.difference(evidence, c, one[c], other[c]) for c in evidence.channels]
+    return {c: evidence.standard.difference(evidence, c, one[c], other[c]) for c in evidence.channels}
 
 
-def relevance(evidence: Evidence, apart: Sequence[Array]) -> float:
+def beyond_form(evidence: Evidence, apart: Mapping[Channel, Array]) -> dict[Channel, Array]:
+    """Return the differences in the channels where they exceed the form errors that cannot be told from a change."""
+    return {c: e for c, e in apart.items() if relevance(evidence, {c: e}) >= evidence.standard.form_error(c)}
+
+
+def relevance(evidence: Evidence, apart: Mapping[Channel, Array]) -> float:
     """Return the difference of two hypotheses, as a fraction of the largest term of the balance in which they differ most.
 
     Args:
@@ -92,7 +98,7 @@ def relevance(evidence: Evidence, apart: Sequence[Array]) -> float:
         apart: result of :func:`differences`.
     """
     largest = 0.0
-    for c, difference in zip(evidence.channels, apart, strict=True):
+    for c, difference in apart.items():
         change = np.abs(difference) * evidence.floor[c]
         size = max(evidence.sizes[c], 1e-300)
         # A rare error has a small rms, but is relevant where it acts.
@@ -126,7 +132,7 @@ def recurs(more: Assessment, less: Assessment, inflation: Mapping[Channel, float
     return elsewhere > (rules.RECURRING * float(np.sum(blocks)) if less.names else -rules.NEEDED_GAIN)
 
 
-def shows(apart: Sequence[Array], least: float = rules.SHOWN) -> bool:
+def shows(apart: Iterable[Array], least: float = rules.SHOWN) -> bool:
     """Return whether the difference between two hypotheses is comparable with the noise in any channel.
 
     Args:

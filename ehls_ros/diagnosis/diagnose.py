@@ -21,7 +21,7 @@ from ehls_ros.diagnosis.remainder import Remainder, remainders, with_allowances
 from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult, trace
 from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, Channel, Setup, Stage, setup
-from ehls_ros.diagnosis.starts import Starts, main_channel, spectral_lines, try_starts
+from ehls_ros.diagnosis.starts import Starts, lines_left, main_channel, try_starts
 from ehls_ros.diagnosis.verdict import Finding, Nrmse, decide, not_recorded, stage_result
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
@@ -62,8 +62,7 @@ def diagnose(
     if evidence is None or not evidence.channels:
         return _nothing_recorded(record, rig, compared if evidence is None else evidence.setup, seed, began)
     main = main_channel(evidence.channels)
-    lines = spectral_lines(evidence.base.values[main], evidence.times[main])
-    tried, not_tried = candidates(record, rig, lines)
+    tried, not_tried = candidates(record, rig, lines_left(evidence, evidence.base.values[main]))
     if not mass_observable(evidence):
         everything, tried = {c.name for c in tried}, [c for c in tried if not c.parts_mass]
         not_tried |= dict.fromkeys(
@@ -72,9 +71,11 @@ def diagnose(
     with closing(Pool(evidence, threads or os.cpu_count() or 1)) as pool:
         starts = Starts(pool, try_starts(pool, tried, progress))
         found = search(starts, progress)
-        sizes = sensitivities(evidence, found.screened)
+        sizes = sensitivities(evidence, found.screened, found.inflation)
+        # An effect hidden in the healthy spread is no deficiency of the data.
+        shown = sensitivities(evidence, found.screened, evidence.correlation, beside_form=False)
         full, found_in_full = with_allowances(evidence, found)
-        findings = _findings(full, sizes, remainders(full, found_in_full))
+        findings = _findings(full, shown, remainders(full, found_in_full))
         named = causes(full, found_in_full, seed)
         needed = evidence.standard.excitation_needed
         verdict, unknown = decide(findings, [cause.stage for cause in named], excitation_needed=needed)

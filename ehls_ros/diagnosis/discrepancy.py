@@ -86,6 +86,10 @@ class Windows(NamedTuple):
         """Return each ``stride``-th window."""
         return Windows._make(values[::stride] for values in self)
 
+    def where(self, kept: Mask) -> "Windows":
+        """Return some of the windows."""
+        return Windows._make(values[kept] for values in self)
+
 
 def joined(recordings: Sequence[Windows]) -> Windows:
     """Return the concatenated windows of several recordings."""

@@ -60,6 +60,12 @@ class Standard:
     form_is_noise = False
     """Whether the errors of the model's form count as noise from the beginning."""
 
+    needed_gain = rules.NEEDED_GAIN
+    """Gain on held-out data, less the penalty, that a cause must bring [nat]."""
+
+    min_gain_ratio = rules.MIN_GAIN_RATIO
+    """Minimum gain of a cause, as a fraction of the possible gain of its change of the residuals."""
+
     accepted_rivals_only = False
     """Whether only acceptable hypotheses compete for a cause's place."""
 
@@ -88,6 +94,10 @@ class Standard:
             noise: fault-free mean square.
         """
         return rules.RARE_SCATTER * noise
+
+    def form_error(self, channel: Channel) -> float:
+        """Return the error of a balance's form that cannot be told from a change, as a fraction of its largest term."""
+        return 0.0
 
     def scatter(self, windows: float) -> float:
         """Return the multiple of its mean that the mean square of so many independent windows may reach by noise."""

@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.acceptance import shows
 from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.result import Sensitivity
-from ehls_ros.diagnosis.stages import Stage
+from ehls_ros.diagnosis.stages import Channel, Stage
 
 NINE_OF_TEN = 1.2816
 """Standard deviations below which a normal variable lies in nine of ten cases.
@@ -27,14 +27,18 @@ KEYS: Mapping[Stage, tuple[str, str]] = {
 """Stages that need excitation, with the effect and its parameter by which it is judged; the sensors' stage needs none."""
 
 
-def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitivity, ...]:
+def sensitivities(
+    evidence: Evidence, screened: Sequence[Fit], inflation: Mapping[Channel, float], *, beside_form: bool = True
+) -> tuple[Sensitivity, ...]:
     """Return the smallest detectable size of every effect with one parameter and a smooth response at its neutral value.
 
-    An effect detectable only outside its parameter's range is left out.
+    The size may be outside the parameter's range: no such effect would have shown.
 
     Args:
         evidence: the recording compared with the given model.
         screened: every cause alone at its starting values, with its derivatives.
+        inflation: divisor of each channel's losses.
+        beside_form: whether an effect must exceed the errors of form that cannot be told from a change.
     """
     out = []
     for fit in screened:
@@ -42,25 +46,29 @@ def sensitivities(evidence: Evidence, screened: Sequence[Fit]) -> tuple[Sensitiv
         if len(candidate.free) != 1 or not np.array_equal(fit.values, candidate.neutral):
             continue
         columns = {c: fit.jacobian[rows, 0] for c, rows in sections(evidence.block, fit.channels).items()}
-        information = sum(float(column @ column) / evidence.correlation.get(c, 1.0) for c, column in columns.items())
+        informed = {c: float(column @ column) / inflation.get(c, 1.0) for c, column in columns.items()}
         # By the channel in which it shows most.
-        main = max(fit.channels, key=lambda c: float(columns[c] @ columns[c]) / evidence.correlation.get(c, 1.0))
+        main = max(fit.channels, key=informed.__getitem__)
         # At the size of one standard deviation of the noise, within the bounds of the allowances.
         length = max(float(np.linalg.norm(columns[main])), 1e-300)
         effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
-        smallest = smallest_detectable(information, effect)
-        reach = float(np.max(np.abs([candidate.upper - candidate.neutral, candidate.lower - candidate.neutral])))
-        if smallest is not None and smallest <= reach:
+        least = max(rules.RELEVANT, evidence.standard.form_error(main) if beside_form else 0.0)
+        smallest = smallest_detectable(sum(informed.values()), effect, least, evidence.standard.needed_gain)
+        if smallest is not None:
             out.append(Sensitivity(candidate.name, candidate.free[0], smallest, candidate.units[0]))
     return tuple(out)
 
 
-def smallest_detectable(information: float, effect: float) -> float | None:
+def smallest_detectable(
+    information: float, effect: float, least: float = rules.RELEVANT, gain: float = rules.NEEDED_GAIN
+) -> float | None:
     """Return the smallest parameter that is significant, gains enough and is relevant, in nine of ten recordings.
 
     Args:
         information: sum of squared derivatives of the whitened residuals.
         effect: derivative of the balance's rms, as a fraction of its largest term.
+        least: relevant rms, as the same fraction.
+        gain: needed gain [nat].
 
     Returns:
         The parameter; None without information.
@@ -68,9 +76,9 @@ def smallest_detectable(information: float, effect: float) -> float | None:
     if information <= 0.0:
         return None
     # At the threshold itself, the scatter would hide every other one.
-    sigmas = max(rules.MIN_SIGMAS, math.sqrt(2.0 * rules.NEEDED_GAIN)) + NINE_OF_TEN
+    sigmas = max(rules.MIN_SIGMAS, math.sqrt(2.0 * gain)) + NINE_OF_TEN
     smallest = sigmas / math.sqrt(information)
-    return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
+    return max(smallest, least / effect) if effect > 0.0 else smallest
 
 
 def mass_observable(evidence: Evidence) -> bool:
@@ -82,7 +90,7 @@ def mass_observable(evidence: Evidence) -> bool:
     plant = evidence.rig.plant
     heavier = evidence.rig._replace(plant=plant._replace(moving_mass=2.0 * plant.moving_mass))
     changed = evidence.residuals(evidence.comparison(), heavier).values
-    return shows([evidence.whole(c, changed[c]) - evidence.whole(c, evidence.base.values[c]) for c in evidence.channels])
+    return shows(evidence.whole(c, changed[c]) - evidence.whole(c, evidence.base.values[c]) for c in evidence.channels)
 
 
 class Sliding(NamedTuple):

@@ -42,11 +42,31 @@ FACTORS: Mapping[Channel, str] = {
 }  # fmt: skip
 """Input of each channel's balance. Errors of its gain are proportional to it, as those of friction are to the direction."""
 
+PROGRAMME, SAME_PROGRAMME = (0.05, 0.25, 0.5, 0.75, 0.95), 0.5
+"""Quantiles of the signals by which two recordings are of one programme, and their largest difference as a fraction of their range.
+
+It is up to 0.45 for other seeds of a random programme, 0.8 and more for another one.
+"""
+
 OFFSET = "offset"
 """Name of a channel's constant error, which is due to a sensor and not to a coefficient."""
 
 Signals = Mapping[str, Array]
 """Mean of each signal over a channel's usable windows, by name, shape (windows,)."""
+
+
+class Judgement(NamedTuple):
+    """A recording to be judged against the baselines.
+
+    Attributes:
+        evidence: the recording compared with the model, without allowances.
+        expected: the healthy remainder to be expected in it, by channel.
+        new_programme: the channels in which there is no baseline of its programme.
+    """
+
+    evidence: Evidence
+    expected: Mapping[Channel, Expected]
+    new_programme: tuple[Channel, ...]
 
 
 class DescribedEvidence(NamedTuple):
@@ -134,10 +154,41 @@ class ChannelRemainder(NamedTuple):
     Attributes:
         terms: its components.
         learnt: the learnt discrepancy.
+        transfer: rms error of its expectation beyond noise in a recording that it was not learnt from, as a fraction of the
+            largest term.
+        elsewhere: the same in a recording of another programme.
     """
 
     terms: RemainderTerms
     learnt: Learnt
+    transfer: float = 0.0
+    elsewhere: float = 0.0
+
+    def with_transfer(self, baselines: int) -> "ChannelRemainder":
+        """Return the remainder with its transfer: the largest error in a baseline, or a section of it, expected from the others.
+
+        In a programme of which there is no baseline, the remainder may be larger, and look like other errors of the coefficients.
+        From a single baseline, nothing is known of that.
+        """
+        windows, recording = self.learnt.windows, self.learnt.recording
+        found = 0.0
+        for k in np.unique(recording):
+            rest, own = windows.where(recording != k), windows.where(recording == k)
+            expected = self._replace(learnt=self.learnt._replace(windows=rest)).expected(own)
+            near = np.isfinite(expected.variance)
+            found = max(found, _beyond_noise((own.residual - expected.mean)[near], own.noise[near]))
+        whole = _beyond_noise(windows.residual, windows.noise) if baselines == 1 else 0.0
+        return self._replace(transfer=found, elsewhere=rules.OTHER_PROGRAMME * max(found, whole))
+
+    def is_of_programme(self, new: Windows) -> bool:
+        """Return whether there is a baseline of another recording's programme."""
+        windows, recording = self.learnt.windows, self.learnt.recording
+        there = np.quantile(new.signals, PROGRAMME, axis=0)
+        for k in np.unique(recording):
+            known = np.quantile(windows.where(recording == k).signals, PROGRAMME, axis=0)
+            if np.all(np.abs(there - known) <= SAME_PROGRAMME * np.ptp(known, axis=0)):
+                return True
+        return False
 
     def expected(self, new: Windows) -> Expected:
         """Return the expected remainder of a healthy rig in windows of another recording.
@@ -163,15 +214,19 @@ class HealthyVariation(Standard):
     Attributes:
         channels: the remainder by channel.
         healthy: the baselines, judged by it.
-        judgements: receives each recording judged by it, with its expectation.
+        judgements: receives each recording judged by it.
+        form: rms error of the expectation in the judged recording, as a fraction of the channel's largest term.
     """
 
     channels: Mapping[Channel, ChannelRemainder]
     healthy: tuple[Evidence, ...] = ()
-    judgements: list[tuple[Evidence, Mapping[Channel, Expected]]] = field(default_factory=list)
+    judgements: list[Judgement] = field(default_factory=list)
+    form: Mapping[Channel, float] = field(default_factory=dict)
     excitation_needed = False
     largest_undetected = rules.MAX_UNDETECTED_BESIDE_SPREAD
     form_is_noise = True
+    needed_gain = rules.NEEDED_GAIN_BESIDE_FORM
+    min_gain_ratio = rules.MIN_GAIN_RATIO_BESIDE_FORM
 
     def expected(self, recording: DescribedEvidence) -> dict[Channel, Expected]:
         """Return the expected remainder of a healthy rig in each channel of the baselines, in units of its size."""
@@ -183,9 +238,15 @@ class HealthyVariation(Standard):
 
         Channels missing in all baselines are left out.
         """
-        expected = self.expected(describe(evidence))
-        self.judgements.append((evidence, expected))
-        return self.judged_by(evidence, expected)
+        described = describe(evidence)
+        expected = self.expected(described)
+        own = {c: self.channels[c] for c in expected}
+        new = tuple(c for c, known in own.items() if not known.is_of_programme(known.terms.windows(described, c)))
+        self.judgements.append(Judgement(evidence, expected, new))
+        # In a recording of smaller motion, the error is as large as in the baselines.
+        smaller = {c: max(1.0, known.terms.size / max(evidence.sizes[c], 1e-300)) for c, known in own.items()}
+        form = {c: smaller[c] * (known.elsewhere if c in new else known.transfer) for c, known in own.items()}
+        return replace(self, form=form).judged_by(evidence, expected)
 
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
         """Return the evidence judged by a given expectation."""
@@ -215,6 +276,10 @@ class HealthyVariation(Standard):
         rare = (float(np.quantile(own * own, rules.RARE_QUANTILE)) for own in self._healthy_residuals(channel))
         return max([rules.RARE_SCATTER * noise, *rare])
 
+    def form_error(self, channel: Channel) -> float:
+        """Return the rms error of the healthy remainder's expectation in the judged recording."""
+        return self.form.get(channel, 0.0)
+
     def _healthy_residuals(self, channel: Channel) -> list[Array]:
         """Return the whitened residuals of each baseline that has the channel."""
         return [baseline.base.values[channel] for baseline in self.healthy if channel in baseline.base.values]
@@ -243,6 +308,11 @@ class HealthyVariation(Standard):
             before, after = healthy.base.values, healthy.residuals(healthy.comparison(), always).values
             against += sum(float(np.sum(loss(after[c]) - loss(before[c]))) / inflation[c] for c in before if c in inflation)
         return against < rules.NEEDED_GAIN
+
+
+def _beyond_noise(residual: Array, noise: Array) -> float:
+    """Return the rms of a residual beyond noise; 0 without windows."""
+    return math.sqrt(max(float(np.mean(residual**2 - noise**2)), 0.0)) if len(residual) else 0.0
 
 
 def is_homogeneous(recording: DescribedEvidence, channel: Channel) -> bool:
@@ -275,7 +345,8 @@ def learn_healthy_variation(baselines: Sequence[DescribedEvidence]) -> HealthyVa
             temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in common else None,
             homogeneous=all(is_homogeneous(b, c) for b in recordings),
         )
-        out[c] = ChannelRemainder(components, components.learn_from([components.windows(b, c) for b in recordings]))
+        learnt_there = components.learn_from([components.windows(b, c) for b in recordings])
+        out[c] = ChannelRemainder(components, learnt_there).with_transfer(len(recordings))
     learnt = HealthyVariation(out)
     return replace(learnt, healthy=tuple(learnt.judged_by(b.evidence, learnt.expected(b)) for b in baselines))
 

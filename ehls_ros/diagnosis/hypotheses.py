@@ -202,7 +202,8 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
         elif form.free[parameter] and all(isinstance(start, Peak) for start in form.free[parameter]):
             # A faster line shows only in the initial state of the friction.
             window = max(rules.WINDOW, rules.MIN_WINDOW * record.period)
-            upper[column] = min(upper[column], rules.MAX_LINE_PERIODS / window)
+            upper[column] = min(upper[column], rules.LINE_PERIODS / window)
+            lower[column] = max(lower[column], rules.LINE_PERIODS / record.duration)
     if all(form.free.values()):
         # A small effect is found from the neutral values, provided the loss has a gradient there.
         rows = np.vstack([neutral, rows])

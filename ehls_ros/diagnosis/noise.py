@@ -40,7 +40,9 @@ def deviations(record: Record) -> dict[str, Array]:
     """
     exact = {name for name in EXACT if name not in record.measured}
     sampling = {
-        name: _sampling(values, record) for name, values in record.signals.items() if name not in HELD and name not in record.own
+        name: _sampling(values, record)
+        for name, values in record.signals.items()
+        if name not in HELD and name not in record.own
     }
     most = max((found.jitter for found in sampling.values() if found.clear), default=0.0)
     out = {}

@@ -230,10 +230,12 @@ def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -
     noise = noise_power(evidence, channel)
     typical = rms(evidence.floor[channel])
     size = max(evidence.sizes[channel], 1e-300)
-    limit = rules.RELEVANT_BESIDE * size / typical if typical > 0.0 else math.inf
+    least = max(rules.RELEVANT_BESIDE, evidence.standard.form_error(channel))
+    limit = least * size / typical if typical > 0.0 else math.inf
     scatter = evidence.standard.scatter(len(evidence.floor[channel]) / evidence.correlation.get(channel, 1.0))
     rare = evidence.standard.rare_square(channel, noise)
-    return Relevance(noise, rare, limit, (scatter + rules.CLEAR**2) * noise if alone else math.inf, scatter)
+    clear = scatter * noise + max(rules.CLEAR**2 * noise, limit**2 if least > rules.RELEVANT_BESIDE else 0.0)
+    return Relevance(noise, rare, limit, clear if alone else math.inf, scatter)
 
 
 def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]:

@@ -163,10 +163,11 @@ MAX_SQUARE = HUBER**2
 
 # --- hypotheses --------------------------------------------------------------------------------
 
-MAX_LINE_PERIODS = 2.0
-"""Periods within a window of the balances up to which a spectral line is sought.
+LINE_PERIODS = 2.0
+"""Periods of a spectral line: at most so many within a window of the balances, at least so many within the recording.
 
-Origin: the mean over the window then is a sixth of the line's amplitude, and soon zero.
+Origin: the mean over the window then is a sixth of the line's amplitude, and soon zero; fewer periods in the recording are a
+drift, which almost any coefficient fits as well.
 """
 
 # --- starts ------------------------------------------------------------------------------------
@@ -175,6 +176,9 @@ Origin: the mean over the window then is a sixth of the line's amplitude, and so
 
 NEEDED_GAIN = 20.0
 """Gain on held-out data, less the penalty, that a further cause must bring; noise alone does not [nat]."""
+
+NEEDED_GAIN_BESIDE_FORM = 40.0
+"""The same beside errors of form, whose correlation from window to window is known only roughly [nat]."""
 
 MIN_SIGMAS = 4.5
 """Standard errors by which a cause's best determined parameter must differ from its neutral value."""
@@ -187,6 +191,9 @@ RELEVANT_BESIDE = 1e-3
 
 MIN_GAIN_RATIO = 0.1
 """Minimum gain of a cause, as a fraction of the possible gain of its change of the residuals; 1 if fitted and linear."""
+
+MIN_GAIN_RATIO_BESIDE_FORM = 0.5
+"""The same beside errors of form, of which a cause that changes much may gain something by chance."""
 
 RECURRING = 0.25
 """Fraction of its gain that a further cause must have beyond the block in which it gains most."""
@@ -370,6 +377,12 @@ SMOOTH = 0.5
 
 UNCORRELATED = 0.05
 """Correlation below which windows no longer err together."""
+
+OTHER_PROGRAMME = 3.0
+"""Remainder in a programme of which there is no baseline, in multiples of that in the only baseline.
+
+Origin: in a healthy rig's random programme, the error of the force balance was 3.2 times that in a rich one.
+"""
 
 SEEN = 1e-3
 """Fraction of a signal's samples at each end of its range that do not count as having been there."""

@@ -418,7 +418,9 @@ class Comparison:
         samples = self.setup.fit
         row = local_row(samples, 3 if derivative else 2, derivative, self.record.period)
         padded = (samples // 2, samples // 2)
-        return self.record.by_stretch(lambda part: np.convolve(np.pad(part, padded, mode="edge"), row[::-1], mode="valid"), values)
+        return self.record.by_stretch(
+            lambda part: np.convolve(np.pad(part, padded, mode="edge"), row[::-1], mode="valid"), values
+        )
 
     def _rate(self, values: Array) -> Array:
         """Return the rate of a signal without noise, shape (n,)."""

@@ -14,6 +14,7 @@ from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, at_lines, bounds, extended
 from ehls_ros.diagnosis.loss import CLIP, gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
+from ehls_ros.diagnosis.record import LOAD
 from ehls_ros.diagnosis.stages import Channel
 
 PROMISING = 5.0
@@ -36,9 +37,6 @@ LINE_PADDING = 4
 
 LINE_WIDTH = 3.0
 """Half width of the band removed around a line, in multiples of the frequency resolution."""
-
-LOWEST_LINE = 2.0
-"""Lowest line, in periods within the recording."""
 
 
 class Tried(NamedTuple):
@@ -133,7 +131,7 @@ class Starts:
         main = main_channel(evidence.channels)
         if not member.names or member.excess(evidence, main) < PROMISING:
             return []
-        lines = spectral_lines(member.fit.residuals.values[main], evidence.times[main])
+        lines = lines_left(evidence, member.fit.residuals.values[main])
         found = at_lines(self.tried.causes, evidence.record, evidence.rig, lines)
         starts = {(c.name, c.number, tuple(values)): (c, values) for c in found for values in c.starts}
         missing = [key for key in starts if key not in self._lines]
@@ -231,6 +229,31 @@ def main_channel(channels: Sequence[Channel]) -> Channel:
     return "force" if "force" in channels else channels[0]
 
 
+def lines_left(evidence: Evidence, e: Array) -> tuple[float, ...]:
+    """Return the lines in the main channel's residual from which a periodic disturbance may start, strongest first [Hz].
+
+    Beside errors of form, that of a sinusoidal load and its harmonics are left out: the model errs in step with the load.
+
+    Args:
+        evidence: the recording compared with the given model.
+        e: whitened residual of the main channel, shape (n,).
+    """
+    main = main_channel(evidence.channels)
+    times = evidence.times[main]
+    lines = spectral_lines(e, times)
+    if not lines or not evidence.standard.form_is_noise or LOAD not in evidence.record:
+        return lines
+    load = evidence.means(main, evidence.record.values(LOAD))
+    spread = float(np.std(load))
+    driven = spectral_lines((load - np.mean(load)) / spread, times, 1) if spread > 0.0 else ()
+    resolution = LINE_WIDTH / float(np.ptp(times))
+
+    def is_harmonic(line: float, of: float) -> bool:
+        return abs(line - max(round(line / of), 1) * of) < resolution
+
+    return tuple(line for line in lines if not any(is_harmonic(line, of) for of in driven))
+
+
 def spectral_lines(e: Array, times: Array, count: int = LINES) -> tuple[float, ...]:
     """Return the frequencies of the strongest lines in a residual's spectrum, strongest first [Hz].
 
@@ -247,7 +270,7 @@ def spectral_lines(e: Array, times: Array, count: int = LINES) -> tuple[float, .
     padded = LINE_PADDING * len(even)
     spectrum = np.abs(np.fft.rfft(even, padded)) ** 2
     frequency = np.fft.rfftfreq(padded, step)
-    spectrum[frequency < LOWEST_LINE / (len(even) * step)] = 0.0
+    spectrum[frequency < rules.LINE_PERIODS / (len(even) * step)] = 0.0
     found = []
     for _ in range(count):
         peak = int(np.argmax(spectrum))

@@ -32,6 +32,12 @@ from ehls_ros.trajectory import Trajectory
 LEARNING = 0.35
 """Fraction of the work for learning the baselines."""
 
+NEW_PROGRAMME = (
+    "no baseline is of this recording's programme: the model's errors of form may be larger in it, so that small changes are not"
+    " seen; add a healthy recording of the programme"
+)
+"""Remark on a recording unlike any baseline."""
+
 MAX_STEPS = 20
 """Most steps in which the rig is fitted to the baselines."""
 
@@ -87,7 +93,7 @@ def diagnose_against(
         progress=lambda doing, part: progress(doing, LEARNING + (1.0 - LEARNING) * part),
         standard=variation,
     )
-    evidence, expected = variation.judgements[0] if variation.judgements else (None, {})
+    evidence, expected, new_programme = variation.judgements[0] if variation.judgements else (None, {}, ())
     coverage = () if evidence is None else covered(ranges([b.evidence for b in healthy]), evidence)
     not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in variation.channels)
     summary = BaselineSummary(
@@ -99,7 +105,8 @@ def diagnose_against(
         old=_traces(healthy[0].evidence, variation.expected(healthy[0]), variation),
         new={} if evidence is None else _traces(evidence, expected, variation),
     )
-    all_remarks = (*found.remarks, *identified.remarks, *remarks(coverage))
+    unknown = (NEW_PROGRAMME,) if new_programme else ()
+    all_remarks = (*found.remarks, *identified.remarks, *unknown, *remarks(coverage))
     return replace(
         found, baseline=summary, corrected=wrong if draft else {}, remarks=all_remarks, wall_s=time.perf_counter() - began
     )

@@ -95,7 +95,7 @@ def test_only_effects_with_a_frequency_start_at_other_lines(noisy, rig):
 
 def test_a_line_is_sought_only_where_the_windows_can_show_it(noisy, rig):
     highest = {c.name: c.upper[c.free.index("frequency")] for c in candidates(noisy, rig, (5.0,))[0] if "frequency" in c.free}
-    assert highest["periodic_disturbance"] == rules.MAX_LINE_PERIODS / rules.WINDOW
+    assert highest["periodic_disturbance"] == rules.LINE_PERIODS / rules.WINDOW
     assert highest["flexible_mode"] > highest["periodic_disturbance"]
 
 
@@ -204,7 +204,7 @@ def test_a_difference_much_smaller_than_the_noise_does_not_show(size, shown):
     ids=["everywhere", "seldom"],
 )
 def test_relevance_is_the_change_of_the_balance_and_rare_events_count(change, expected):
-    assert relevance(evidence_of({"force": np.zeros(1000)}), [change]) == pytest.approx(expected / SIZE)
+    assert relevance(evidence_of({"force": np.zeros(1000)}), {"force": change}) == pytest.approx(expected / SIZE)
 
 
 def test_a_fitted_change_earns_all_it_could_and_reshuffled_noise_little():

@@ -356,11 +356,17 @@ def test_only_smooth_effects_of_one_parameter_have_a_smallest_size():
     smooth = assessed((one,), {"force": np.zeros(100)}, [0.0]).fit._replace(jacobian=np.full((100, 1), 2.0))
     away = smooth._replace(values=np.array([0.5]))
     many = assessed((two,), {"force": np.zeros(100)}, [0.0, 0.0]).fit._replace(jacobian=np.full((100, 2), 2.0))
-    bounded = candidate("mass_shift", "factor", lower=-1.0, upper=1.0)
-    out_of_reach = smooth._replace(hypothesis=(bounded,), jacobian=np.full((100, 1), 1e-20))
-    (found,) = sensitivities(evidence, [smooth, away, many, out_of_reach])
+    (found,) = sensitivities(evidence, [smooth, away, many], {"force": 1.0})
     assert (found.name, found.parameter, found.unit) == ("mass_shift", "factor", "1")
     assert found.smallest == pytest.approx(smallest_detectable(400.0, 2.0 / SIZE))
+
+
+def test_an_unexplained_remainder_raises_the_smallest_size():
+    evidence = evidence_of({"force": np.zeros(100)})
+    smooth = assessed((candidate("mass_shift", "factor"),), {"force": np.zeros(100)}, [0.0]).fit
+    fit = smooth._replace(jacobian=np.full((100, 1), 2.0))
+    one, nine = (sensitivities(evidence, [fit], {"force": scale})[0].smallest for scale in (1.0, 9.0))
+    assert nine == pytest.approx(3.0 * one)
 
 
 TRAVEL = {"slides": 1.01, "sticks": 0.99}
