@@ -43,7 +43,7 @@ FACTORS: Mapping[Channel, str] = {
 """Input of each channel's balance. Errors of its gain are proportional to it, as those of friction are to the direction."""
 
 PROGRAMME, SAME_PROGRAMME = (0.05, 0.25, 0.5, 0.75, 0.95), 0.5
-"""Quantiles of the signals by which two recordings are of one programme, and their largest difference as a fraction of their range.
+"""Quantiles of the signals by which two recordings are of one programme; their largest difference, as a fraction of the range.
 
 It is up to 0.45 for other seeds of a random programme, 0.8 and more for another one.
 """
@@ -165,10 +165,10 @@ class ChannelRemainder(NamedTuple):
     elsewhere: float = 0.0
 
     def with_transfer(self, baselines: int) -> "ChannelRemainder":
-        """Return the remainder with its transfer: the largest error in a baseline, or a section of it, expected from the others.
+        """Return the remainder with its transfer: the largest error in a baseline, or a section, expected from the others.
 
-        In a programme of which there is no baseline, the remainder may be larger, and look like other errors of the coefficients.
-        From a single baseline, nothing is known of that.
+        In a programme of which there is no baseline, the remainder may be larger, and look like other errors of the
+        coefficients. From a single baseline, nothing is known of that.
         """
         windows, recording = self.learnt.windows, self.learnt.recording
         found = 0.0

@@ -33,8 +33,8 @@ LEARNING = 0.35
 """Fraction of the work for learning the baselines."""
 
 NEW_PROGRAMME = (
-    "no baseline is of this recording's programme: the model's errors of form may be larger in it, so that small changes are not"
-    " seen; add a healthy recording of the programme"
+    "no baseline is of this recording's programme: the model's errors of form may be larger in it, so that small changes are"
+    " not seen; add a healthy recording of the programme"
 )
 """Remark on a recording unlike any baseline."""
 

@@ -10,9 +10,19 @@ from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis import search as searching
-from ehls_ros.diagnosis.acceptance import accepted, corrects_form, gain_ratio, is_new, mostly_in, recurs, relevance, shows
+from ehls_ros.diagnosis.acceptance import (
+    accepted,
+    corrects_form,
+    differences,
+    gain_ratio,
+    is_new,
+    mostly_in,
+    recurs,
+    relevance,
+    shows,
+)
 from ehls_ros.diagnosis.diagnose import remarks_on_baselines
-from ehls_ros.diagnosis.evidence import Residuals
+from ehls_ros.diagnosis.evidence import Residuals, Standard
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.healthy_variation import HealthyVariation
 from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended, parts
@@ -164,6 +174,17 @@ def test_a_large_gain_that_matters_to_nobody_is_accepted_only_if_it_stands_clear
     # The balance's largest term is so large that the difference is irrelevant.
     evidence.sizes["force"] = 2.0 * size / rules.RELEVANT
     assert accepted(evidence, more, less, FORCE) is taken
+
+
+@pytest.mark.parametrize(("error", "taken"), [(0.9, True), (1.1, False)])
+def test_a_change_as_large_as_the_errors_of_form_is_not_accepted(error, taken):
+    class BesideErrors(Standard):
+        def form_error(self, channel):
+            return error * change
+
+    evidence, more, less = with_and_without(np.random.default_rng(3), 3.0)
+    change = relevance(evidence, differences(evidence, more, less))
+    assert accepted(replace(evidence, standard=BesideErrors()), more, less, FORCE) is taken
 
 
 def test_a_gain_from_averaging_noise_is_not_accepted():

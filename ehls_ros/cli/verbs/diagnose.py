@@ -69,7 +69,6 @@ def run(options: Namespace) -> int:
     folder = writable(options.out, RESULT)
     short = len({data.name for data in given}) == len(given)
     names = {(data.name if short else "") or str(data): data for data in given}
-    name = ", ".join(names)
     with progress_bar("diagnosing") as bar:
         bar(0, STEPS, "reading")
         new = {called: _load(data, columns).between(options.begin, options.end, called) for called, data in names.items()}

@@ -1,0 +1,53 @@
+"""Errors of the healthy remainder's expectation in a recording that it was not learnt from."""
+
+import numpy as np
+import pytest
+
+from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.discrepancy import Windows, learn
+from ehls_ros.diagnosis.healthy_variation import ChannelRemainder, RemainderTerms
+
+NOISE = 1e-3
+NONE = np.ones(1, dtype=np.bool_)
+
+
+def windows(seed, residual, *, low=-1.0, high=1.0, n=600):
+    """Return windows over a signal that is drawn evenly from a range."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(low, high, n)
+    noise = np.full(n, NOISE)
+    return Windows(
+        residual(x) + NOISE * rng.standard_normal(n), noise, np.ones((n, 1)), x[:, None], np.zeros(n), np.arange(n) // 60
+    )
+
+
+def learnt(*recordings):
+    components = RemainderTerms(1.0, {"offset": 1e-6}, ("signal",), "signal", 1.0, None)
+    found = ChannelRemainder(components, learn(recordings, np.array([1e-6]), NONE))
+    return found.with_transfer(len(recordings))
+
+
+def bend(x):
+    return 0.02 * x**2
+
+
+def test_what_the_baselines_share_is_expected_in_the_next_one():
+    assert learnt(windows(1, bend), windows(2, bend)).transfer < NOISE
+
+
+def test_their_difference_is_the_error_of_the_expectation():
+    found = learnt(windows(1, bend), windows(2, lambda x: bend(x) + 0.01 * np.sin(3.0 * x)))
+    # The expectation from one recording misses all of what the other has beyond it.
+    assert found.transfer == pytest.approx(0.01 * np.sqrt(0.5), rel=0.2)
+
+
+def test_a_single_baseline_tells_nothing_of_another_programme():
+    found = learnt(windows(1, bend))
+    whole = float(np.sqrt(np.mean(bend(found.learnt.windows.signals) ** 2)))
+    assert found.transfer < 0.1 * whole
+    assert found.elsewhere == pytest.approx(rules.OTHER_PROGRAMME * whole, rel=0.05)
+
+
+@pytest.mark.parametrize(("high", "same"), [(1.0, True), (3.0, False)])
+def test_a_programme_is_known_by_the_range_of_its_signals(high, same):
+    assert learnt(windows(1, bend), windows(2, bend)).is_of_programme(windows(3, bend, high=high)) is same
