@@ -188,9 +188,8 @@ def test_parts_left_to_the_rig_are_remarks():
 def test_a_law_says_which_of_its_numbers_the_rig_file_lacks():
     graph = Graph(bridge=bridge())
     untold = check_fit(spec("fasmc_predictive"), graph, "spec")
-    assert [next(word for word in ("command_delay", "coupling_stiffness", "adaptation") if word in said) for said in untold] == [
-        "command_delay", "coupling_stiffness", "adaptation",
-    ]  # fmt: skip
+    wanted = ("command_delay", "coupling_stiffness", "adaptation")
+    assert [next(word for word in wanted if word in said) for said in untold] == list(wanted)
     effects = [{"name": "command_delay", "delay": 1e-3}, {"name": "coupling_stiffness", "stiffness": 2e6}]
     told = spec("fasmc_predictive", companions=["adaptation"])
     rig = told.controller_rig._replace(effects=effects_from_list(effects, "effects"))
