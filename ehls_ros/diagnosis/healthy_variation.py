@@ -61,12 +61,12 @@ class Judgement(NamedTuple):
     Attributes:
         evidence: the recording compared with the model, without allowances.
         expected: the healthy remainder to be expected in it, by channel.
-        new_programme: the channels in which there is no baseline of its programme.
+        new_programme: whether there is no baseline of its programme.
     """
 
     evidence: Evidence
     expected: Mapping[Channel, Expected]
-    new_programme: tuple[Channel, ...]
+    new_programme: bool
 
 
 class DescribedEvidence(NamedTuple):
@@ -157,14 +157,16 @@ class ChannelRemainder(NamedTuple):
         transfer: rms error of its expectation beyond noise in a recording that it was not learnt from, as a fraction of the
             largest term.
         elsewhere: the same in a recording of another programme.
+        ranges: quantiles of the signals in each baseline, by its name, shape (quantiles, signals).
     """
 
     terms: RemainderTerms
     learnt: Learnt
     transfer: float = 0.0
     elsewhere: float = 0.0
+    ranges: Mapping[str, Array] = {}
 
-    def with_transfer(self, baselines: int) -> "ChannelRemainder":
+    def with_transfer(self, baselines: Mapping[str, Windows]) -> "ChannelRemainder":
         """Return the remainder with its transfer: the largest error in a baseline, or a section, expected from the others.
 
         In a programme of which there is no baseline, the remainder may be larger, and look like other errors of the
@@ -177,18 +179,21 @@ class ChannelRemainder(NamedTuple):
             expected = self._replace(learnt=self.learnt._replace(windows=rest)).expected(own)
             near = np.isfinite(expected.variance)
             found = max(found, _beyond_noise((own.residual - expected.mean)[near], own.noise[near]))
-        whole = _beyond_noise(windows.residual, windows.noise) if baselines == 1 else 0.0
-        return self._replace(transfer=found, elsewhere=rules.OTHER_PROGRAMME * max(found, whole))
+        whole = _beyond_noise(windows.residual, windows.noise) if len(baselines) == 1 else 0.0
+        return self._replace(
+            transfer=found,
+            elsewhere=rules.OTHER_PROGRAMME * max(found, whole),
+            ranges={name: np.quantile(own.signals, PROGRAMME, axis=0) for name, own in baselines.items()},
+        )
 
-    def is_of_programme(self, new: Windows) -> bool:
-        """Return whether there is a baseline of another recording's programme."""
-        windows, recording = self.learnt.windows, self.learnt.recording
+    def of_programme(self, new: Windows) -> frozenset[str]:
+        """Return the baselines in which the signals have the same range as in another recording."""
         there = np.quantile(new.signals, PROGRAMME, axis=0)
-        for k in np.unique(recording):
-            known = np.quantile(windows.where(recording == k).signals, PROGRAMME, axis=0)
-            if np.all(np.abs(there - known) <= SAME_PROGRAMME * np.ptp(known, axis=0)):
-                return True
-        return False
+        return frozenset(
+            name
+            for name, known in self.ranges.items()
+            if np.all(np.abs(there - known) <= SAME_PROGRAMME * np.ptp(known, axis=0))
+        )
 
     def expected(self, new: Windows) -> Expected:
         """Return the expected remainder of a healthy rig in windows of another recording.
@@ -241,11 +246,12 @@ class HealthyVariation(Standard):
         described = describe(evidence)
         expected = self.expected(described)
         own = {c: self.channels[c] for c in expected}
-        new = tuple(c for c, known in own.items() if not known.is_of_programme(known.terms.windows(described, c)))
+        alike = [known.of_programme(known.terms.windows(described, c)) for c, known in own.items()]
+        new = bool(alike) and not frozenset.intersection(*alike)
         self.judgements.append(Judgement(evidence, expected, new))
         # In a recording of smaller motion, the error is as large as in the baselines.
         smaller = {c: max(1.0, known.terms.size / max(evidence.sizes[c], 1e-300)) for c, known in own.items()}
-        form = {c: smaller[c] * (known.elsewhere if c in new else known.transfer) for c, known in own.items()}
+        form = {c: smaller[c] * (known.elsewhere if new else known.transfer) for c, known in own.items()}
         return replace(self, form=form).judged_by(evidence, expected)
 
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
@@ -345,8 +351,8 @@ def learn_healthy_variation(baselines: Sequence[DescribedEvidence]) -> HealthyVa
             temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in common else None,
             homogeneous=all(is_homogeneous(b, c) for b in recordings),
         )
-        learnt_there = components.learn_from([components.windows(b, c) for b in recordings])
-        out[c] = ChannelRemainder(components, learnt_there).with_transfer(len(recordings))
+        windows = {b.evidence.record.name: components.windows(b, c) for b in recordings}
+        out[c] = ChannelRemainder(components, components.learn_from(list(windows.values()))).with_transfer(windows)
     learnt = HealthyVariation(out)
     return replace(learnt, healthy=tuple(learnt.judged_by(b.evidence, learnt.expected(b)) for b in baselines))
 

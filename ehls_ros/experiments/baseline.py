@@ -93,7 +93,7 @@ def diagnose_against(
         progress=lambda doing, part: progress(doing, LEARNING + (1.0 - LEARNING) * part),
         standard=variation,
     )
-    evidence, expected, new_programme = variation.judgements[0] if variation.judgements else (None, {}, ())
+    evidence, expected, new_programme = variation.judgements[0] if variation.judgements else (None, {}, False)
     coverage = () if evidence is None else covered(ranges([b.evidence for b in healthy]), evidence)
     not_compared = () if evidence is None else tuple(c for c in evidence.channels if c not in variation.channels)
     summary = BaselineSummary(

@@ -24,7 +24,7 @@ def windows(seed, residual, *, low=-1.0, high=1.0, n=600):
 def learnt(*recordings):
     components = RemainderTerms(1.0, {"offset": 1e-6}, ("signal",), "signal", 1.0, None)
     found = ChannelRemainder(components, learn(recordings, np.array([1e-6]), NONE))
-    return found.with_transfer(len(recordings))
+    return found.with_transfer({f"baseline {i}": recording for i, recording in enumerate(recordings)})
 
 
 def bend(x):
@@ -48,6 +48,7 @@ def test_a_single_baseline_tells_nothing_of_another_programme():
     assert found.elsewhere == pytest.approx(rules.OTHER_PROGRAMME * whole, rel=0.05)
 
 
-@pytest.mark.parametrize(("high", "same"), [(1.0, True), (3.0, False)])
+@pytest.mark.parametrize(("high", "same"), [(1.0, {"baseline 0"}), (3.0, {"baseline 1"}), (7.0, set())])
 def test_a_programme_is_known_by_the_range_of_its_signals(high, same):
-    assert learnt(windows(1, bend), windows(2, bend)).is_of_programme(windows(3, bend, high=high)) is same
+    found = learnt(windows(1, bend), windows(2, bend, high=3.0))
+    assert found.of_programme(windows(3, bend, high=high)) == same
