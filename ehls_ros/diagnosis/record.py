@@ -197,8 +197,10 @@ def successive(recordings: Mapping[str, Trajectory]) -> Trajectory:
         The signals that all of them have, each recording as a separate stretch; remarks name the signals left out.
 
     Raises:
-        BadInput: their sampling periods, or the areas to which their load pressures refer, differ.
+        BadInput: there is none, or their sampling periods, or the areas to which their load pressures refer, differ.
     """
+    if not recordings:
+        raise BadInput("there is no recording", "diagnosis", "at least one recording")
     if len(recordings) == 1:
         return next(iter(recordings.values()))
     periods = {name: float(np.median(np.diff(recording.time_s))) for name, recording in recordings.items()}
