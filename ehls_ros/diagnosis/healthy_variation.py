@@ -173,16 +173,17 @@ class ChannelRemainder(NamedTuple):
         coefficients. From a single baseline, nothing is known of that.
         """
         windows, recording = self.learnt.windows, self.learnt.recording
-        found = 0.0
-        for k in np.unique(recording):
+        parts, whole = np.unique(recording), _beyond_noise(windows.residual, windows.noise)
+        # All windows of a baseline may lie in one section, from which nothing else is expected.
+        found = whole if len(parts) == 1 else 0.0
+        for k in parts if len(parts) > 1 else ():
             rest, own = windows.where(recording != k), windows.where(recording == k)
             expected = self._replace(learnt=self.learnt._replace(windows=rest)).expected(own)
             near = np.isfinite(expected.variance)
             found = max(found, _beyond_noise((own.residual - expected.mean)[near], own.noise[near]))
-        whole = _beyond_noise(windows.residual, windows.noise) if len(baselines) == 1 else 0.0
         return self._replace(
             transfer=found,
-            elsewhere=rules.OTHER_PROGRAMME * max(found, whole),
+            elsewhere=rules.OTHER_PROGRAMME * (max(found, whole) if len(baselines) == 1 else found),
             ranges={name: np.quantile(own.signals, PROGRAMME, axis=0) for name, own in baselines.items()},
         )
 

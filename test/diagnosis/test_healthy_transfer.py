@@ -48,6 +48,12 @@ def test_a_single_baseline_tells_nothing_of_another_programme():
     assert found.elsewhere == pytest.approx(rules.OTHER_PROGRAMME * whole, rel=0.05)
 
 
+def test_of_windows_in_one_section_the_whole_remainder_may_be_another():
+    short = windows(1, bend)
+    found = learnt(short._replace(block=np.full_like(short.block, 7)))
+    assert found.transfer == pytest.approx(float(np.sqrt(np.mean(bend(short.signals) ** 2))), rel=0.05)
+
+
 @pytest.mark.parametrize(("high", "same"), [(1.0, {"baseline 0"}), (3.0, {"baseline 1"}), (7.0, set())])
 def test_a_programme_is_known_by_the_range_of_its_signals(high, same):
     found = learnt(windows(1, bend), windows(2, bend, high=3.0))
