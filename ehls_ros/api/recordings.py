@@ -1,6 +1,6 @@
 """Recording as an object: a trajectory with conversions to a table, a figure, a report or a file."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, MappingView, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -213,7 +213,7 @@ def as_recording(data: Data, columns: Columns | None, wanted: Collection[str] = 
 def by_name(data: Data | Iterable[Data], columns: Columns | None, wanted: Collection[str] = SIGNALS) -> dict[str, Recording]:
     """Return one or several recordings by name, numbered in case of duplicates."""
     # A table of pandas can be iterated too, over the names of its columns.
-    check_kind(data, (str, Path, Trajectory, Sequence, Iterator), "data", EXPECTED_DATA)
+    check_kind(data, (str, Path, Trajectory, Sequence, MappingView, Iterator), "data", EXPECTED_DATA)
     given = [data] if isinstance(data, str | Path | Trajectory) else list(data)
     found = [as_recording(one, columns, wanted) for one in given]
     names = [one.name for one in found]

@@ -103,7 +103,7 @@ def free_run(trajectory: Trajectory, rig: Rig, extended: Rig, name: str = "recor
     part = time <= time[0] + seconds
     head = Trajectory(time[part], {name: values[part] for name, values in trajectory.signals.items()})
     whole = prepare(head, rig, name)
-    record = whole.parts([(0, int(np.append(np.flatnonzero(whole.fresh), len(whole.time))[1]))])
+    record = whole.parts([(0, int(whole.bounds[1]))])
     columns = simulated_columns(record, name, TEMPERATURE)
     before = _run(record, rig)
     after = None if extended == rig else _run(record, extended)

@@ -19,6 +19,7 @@ from ehls_ros.diagnosis.loss import loss, power, rms
 from ehls_ros.diagnosis.measurement import measurement
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.samples import Mask
 
 DIRECTION, ACCELERATION, PRESSURE_RATE = "direction", "acceleration_m_s2", "load_pressure_rate_pa_s"
 SPOOL_RATE = "spool_rate_m_s"
@@ -174,18 +175,20 @@ class ChannelRemainder(NamedTuple):
         """
         windows, recording = self.learnt.windows, self.learnt.recording
         parts, whole = np.unique(recording), _beyond_noise(windows.residual, windows.noise)
-        # All windows of a baseline may lie in one section, from which nothing else is expected.
-        found = whole if len(parts) == 1 else 0.0
-        for k in parts if len(parts) > 1 else ():
-            rest, own = windows.where(recording != k), windows.where(recording == k)
-            expected = self._replace(learnt=self.learnt._replace(windows=rest)).expected(own)
-            near = np.isfinite(expected.variance)
-            found = max(found, _beyond_noise((own.residual - expected.mean)[near], own.noise[near]))
+        # All windows of a baseline may lie in one section, which leaves nothing to expect it from.
+        found = max(self._unexpected(recording == k) for k in parts) if len(parts) > 1 else whole
         return self._replace(
             transfer=found,
             elsewhere=rules.OTHER_PROGRAMME * (max(found, whole) if len(baselines) == 1 else found),
             ranges={name: np.quantile(own.signals, PROGRAMME, axis=0) for name, own in baselines.items()},
         )
+
+    def _unexpected(self, own: Mask) -> float:
+        """Return the rms beyond noise by which some of the windows differ from their expectation from the others."""
+        windows, rest = self.learnt.windows.where(own), self.learnt.windows.where(~own)
+        expected = self._replace(learnt=self.learnt._replace(windows=rest)).expected(windows)
+        near = np.isfinite(expected.variance)
+        return _beyond_noise((windows.residual - expected.mean)[near], windows.noise[near])
 
     def of_programme(self, new: Windows) -> frozenset[str]:
         """Return the baselines in which the signals have the same range as in another recording."""
@@ -236,18 +239,22 @@ class HealthyVariation(Standard):
 
     def expected(self, recording: DescribedEvidence) -> dict[Channel, Expected]:
         """Return the expected remainder of a healthy rig in each channel of the baselines, in units of its size."""
-        channels = [c for c in recording.evidence.channels if c in self.channels]
-        return {c: self.channels[c].expected(self.channels[c].terms.windows(recording, c)) for c in channels}
+        return {c: self.channels[c].expected(windows) for c, windows in self._windows(recording).items()}
+
+    def _windows(self, recording: DescribedEvidence) -> dict[Channel, Windows]:
+        """Return the windows of a recording in each channel of the baselines."""
+        known = self.channels
+        return {c: known[c].terms.windows(recording, c) for c in recording.evidence.channels if c in known}
 
     def judged(self, evidence: Evidence) -> Evidence:
         """Return the evidence with the rig's expected remainder subtracted and its healthy spread allowed for.
 
         Channels missing in all baselines are left out.
         """
-        described = describe(evidence)
-        expected = self.expected(described)
-        own = {c: self.channels[c] for c in expected}
-        alike = [known.of_programme(known.terms.windows(described, c)) for c, known in own.items()]
+        windows = self._windows(describe(evidence))
+        own = {c: self.channels[c] for c in windows}
+        expected = {c: known.expected(windows[c]) for c, known in own.items()}
+        alike = [known.of_programme(windows[c]) for c, known in own.items()]
         new = bool(alike) and not frozenset.intersection(*alike)
         self.judgements.append(Judgement(evidence, expected, new))
         # In a recording of smaller motion, the error is as large as in the baselines.

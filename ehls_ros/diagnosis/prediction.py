@@ -134,16 +134,13 @@ def _past(record: Record) -> int:
 def _starts(record: Record, apart: int, begin: float) -> NDArray[np.intp]:
     """Return the last measured sample before each window, ``apart`` samples from each other within each stretch."""
     first = int(np.searchsorted(record.time - record.time[0], begin))
-    fresh = np.flatnonzero(record.fresh)
-    limits = [*fresh.tolist(), len(record.time)]
-    each = [np.arange(max(low + _past(record), first), high, apart) for low, high in pairwise(limits)]
+    each = [np.arange(max(low + _past(record), first), high, apart) for low, high in pairwise(record.bounds.tolist())]
     return np.concatenate(each)
 
 
 def _ends(record: Record, starts: NDArray[np.intp], end: float) -> NDArray[np.intp]:
     """Return the last sample that a window from each start may contain."""
-    fresh = np.append(np.flatnonzero(record.fresh), len(record.time))
-    stretch = fresh[np.searchsorted(fresh, starts, side="right")] - 1
+    stretch = record.bounds[np.searchsorted(record.bounds, starts, side="right")] - 1
     latest = int(np.searchsorted(record.time - record.time[0], end, side="right")) - 1
     return np.minimum(stretch, latest)
 

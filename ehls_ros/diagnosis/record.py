@@ -96,10 +96,14 @@ class Record(NamedTuple):
         """Return a signal, or zeros if it was not recorded, shape (n,)."""
         return self.signals[signal] if signal in self.signals else np.zeros(len(self.time))
 
+    @property
+    def bounds(self) -> NDArray[np.intp]:
+        """The first sample of each continuous stretch, and the number of samples, shape (stretches + 1,)."""
+        return np.append(np.flatnonzero(self.fresh), len(self.time))
+
     def by_stretch(self, function: Callable[[Array], Array], values: Array) -> Array:
         """Return a function of each continuous stretch of a signal, none of which sees the samples beyond a pause."""
-        starts = np.flatnonzero(self.fresh)[1:]
-        return np.concatenate([function(part) for part in np.split(values, starts)]) if len(starts) else function(values)
+        return np.concatenate([function(part) for part in np.split(values, self.bounds[1:-1])])
 
     def parts(self, ranges: Sequence[tuple[int, int]]) -> "Record":
         """Return the record of some sample ranges, each as a separate stretch."""

@@ -15,6 +15,7 @@ from ehls_ros.control.programme.declaration import Limits as ProgrammeLimits
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.adaptation_result import NAME as ADAPTATION
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, check_law, check_spec, reference_extremes, signal_kind
 from ehls_ros.hardware.backends import BACKENDS
@@ -33,9 +34,6 @@ FOUND_BY = {
     "coupling_stiffness": "`ehls diagnose` finds it from a recording with disturbance_displacement_m",
 }
 """Way to find an effect that a law takes from the rig file."""
-
-ADAPTATION = "adaptation"
-"""Name of the companion that corrects the rig file's numbers."""
 
 UNITS = {"force": "N", "position": "m"}
 """Units of the quantities that a law may follow."""

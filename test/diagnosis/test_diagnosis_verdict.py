@@ -356,7 +356,11 @@ def test_only_smooth_effects_of_one_parameter_have_a_smallest_size():
     smooth = assessed((one,), {"force": np.zeros(100)}, [0.0]).fit._replace(jacobian=np.full((100, 1), 2.0))
     away = smooth._replace(values=np.array([0.5]))
     many = assessed((two,), {"force": np.zeros(100)}, [0.0, 0.0]).fit._replace(jacobian=np.full((100, 2), 2.0))
-    (found,) = sensitivities(evidence, [smooth, away, many], {"force": 1.0})
+    bounded = candidate("mass_shift", "factor", lower=-1.0, upper=1.0)
+    out_of_reach = smooth._replace(hypothesis=(bounded,), jacobian=np.full((100, 1), 1e-20))
+    found, unreachable = sensitivities(evidence, [smooth, away, many, out_of_reach], {"force": 1.0})
+    # Told all the same: no size within the range would have shown.
+    assert unreachable.smallest > 1.0
     assert (found.name, found.parameter, found.unit) == ("mass_shift", "factor", "1")
     assert found.smallest == pytest.approx(smallest_detectable(400.0, 2.0 / SIZE))
 
