@@ -10,11 +10,11 @@ import sys
 import numpy as np
 
 from benchmarks.common import MEASURED, experiment, parser_of
-from benchmarks.true_error import true_cycles
 from ehls_ros.control.limits import CausalLimit
 from ehls_ros.experiments.causal_limit import limit_of_run
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
+from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.report.page import limit_text
 from ehls_ros.reproduction import paper
 from ehls_ros.reproduction.cases import case
@@ -46,7 +46,7 @@ def main() -> None:
         if found.limit is None:
             sys.exit(found.reason)
         runs = (spec._replace(settings=spec.settings._replace(seed=seed)) for seed in range(options.seeds))
-        errors = [true_cycles(run).largest() for run in runs]
+        errors = [stepped_run(run).largest() for run in runs]
         print(line(name, errors, found.limit), flush=True)
 
 

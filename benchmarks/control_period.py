@@ -7,12 +7,12 @@ sensors' noise. Sensors, valve and command delays stay as in the rig file. `pyth
 import numpy as np
 
 from benchmarks.common import MEASURED_EFFECTS, experiment, parser_of
-from benchmarks.true_error import true_cycles
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
 from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import Spec
+from ehls_ros.experiments.stepped_run import stepped_run
 
 PERIODS = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
 CASES = ("constant_fd1", "sine_fd1", "constant_fd2", "sine_fd2")
@@ -35,7 +35,7 @@ def error_of(spec: Spec) -> float:
             return evaluate(run_in_process(spec)).max_error_n
         except Implausible:
             return np.inf
-    error = true_cycles(spec).largest()
+    error = stepped_run(spec).largest()
     return error if np.isfinite(error) else np.inf
 
 

@@ -10,9 +10,9 @@ from functools import partial
 from typing import Any
 
 from benchmarks.common import MEASURED, experiment, largest, parser_of
-from benchmarks.true_error import Cycles, true_cycles
 from ehls_ros.experiments.loop import simulator_of
 from ehls_ros.experiments.spec import Spec
+from ehls_ros.experiments.stepped_run import Cycles, stepped_run
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig, effects_from_list
 from ehls_ros.physics.simulator import Simulator
@@ -89,7 +89,7 @@ def as_an_exact_sine(spec: Spec) -> Cycles:
     """Run an experiment whose servo follows its command exactly."""
     settings = spec.settings
     plant = Simulator(spec.loader_rig(), settings.control_period, settings.integration_step)
-    return true_cycles(spec, plant=plant)
+    return stepped_run(spec, plant=plant)
 
 
 class _Weakened:
@@ -110,7 +110,7 @@ class _Weakened:
 def weakened(spec: Spec, gain: float = 1.0, lost: int = 0) -> Cycles:
     """Run an experiment with another command gain, or in which every ``lost``-th command is lost."""
     plant: Any = _Weakened(simulator_of(spec), gain, lost)
-    return true_cycles(spec, plant=plant)
+    return stepped_run(spec, plant=plant)
 
 
 def noiseless(sensor: Sensor) -> Sensor:
@@ -128,7 +128,7 @@ def noisier(sensor: Sensor) -> Sensor:
     return sensor._replace(noise_std=2.0 * sensor.noise_std)
 
 
-def on(change: Callable[[Spec], Spec], run: Variant = true_cycles) -> Variant:
+def on(change: Callable[[Spec], Spec], run: Variant = stepped_run) -> Variant:
     """Return the run of a changed experiment."""
     return lambda spec: run(change(spec))
 
@@ -173,7 +173,7 @@ def main() -> None:
         text = f"{f'{options.seeds} seeds: seed 0, median (largest)':42}"
         for spec in map(experiment, MEASURED):
             runs = (spec._replace(settings=spec.settings._replace(seed=seed)) for seed in range(options.seeds))
-            errors = [true_cycles(one).largest() for one in runs]
+            errors = [stepped_run(one).largest() for one in runs]
             text += f"{f'{errors[0]:.1f} {largest(errors)}':>18}"
         print(text, flush=True)
     for name, runs_of in variants().items():

@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.common import CONFIG, parser_of, print_heading, print_row
-from benchmarks.true_error import true_cycles
 from ehls_ros.arrays import Array
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import spec_from_mapping
+from ehls_ros.experiments.stepped_run import stepped_run
 
 SERVO = {"name": "position_servo", "signal": {"name": "sine", "amplitude": 0.05, "frequency": 0.5}}
 SIMULATION = {"rig": "rig_paper.yaml", "disturbance": SERVO}
@@ -102,7 +102,7 @@ def by_load_cycle(case: dict[str, Any], seed: int, gain: float, method: str) -> 
     for companions in ([], [{"name": "learning", "method": method}]):
         spec = spec_from_mapping({**data, "companions": companions}, "peak_valley", CONFIG)
         whole = round(1.0 / frequency / spec.settings.control_period)
-        error = true_cycles(spec).error[: cycles * whole].reshape(cycles, whole)
+        error = stepped_run(spec).error[: cycles * whole].reshape(cycles, whole)
         wanted = sampled(spec.reference, spec.settings.control_period).rows(0, error.size)[:, 0].reshape(error.shape)
         found.append([errors_of(*one) for one in zip(error, wanted, strict=True)])
     return np.array(found)

@@ -8,14 +8,15 @@ contributions of friction and reference at the excited frequencies. `python -m b
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.common import MEASURED, experiment, parser_of
 from benchmarks.preview import with_preview
-from benchmarks.true_error import true_cycles
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers.fasmc_predictive import Parameters
 from ehls_ros.control.margins import loop_margins
 from ehls_ros.experiments.spec import Spec, Use
+from ehls_ros.experiments.stepped_run import stepped_run
 
 DURATION, WINDOW = 6.0, 4.0
 """Duration of a run, and time at its end over which the response is taken [s]."""
@@ -38,7 +39,7 @@ class Loop(NamedTuple):
     """
 
     omega: Array
-    response: Array
+    response: NDArray[np.complex128]
     deviation: Array
 
 
@@ -50,14 +51,14 @@ def measured(spec: Spec, runs: int) -> Loop:
     last = round(WINDOW / period)
     lines = np.unique(np.round(np.geomspace(LOWEST * WINDOW, last // 2, FREQUENCIES)).astype(int))
     turns = 2.0 * np.pi * np.outer(np.arange(cycles), lines) / last
-    usual = true_cycles(spec).command[-last:]
+    usual = stepped_run(spec).command[-last:]
     found = []
     for run in range(runs):
         phases = np.random.default_rng(run).uniform(0.0, 2.0 * np.pi, len(lines))
         # At the Nyquist frequency a sampled sine has no phase.
         phases[-1] = 0.0
         added = AMPLITUDE * np.cos(turns + phases).sum(axis=1)
-        moved = np.fft.rfft(true_cycles(spec, added).command[-last:] - usual)[lines]
+        moved = np.fft.rfft(stepped_run(spec, added).command[-last:] - usual)[lines]
         found.append(moved / np.fft.rfft(added[-last:])[lines])
     sensitivity = np.mean(found, axis=0)
     deviation = np.std(found, axis=0) / np.sqrt(runs)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import MEASURED, MEASURED_EFFECTS, experiment, parser_of
-from benchmarks.true_error import true_cycles
 from ehls_ros.control.companions.disturbance_preview import Parameters
 from ehls_ros.experiments.spec import Spec
+from ehls_ros.experiments.stepped_run import stepped_run
 
 OFF = (0.8, 1.2)
 
@@ -43,7 +43,7 @@ def main() -> None:
     for column, companions in previews().items():
         text = f"{column:24}"
         for name in MEASURED:
-            errors = [true_cycles(with_preview(name, companions, seed)).largest() for seed in seeds]
+            errors = [stepped_run(with_preview(name, companions, seed)).largest() for seed in seeds]
             text += f"{np.median(errors):12.1f}{max(errors):8.1f}"
         print(text, flush=True)
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ehls_ros.api.monitoring import MonitorResult, monitor
     from ehls_ros.api.recordings import Recording, load
     from ehls_ros.api.simulation import Simulation, rig, save_rig, simulate
+    from ehls_ros.api.tuning import TuningResult, tune
     from ehls_ros.api.verification import VerificationResult, verify
     from ehls_ros.errors import BadInput, WorkFailed
     from ehls_ros.estimate import Estimate
@@ -41,6 +42,7 @@ __all__ = [
     "Spec",
     "SteppedController",
     "SteppedPlant",
+    "TuningResult",
     "VerificationResult",
     "WorkFailed",
     "campaign",
@@ -54,6 +56,7 @@ __all__ = [
     "rig",
     "save_rig",
     "simulate",
+    "tune",
     "verify",
 ]
 
@@ -65,6 +68,7 @@ _HOME = {
     "ehls_ros.api.monitoring": ("MonitorResult", "monitor"),
     "ehls_ros.api.recordings": ("Recording", "load"),
     "ehls_ros.api.simulation": ("Simulation", "rig", "save_rig", "simulate"),
+    "ehls_ros.api.tuning": ("TuningResult", "tune"),
     "ehls_ros.api.verification": ("VerificationResult", "verify"),
     "ehls_ros.errors": ("BadInput", "WorkFailed"),
     "ehls_ros.estimate": ("Estimate",),

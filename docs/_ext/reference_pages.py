@@ -101,6 +101,7 @@ API: Mapping[str, tuple[str, ...]] = {
     "Diagnosis": ("diagnose", "DiagnosisResult"),
     "Monitoring": ("monitor", "MonitorResult"),
     "Identification": ("identify", "FrictionResult", "RigResult", "Estimate"),
+    "Tuning": ("tune", "TuningResult"),
     "Verification": ("verify", "VerificationResult"),
     "Loops of one's own": ("controller", "SteppedController", "plant", "SteppedPlant"),
     "Rigs": ("rig", "save_rig", "Rig"),

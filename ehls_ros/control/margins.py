@@ -78,7 +78,7 @@ class LoopMargins(NamedTuple):
     delay: float
 
 
-def loop_margins(omega: Array, response: Array) -> LoopMargins:
+def loop_margins(omega: Array, response: NDArray[np.complex128]) -> LoopMargins:
     """Return the margins of a loop that is known to be stable when closed.
 
     Args:

@@ -18,7 +18,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import in_python, kernel
-from ehls_ros.control.controllers.base import Noise, noise_of
+from ehls_ros.control.controllers.base import Noise, model_of, noise_of
 from ehls_ros.physics.friction import gms
 from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import Rig
@@ -53,6 +53,12 @@ PAPER_SENSORS = {
     "force": Sensor(noise_std=2.0, resolution=4.0),
 }
 """Sensors of that rig as described in ``config/rig_paper_measured.yaml``."""
+
+PAPER_DELAY = 1e-3
+"""Delay of that rig's command [s]: one cycle."""
+
+PAPER_COUPLING, PAPER_COUPLING_DAMPING = 2e6, 2e3
+"""Stiffness and damping of that rig's coupling to the actuator under test [N/m, N s/m]."""
 
 PAPER_STICKING = 865.4 * 0.089 / 1.969e5
 """Travel of that rig's piston until its last friction element slips [m]."""
@@ -102,6 +108,9 @@ class Ratios(NamedTuple):
         pressure_noise: noise of a reading as above, or ``pressure``.
         spool_noise: noise of a reading as above, or ``spool``.
         force_noise: noise of a reading as above, or ``force``.
+        delay: delay of the command; 1 if the rig has no such effect.
+        coupling: stiffness of the coupling to the actuator under test; ``force / stroke`` without such an effect.
+        coupling_damping: its damping, likewise.
     """
 
     force: float
@@ -116,6 +125,9 @@ class Ratios(NamedTuple):
     pressure_noise: float
     spool_noise: float
     force_noise: float
+    delay: float
+    coupling: float
+    coupling_damping: float
 
 
 def ratios(rig: Rig) -> Ratios:
@@ -126,6 +138,8 @@ def ratios(rig: Rig) -> Ratios:
     spool, stroke = limits.spool / PAPER_SPOOL, (limits.position[1] - limits.position[0]) / PAPER_STROKE
     noise, like_these = noise_of(rig.sensors), noise_of(PAPER_SENSORS)
     size = Noise(position=stroke, load_pressure=pressure, spool_position=spool, force=force)
+    told = model_of(rig, PAPER_DELAY)
+    delayed = any(use.name == "command_delay" for use in rig.effects)
     found = (
         force,
         pressure,
@@ -137,7 +151,11 @@ def ratios(rig: Rig) -> Ratios:
         gms.break_away(friction) / PAPER_STICKING if isinstance(friction, gms.Parameters) else 1.0,
         *(own / paper if own > 0.0 else other for own, paper, other in zip(noise, like_these, size, strict=True)),
     )
-    return Ratios(*(ratio if math.isfinite(ratio) and ratio > 0.0 else 1.0 for ratio in found))
+    known = [ratio if math.isfinite(ratio) and ratio > 0.0 else 1.0 for ratio in found]
+    delay = told.command_delay / PAPER_DELAY if delayed else 1.0
+    coupling = told.coupling_stiffness / PAPER_COUPLING or force / stroke
+    damping = told.coupling_damping / PAPER_COUPLING_DAMPING or force / stroke
+    return Ratios(*(*known, delay, coupling, damping))
 
 
 def defaults_for(parameters: type, rig: Rig, stated: Mapping[str, Any] = MappingProxyType({})) -> Mapping[str, Any]:

@@ -47,11 +47,11 @@ MAX_ELEMENTS = 16
 STORED_COMMANDS = 64
 """Number of sent commands that are stored."""
 
-MAX_MEAN_STEP = 5e-4
-"""Longest Runge-Kutta step of the mean [s]; the phase of the rig's fastest mode advances by 0.23 rad in it."""
+MAX_MEAN_STEP, MAX_MEAN_PHASE = 5e-4, 0.5
+"""Longest Runge-Kutta step of the mean [s], and the largest advance of the fastest mode's phase in one [rad]."""
 
-MAX_COVARIANCE_STEP = 1e-3
-"""Longest step of the covariance [s]."""
+MAX_COVARIANCE_STEP, MAX_COVARIANCE_PHASE = 1e-3, 1.0
+"""The same for the covariance, whose exponential is expanded to the fourth order."""
 
 ROUNDING = 1e-9
 """Difference below which two times are equal [s]."""
@@ -258,12 +258,24 @@ def switch(y: Array, mode: Array, friction: Friction) -> None:
             mode[i] = 0.0
 
 
+@kernel
+def fastest_mode(model: Model, p: Assumptions) -> float:
+    """Return the larger of the valve's bandwidth and the frequency of the oil column, all elements sticking [rad/s]."""
+    plant = model.plant
+    stiffness = plant.spring_stiffness + p.coupling_stiffness
+    stiffness += 4.0 * plant.bulk_modulus * plant.piston_area * plant.piston_area / plant.total_volume
+    for i in range(elements(model.friction)):
+        stiffness += model.friction.element_stiffness[i]
+    return max(math.sqrt(stiffness / plant.moving_mass), plant.valve_bandwidth)
+
+
 @separate_kernel
 def move(
     y: Array, mode: Array, command: float, supply: float, duration: float, model: Model, p: Assumptions, work: Array
 ) -> None:
     """Advance a mean under one command; arguments as those of :func:`rates`, ``duration`` [s], ``work`` of :class:`State`."""
-    steps = max(1, math.ceil((duration - ROUNDING) / MAX_MEAN_STEP))
+    longest = min(MAX_MEAN_STEP, MAX_MEAN_PHASE / fastest_mode(model, p))
+    steps = max(1, math.ceil((duration - ROUNDING) / longest))
     step = duration / steps
     length = STATES + elements(model.friction)
     stage, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
@@ -340,7 +352,7 @@ def multiply(a: Array, b: Array, product: Array) -> None:
 
 @separate_kernel
 def spread(state: State, command: float, supply: float, duration: float, model: Model, p: Assumptions) -> None:
-    """Advance the covariance by ``duration`` [s], at most :data:`MAX_COVARIANCE_STEP`."""
+    """Advance the covariance by ``duration`` [s]."""
     covariance, jacobian, transition, product = state.covariance, state.matrices[0], state.matrices[1], state.matrices[2]
     linearise(state, command, supply, model, p, jacobian)
     # exp(A T) = I + A T (I + A T/2 (I + A T/3 (I + A T/4)))
@@ -375,10 +387,11 @@ def advance(supply: float, model: Model, p: Assumptions, state: State) -> None:
     """Advance mean and covariance by a period under the commands that arrived in it."""
     for i in range(STORED_COMMANDS):
         state.ages[i] += model.period
+    longest = min(MAX_COVARIANCE_STEP, MAX_COVARIANCE_PHASE / fastest_mode(model, p))
     t = -model.period
     while t < -ROUNDING:
         command, until = arrived(t, p.command_delay, state)
-        duration = min(until, 0.0, t + MAX_COVARIANCE_STEP) - t
+        duration = min(until, 0.0, t + longest) - t
         spread(state, command, supply, duration, model, p)
         move(state.mean, state.mode, command, supply, duration, model, p, state.work)
         t += duration

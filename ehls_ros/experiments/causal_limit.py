@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.limits import CausalLimit, causal_limit, flow_pressure
 from ehls_ros.errors import BadInput
@@ -88,12 +89,24 @@ def _limit(spec: Spec, run: Trajectory) -> LimitOfRun:
     if not np.all(known):
         cycles = np.arange(len(rows))
         rows = np.stack([np.interp(cycles, cycles[known], column[known]) for column in rows.T], axis=1)
-    rig = spec.loader_rig()
+    unread = np.full(len(run), np.nan)
+    return limit_under(spec, rows, run.signals.get("spool_m", unread), run.signals.get("load_pressure_pa", unread))
+
+
+def limit_under(spec: Spec, disturbance: Array, spool: Array, load_pressure: Array) -> LimitOfRun:
+    """Return the causal limit of an experiment under a disturbance.
+
+    Args:
+        spec: the experiment.
+        disturbance: rows as of :func:`~ehls_ros.control.limits.causal_limit`, shape (n, 4).
+        spool: spool displacement, NaN where not measured, shape (n,) [m].
+        load_pressure: likewise [Pa].
+    """
     limit = causal_limit(
-        rig,
+        spec.loader_rig(),
         spec.settings.control_period,
-        rows,
-        flow_pressure=_flow_pressure(spec, run),
+        disturbance,
+        flow_pressure=_flow_pressure(spec, spool, load_pressure),
         velocity_read="velocity" in CONTROLLERS.load(spec.controller.name).NEEDS,
     )
     if not math.isfinite(limit.largest):
@@ -101,11 +114,9 @@ def _limit(spec: Spec, run: Trajectory) -> LimitOfRun:
     return LimitOfRun(limit)
 
 
-def _flow_pressure(spec: Spec, run: Trajectory) -> float:
+def _flow_pressure(spec: Spec, spool: Array, pressure: Array) -> float:
     """Return the valve's mean flow-pressure coefficient over the last half; 0, its value at null, if not measured."""
-    if "spool_m" not in run or "load_pressure_pa" not in run:
-        return 0.0
-    half = len(run) // 2
-    spool, pressure = run["spool_m"][half:], run["load_pressure_pa"][half:]
+    half = len(spool) // 2
+    spool, pressure = spool[half:], pressure[half:]
     known = np.isfinite(spool) & np.isfinite(pressure)
     return flow_pressure(spool[known], pressure[known], spec.rig.effective().plant) if np.any(known) else 0.0

@@ -236,11 +236,12 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
     disturbance = _disturbance(data.get("disturbance"), f"{where}: disturbance", folder, rig)
     acting = DISTURBANCES.load(disturbance.name).loader_effects(disturbance.parameters)
     known = _known_effects(data.get("known_effects") or [], (*rig.effects, *acting), f"{where}: known_effects")
+    controller_rig = controller_rig.with_effects(known)
     compensation = data["compensation"] if "compensation" in data else default_observer(controller_rig)
     spec = Spec(
         settings=settings,
         rig=rig,
-        controller_rig=controller_rig.with_effects(known),
+        controller_rig=controller_rig,
         reference=_use(REFERENCES, data.get("reference"), f"{where}: reference", folder),
         disturbance=disturbance,
         controller=_use(CONTROLLERS, data.get("controller"), f"{where}: controller", folder, controller_rig),

@@ -331,6 +331,7 @@ class Simulator:
         mode: modes of the plant, then those of the servo.
         inputs: inputs of the plant, then those of the servo.
         truth: true values at the last sample, in the order of ``SENSED``.
+        acting: disturbance of the last period, as the arguments of :meth:`advance`; the actual motion of a simulated servo.
         cycle: number of control periods completed.
     """
 
@@ -354,11 +355,11 @@ class Simulator:
         self.y, self.servo = self.state.y[:size], self.state.y[size:]
         self.mode, self.inputs, self.truth = self.state.mode, self.state.inputs, self.state.truth
         self.cycle = 0
-        self._row = np.zeros(4)
+        self.acting = np.zeros(4)
         # Compile now rather than in the first cycle.
         trial = at_rest(rig, period, step, servo=servo).state
         self._sense = direct(plant.sense, 0, self.constants, trial, np.zeros(len(SENSED)))
-        self._cycle = direct(plant.cycle, 0, self.constants, trial, 0.0, self._row)
+        self._cycle = direct(plant.cycle, 0, self.constants, trial, 0.0, self.acting)
         self._sense(0, self.constants, trial, np.zeros(len(SENSED)))
         self._cycle(0, self.constants._replace(steps=0), trial, 0.0, np.zeros(4))
 
@@ -393,7 +394,7 @@ class Simulator:
         Returns:
             Number of integration steps with more events than were located.
         """
-        row = self._row
+        row = self.acting
         row[0], row[1], row[2], row[3] = force, force_rate, displacement, velocity
         dense: int = self._cycle(self.cycle, self.constants, self.state, command, row)
         self.inputs[TEMPERATURE] += self.constants.warming * self.period

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.true_error import true_cycles
 from ehls_ros.control.companions import learning
 from ehls_ros.control.companions.base import PLACE, Past, Setting, Upcoming
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, model_of
@@ -17,6 +16,7 @@ from ehls_ros.control.learning.peak_valley import Bumpless, PeakValley
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import ClosedLoop, sampled
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
+from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.physics import sensors
 
 PERIOD, SIZE = 1e-3, 500
@@ -266,7 +266,7 @@ def extremes(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors of peak and valley of each load cycle [N], shape (n, 2), and the number of its block, shape (n,)."""
     reference = sampled(spec.reference, PERIOD)
     wanted, place = reference.rows(0, spec.cycles)[:, 0], reference.place(0, spec.cycles)
-    force = wanted + true_cycles(spec).error
+    force = wanted + stepped_run(spec).error
     turns = np.column_stack([place[:, 0], np.floor(place[:, 1] + 1e-6)])
     ends = np.flatnonzero(np.any(np.diff(np.nan_to_num(turns, nan=-1.0), axis=0), axis=1)) + 1
     cycles = [(k, slice(k, end)) for k, end in itertools.pairwise(ends) if np.isfinite(turns[k, 1])]
@@ -295,7 +295,7 @@ def test_each_block_of_a_programme_has_its_own_numbers_from_its_next_pass_on(tmp
 
 def test_in_the_compiled_loop_it_does_the_same_as_beside_a_controller():
     spec = spec_of(5.0, emulated=True, reference={"name": "sine", "amplitude": 1e4, "frequency": 1.0})
-    stepped = true_cycles(spec).command
+    stepped = stepped_run(spec).command
     loop = ClosedLoop(spec)
     commands = np.concatenate([block.record[:, loop.columns.command].copy() for block in loop.blocks()])
     assert np.allclose(commands, stepped, rtol=1e-9, atol=1e-12)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from benchmarks.preview import with_preview
-from benchmarks.true_error import true_cycles
 from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.companions.base import Past, Upcoming
 from ehls_ros.control.controllers.base import FORESEEN, ROW, Model
@@ -15,6 +14,7 @@ from ehls_ros.control.disturbances.base import DISPLACEMENT, VELOCITY
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.loop import ClosedLoop, sampled
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
+from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.recording.yaml_text import read_yaml
 
 EXPERIMENTS = Path(__file__).parents[2] / "config" / "experiments"
@@ -73,7 +73,7 @@ def test_the_force_foreseen_is_the_one_that_comes(name):
 
 def test_the_law_follows_better_with_a_preview_and_no_worse_with_one_that_is_wrong():
     def largest(*companions: dict[str, Any]) -> float:
-        return true_cycles(lasting(with_preview("measured_constant_fd2", list(companions)), 3.0)).largest()
+        return stepped_run(lasting(with_preview("measured_constant_fd2", list(companions)), 3.0)).largest()
 
     without, right = largest(), largest(PREVIEW)
     assert right < 0.5 * without

@@ -30,6 +30,8 @@ nothing is foreseen. A law that uses them has ``PREVIEW = True``.
 A law that takes effects of the rig from the :class:`Model` names them in ``KNOWS``. It may lose control of the force if such an
 effect of the rig is missing in its model.
 
+A law whose numbers can be tuned for a rig names those that matter in ``TUNED``; each has a unit and bounds in ``Parameters``.
+
 A law with bounded estimates names them in ``BOUNDED``, so that an estimate at its bound is reported.
 
 A law that models the commands in transit, or adapts to the effect of its commands, adds a compiled
@@ -135,8 +137,8 @@ class Model(NamedTuple):
 class ControllerLaw(Protocol):
     """The attributes of a controller's file.
 
-    ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS``, ``BOUNDED`` and ``follow`` are optional. The learnt external force is passed to
-    a law that has ``PREVIEW`` and, for its filter, ``assumptions``.
+    ``FRICTION_MODEL``, ``PREVIEW``, ``KNOWS``, ``TUNED``, ``BOUNDED`` and ``follow`` are optional. The learnt external force is
+    passed to a law that has ``PREVIEW`` and, for its filter, ``assumptions``.
     """
 
     Parameters: Any

@@ -36,6 +36,7 @@ from ehls_ros.schema import quantity
 FOLLOWS = "force"
 FRICTION = True
 NEEDS = ("position", "velocity", "load_pressure", "spool_position", "force", "supply_pressure")
+TUNED = ("g", "k", "phi3", "rate_correction")
 
 
 class Parameters(NamedTuple):

@@ -16,6 +16,7 @@ from ehls_ros.control import reaching_law, state_estimator
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.reaching_law import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching_law import tracking as surface_tracking
+from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, PAPER_DELAY
 from ehls_ros.control.state_estimator import (
     Assumptions,
     DischargeNoise,
@@ -35,6 +36,7 @@ FOLLOWS = "force"
 FRICTION = False
 FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
+TUNED = ("reaching_rate", "g", "external_noise", "flow_noise")
 PREVIEW = True
 
 follow = reaching_law.follow
@@ -50,15 +52,19 @@ class Parameters(NamedTuple):
     ] = 13.0
     xi: RateWeight = 1.0
     reaching_rate: ReachingRate = 300.0
-    command_delay: Annotated[float, quantity("s", "time a command takes to the valve", minimum=0.0, maximum=0.05)] = 1e-3
+    command_delay: Annotated[
+        float, quantity("s", "time a command takes to the valve", minimum=0.0, maximum=0.05, scale="delay")
+    ] = PAPER_DELAY
     coupling_stiffness: Annotated[
         float,
-        quantity("N/m", "stiffness between the piston and its surroundings", minimum=0.0, maximum=1e9, scale="force / stroke"),
-    ] = 2e6
+        quantity("N/m", "stiffness between the piston and its surroundings", minimum=0.0, maximum=1e9, scale="coupling"),
+    ] = PAPER_COUPLING
     coupling_damping: Annotated[
         float,
-        quantity("N s/m", "damping between the piston and its surroundings", minimum=0.0, maximum=1e6, scale="force / stroke"),
-    ] = 2e3
+        quantity(
+            "N s/m", "damping between the piston and its surroundings", minimum=0.0, maximum=1e6, scale="coupling_damping"
+        ),
+    ] = PAPER_COUPLING_DAMPING
     position_noise: Annotated[
         float,
         quantity(

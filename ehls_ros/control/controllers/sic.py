@@ -18,6 +18,7 @@ from ehls_ros.schema import quantity
 FOLLOWS = "force"
 FRICTION = False
 NEEDS = ("velocity", "load_pressure", "spool_position", "force", "supply_pressure")
+TUNED = ("proportional", "integral")
 
 WINDING_DROP = 0.1
 """Pressure drop, as a fraction of the supply pressure, below which the valve has no reserve and integration stops."""

@@ -1,5 +1,10 @@
-"""Error of the true force under a controller, cycle by cycle, with arbitrary elements between controller and valve."""
+"""A run stepped cycle by cycle: true force and motion, with arbitrary elements between controller and valve.
 
+Unlike :mod:`ehls_ros.experiments.loop` it compiles nothing that depends on the combination of plant and controller, and knows
+the true force. A run takes two to three times as long.
+"""
+
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -8,31 +13,40 @@ from ehls_ros.arrays import Array
 from ehls_ros.control.controller import Controller, Outlook
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.loop import sampled, simulator_of
 from ehls_ros.experiments.spec import Spec, company_of
 from ehls_ros.physics.rig import SENSED
-from ehls_ros.physics.sensors import FORCE
+from ehls_ros.physics.sensors import FORCE, VELOCITY
 from ehls_ros.physics.simulator import Simulator
+
+CHECKED = 50
+"""Number of cycles after which the rig's state is checked."""
 
 
 class Cycles(NamedTuple):
     """Results, a row for each cycle.
 
     Attributes:
-        error: true force less the reference wanted [N], shape (n,).
+        error: true force less the reference wanted [N], shape (n,); infinite from an impossible state of the rig on, and the
+            others NaN.
         command: command that the valve received [m], shape (n,).
+        truth: true values of the readings in the order of ``SENSED``, shape (n, signals).
+        disturbance: force [N], force rate [N/s], displacement [m] and velocity [m/s] of the actuator under test, shape (n, 4).
     """
 
     error: Array
     command: Array
+    truth: Array
+    disturbance: Array
 
     def largest(self) -> float:
         """Return the largest error of the last half [N]."""
         return float(np.max(np.abs(self.error[len(self.error) // 2 :])))
 
 
-def true_cycles(spec: Spec, added: Array | None = None, plant: Simulator | None = None) -> Cycles:
-    """Run an experiment whose controller needs no friction estimate, companions included.
+def stepped_run(spec: Spec, added: Array | None = None, plant: Simulator | None = None) -> Cycles:
+    """Run an experiment, companions included.
 
     Args:
         spec: the experiment.
@@ -49,13 +63,23 @@ def true_cycles(spec: Spec, added: Array | None = None, plant: Simulator | None 
     model = model_of(spec.controller_rig, period)
     company = company_of(spec, model, spec.settings.title)
     law = Controller(spec.controller.name, spec.controller.parameters, model, company)
+    uses = spec.compensation
+    observer = FrictionEstimator(uses.name, spec.controller_rig, period, uses.parameters) if law.uses_friction else None
     noise = np.random.default_rng(spec.settings.seed).standard_normal((cycles, len(SENSED)))
     error, command = np.empty(cycles), np.zeros(cycles) if added is None else added.copy()
-    no_friction = np.zeros(2)
+    truth, disturbance = np.empty((cycles, len(SENSED))), np.empty((cycles, len(plant.acting)))
+    friction = np.zeros(2)
     for cycle in range(cycles):
         measured = plant.measure(noise[cycle])
+        truth[cycle] = plant.truth
         error[cycle] = plant.truth[FORCE] - wanted[cycle, 0]
-        answer = law.step(measured, wanted[cycle], no_friction, outlook=Outlook(cycle, place[cycle], actuator[cycle]))
+        if observer is not None:
+            friction = observer.update(float(measured[VELOCITY]))
+        answer = law.step(measured, wanted[cycle], friction, outlook=Outlook(cycle, place[cycle], actuator[cycle]))
         command[cycle] += answer
         plant.advance(command[cycle], *rows[cycle])
-    return Cycles(error, command)
+        disturbance[cycle] = plant.acting
+        if cycle % CHECKED == 0 and plant.trouble():
+            error[cycle:], command[cycle:], truth[cycle:], disturbance[cycle:] = math.inf, math.nan, math.nan, math.nan
+            break
+    return Cycles(error, command, truth, disturbance)

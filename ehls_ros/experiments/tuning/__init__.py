@@ -1,0 +1,1 @@
+"""Numbers of a control law for a rig."""

@@ -1,0 +1,105 @@
+"""The experiment for which a law is tuned: the rig's file, a reference, and the actuator under test."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.catalogue import largest_force, room_of
+from ehls_ros.experiments.spec import Spec, check_spec, spec_from_mapping
+from ehls_ros.physics.rig import Rig, rig_to_mapping
+
+COUPLING = "coupling_stiffness"
+"""Effect by which a rig file tells the coupling to the actuator under test."""
+
+SERVO = "position_servo"
+"""Disturbance that stands for the actuator under test."""
+
+FORCE_PART, FREQUENCY = 0.5, 0.5
+"""Amplitude of the reference by default, over the largest force, and its frequency [Hz]."""
+
+SPEED_PART, STROKE_PART, MOTION_FREQUENCY = 0.3, 0.5, 1.0
+"""Motion of the actuator under test by default: velocity over the loader's, travel over half the stroke, frequency [Hz]."""
+
+DURATION = 5.0
+"""Longest duration of a run [s], the last half of which is judged."""
+
+UNTOLD = (
+    f"the rig file does not tell the coupling to the actuator under test (effect {COUPLING}): {{:.3g}} N/m is assumed; measure"
+    " it with the rod connected: force over displacement"
+)
+"""Remark on a missing coupling."""
+
+
+class Task(NamedTuple):
+    """An experiment to tune for.
+
+    Attributes:
+        content: the experiment as in its file.
+        spec: the experiment.
+        remarks: sentences on assumptions made.
+    """
+
+    content: Mapping[str, Any]
+    spec: Spec
+    remarks: tuple[str, ...]
+
+
+def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: str = "tune", folder: Path = Path()) -> Task:
+    """Return the experiment to tune for.
+
+    The simulated rig is the one that the controller knows, including delay and coupling.
+
+    Args:
+        rig: the rig; its effect :data:`COUPLING` is the coupling to the actuator under test.
+        law: name of the control law.
+        given: content of an experiment file, of which reference, disturbance, control period and the law's numbers are used;
+            None: sines of force and motion within the rig's reach.
+        where: the file, for errors.
+        folder: folder of its files.
+
+    Raises:
+        BadInput: a key of the experiment is wrong, or the law does not control a force.
+    """
+    content: dict[str, Any] = {"title": f"tuning of {law}", **(_usual(rig) if given is None else given)}
+    stated = content.get("controller")
+    stated = dict(stated) if isinstance(stated, Mapping) else {"name": stated or law}
+    for name in (law, stated.get("name")):
+        if (follows := CONTROLLERS.load(name, where).FOLLOWS) != "force":
+            raise BadInput(f"{name} follows a {follows}", where, "a law and an experiment that follow a force")
+    coupling = next((use.parameters for use in rig.effects if use.name == COUPLING), None)
+    own = rig._replace(effects=tuple(use for use in rig.effects if use.name != COUPLING))
+    disturbance = content.get("disturbance")
+    remarks: tuple[str, ...] = ()
+    reacts = isinstance(disturbance, dict) and disturbance.get("name") == SERVO
+    if not reacts:
+        own = rig
+    elif coupling is not None:
+        content["disturbance"] = {**(disturbance or {}), "stiffness": coupling.stiffness, "damping": coupling.damping}
+    content |= {"rig": rig_to_mapping(own), "controller_rig": None, "effects": [], "companions": []}
+    content["known_effects"] = [COUPLING] if reacts else []
+    content["controller"] = stated if stated["name"] == law else {"name": law}
+    content["duration"] = min(float(content.get("duration", DURATION)), DURATION)
+    spec = spec_from_mapping(content, where, folder)
+    check_spec(spec, where)
+    if reacts and coupling is None:
+        remarks = (UNTOLD.format(spec.disturbance.parameters.stiffness),)
+    return Task(content, spec, remarks)
+
+
+def _usual(rig: Rig) -> dict[str, Any]:
+    """Return reference and disturbance within the reach of a rig."""
+    plant, limits = rig.plant, rig.limits
+    flow = plant.discharge_coefficient * plant.valve_area_gradient * limits.spool * plant.valve_gain
+    speed = min(flow * math.sqrt(plant.supply_pressure / plant.oil_density) / plant.piston_area, limits.velocity)
+    travel = min(SPEED_PART * speed / (2.0 * math.pi * MOTION_FREQUENCY), STROKE_PART * room_of(rig))
+    amplitude = FORCE_PART * (largest_force(rig) - abs(plant.moving_mass * plant.gravity))
+    return {
+        "reference": {"name": "sine", "amplitude": float(f"{amplitude:.3g}"), "frequency": FREQUENCY},
+        "disturbance": {
+            "name": SERVO,
+            "signal": {"name": "sine", "amplitude": float(f"{travel:.3g}"), "frequency": MOTION_FREQUENCY},
+        },
+    }

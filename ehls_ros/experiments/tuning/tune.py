@@ -1,0 +1,351 @@
+"""Find the numbers of a control law for a rig: the least error that holds within the file's uncertainty and the margins.
+
+The law's file names the numbers that are tuned (``TUNED``). Each is a factor on its default for the rig. Factors are varied one
+after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda, Lewis, Torczon, SIAM Review
+45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run: on the rig of the file,
+and on rigs drawn within its uncertainty. Margins below those asked for count as a larger error, so that the search returns to
+them from anywhere.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.margins import LoopMargins
+from ehls_ros.control.references import constant
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.causal_limit import limit_under
+from ehls_ros.experiments.metrics import MIN_LOST_ERROR
+from ehls_ros.experiments.spec import COMMAND_DELAY, Spec, Use, reference_extremes
+from ehls_ros.experiments.stepped_run import stepped_run
+from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
+from ehls_ros.experiments.tuning.task import Task
+from ehls_ros.experiments.tuning.uncertainty import uncertain
+from ehls_ros.parallel import Workers
+from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.sensors import LOAD_PRESSURE, SPOOL
+from ehls_ros.schema import declarations
+
+FIRST_STEP, LAST_STEP = 3.0, 1.2
+"""Factors by which a number is varied at first and at last."""
+
+WIDEST = 30.0
+"""Largest factor on a default, either way."""
+
+BETTER = 0.98
+"""Ratio of two scores below which the smaller one is an improvement."""
+
+PER_DB, PER_DEGREE = 0.4, 0.06
+"""Logarithm of the factor on the error per dB and per degree that a margin lacks."""
+
+RIGS = 2
+"""Number of rigs drawn within the uncertainty."""
+
+FASTER = 4.0
+"""Factor on the valve's bandwidth and on the rate of sampling where their lag is left out."""
+
+MAX_TRIALS = 90
+"""Largest number of sets of numbers tried by the search."""
+
+SPEEDS = (0.15, 0.3, 0.55, 1.0, 1.8, 3.3, 6.0)
+"""Factors on all tuned rates together for the trade-off curve."""
+
+Progress = Callable[[int, int], None]
+
+
+class Wanted(NamedTuple):
+    """Margins asked for.
+
+    Attributes:
+        gain_db: factor by which the loop's gain may rise or fall [dB].
+        phase_deg: angle by which its phase may change [degree].
+    """
+
+    gain_db: float = 6.0
+    phase_deg: float = 30.0
+
+
+USUAL = Wanted()
+"""Margins asked for by default."""
+
+
+class Trial(NamedTuple):
+    """A set of numbers with its results.
+
+    Attributes:
+        numbers: values of the tuned numbers by name.
+        error: largest error on the rig of the file [N]; infinite if the force was lost.
+        worst: largest error over all rigs [N].
+        margins: margins of the loop.
+    """
+
+    numbers: Mapping[str, float]
+    error: float
+    worst: float
+    margins: LoopMargins
+
+    def lacking(self, wanted: Wanted) -> float:
+        """Return the logarithm of the factor on the error by which the search counts lacking margins."""
+        gain, phase = wanted.gain_db - self.gain_db, wanted.phase_deg - self.margins.phase_deg
+        return PER_DB * max(gain, 0.0) + PER_DEGREE * max(phase, 0.0)
+
+    @property
+    def gain_db(self) -> float:
+        """Factor by which the loop's gain may rise or fall [dB]."""
+        return min(self.margins.gain_db, self.margins.fall_db)
+
+    def score(self, wanted: Wanted) -> float:
+        """Return the logarithm of the error, with lacking margins; smaller is better."""
+        return (math.log(self.worst) if 0.0 < self.worst < math.inf else math.inf) + self.lacking(wanted)
+
+
+class Limit(NamedTuple):
+    """Error with the same numbers without one limitation; larger where the numbers no longer fit.
+
+    Attributes:
+        removed: the limitation, such as ``noise of the sensors``.
+        error: largest error without it [N].
+    """
+
+    removed: str
+    error: float
+
+
+class Tuned(NamedTuple):
+    """Result of :func:`tune`.
+
+    Attributes:
+        task: the experiment.
+        wanted: margins asked for.
+        default: results of the law's defaults for the rig.
+        chosen: results of the numbers found.
+        causal_limit: error of the best law without foresight [N]; NaN if not determined.
+        limits: error without each limitation.
+        curve: results of all tuned numbers made slower and faster together.
+        tried: number of sets tried.
+        remarks: sentences for the user.
+    """
+
+    task: Task
+    wanted: Wanted
+    default: Trial
+    chosen: Trial
+    causal_limit: float
+    limits: tuple[Limit, ...]
+    curve: tuple[Trial, ...]
+    tried: int
+    remarks: tuple[str, ...]
+
+    @property
+    def lost(self) -> bool:
+        """Whether the numbers found do not hold the force."""
+        return not self.chosen.error < MIN_LOST_ERROR * max(map(abs, reference_extremes(self.task.spec)))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the force is held with the margins asked for."""
+        return not self.lost and self.chosen.lacking(self.wanted) == 0.0
+
+    @property
+    def spec(self) -> Spec:
+        """The experiment with the numbers found."""
+        return with_numbers(self.task.spec, self.chosen.numbers)
+
+
+def tune(
+    task: Task,
+    *,
+    wanted: Wanted = USUAL,
+    errors: Mapping[str, float] | None = None,
+    uncertainty: float = 1.0,
+    seed: int = 0,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+) -> Tuned:
+    """Find the numbers of a task's law.
+
+    Args:
+        task: the experiment.
+        wanted: margins asked for.
+        errors: relative standard errors of the rig file's coefficients, in place of the assumed ones.
+        uncertainty: factor on all of them; 0: the file is exact.
+        seed: seed of the rigs drawn.
+        jobs: number of processes; None: one per processor.
+        progress: called with the number of trials done and the largest number.
+
+    Raises:
+        BadInput: the law names no numbers to tune.
+    """
+    names = tunable(task.spec.controller.name)
+    rigs = uncertain(task.spec, RIGS if uncertainty > 0.0 else 0, seed, errors or {}, uncertainty)
+    with Workers(jobs) as workers:
+        search = _Search(task.spec, rigs, names, wanted, workers, progress)
+        default = search.tried({})
+        chosen = search.best(default)
+        curve = search.all([search.faster(chosen.numbers, speed) for speed in SPEEDS])
+        # Faster or slower altogether may be better still.
+        chosen = min((chosen, *curve), key=lambda trial: trial.score(wanted))
+        limits = search.limits(chosen)
+    found = Tuned(
+        task,
+        wanted,
+        default,
+        chosen,
+        causal_limit_of(with_numbers(task.spec, chosen.numbers)),
+        tuple(limits),
+        tuple(curve),
+        search.count,
+        (),
+    )
+    return found._replace(remarks=(*task.remarks, *_remarks(found)))
+
+
+def tunable(law: str) -> tuple[str, ...]:
+    """Return the names of the numbers of a law that are tuned.
+
+    Raises:
+        BadInput: there are none.
+    """
+    names: tuple[str, ...] = getattr(CONTROLLERS.load(law), "TUNED", ())
+    if not names:
+        raise BadInput(f"{law} names no numbers to tune", "law", "a law with TUNED, such as fasmc_predictive")
+    return names
+
+
+def with_numbers(spec: Spec, numbers: Mapping[str, float]) -> Spec:
+    """Return an experiment with other numbers of its law."""
+    return spec._replace(controller=spec.controller._replace(parameters=spec.controller.parameters._replace(**numbers)))
+
+
+def causal_limit_of(spec: Spec) -> float:
+    """Return the causal limit of an experiment under its disturbance, the actuator's reaction included [N]; NaN if unknown."""
+    run = stepped_run(spec)
+    if not np.all(np.isfinite(run.error)):
+        return math.nan
+    limit = limit_under(spec, run.disturbance, run.truth[:, SPOOL], run.truth[:, LOAD_PRESSURE]).limit
+    return math.nan if limit is None else limit.largest
+
+
+def judged(spec: Spec, rigs: Sequence[Spec], numbers: Mapping[str, float], beyond: float) -> Trial:
+    """Return the results of a set of numbers.
+
+    Args:
+        spec: the experiment on the rig of the file.
+        rigs: the experiment on rigs within the uncertainty.
+        numbers: values by name.
+        beyond: error on the rig of the file from which the others are not run [N].
+    """
+    numbered = with_numbers(spec, numbers)
+    error = worst = stepped_run(numbered).largest()
+    for rig in rigs if error < beyond else ():
+        worst = max(worst, stepped_run(with_numbers(rig, numbers)).largest())
+    return Trial(numbers, error, worst, margins_of(numbered))
+
+
+def without(spec: Spec) -> dict[str, Spec]:
+    """Return an experiment with one limitation removed from the rig and from the controller's, by its name."""
+    settings, still = spec.settings, Use("constant", constant.Parameters(0.0))
+    cases = {
+        "noise of the sensors": changed(spec, lambda rig: rig._replace(sensors={})),
+        "delay of the command": changed(spec, _at_once),
+        "lag of the valve": changed(spec, lambda rig: rig.with_plant(valve_bandwidth=FASTER * rig.plant.valve_bandwidth)),
+        "sampling": spec._replace(settings=settings._replace(control_period=settings.control_period / FASTER)),
+        "friction": changed(spec, slipping),
+        "motion of the actuator under test": spec._replace(disturbance=spec.disturbance._replace(signal=still)),
+    }
+    return {name: case for name, case in cases.items() if case != spec}
+
+
+def _at_once(rig: Rig) -> Rig:
+    return rig._replace(effects=tuple(use for use in rig.effects if use.name != COMMAND_DELAY))
+
+
+class _Search:
+    """State of a search.
+
+    Attributes:
+        count: number of sets tried.
+    """
+
+    def __init__(
+        self,
+        spec: Spec,
+        rigs: Sequence[Spec],
+        names: Sequence[str],
+        wanted: Wanted,
+        workers: Workers,
+        progress: Progress | None,
+    ) -> None:
+        self._spec, self._rigs, self._names, self._wanted = spec, rigs, names, wanted
+        self._workers, self._progress = workers, progress
+        self._start = {name: float(getattr(spec.controller.parameters, name)) for name in names}
+        self._declared = {declared.name: declared for declared in declarations(type(spec.controller.parameters))}
+        self._beyond = math.inf
+        self.count = 0
+
+    def tried(self, numbers: Mapping[str, float]) -> Trial:
+        """Return the results of one set of numbers; missing ones are the defaults."""
+        return self.all([numbers])[0]
+
+    def all(self, sets: Sequence[Mapping[str, float]]) -> list[Trial]:
+        """Return the results of several sets of numbers."""
+        within = [{name: self._within(name, given.get(name, self._start[name])) for name in self._names} for given in sets]
+        tasks = [partial(judged, self._spec, self._rigs, numbers, self._beyond) for numbers in within]
+        found: list[Trial] = self._workers.run(tasks)
+        self.count += len(found)
+        if self._progress is not None:
+            self._progress(min(self.count, MAX_TRIALS), MAX_TRIALS + len(SPEEDS))
+        return found
+
+    def _within(self, name: str, value: float) -> float:
+        declared, start = self._declared[name], self._start[name]
+        low, high = start / WIDEST, start * WIDEST
+        low = low if declared.minimum is None else max(low, declared.minimum)
+        high = high if declared.maximum is None else min(high, declared.maximum)
+        return min(max(value, low), high)
+
+    def faster(self, numbers: Mapping[str, float], factor: float) -> dict[str, float]:
+        """Return numbers with all but the dimensionless ones multiplied."""
+        return {name: value if self._declared[name].unit == "1" else factor * value for name, value in numbers.items()}
+
+    def best(self, start: Trial) -> Trial:
+        """Return the best set of numbers found from a start."""
+        best, step = start, FIRST_STEP
+        while step > LAST_STEP and self.count < MAX_TRIALS:
+            improved = False
+            for name in self._names:
+                self._beyond = 1.5 * best.worst
+                value = best.numbers[name]
+                moved = {self._within(name, value * factor) for factor in (step, 1.0 / step)} - {value}
+                trials = self.all([{**best.numbers, name: number} for number in sorted(moved)])
+                better = min((best, *trials), key=lambda trial: trial.score(self._wanted))
+                if better.score(self._wanted) < best.score(self._wanted) + math.log(BETTER):
+                    best, improved = better, True
+            if not improved:
+                step = math.sqrt(step)
+        self._beyond = math.inf
+        return best
+
+    def limits(self, chosen: Trial) -> list[Limit]:
+        """Return the error without each limitation, with the same numbers."""
+        cases = without(with_numbers(self._spec, chosen.numbers))
+        errors = self._workers.run([partial(_largest, case) for case in cases.values()])
+        return [Limit(name, error) for name, error in zip(cases, errors, strict=True)]
+
+
+def _largest(spec: Spec) -> float:
+    return stepped_run(spec).largest()
+
+
+def _remarks(found: Tuned) -> list[str]:
+    chosen, wanted = found.chosen, found.wanted
+    if found.lost:
+        return ["no numbers hold the force of this experiment: try a smaller reference, a slower motion or another law"]
+    if chosen.lacking(wanted) == 0.0:
+        return []
+    reached = f"the margins found are {chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
+    return [f"{reached}; no numbers tried have {wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees"]

@@ -1,0 +1,106 @@
+"""Rigs as they may be within the uncertainty of a rig file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.spec import Spec
+from ehls_ros.physics.rig import Rig
+from ehls_ros.recording.yaml_text import read_yaml
+
+ASSUMED: Mapping[str, float] = {
+    "plant.supply_pressure": 0.02,
+    "plant.bulk_modulus": 0.1,
+    "plant.discharge_coefficient": 0.05,
+    "plant.leakage_coefficient": 0.5,
+    "plant.moving_mass": 0.05,
+    "plant.piston_area": 0.01,
+    "plant.spring_stiffness": 0.05,
+    "plant.valve_bandwidth": 0.1,
+    "friction.coulomb_force": 0.1,
+    "friction.static_force": 0.1,
+    "friction.viscous_coefficient": 0.2,
+    "friction.element_stiffness": 0.2,
+    "coupling_stiffness.stiffness": 0.1,
+}
+"""Relative standard error of a coefficient whose file has none."""
+
+LIMIT = 2.0
+"""Largest deviation of a drawn coefficient, in standard errors."""
+
+MIN_FACTOR = 0.2
+"""Smallest factor on a coefficient."""
+
+
+def standard_errors(path: Path) -> dict[str, float]:
+    """Return the relative standard errors of a rig's coefficients from its ``identification.json``, by section and name.
+
+    Raises:
+        BadInput: the file cannot be read or is no identification.
+    """
+    content = read_yaml(path, "identification")
+    parameters = content.get("parameters") if isinstance(content, Mapping) else None
+    if not isinstance(parameters, Mapping):
+        raise BadInput("there are no parameters", str(path), "an identification.json of `ehls identify`")
+    found: dict[str, float] = {}
+    for name, estimate in parameters.items():
+        value, std = (estimate.get(key) if isinstance(estimate, Mapping) else None for key in ("value", "std"))
+        if not isinstance(value, int | float) or not isinstance(std, int | float):
+            raise BadInput(f"{name} is {estimate!r}", str(path), "a mapping with numbers value and std")
+        paths = [path for path in ASSUMED if path.split(".")[1] == name.split(".")[-1].split("[")[0]]
+        found |= {path: max(std / abs(value), found.get(path, 0.0)) for path in paths if value != 0.0}
+    return found
+
+
+def uncertain(spec: Spec, count: int, seed: int, stated: Mapping[str, float], scale: float = 1.0) -> list[Spec]:
+    """Return experiments on rigs within the uncertainty, with the controller's rig unchanged.
+
+    Args:
+        spec: the experiment on the rig of the file.
+        count: number of rigs.
+        seed: seed of the draws and of the sensors' noise.
+        stated: relative standard errors by section and coefficient, in place of :data:`ASSUMED`.
+        scale: factor on all standard errors.
+    """
+    errors = {**ASSUMED, **stated}
+    return [_drawn(spec, errors, scale, seed + 1 + number) for number in range(count)]
+
+
+def _drawn(spec: Spec, errors: Mapping[str, float], scale: float, seed: int) -> Spec:
+    random = np.random.default_rng(seed)
+    factors = {
+        path: max(1.0 + scale * error * float(np.clip(random.standard_normal(), -LIMIT, LIMIT)), MIN_FACTOR)
+        for path, error in errors.items()
+    }
+    moved = _section(factors, "coupling_stiffness")
+    coupled = spec.disturbance.parameters
+    if "stiffness" in getattr(coupled, "_fields", ()) and "stiffness" in moved:
+        coupled = coupled._replace(stiffness=coupled.stiffness * moved["stiffness"])
+    return spec._replace(
+        rig=_moved(spec.rig, factors),
+        disturbance=spec.disturbance._replace(parameters=coupled),
+        settings=spec.settings._replace(seed=seed),
+    )
+
+
+def _moved(rig: Rig, factors: Mapping[str, float]) -> Rig:
+    plant, friction = _section(factors, "plant"), _section(factors, "friction")
+    return rig._replace(plant=_scaled(rig.plant, plant), friction=_scaled(rig.friction, friction))
+
+
+def _scaled(numbers: Any, factors: Mapping[str, float]) -> Any:
+    present = {name: getattr(numbers, name) for name in factors if name in numbers._fields}
+    return numbers._replace(
+        **{
+            name: tuple(each * factors[name] for each in value) if isinstance(value, tuple) else value * factors[name]
+            for name, value in present.items()
+        }
+    )
+
+
+def _section(factors: Mapping[str, float], section: str) -> dict[str, float]:
+    prefix = f"{section}."
+    return {path.removeprefix(prefix): factor for path, factor in factors.items() if path.startswith(prefix)}

@@ -1,0 +1,153 @@
+"""Tuning of a law: margins of the loop, the task, the uncertainty and the search."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ehls_ros.control.controllers import fasmc_output_feedback
+from ehls_ros.control.margins import pressure_loop_margins
+from ehls_ros.control.rig_scale import tuned_for
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import configured
+from ehls_ros.experiments.spec import load_rig, spec_from_mapping
+from ehls_ros.experiments.stepped_run import stepped_run
+from ehls_ros.experiments.tuning import tune as tuning
+from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
+from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
+from ehls_ros.experiments.tuning.task import task_of
+from ehls_ros.experiments.tuning.tune import Wanted, tune
+from ehls_ros.experiments.tuning.uncertainty import LIMIT, standard_errors, uncertain
+from ehls_ros.physics.rig import effects_from_list, rig_to_mapping
+from ehls_ros.recording.yaml_text import parse_yaml
+
+RIG = load_rig(configured("rig_paper"))
+COUPLING = effects_from_list([{"name": "coupling_stiffness", "stiffness": 3e6, "damping": 1e3}], "test")
+DELAY = effects_from_list([{"name": "command_delay", "delay": 2e-3}], "test")
+SHORT = {
+    "title": "short",
+    "duration": 1.0,
+    "reference": {"name": "sine", "amplitude": 1e4, "frequency": 1.0},
+    "disturbance": {"name": "force", "signal": {"name": "sine", "amplitude": 5e3, "frequency": 2.0}},
+}
+
+
+def test_the_margins_of_a_pi_loop_are_those_of_its_transfer_function():
+    # So heavy that it does not move: the loop is that of the oil alone.
+    rig = RIG.with_plant(moving_mass=1e6, leakage_coefficient=0.0, gravity=0.0, spring_stiffness=0.0)
+    still = {"name": "constant", "value": 0.0}
+    content = {"rig": rig_to_mapping(rig), "reference": {"name": "constant", "value": 1e3}}
+    content |= {"disturbance": {"name": "force", "signal": still}, "controller": {"name": "sic", "compensation": 0.0}}
+    spec = spec_from_mapping(content, "test", configured("rig_paper").parent)
+    numbers = spec.controller.parameters
+    found, expected = (
+        margins_of(spec),
+        pressure_loop_margins(numbers.proportional, numbers.integral, rig.plant.valve_bandwidth, 1e-3),
+    )
+    assert found.gain_db == pytest.approx(expected.gain_db, abs=0.3)
+    assert found.phase_deg == pytest.approx(expected.phase_deg, abs=2.0)
+
+
+@pytest.mark.parametrize(("beyond", "stable"), [(0.85, True), (1.15, False)])
+def test_the_gain_margin_is_the_gain_at_which_the_loop_becomes_unstable(beyond, stable):
+    spec = task_of(RIG, "fasmc", SHORT).spec
+    gain = 10.0 ** (beyond * margins_of(spec).gain_db / 20.0)
+    smooth = changed(spec, slipping)
+    other = smooth._replace(rig=smooth.rig.with_plant(valve_gain=gain))
+    added = np.zeros(other.cycles)
+    added[500] = 1e-6 * RIG.limits.spool
+    moved = np.abs(stepped_run(other, added).command - stepped_run(other).command) / added[500]
+    assert (moved[-100:].max() < 0.1) == stable
+
+
+def test_the_coupling_of_the_rig_file_acts_once():
+    task = task_of(RIG.with_effects(COUPLING), "fasmc_predictive")
+    [acting] = [use for use in task.spec.loader_rig().effects if use.name == "coupling_stiffness"]
+    [known] = [use for use in task.spec.controller_rig.effects if use.name == "coupling_stiffness"]
+    assert acting.parameters == known.parameters == COUPLING[0].parameters
+    assert task.remarks == ()
+
+
+def test_an_untold_coupling_is_said_and_a_delay_is_known_to_the_law():
+    task = task_of(RIG.with_effects(DELAY), "fasmc_output_feedback")
+    assert "coupling_stiffness" in task.remarks[0]
+    assert task.spec.controller.parameters.command_delay == pytest.approx(2e-3)
+    assert [use.parameters.delay for use in task.spec.rig.effects] == [2e-3]
+
+
+def test_a_law_takes_delay_and_coupling_from_the_rig():
+    told = tuned_for(fasmc_output_feedback.Parameters, RIG.with_effects(COUPLING + DELAY))
+    untold = tuned_for(fasmc_output_feedback.Parameters, RIG)
+    assert (told.command_delay, told.coupling_stiffness, told.coupling_damping) == pytest.approx((2e-3, 3e6, 1e3))
+    assert (untold.command_delay, untold.coupling_stiffness) == pytest.approx((1e-3, 2e6))
+
+
+def test_a_law_that_follows_a_position_is_refused():
+    with pytest.raises(BadInput, match="position"):
+        task_of(RIG, "pid", SHORT)
+
+
+def test_rigs_within_the_uncertainty():
+    spec = task_of(RIG.with_effects(COUPLING), "fasmc_predictive").spec
+    drawn = uncertain(spec, 3, 1, {"plant.moving_mass": 0.2})
+    for other in drawn:
+        assert other.controller_rig == spec.controller_rig
+        assert abs(other.rig.plant.moving_mass / RIG.plant.moving_mass - 1.0) <= 0.2 * LIMIT
+        assert other.rig.plant.bulk_modulus != RIG.plant.bulk_modulus
+        assert other.disturbance.parameters.stiffness != 3e6
+    assert len({other.rig.plant.moving_mass for other in drawn}) == 3
+    [exact] = uncertain(spec, 1, 1, {}, 0.0)
+    assert exact.rig == spec.rig
+
+
+def test_standard_errors_of_an_identification(tmp_path):
+    path = tmp_path / "identification.json"
+    path.write_text(json.dumps({"parameters": {"plant.moving_mass": {"value": 50.0, "std": 5.0, "unit": "kg"}}}))
+    assert standard_errors(path) == {"plant.moving_mass": pytest.approx(0.1)}
+
+
+@pytest.mark.parametrize("content", ["[]", '{"parameters": {"moving_mass": 3}}'])
+def test_a_file_that_is_no_identification_is_refused(tmp_path, content):
+    path = tmp_path / "identification.json"
+    path.write_text(content)
+    with pytest.raises(BadInput):
+        standard_errors(path)
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning, "MAX_TRIALS", 5)
+        patch.setattr(tuning, "SPEEDS", (0.5, 1.0))
+        return tune(task_of(RIG, "fasmc", SHORT), wanted=Wanted(3.0, 20.0), uncertainty=0.0, jobs=1)
+
+
+def test_the_search_finds_less_error_with_the_margins_asked_for(tuned):
+    assert tuned.chosen.error < 0.9 * tuned.default.error
+    assert tuned.holds
+    assert tuned.chosen.gain_db >= 3.0
+    assert stepped_run(tuned.spec).largest() == tuned.chosen.error
+    assert {limit.removed for limit in tuned.limits} >= {"friction", "sampling", "motion of the actuator under test"}
+    assert len(tuned.curve) == 2
+
+
+def test_the_files_give_the_numbers_found(tuned):
+    numbers = tuned.chosen.numbers
+    spec = spec_from_mapping(
+        parse_yaml(experiment_text(tuned), "experiment", "spec"), "experiment", configured("rig_paper").parent
+    )
+    assert {name: getattr(spec.controller.parameters, name) for name in numbers} == pytest.approx(numbers)
+    [(node, content)] = parse_yaml(parameters_text(tuned), "parameters", "parameters").items()
+    assert node.endswith("fasmc_node")
+    assert content["ros__parameters"] == pytest.approx(numbers, rel=1e-5)
+    assert document(tuned)["chosen"]["max_error_n"] == tuned.chosen.error
+
+
+def test_a_lost_force_is_a_result_with_advice(monkeypatch):
+    monkeypatch.setattr(tuning, "MAX_TRIALS", 1)
+    monkeypatch.setattr(tuning, "SPEEDS", (1.0,))
+    stronger = {"name": "force", "signal": {"name": "constant", "value": 6e4}}
+    found = tune(task_of(RIG, "fasmc", {**SHORT, "disturbance": stronger}), uncertainty=0.0, jobs=1)
+    assert found.lost
+    assert not found.holds
+    assert "smaller reference" in found.remarks[0]
