@@ -100,9 +100,11 @@ class Spec(NamedTuple):
         return round(self.settings.duration / self.settings.control_period) + 1
 
     def loader_rig(self) -> Rig:
-        """Return the rig with the effects of the disturbance on the loader's plant."""
-        kind = DISTURBANCES.load(self.disturbance.name)
-        return self.rig.with_effects(kind.loader_effects(self.disturbance.parameters))
+        """Return the rig with the effects of the disturbance on the loader's plant, in place of the rig's own of that name."""
+        acting = DISTURBANCES.load(self.disturbance.name).loader_effects(self.disturbance.parameters)
+        named = {use.name for use in acting}
+        own = tuple(use for use in self.rig.effects if use.name not in named)
+        return self.rig._replace(effects=own + acting)
 
     def servo(self) -> Servo | None:
         """Return the actuator under test that is simulated with the loader; None if it does not react to the loader."""

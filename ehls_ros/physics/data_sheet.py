@@ -28,6 +28,9 @@ GRAVITY = 9.81
 SETTLING = 0.3
 """Assumed settling time of sliding friction to the Stribeck curve [s]."""
 
+COUPLING_DAMPING = 1e-3
+"""Assumed damping over stiffness of the coupling to the actuator under test [s]."""
+
 LEAKING = 0.02
 """Assumed leakage at supply pressure, as a fraction of the rated flow."""
 
@@ -93,6 +96,10 @@ class DataSheet(NamedTuple):
     delay: Annotated[
         Figure,
         quantity("ms", "time from the reading to the valve's input: cycles, field bus, converters", minimum=0.0, maximum=50.0),
+    ] = None
+    coupling: Annotated[
+        Figure,
+        quantity("N/mm", "stiffness between rod and actuator under test, once they are connected", minimum=1e-3, maximum=1e6),
     ] = None
     position_noise: Annotated[
         Figure, quantity("µm", "rms noise of the position reading, or its resolution / 3.5", minimum=0.0, maximum=1e4)
@@ -212,7 +219,8 @@ def rig_values(sheet: DataSheet) -> dict[str, dict[str, Source]]:
         sheet: the figures.
 
     Returns:
-        The keys of ``effects`` are names of effects, those of ``sensors`` names of signals, with one value each.
+        The keys of ``effects`` are names of effects with a parameter, such as ``command_delay.delay``; those of ``sensors`` are
+        names of signals, with the noise.
     """
     plant = _plant(sheet)
     value = {key: source.value for key, source in plant.items()}
@@ -229,7 +237,11 @@ def rig_values(sheet: DataSheet) -> dict[str, dict[str, Source]]:
         "velocity": Source(fastest, "computed", "flow at full opening and supply_pressure, over piston_area"),
     }
     sensors = {sensor: _figure(sheet, name) for sensor, name in NOISES.items() if getattr(sheet, name) is not None}
-    effects = {} if sheet.delay is None else {"command_delay": _figure(sheet, "delay")}
+    effects = {} if sheet.delay is None else {"command_delay.delay": _figure(sheet, "delay")}
+    if sheet.coupling is not None:
+        stiffness = _figure(sheet, "coupling")
+        damping = Source(COUPLING_DAMPING * stiffness.value, "assumed", f"{1e3 * COUPLING_DAMPING:g} ms times the stiffness")
+        effects |= {"coupling_stiffness.stiffness": stiffness, "coupling_stiffness.damping": damping}
     friction = _friction(sheet, pressure * area, fastest)
     return {"plant": plant, "friction": friction, "effects": effects, "sensors": sensors, "limits": limits}
 

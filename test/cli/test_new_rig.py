@@ -40,10 +40,13 @@ def test_a_rig_from_a_file_of_answers(answers, tmp_path, capsys):
 
 
 def test_the_loop_is_described_as_far_as_it_is_stated(answers, tmp_path):
-    answers.write_text(ANSWERS + "delay: 1\nposition_noise: 2\npressure_noise: 0.1 bar\nforce_noise: 5\n", encoding="utf-8")
+    answers.write_text(
+        ANSWERS + "delay: 1\ncoupling: 2000\nposition_noise: 2\npressure_noise: 0.1 bar\nforce_noise: 5\n", encoding="utf-8"
+    )
     assert main(["new-rig", "--out", str(tmp_path / "rig.yaml"), "--from", str(answers)]) == 0
     rig = load_rig(tmp_path / "rig.yaml")
-    assert [(use.name, use.parameters.delay) for use in rig.effects] == [("command_delay", 1e-3)]
+    told = {use.name: tuple(use.parameters) for use in rig.effects}
+    assert told == {"command_delay": (1e-3,), "coupling_stiffness": pytest.approx((2e6, 2e3))}
     noise = {name: sensor.noise_std for name, sensor in rig.sensors.items() if sensor.noise_std}
     assert noise == {"position": 2e-6, "load_pressure": 1e4, "force": 5.0}
 

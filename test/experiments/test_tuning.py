@@ -64,7 +64,8 @@ def test_the_coupling_of_the_rig_file_acts_once():
     task = task_of(RIG.with_effects(COUPLING), "fasmc_predictive")
     [acting] = [use for use in task.spec.loader_rig().effects if use.name == "coupling_stiffness"]
     [known] = [use for use in task.spec.controller_rig.effects if use.name == "coupling_stiffness"]
-    assert acting.parameters == known.parameters == COUPLING[0].parameters
+    assert acting.parameters == pytest.approx(tuple(COUPLING[0].parameters))
+    assert known.parameters == COUPLING[0].parameters
     assert task.remarks == ()
 
 

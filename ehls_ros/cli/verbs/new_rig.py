@@ -133,10 +133,19 @@ def _content(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
     return {
         "plant": plain["plant"],
         "friction": {"model": DEFAULT_FRICTION, **plain["friction"]},
-        "effects": [{"name": name, "delay": delay} for name, delay in plain["effects"].items()],
+        "effects": _effects(plain["effects"]),
         "sensors": {name: {"noise_std": noise} for name, noise in plain["sensors"].items()},
         "limits": plain["limits"],
     }
+
+
+def _effects(values: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Return the effects of values by effect and parameter."""
+    effects = dict[str, dict[str, Any]]()
+    for path, value in values.items():
+        name, parameter = path.split(".")
+        effects.setdefault(name, {"name": name})[parameter] = value
+    return list(effects.values())
 
 
 def _document(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.control.disturbances.base import DISPLACEMENT, ROW, VELOCITY
 from ehls_ros.control.references.base import SampledReference
+from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING
 from ehls_ros.physics.effects.coupling_stiffness import Parameters as Coupling
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import EffectUse, Rig
@@ -29,11 +30,11 @@ class Parameters(NamedTuple):
 
     stiffness: Annotated[
         float,
-        quantity("N/m", "stiffness of beam and hinges between the pistons", above=0.0, maximum=1e9, scale="force / stroke"),
-    ] = 2e6
+        quantity("N/m", "stiffness of beam and hinges between the pistons", above=0.0, maximum=1e9, scale="coupling"),
+    ] = PAPER_COUPLING
     damping: Annotated[
-        float, quantity("N s/m", "damping of beam and hinges", minimum=0.0, maximum=1e6, scale="force / stroke")
-    ] = 2e3
+        float, quantity("N s/m", "damping of beam and hinges", minimum=0.0, maximum=1e6, scale="coupling_damping")
+    ] = PAPER_COUPLING_DAMPING
     moving_mass: MovingMass = 70.0
     supply_pressure: SupplyPressure = 2.1e7
     position_gain: PositionGain = 30.0

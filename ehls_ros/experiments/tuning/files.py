@@ -12,10 +12,8 @@ from ehls_ros.schema import notes
 
 def experiment_text(found: Tuned) -> str:
     """Return the experiment's file, its rig written out."""
-    heading = (
-        "# Tuned by `ehls tune`. The actuator under test is coupled by the disturbance, so the rig has no effect for that.\n"
-    )
-    return heading + spec_text({key: value for key, value in spec_to_mapping(found.spec).items() if value not in (None, [])})
+    content = {key: value for key, value in spec_to_mapping(found.spec).items() if value not in (None, [])}
+    return f"# Tuned by `ehls tune`.\n{spec_text(content)}"
 
 
 def parameters_text(found: Tuned) -> str:

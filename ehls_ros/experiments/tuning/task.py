@@ -69,24 +69,16 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
     for name in (law, stated.get("name")):
         if (follows := CONTROLLERS.load(name, where).FOLLOWS) != "force":
             raise BadInput(f"{name} follows a {follows}", where, "a law and an experiment that follow a force")
-    coupling = next((use.parameters for use in rig.effects if use.name == COUPLING), None)
-    own = rig._replace(effects=tuple(use for use in rig.effects if use.name != COUPLING))
-    disturbance = content.get("disturbance")
-    remarks: tuple[str, ...] = ()
-    reacts = isinstance(disturbance, dict) and disturbance.get("name") == SERVO
-    if not reacts:
-        own = rig
-    elif coupling is not None:
-        content["disturbance"] = {**(disturbance or {}), "stiffness": coupling.stiffness, "damping": coupling.damping}
-    content |= {"rig": rig_to_mapping(own), "controller_rig": None, "effects": [], "companions": []}
-    content["known_effects"] = [COUPLING] if reacts else []
+    content |= {"rig": rig_to_mapping(rig), "controller_rig": None, "effects": [], "companions": []}
+    coupled = isinstance(content.get("disturbance"), Mapping) and content["disturbance"].get("name") == SERVO
+    told = any(use.name == COUPLING for use in rig.effects)
+    content["known_effects"] = [COUPLING] if coupled and not told else []
     content["controller"] = stated if stated["name"] == law else {"name": law}
     content["duration"] = min(float(content.get("duration", DURATION)), DURATION)
     spec = spec_from_mapping(content, where, folder)
     check_spec(spec, where)
-    if reacts and coupling is None:
-        remarks = (UNTOLD.format(spec.disturbance.parameters.stiffness),)
-    return Task(content, spec, remarks)
+    assumed = (UNTOLD.format(spec.disturbance.parameters.stiffness),) if coupled and not told else ()
+    return Task(content, spec, assumed)
 
 
 def _usual(rig: Rig) -> dict[str, Any]:
