@@ -1,6 +1,7 @@
 """Rigs of one's own: the laws on rigs of many sizes, drawn from a seed, beside the causal limit of each.
 
-    python -m benchmarks.own_rigs --seed 7 --count 60
+    python -m benchmarks.own_rigs --seed 7 --count 60 --perfect     # the laws' defaults
+    python -m benchmarks.own_rigs --seed 7 --count 12 --tune 3 20   # and the numbers that `ehls tune` finds
 
 Forces over three decades, supplies of 100 and 200 bar, valves of 20 to 200 Hz, delays of 0 to 2 cycles, noise as data sheets
 have it. The controller's rig file is right. The actuator under test is the position servo behind an elastic coupling; the error
@@ -9,20 +10,24 @@ is that of the true force, the largest of the last half.
 
 import math
 import secrets
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.common import parser_of
+from ehls_ros.control.margins import LoopMargins
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.experiments.stepped_run import stepped_run
-from ehls_ros.experiments.tuning.tune import causal_limit_of
+from ehls_ros.experiments.tuning.loop_margins import margins_of
+from ehls_ros.experiments.tuning.task import Task
+from ehls_ros.experiments.tuning.tune import Wanted, causal_limit_of, tune
 
 PERIOD = 1e-3
 """Control period [s]."""
 
-LAWS = ("fasmc_predictive", "fasmc_output_feedback", "fasmc")
+LAWS = ("fasmc_predictive", "fasmc_output_feedback")
 
 DECADES = (0.1, 1.0, 10.0)
 """Sizes of the rigs, forces over those of the paper's rig."""
@@ -33,19 +38,20 @@ SUPPLIES = (1e7, 2e7)
 FORCE = 18e3
 """Largest force of a rig of size 1 [N]."""
 
+LOST = 20.0
+"""Error from which the force counts as lost, % of the reference's amplitude."""
+
 
 class OwnRig(NamedTuple):
     """A drawn rig with its task.
 
     Attributes:
-        content: its file.
-        effects: delay of the command.
+        content: its file, with the delay of the command and the coupling to the actuator under test.
         reference, disturbance: the task.
         amplitude: of the reference [N].
     """
 
     content: dict[str, Any]
-    effects: list[dict[str, Any]]
     reference: dict[str, Any]
     disturbance: dict[str, Any]
     amplitude: float
@@ -131,16 +137,15 @@ def drawn(number: int, seed: int, *, perfect: bool = False) -> OwnRig:
             "velocity": 2.0 * speed,
         },
     }
+    coupled = {"name": "coupling_stiffness", "stiffness": coupling, "damping": coupling * 1e-3}
     delay = float(random.choice([0.0, 1.0, 2.0, random.uniform(0.0, 2.0)])) * PERIOD
     servo = {"name": "sine", "amplitude": moved, "frequency": turning / (2.0 * math.pi)}
+    content["effects"] = [{"name": "command_delay", "delay": delay}, coupled]
     return OwnRig(
         content,
-        [{"name": "command_delay", "delay": delay}] if delay else [],
         {"name": "sine", "amplitude": amplitude, "frequency": rate / (2.0 * math.pi)},
         {
             "name": "position_servo",
-            "stiffness": coupling,
-            "damping": coupling * 1e-3,
             "moving_mass": mass,
             "supply_pressure": 1.5 * supply,
             "signal": servo,
@@ -151,14 +156,11 @@ def drawn(number: int, seed: int, *, perfect: bool = False) -> OwnRig:
 
 def spec_of(rig: OwnRig, law: str, duration: float, **tuning: Any) -> Spec:
     """Return the experiment of a law on a rig whose delay and coupling it knows."""
-    known = ["coupling_stiffness", *(effect["name"] for effect in rig.effects)]
     content = {
         "title": law,
         "duration": duration,
         "control_period": PERIOD,
         "rig": rig.content,
-        "effects": rig.effects,
-        "known_effects": known,
         "reference": rig.reference,
         "disturbance": rig.disturbance,
         "controller": {"name": law, **tuning},
@@ -166,36 +168,73 @@ def spec_of(rig: OwnRig, law: str, duration: float, **tuning: Any) -> Spec:
     return spec_from_mapping(content, law, Path())
 
 
+class Outcome(NamedTuple):
+    """Result of a law on a rig: its error over the reference's amplitude, and the margins of its loop."""
+
+    error: float
+    margins: LoopMargins
+
+    def text(self, rig: OwnRig, limit: float) -> str:
+        """Return a cell of the table."""
+        gain = min(self.margins.gain_db, self.margins.fall_db)
+        part = 100.0 * self.error / rig.amplitude
+        return f"{self.error:.4g} N {part:.3f} % {self.error / limit:.2f} x {gain:.1f} dB {self.margins.phase_deg:.0f} deg"
+
+
+def outcome(spec: Spec) -> Outcome:
+    """Run an experiment with another seed of the sensors' noise than the one tuned for."""
+    other = spec._replace(settings=spec.settings._replace(seed=spec.settings.seed + 100))
+    return Outcome(stepped_run(other).largest(), margins_of(spec))
+
+
+def tuned(spec: Spec, margins: Sequence[float]) -> Spec:
+    """Return an experiment with the numbers found for it."""
+    return tune(Task({}, spec, ()), wanted=Wanted(*margins), uncertainty=0.0).spec
+
+
+def summary(name: str, outcomes: Sequence[Outcome], rigs: Sequence[OwnRig], limits: Sequence[float]) -> str:
+    """Return a line with median and worst of a law."""
+    ratios = [found.error / limit for found, limit in zip(outcomes, limits, strict=True)]
+    parts = [100.0 * found.error / rig.amplitude for found, rig in zip(outcomes, rigs, strict=True)]
+    lost = sum(not part < LOST for part in parts)
+    figures = ", ".join(
+        f"{label} median {np.median(values):.3g}, worst {max(values):.3g}"
+        for label, values in (("error/limit", ratios), ("% of amplitude", parts))
+    )
+    return f"{name}: {figures}, lost {lost} of {len(rigs)}"
+
+
 def main() -> None:
     """Print the table."""
     parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=None, help="seed of the rigs; a fresh one by default")
     parser.add_argument("--count", type=int, default=60, help="number of rigs (%(default)s)")
-    parser.add_argument("--duration", type=float, default=8.0, help="of each run, s (%(default)s)")
+    parser.add_argument("--duration", type=float, default=5.0, help="of each run, s (%(default)s)")
     parser.add_argument("--perfect", action="store_true", help="perfect sensors")
     parser.add_argument("--laws", nargs="+", default=LAWS, help="control laws")
+    parser.add_argument("--tune", nargs=2, type=float, metavar=("DB", "DEG"), help="tune each law too, with these margins")
     options = parser.parse_args()
     seed = secrets.randbits(32) if options.seed is None else options.seed
     print(f"seed {seed}, {options.count} rigs of {options.duration:g} s", flush=True)
-    print(
-        f"{'rig':>4}{'force/N':>10}{'valve/Hz':>10}{'delay/ms':>10}{'limit/N':>10}"
-        + "".join(f"{law:>34}" for law in options.laws)
-    )
+    rigs, limits, found = list[OwnRig](), list[float](), dict[str, list[Outcome]]()
     for number in range(options.count):
         rig = drawn(number, seed, perfect=options.perfect)
-        cells, limit = [], math.nan
-        for law in options.laws:
-            spec = spec_of(rig, law, options.duration)
-            error = stepped_run(spec).largest()
-            limit = causal_limit_of(spec) if math.isnan(limit) else limit
-            cells.append(f"{error:12.4g} N {100.0 * error / rig.amplitude:8.3f} % {error / limit:7.2f} x")
-        plant = rig.content["plant"]
-        delay = 1e3 * sum(effect["delay"] for effect in rig.effects)
-        print(
-            f"{number:>4}{rig.content['limits']['force']:>10.4g}{plant['valve_bandwidth'] / 2.0 / math.pi:>10.1f}{delay:>10.2f}"
-            f"{limit:>10.3g}" + "".join(f"{cell:>34}" for cell in cells),
-            flush=True,
-        )
+        plant, delay = rig.content["plant"], 1e3 * rig.content["effects"][0]["delay"]
+        specs = {law: spec_of(rig, law, options.duration) for law in options.laws}
+        limit = causal_limit_of(next(iter(specs.values())))
+        valve = plant["valve_bandwidth"] / 2.0 / math.pi
+        force = rig.content["limits"]["force"]
+        print(f"{number}: {force:.4g} N, valve {valve:.1f} Hz, delay {delay:.2f} ms, limit {limit:.3g} N", flush=True)
+        if options.tune:
+            specs |= {f"{law}, tuned": tuned(spec, options.tune) for law, spec in specs.items()}
+        rigs.append(rig)
+        limits.append(limit)
+        for name, spec in specs.items():
+            result = outcome(spec)
+            found.setdefault(name, []).append(result)
+            print(f"    {name:32}{result.text(rig, limit)}", flush=True)
+    for name, outcomes in found.items():
+        print(summary(name, outcomes, rigs, limits))
 
 
 if __name__ == "__main__":

@@ -103,7 +103,8 @@ def _results(found: Tuned) -> str:
     columns: dict[str, Callable[[tuple[str, Trial]], str]] = {
         "": lambda item: item[0],
         "largest error": lambda item: with_unit(item[1].error, "N", LOST),
-        "within the uncertainty": lambda item: with_unit(item[1].worst, "N", LOST),
+        "within the uncertainty": lambda item: with_unit(item[1].typical, "N", LOST),
+        "largest of all runs": lambda item: with_unit(item[1].worst, "N", LOST),
         "gain margin": lambda item: with_unit(item[1].gain_db, "dB"),
         "phase margin": lambda item: with_unit(item[1].margins.phase_deg, "°"),
         "further delay": lambda item: with_unit(1e3 * item[1].margins.delay, "ms"),

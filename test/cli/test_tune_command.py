@@ -37,7 +37,7 @@ def test_a_rig_with_sensors_is_tuned_within_its_uncertainty(tmp_path, capsys):
     assert chosen["gain_margin_db"] >= 3.0
     assert chosen["phase_margin_deg"] >= 20.0
     assert default["gain_margin_db"] < 3.0
-    assert document["causal_limit_n"] < chosen["max_error_n"] <= chosen["largest_within_uncertainty_n"]
+    assert document["causal_limit_n"] < chosen["max_error_n"] <= chosen["largest_of_all_runs_n"]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from ehls_ros.control.rig_scale import PAPER_PLANT, PAPER_SENSORS, Ratios, defau
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.metrics import evaluate
-from ehls_ros.experiments.spec import load_rig, spec_from_mapping, spec_to_mapping
+from ehls_ros.experiments.spec import COMMAND_DELAY, load_rig, spec_from_mapping, spec_to_mapping
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.physics.rig import UNKNOWN
 from ehls_ros.schema import declarations
@@ -43,7 +43,7 @@ def test_on_the_paper_s_rig_each_default_is_the_declared_one(name):
 def test_every_number_with_a_size_follows_the_rig(name):
     for d in declarations(DECLARED[name]):
         symbols = d.unit.replace("^", " ").replace("/", " ").replace("mm", "m").replace("MPa", "Pa").split()
-        sized = isinstance(d.default, float) and d.default != 0.0 and set(symbols) & set(SIZED)
+        sized = isinstance(d.default, float) and d.default != 0.0 and (set(symbols) & set(SIZED) or d.name == COMMAND_DELAY)
         assert bool(d.scale) == bool(sized), f"{name}: {d.name} [{d.unit}]"
 
 

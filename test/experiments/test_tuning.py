@@ -127,7 +127,8 @@ def test_the_search_finds_less_error_with_the_margins_asked_for(tuned):
     assert tuned.chosen.error < 0.9 * tuned.default.error
     assert tuned.holds
     assert tuned.chosen.gain_db >= 3.0
-    assert stepped_run(tuned.spec).largest() == tuned.chosen.error
+    # Without noise, all runs on the rig of the file are equal.
+    assert stepped_run(tuned.spec).largest() == pytest.approx(tuned.chosen.error)
     assert {limit.removed for limit in tuned.limits} >= {"friction", "sampling", "motion of the actuator under test"}
     assert len(tuned.curve) == 2
 

@@ -104,5 +104,5 @@ def _print(found: Tuned) -> None:
 
 
 def _row(name: str, trial: Trial) -> tuple[str, str, str, str, str]:
-    errors = with_unit(trial.error, "N", LOST), with_unit(trial.worst, "N", LOST)
+    errors = with_unit(trial.error, "N", LOST), with_unit(trial.typical, "N", LOST)
     return (name, *errors, with_unit(trial.gain_db, "dB"), with_unit(trial.margins.phase_deg, "°"))

@@ -47,7 +47,8 @@ def document(found: Tuned) -> dict[str, Any]:
 def _trial(trial: Trial) -> Mapping[str, Any]:
     return {
         "max_error_n": trial.error,
-        "largest_within_uncertainty_n": trial.worst,
+        "max_error_within_uncertainty_n": trial.typical,
+        "largest_of_all_runs_n": trial.worst,
         "gain_margin_db": trial.gain_db,
         "phase_margin_deg": trial.margins.phase_deg,
         "delay_margin_s": trial.margins.delay,

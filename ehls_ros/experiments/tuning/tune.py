@@ -2,9 +2,10 @@
 
 The law's file names the numbers that are tuned (``TUNED``). Each is a factor on its default for the rig. Factors are varied one
 after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda, Lewis, Torczon, SIAM Review
-45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run: on the rig of the file,
-and on rigs drawn within its uncertainty. Margins below those asked for count as a larger error, so that the search returns to
-them from anywhere.
+45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run, as the geometric mean of
+several: on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The largest error
+of one run alone scatters by 10 to 20 %, and a search would choose its luck. Margins below those asked for count as a larger
+error, so that the search returns to them from anywhere.
 """
 
 import math
@@ -36,14 +37,17 @@ FIRST_STEP, LAST_STEP = 3.0, 1.2
 WIDEST = 30.0
 """Largest factor on a default, either way."""
 
+LEAST = 1e-9
+"""Smallest error distinguished from zero [N]."""
+
 BETTER = 0.98
 """Ratio of two scores below which the smaller one is an improvement."""
 
 PER_DB, PER_DEGREE = 0.4, 0.06
 """Logarithm of the factor on the error per dB and per degree that a margin lacks."""
 
-RIGS = 2
-"""Number of rigs drawn within the uncertainty."""
+REPEATS, RIGS = 3, 2
+"""Numbers of runs on the rig of the file, and of rigs drawn within the uncertainty."""
 
 FASTER = 4.0
 """Factor on the valve's bandwidth and on the rate of sampling where their lag is left out."""
@@ -78,13 +82,15 @@ class Trial(NamedTuple):
 
     Attributes:
         numbers: values of the tuned numbers by name.
-        error: largest error on the rig of the file [N]; infinite if the force was lost.
-        worst: largest error over all rigs [N].
+        error: geometric mean over the runs on the rig of the file of the largest error of each [N]; infinite if one is.
+        typical: the same over all runs.
+        worst: largest error of all runs [N].
         margins: margins of the loop.
     """
 
     numbers: Mapping[str, float]
     error: float
+    typical: float
     worst: float
     margins: LoopMargins
 
@@ -100,7 +106,7 @@ class Trial(NamedTuple):
 
     def score(self, wanted: Wanted) -> float:
         """Return the logarithm of the error, with lacking margins; smaller is better."""
-        return (math.log(self.worst) if 0.0 < self.worst < math.inf else math.inf) + self.lacking(wanted)
+        return (math.log(self.typical) if 0.0 < self.typical < math.inf else math.inf) + self.lacking(wanted)
 
 
 class Limit(NamedTuple):
@@ -108,7 +114,7 @@ class Limit(NamedTuple):
 
     Attributes:
         removed: the limitation, such as ``noise of the sensors``.
-        error: largest error without it [N].
+        error: error without it, as that of a trial [N].
     """
 
     removed: str
@@ -181,9 +187,10 @@ def tune(
         BadInput: the law names no numbers to tune.
     """
     names = tunable(task.spec.controller.name)
-    rigs = uncertain(task.spec, RIGS if uncertainty > 0.0 else 0, seed, errors or {}, uncertainty)
+    again = uncertain(task.spec, REPEATS - 1, seed, {}, 0.0)
+    rigs = uncertain(task.spec, RIGS if uncertainty > 0.0 else 0, seed + REPEATS, errors or {}, uncertainty)
     with Workers(jobs) as workers:
-        search = _Search(task.spec, rigs, names, wanted, workers, progress)
+        search = _Search([task.spec, *again], rigs, names, wanted, workers, progress)
         default = search.tried({})
         chosen = search.best(default)
         curve = search.all([search.faster(chosen.numbers, speed) for speed in SPEEDS])
@@ -230,20 +237,25 @@ def causal_limit_of(spec: Spec) -> float:
     return math.nan if limit is None else limit.largest
 
 
-def judged(spec: Spec, rigs: Sequence[Spec], numbers: Mapping[str, float], beyond: float) -> Trial:
+def judged(exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, float], beyond: float) -> Trial:
     """Return the results of a set of numbers.
 
     Args:
-        spec: the experiment on the rig of the file.
+        exact: the experiment on the rig of the file, with different noise.
         rigs: the experiment on rigs within the uncertainty.
         numbers: values by name.
-        beyond: error on the rig of the file from which the others are not run [N].
+        beyond: error in the first run from which no others are made [N].
     """
-    numbered = with_numbers(spec, numbers)
-    error = worst = stepped_run(numbered).largest()
-    for rig in rigs if error < beyond else ():
-        worst = max(worst, stepped_run(with_numbers(rig, numbers)).largest())
-    return Trial(numbers, error, worst, margins_of(numbered))
+    errors = [stepped_run(with_numbers(exact[0], numbers)).largest()]
+    if errors[0] < beyond:
+        errors += [stepped_run(with_numbers(spec, numbers)).largest() for spec in (*exact[1:], *rigs)]
+    on_file, on_all = _mean(errors[: len(exact)]), _mean(errors)
+    return Trial(numbers, on_file, on_all, max(errors), margins_of(with_numbers(exact[0], numbers)))
+
+
+def _mean(errors: Sequence[float]) -> float:
+    """Return the geometric mean."""
+    return float(np.exp(np.mean(np.log(np.maximum(errors, LEAST)))))
 
 
 def without(spec: Spec) -> dict[str, Spec]:
@@ -273,14 +285,15 @@ class _Search:
 
     def __init__(
         self,
-        spec: Spec,
+        exact: Sequence[Spec],
         rigs: Sequence[Spec],
         names: Sequence[str],
         wanted: Wanted,
         workers: Workers,
         progress: Progress | None,
     ) -> None:
-        self._spec, self._rigs, self._names, self._wanted = spec, rigs, names, wanted
+        spec = exact[0]
+        self._exact, self._rigs, self._names, self._wanted = exact, rigs, names, wanted
         self._workers, self._progress = workers, progress
         self._start = {name: float(getattr(spec.controller.parameters, name)) for name in names}
         self._declared = {declared.name: declared for declared in declarations(type(spec.controller.parameters))}
@@ -294,7 +307,7 @@ class _Search:
     def all(self, sets: Sequence[Mapping[str, float]]) -> list[Trial]:
         """Return the results of several sets of numbers."""
         within = [{name: self._within(name, given.get(name, self._start[name])) for name in self._names} for given in sets]
-        tasks = [partial(judged, self._spec, self._rigs, numbers, self._beyond) for numbers in within]
+        tasks = [partial(judged, self._exact, self._rigs, numbers, self._beyond) for numbers in within]
         found: list[Trial] = self._workers.run(tasks)
         self.count += len(found)
         if self._progress is not None:
@@ -318,7 +331,7 @@ class _Search:
         while step > LAST_STEP and self.count < MAX_TRIALS:
             improved = False
             for name in self._names:
-                self._beyond = 1.5 * best.worst
+                self._beyond = 1.5 * best.typical
                 value = best.numbers[name]
                 moved = {self._within(name, value * factor) for factor in (step, 1.0 / step)} - {value}
                 trials = self.all([{**best.numbers, name: number} for number in sorted(moved)])
@@ -332,9 +345,10 @@ class _Search:
 
     def limits(self, chosen: Trial) -> list[Limit]:
         """Return the error without each limitation, with the same numbers."""
-        cases = without(with_numbers(self._spec, chosen.numbers))
-        errors = self._workers.run([partial(_largest, case) for case in cases.values()])
-        return [Limit(name, error) for name, error in zip(cases, errors, strict=True)]
+        cases = [without(with_numbers(spec, chosen.numbers)) for spec in self._exact]
+        tasks = [partial(_largest, case[name]) for name in cases[0] for case in cases]
+        errors = np.reshape(self._workers.run(tasks), (len(cases[0]), len(cases)))
+        return [Limit(name, _mean(each.tolist())) for name, each in zip(cases[0], errors, strict=True)]
 
 
 def _largest(spec: Spec) -> float:
