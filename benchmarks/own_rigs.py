@@ -8,6 +8,7 @@ have it. The controller's rig file is right. The actuator under test is the posi
 is that of the true force, the largest of the last half.
 """
 
+import copy
 import math
 import secrets
 from collections.abc import Sequence
@@ -17,12 +18,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.common import parser_of
+from benchmarks.emulated import EmulatedDevice
 from ehls_ros.control.margins import LoopMargins
+from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.commissioning.session import Session
+from ehls_ros.experiments.commissioning.steps import STEPS
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning.loop_margins import margins_of
 from ehls_ros.experiments.tuning.task import Task
-from ehls_ros.experiments.tuning.tune import Wanted, causal_limit_of, tune
+from ehls_ros.experiments.tuning.tune import Wanted, causal_limit_of, tune, with_numbers
+from ehls_ros.hardware.calibration import Calibration, Input, Output
+from ehls_ros.physics.rig import Rig, rig_from_mapping
 
 PERIOD = 1e-3
 """Control period [s]."""
@@ -37,6 +44,9 @@ SUPPLIES = (1e7, 2e7)
 
 FORCE = 18e3
 """Largest force of a rig of size 1 [N]."""
+
+SEEDS = 5
+"""Number of seeds of the sensors' noise with which a law is judged."""
 
 LOST = 20.0
 """Error from which the force counts as lost, % of the reference's amplitude."""
@@ -98,7 +108,7 @@ def drawn(number: int, seed: int, *, perfect: bool = False) -> OwnRig:
     # The actuator under test moves at up to a third of the loader's speed and within a quarter of its stroke.
     turning = 2.0 * math.pi * between(0.4, 2.0)
     moved = min(0.3 * speed / turning, 0.25 * stroke)
-    content = {
+    content: dict[str, Any] = {
         "plant": {
             "supply_pressure": supply,
             "oil_density": 860.0,
@@ -168,6 +178,96 @@ def spec_of(rig: OwnRig, law: str, duration: float, **tuning: Any) -> Spec:
     return spec_from_mapping(content, law, Path())
 
 
+WRONG = 0.2
+"""Largest relative error of a coefficient of a wrong rig file."""
+
+WRONG_NUMBERS = (
+    "bulk_modulus", "discharge_coefficient", "leakage_coefficient", "moving_mass", "spring_stiffness", "valve_bandwidth",
+)  # fmt: skip
+"""Coefficients of the plant that are wrong there, each by itself; those of the friction are too, by one factor."""
+
+
+class Found(NamedTuple):
+    """A commissioned rig.
+
+    Attributes:
+        rig: the rig as found.
+        covered: number of findings whose 95 % interval holds the truth.
+        told: number of findings with a truth.
+        trouble: reason if a step ended early; otherwise empty.
+    """
+
+    rig: Rig
+    covered: int
+    told: int
+    trouble: str
+
+
+def commissioned(rig: OwnRig, seed: int) -> Found:
+    """Commission a rig whose file is wrong, has no sensors, and tells neither delay nor coupling."""
+    random = np.random.default_rng(seed)
+    wrong = copy.deepcopy(rig.content) | {"effects": [], "sensors": {}}
+    for name in WRONG_NUMBERS:
+        wrong["plant"][name] *= random.uniform(1.0 - WRONG, 1.0 + WRONG)
+    factor = random.uniform(1.0 - WRONG, 1.0 + WRONG)
+    for name in ("coulomb_force", "static_force", "viscous_coefficient"):
+        wrong["friction"][name] *= factor
+    file = rig_from_mapping(wrong, "wrong file")
+    calibration = _wiring(file)
+    known, covered, told = file, 0, 0
+    for step in STEPS:
+        coupled = step.name == "coupling"
+        device = EmulatedDevice(_emulated(rig, seed, coupled=coupled), calibration)
+        session = Session(device, calibration, known, PERIOD, lockstep=True)
+        try:
+            outcome = step.run(session, known, lambda done, total, doing="": None)
+        except (BadInput, WorkFailed) as error:
+            return Found(known, covered, told, f"{step.name}: {error}")
+        known = outcome.rig
+        for finding in outcome.findings:
+            true = _truth(rig, finding.path)
+            if true is not None:
+                told += 1
+                covered += abs(finding.found.value - true) <= 1.96 * finding.found.std
+    return Found(known, covered, told, "")
+
+
+def _wiring(rig: Rig) -> Calibration:
+    """Return converters of 16 bits (18 for the position) whose ranges suit the rig."""
+    ends, limits = (-10.0, 10.0), rig.limits
+    inputs = {
+        "position": Input(0, scale=0.06 * (limits.position[1] - limits.position[0]), range=ends, bits=18),
+        "load_pressure": Input(1, scale=limits.load_pressure / 8.0, range=ends),
+        "spool_position": Input(2, scale=limits.spool / 8.0, range=ends),
+        "force": Input(3, scale=limits.force / 8.0, range=ends),
+        "supply_pressure": Input(4, scale=rig.plant.supply_pressure / 7.0, range=ends),
+    }
+    return Calibration(inputs, Output(0, scale=limits.spool / 8.0, range=ends))
+
+
+def _emulated(rig: OwnRig, seed: int, *, coupled: bool) -> Spec:
+    """Return the experiment of the emulated rig; of its delay, a cycle is that of the device."""
+    content = copy.deepcopy(rig.content)
+    delay, coupling = content["effects"]
+    left = delay["delay"] - PERIOD
+    content["effects"] = [{**delay, "delay": left}] * (left > 0.0) + [coupling] * coupled
+    still = {"name": "constant", "value": 0.0}
+    held = {"disturbance": {**rig.disturbance, "signal": still}} if coupled else {}
+    made = {"rig": content, "reference": still, "controller": "fasmc", "control_period": PERIOD, "seed": seed, **held}
+    return spec_from_mapping(made, "emulated rig", Path())
+
+
+def _truth(rig: OwnRig, path: str) -> float | None:
+    """Return the true value of a number of the rig file; None if it has none."""
+    section, _, name = path.partition(".")
+    if section == "effects":
+        effect, _, name = name.partition(".")
+        true = next((use.get(name) for use in rig.content["effects"] if use["name"] == effect), None)
+        return max(true, PERIOD) if effect == "command_delay" and true is not None else true
+    value = rig.content.get(section, {}).get(name)
+    return float(np.sum(value)) if isinstance(value, int | float | list) else None
+
+
 class Outcome(NamedTuple):
     """Result of a law on a rig: its error over the reference's amplitude, and the margins of its loop."""
 
@@ -182,14 +282,17 @@ class Outcome(NamedTuple):
 
 
 def outcome(spec: Spec) -> Outcome:
-    """Run an experiment with another seed of the sensors' noise than the one tuned for."""
-    other = spec._replace(settings=spec.settings._replace(seed=spec.settings.seed + 100))
-    return Outcome(stepped_run(other).largest(), margins_of(spec))
+    """Return the median error over other seeds of the sensors' noise than those tuned for."""
+    seeds = (spec.settings.seed + 100 + number for number in range(SEEDS))
+    errors = [stepped_run(spec._replace(settings=spec.settings._replace(seed=seed))).largest() for seed in seeds]
+    return Outcome(float(np.median(errors)), margins_of(spec))
 
 
-def tuned(spec: Spec, margins: Sequence[float]) -> Spec:
-    """Return an experiment with the numbers found for it."""
-    return tune(Task({}, spec, ()), wanted=Wanted(*margins), uncertainty=0.0).spec
+def retuned(spec: Spec, margins: Sequence[float]) -> Spec:
+    """Return an experiment with the numbers found for the rig that its controller knows, which alone is known to the tuning."""
+    believed = spec._replace(rig=spec.controller_rig)
+    found = tune(Task({}, believed, ()), wanted=Wanted(*margins), uncertainty=0.0)
+    return with_numbers(spec, found.chosen.numbers)
 
 
 def summary(name: str, outcomes: Sequence[Outcome], rigs: Sequence[OwnRig], limits: Sequence[float]) -> str:
@@ -212,6 +315,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=5.0, help="of each run, s (%(default)s)")
     parser.add_argument("--perfect", action="store_true", help="perfect sensors")
     parser.add_argument("--laws", nargs="+", default=LAWS, help="control laws")
+    parser.add_argument("--commission", action="store_true", help="commission each rig first, with a wrong file")
     parser.add_argument("--tune", nargs=2, type=float, metavar=("DB", "DEG"), help="tune each law too, with these margins")
     options = parser.parse_args()
     seed = secrets.randbits(32) if options.seed is None else options.seed
@@ -225,8 +329,12 @@ def main() -> None:
         valve = plant["valve_bandwidth"] / 2.0 / math.pi
         force = rig.content["limits"]["force"]
         print(f"{number}: {force:.4g} N, valve {valve:.1f} Hz, delay {delay:.2f} ms, limit {limit:.3g} N", flush=True)
+        if options.commission:
+            measured = commissioned(rig, seed + number)
+            print(f"    commissioned: {measured.covered} of {measured.told} intervals hold {measured.trouble}", flush=True)
+            specs = {f"{law}, commissioned": spec._replace(controller_rig=measured.rig) for law, spec in specs.items()}
         if options.tune:
-            specs |= {f"{law}, tuned": tuned(spec, options.tune) for law, spec in specs.items()}
+            specs |= {f"{name}, tuned": retuned(spec, options.tune) for name, spec in specs.items()}
         rigs.append(rig)
         limits.append(limit)
         for name, spec in specs.items():

@@ -3,9 +3,9 @@
 The law's file names the numbers that are tuned (``TUNED``). Each is a factor on its default for the rig. Factors are varied one
 after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda, Lewis, Torczon, SIAM Review
 45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run, as the geometric mean of
-several: on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The largest error
-of one run alone scatters by 10 to 20 %, and a search would choose its luck. Margins below those asked for count as a larger
-error, so that the search returns to them from anywhere.
+several: on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The error of one
+run alone scatters by 10 to 20 %, and a search would choose its luck. Margins below those asked for count as a larger error, so
+that the search returns to them from anywhere.
 """
 
 import math

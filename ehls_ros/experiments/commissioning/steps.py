@@ -1,0 +1,399 @@
+"""Steps of a commissioning, in order: sensors at rest, signs by a nudge, a rich motion and the rig identified from it.
+
+Each step moves the rig no more than its sentence says. It returns the rig with the numbers found; a contradiction between rig
+and files ends it with the remedy.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ehls_ros.arrays import Array, in_python
+from ehls_ros.control.controller import Controller
+from ehls_ros.control.controllers import pid
+from ehls_ros.control.controllers.base import model_of, saturate
+from ehls_ros.control.references import multi_sine
+from ehls_ros.control.rig_scale import compression, largest_speed, tuned_for
+from ehls_ros.errors import BadInput
+from ehls_ros.estimate import Estimate
+from ehls_ros.experiments.analysis import identify_whole_rig
+from ehls_ros.experiments.catalogue import largest_force, room_of
+from ehls_ros.experiments.commissioning.session import Session, Stopped
+from ehls_ros.physics.data_sheet import COUPLING_DAMPING
+from ehls_ros.physics.parameters import Limits, Sensor
+from ehls_ros.physics.rig import SENSED, Rig, effects_from_list
+from ehls_ros.progress import Update
+from ehls_ros.recording.topics import LOADER_STATE
+from ehls_ros.trajectory import SIGNALS, Trajectory
+
+REST = 3.0
+"""Duration of the step at rest [s], the last half of which is judged."""
+
+OTHER_UNITS: Mapping[str, float] = {"bar": 1e5, "MPa": 1e6, "psi": 6894.757, "kPa": 1e3}
+"""Units in which a pressure may have been wired, with their value in Pa."""
+
+SUPPLY_WITHIN = 0.3
+"""Relative difference of the supply pressure from the rig file's above which they contradict each other."""
+
+NUDGES = (0.02, 0.04, 0.08, 0.16, 0.3)
+"""Openings of a nudge over the largest spool command, tried until the piston moves."""
+
+PULSE, PAUSE = 0.3, 0.2
+"""Duration of a nudge to one side, and of the rest after it [s]."""
+
+MOVED, SIGMAS = 1e-3, 20.0
+"""Travel of a nudge that shows its sign: over the stroke, and over the noise of a reading."""
+
+LOOK = 0.5
+"""Time at rest before a nudge [s]."""
+
+LOADED, FORCE_RATIO = 0.01, (0.5, 2.0)
+"""Load over the largest force from which force and pressure are compared, and the ratios that a rig may have."""
+
+FEWEST = 50
+"""Fewest samples of a nudge that the gate ended from which signs are told."""
+
+TRAVEL = 0.05
+"""Travel over the stroke at which a nudge ends."""
+
+MOTION, HARMONICS, LOWEST = 20.0, 24, 0.15
+"""Rich motion: duration [s], number of sines and lowest frequency [Hz]."""
+
+ROOM_PART, SPEED_PART = 0.4, 0.4
+"""Largest travel of that motion over the room to the nearer end, and largest velocity over the loader's."""
+
+DITHER, HELD = 0.01, 6
+"""Random part of the command over its largest value, and number of cycles for which it is held; it shows valve and oil."""
+
+
+COUPLING = "coupling_stiffness"
+"""Effect by which a rig file tells the coupling to the actuator under test."""
+
+PRESSING, PRESS_PART, PRESS_FREQUENCY = 20.0, 0.4, 0.1
+"""Slow sine of the force against the actuator under test: duration [s], amplitude over the largest force, frequency [Hz]."""
+
+PRESS_BANDWIDTH, PRESS_OPENING = 30.0, 0.3
+"""Bandwidth of the force loop with a coupling as stiff as the oil [1/s]; largest opening over the largest spool command."""
+
+ACTUATOR = 0.05
+"""Relative error of the stiffness found, as the actuator under test yields a little where it holds its position."""
+
+BLOCKS, SLIDING, CORRELATED = 400, 0.6, 20.0
+"""Number of blocks over which force and position are averaged; velocity over the largest from which a block counts as sliding;
+number of neighbouring blocks with the same error of form."""
+
+
+class Contradiction(BadInput):
+    """Rig, bridge file and rig file contradict each other; the message ends with the remedy."""
+
+
+class Finding(NamedTuple):
+    """A number found.
+
+    Attributes:
+        path: section and name in the rig file.
+        given: the file's value; NaN if it has none.
+        found: the value with its standard error.
+    """
+
+    path: str
+    given: float
+    found: Estimate
+
+
+class Outcome(NamedTuple):
+    """Result of a step.
+
+    Attributes:
+        rig: the rig with the numbers found.
+        findings: these numbers.
+        sentences: further results.
+        recordings: recordings by name.
+    """
+
+    rig: Rig
+    findings: tuple[Finding, ...] = ()
+    sentences: tuple[str, ...] = ()
+    recordings: Mapping[str, Trajectory] = {}
+
+
+class Step(NamedTuple):
+    """A step.
+
+    Attributes:
+        name: its name in files.
+        title: its title.
+        moves: what it does to the rig, for the operator who releases it.
+        run: does it.
+    """
+
+    name: str
+    title: str
+    moves: str
+    run: Callable[[Session, Rig, Update], Outcome]
+
+
+def at_rest(session: Session, rig: Rig, progress: Update) -> Outcome:
+    """Measure the noise of the sensors with the valve closed, and compare the supply pressure."""
+    recording = session.record(None, REST)
+    findings, sensors = [], dict(rig.sensors)
+    for signal in session.wired:
+        values = recording[LOADER_STATE.signals[signal]]
+        if not np.all(np.isfinite(values)):
+            missing = f"{signal} is at the end of its converter's range, or not a number"
+            raise Contradiction(missing, "bridge file", f"a wired sensor, or a wider range of channels.{signal}")
+        values = values[len(values) // 2 :]
+        # The difference of neighbours is free of slow drift.
+        noise = float(np.std(np.diff(values))) / math.sqrt(2.0)
+        given = sensors.get(signal, Sensor())
+        if noise > 0.0:
+            unit = SIGNALS[LOADER_STATE.signals[signal]].unit
+            estimate = Estimate(noise, noise / math.sqrt(len(values)), unit)
+            findings.append(Finding(f"sensors.{signal}.noise_std", given.noise_std or math.nan, estimate))
+            # The noise found includes the rounding.
+            sensors[signal] = given._replace(noise_std=noise, resolution=0.0)
+    _check_supply(recording, rig)
+    return Outcome(rig._replace(sensors=sensors), tuple(findings), (), {"at_rest": recording})
+
+
+def _check_supply(recording: Trajectory, rig: Rig) -> None:
+    if "supply_pressure_pa" not in recording:
+        return
+    read, given = float(np.mean(recording["supply_pressure_pa"])), rig.plant.supply_pressure
+    if abs(read / given - 1.0) <= SUPPLY_WITHIN:
+        return
+    unit = next((unit for unit, size in OTHER_UNITS.items() if abs(read * size / given - 1.0) <= SUPPLY_WITHIN), "")
+    remedy = f"channels.supply_pressure.scale {OTHER_UNITS[unit]:g} times as large ({unit})" if unit else "a running pump"
+    what = f"supply_pressure reads {read:.4g} Pa, the rig file has {given:.4g} Pa"
+    raise Contradiction(what, "bridge file", f"{remedy}, or another supply_pressure in the rig file")
+
+
+def nudge(session: Session, rig: Rig, progress: Update) -> Outcome:
+    """Open the valve a little to each side, and compare the signs of the readings."""
+    limits = rig.limits
+    stroke = limits.position[1] - limits.position[0]
+    noise = rig.sensors.get("position", Sensor()).noise_std
+    needed = max(MOVED * stroke, SIGMAS * noise)
+    # Before any motion, as a gate that finds force and pressure to disagree does not open.
+    _check_force(session.record(None, LOOK), rig)
+    for number, part in enumerate(NUDGES):
+        progress(number, len(NUDGES))
+        try:
+            recording = _nudged(session, part * limits.spool, stroke)
+        except Stopped as stopped:
+            # A reversed sensor makes the gate close the valve.
+            if len(stopped.recording) > FEWEST:
+                _check_signs(stopped.recording, session, _change(stopped.recording, "position_m"))
+            raise
+        moved = _change(recording, "position_m")
+        if abs(moved) >= needed:
+            _check_signs(recording, session, moved)
+            sentence = f"an opening of {100.0 * part:g} % moves the piston by {1e3 * abs(moved):.3g} mm in {PULSE:g} s"
+            return Outcome(rig, (), (sentence,), {"nudge": recording})
+    what = f"an opening of {100.0 * NUDGES[-1]:g} % moves the piston by {1e3 * abs(moved):.3g} mm only"
+    raise Contradiction(what, "rig", "a running pump, an open shut-off valve, and a wired command and position")
+
+
+def _check_force(recording: Trajectory, rig: Rig) -> None:
+    """Compare the force with the load pressure times the piston area, where there is enough of it.
+
+    Raises:
+        Contradiction: their ratio is not near 1.
+    """
+    if not {"force_n", "load_pressure_pa"} <= set(recording.signals):
+        return
+    force, by_pressure = recording["force_n"], rig.plant.piston_area * recording["load_pressure_pa"]
+    if max(np.max(np.abs(force)), np.max(np.abs(by_pressure))) < LOADED * largest_force(rig):
+        return
+    ratio = float(force @ by_pressure / (by_pressure @ by_pressure))
+    if FORCE_RATIO[0] <= ratio <= FORCE_RATIO[1]:
+        return
+    what = f"the force is {ratio:.3g} times load pressure times piston area"
+    sign = ratio < 0.0 and FORCE_RATIO[0] <= -ratio <= FORCE_RATIO[1]
+    remedy = "with the other sign" if sign else "in the unit of the channel"
+    raise Contradiction(what, "bridge file", f"channels.force.scale or channels.load_pressure.scale {remedy}")
+
+
+def _nudged(session: Session, opening: float, stroke: float) -> Trajectory:
+    """Return the recording of a pulse to either side; each ends early after :data:`TRAVEL`."""
+    pulse, pause = round(PULSE / session.period), round(PAUSE / session.period)
+    start = [math.nan, math.nan]
+
+    def law(m: Array, cycle: int) -> float:
+        side, within = divmod(cycle, pulse + pause)
+        if within >= pulse or side > 1:
+            return 0.0
+        if within == 0:
+            start[side] = float(m[0])
+        travelled = abs(float(m[0]) - start[side])
+        return 0.0 if travelled > TRAVEL * stroke else (opening if side == 0 else -opening)
+
+    return session.record(law, 2.0 * (PULSE + PAUSE))
+
+
+def _change(recording: Trajectory, signal: str) -> float:
+    """Return the change of a signal under a positive command; of the position, the travel."""
+    values, command = recording[signal], recording["valve_command_m"]
+    side = np.where(np.abs(command) > 0.5 * np.max(np.abs(command)), np.sign(command), 0.0)
+    if signal == "position_m":
+        steps = np.diff(values)
+        return _slope(side[1:], steps) * np.count_nonzero(side > 0.0)
+    return _slope(side, values)
+
+
+def _slope(side: Array, values: Array) -> float:
+    columns = np.stack((side, np.ones(len(side))), axis=1)
+    return float(np.linalg.lstsq(columns, values, rcond=None)[0][0])
+
+
+def _check_signs(recording: Trajectory, session: Session, moved: float) -> None:
+    """Compare the signs of position, load pressure, spool and force with the command's.
+
+    Raises:
+        Contradiction: one of them is reversed.
+    """
+    signs = {"position": moved}
+    for signal in ("spool_position", "load_pressure", "force"):
+        if signal in session.wired:
+            signs[signal] = _change(recording, LOADER_STATE.signals[signal])
+    reversed_ones = [signal for signal, change in signs.items() if change < 0.0]
+    if not reversed_ones:
+        return
+    if len(reversed_ones) == len(signs) or set(reversed_ones) == set(signs) - {"spool_position"}:
+        what = "a positive command moves the piston towards negative positions, and the load pressure agrees"
+        remedy = "command.scale with the other sign, or the valve's ports exchanged"
+        raise Contradiction(what, "bridge file", remedy)
+    what = f"under a positive command, {', '.join(reversed_ones)} changes to the negative side, unlike the other readings"
+    remedy = ", ".join(f"channels.{signal}.scale with the other sign" for signal in reversed_ones)
+    raise Contradiction(what, "bridge file", remedy)
+
+
+def motion(session: Session, rig: Rig, progress: Update) -> Outcome:
+    """Move the piston by sines of many frequencies and a random part of the command, and identify the rig."""
+    recording = session.record(_rich_motion(session, rig), MOTION)
+    found = identify_whole_rig({"motion": recording}, rig, seed=0, progress=progress)
+    findings = tuple(Finding(path, _given(rig, path), estimate) for path, estimate in found.estimates.items())
+    unknown = tuple(f"{path} is not identified: {why}" for path, why in found.not_identifiable.items())
+    return Outcome(found.rig, findings, (*found.remarks, *unknown), {"motion": recording})
+
+
+def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
+    limits: Limits = rig.limits
+    times = session.period * np.arange(round(MOTION / session.period) + 1, dtype=np.float64)
+    unit = multi_sine.sample(times, multi_sine.Parameters(1.0, LOWEST, HARMONICS))
+    speed = min(in_python(largest_speed)(rig.plant, limits.spool), limits.velocity)
+    scale = min(ROOM_PART * room_of(rig) / np.max(np.abs(unit[:, 0])), SPEED_PART * speed / np.max(np.abs(unit[:, 1])))
+    middle = 0.5 * (limits.position[0] + limits.position[1])
+    loop = Controller("pid", tuned_for(pid.Parameters, rig), model_of(rig, session.period))
+    random = np.random.default_rng(0)
+    dither = DITHER * limits.spool * np.repeat(random.choice([-1.0, 1.0], len(times) // HELD + 1), HELD)[: len(times)]
+    start = [math.nan]
+
+    def law(m: Array, cycle: int) -> float:
+        if cycle == 0:
+            start[0] = float(m[0])
+        # From where the piston is to mid-stroke in the first second, so that no step is asked for.
+        blend = min(times[cycle], 1.0)
+        wanted = blend * scale * unit[cycle]
+        wanted[0] += start[0] + (middle - start[0]) * blend
+        return float(loop.step(m, wanted, np.zeros(2)) + blend * dither[cycle])
+
+    return law
+
+
+def coupling(session: Session, rig: Rig, progress: Update) -> Outcome:
+    """Press against the actuator under test, which holds still, and measure the stiffness between both."""
+    if not {"force", "position"} <= set(session.wired):
+        raise Contradiction("force or position is not wired", "bridge file", "channels for both, or the coupling by hand")
+    recording = session.record(_pressing(session, rig), PRESSING)
+    stiffness = _stiffness(recording, rig)
+    given = next((use.parameters for use in rig.effects if use.name == COUPLING), None)
+    finding = Finding(f"effects.{COUPLING}.stiffness", math.nan if given is None else given.stiffness, stiffness)
+    damping = COUPLING_DAMPING * stiffness.value
+    told = effects_from_list([{"name": COUPLING, "stiffness": stiffness.value, "damping": damping}], "commissioning")
+    others = tuple(use for use in rig.effects if use.name != COUPLING)
+    return Outcome(rig._replace(effects=others + told), (finding,), (), {"coupling": recording})
+
+
+def _pressing(session: Session, rig: Rig) -> Callable[[Array, int], float]:
+    """Return a slow sine of the force, by a loop that is stable with any coupling softer than the oil."""
+    plant, amplitude = rig.plant, PRESS_PART * largest_force(rig)
+    softest = in_python(compression)(plant) * plant.piston_area
+    force = SENSED.index("force")
+    start = [math.nan]
+
+    def law(m: Array, cycle: int) -> float:
+        if cycle == 0:
+            start[0] = float(m[force])
+        time = cycle * session.period
+        turn = 2.0 * math.pi * PRESS_FREQUENCY
+        wanted = start[0] + amplitude * math.sin(turn * time)
+        velocity = PRESS_BANDWIDTH * (wanted - float(m[force])) / softest
+        flow = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(plant.supply_pressure / plant.oil_density)
+        opening = plant.piston_area * velocity / (flow * plant.valve_gain)
+        passed: float = saturate(opening, PRESS_OPENING * rig.limits.spool)
+        return passed
+
+    return law
+
+
+def _stiffness(recording: Trajectory, rig: Rig) -> Estimate:
+    """Return the stiffness of the coupling: the slope of the force over the position where the friction slips [N/m].
+
+    Raises:
+        Contradiction: the piston hardly moves, or the force does not grow with the position.
+    """
+    position, force = recording["position_m"], recording["force_n"]
+    # Means over blocks, whose differences give the direction of motion.
+    block = max(len(position) // BLOCKS, 1)
+    blocks = len(position) // block
+    x, f = (values[: blocks * block].reshape(blocks, block).mean(axis=1) for values in (position, force))
+    velocity = np.gradient(x)
+    sliding = np.abs(velocity) > SLIDING * np.max(np.abs(velocity))
+    columns = np.stack((x, np.sign(velocity), velocity, np.ones(blocks)), axis=1)[sliding]
+    solution, *_ = np.linalg.lstsq(columns, f[sliding], rcond=None)
+    left = f[sliding] - columns @ solution
+    # Neighbouring blocks have similar errors: those of form, not of noise.
+    independent = max(len(left) / CORRELATED, 1.0)
+    covariance = np.linalg.pinv(columns.T @ columns) * float(np.mean(left**2)) * len(left) / independent
+    slope, deviation = float(solution[0]), math.sqrt(float(covariance[0, 0]))
+    stiffness = slope - rig.plant.spring_stiffness
+    if not stiffness > 3.0 * deviation:
+        what = f"the force grows by {slope:.3g} N/m with the position, {deviation:.2g} N/m uncertain"
+        raise Contradiction(what, "rig", "a rod connected to the actuator under test, which holds its position")
+    return Estimate(stiffness, math.hypot(deviation, ACTUATOR * stiffness), "N/m")
+
+
+def _given(rig: Rig, path: str) -> float:
+    """Return a coefficient of the rig file; a list counts by its sum; NaN if there is none."""
+    section, _, name = path.partition(".")
+    value = getattr(getattr(rig, section, None), name, math.nan)
+    return float(np.sum(value)) if isinstance(value, int | float | tuple) else math.nan
+
+
+STEPS = (
+    Step("at_rest", "Sensors at rest", "The valve stays closed for 3 s.", at_rest),
+    Step(
+        "nudge",
+        "Signs",
+        "The valve opens by 2 to 30 % to either side for 0.3 s, until the piston moves by a thousandth of the stroke.",
+        nudge,
+    ),
+    Step(
+        "motion",
+        "The rig identified",
+        "The piston moves about mid-stroke for 20 s, by up to 40 % of the room to either end, at up to 40 % of its speed."
+        " Disconnect the rod from the actuator under test first.",
+        motion,
+    ),
+    Step(
+        "coupling",
+        "Coupling",
+        "The force follows a slow sine of 40 % of the largest for 20 s. Connect the rod first to the actuator under test, and"
+        " let that hold its position.",
+        coupling,
+    ),
+)
+"""The steps, in order."""

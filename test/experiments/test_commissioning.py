@@ -1,0 +1,151 @@
+"""Commissioning of an emulated rig whose file and wiring may be wrong."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.emulated import EmulatedDevice
+from ehls_ros.control.controllers.base import reading_std
+from ehls_ros.errors import BadInput
+from ehls_ros.experiments.commissioning import conduct
+from ehls_ros.experiments.commissioning.conduct import commission
+from ehls_ros.experiments.commissioning.session import Session, Stopped
+from ehls_ros.experiments.commissioning.steps import STEPS, Contradiction, at_rest, coupling, motion, nudge
+from ehls_ros.experiments.files import config_folder, configured
+from ehls_ros.experiments.spec import load_rig, spec_from_mapping
+from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.recording.yaml_text import read_yaml
+
+RIG = load_rig(configured("rig_paper_measured"))
+BRIDGE = read_yaml(config_folder() / "bridge_udp.yaml", "bridge")
+HELD = {"name": "position_servo", "signal": {"name": "constant", "value": 0.0}}
+STILL = {"name": "constant", "value": 0.0}
+
+
+def device(disturbance=None, seed=3, rig=RIG):
+    content = {"rig": rig_to_mapping(rig), "reference": STILL, "controller": "fasmc", "disturbance": disturbance, "seed": seed}
+    true = bridge_from_mapping(BRIDGE, "true wiring").calibration
+    return EmulatedDevice(spec_from_mapping(content, "emulated", config_folder()), true)
+
+
+def session(given=None, rig=RIG, disturbance=None):
+    """Return a session with an emulated rig; ``given`` is the bridge file, which may be wrong."""
+    wired = bridge_from_mapping(given or BRIDGE, "bridge file").calibration
+    return Session(device(disturbance), wired, rig, 1e-3, lockstep=True)
+
+
+def rewired(signal, factor):
+    channels = {**BRIDGE["channels"]}
+    channels[signal] = {**channels[signal], "scale": factor * float(channels[signal]["scale"])}
+    return {**BRIDGE, "channels": channels}
+
+
+def silent(done, total, doing=""):
+    """Show no progress."""
+
+
+def test_the_noise_of_each_sensor_is_found_at_rest():
+    outcome = at_rest(session(), RIG._replace(sensors={}), silent)
+    found = {finding.path.split(".")[1]: finding.found for finding in outcome.findings}
+    for signal in ("load_pressure", "force"):
+        assert abs(found[signal].value - reading_std(RIG.sensors[signal])) < 4.0 * found[signal].std + 0.1 * found[signal].value
+    assert outcome.rig.sensors["force"].noise_std == found["force"].value
+    assert np.ptp(outcome.recordings["at_rest"]["valve_command_m"]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (rewired("position", -1.0), "channels.position.scale with the other sign"),
+        (rewired("load_pressure", -1.0), "channels.load_pressure.scale with the other sign"),
+        (rewired("force", -1.0), "channels.force.scale or channels.load_pressure.scale with the other sign"),
+        (rewired("force", 1e-3), "in the unit of the channel"),
+        ({**BRIDGE, "command": {**BRIDGE["command"], "scale": -2e-3}}, "command.scale with the other sign"),
+        ({**BRIDGE, "command": {**BRIDGE["command"], "scale": 1e3}}, "a running pump"),
+    ],
+)
+def test_a_reversed_sign_or_a_piston_at_rest_ends_with_the_remedy(given, words):
+    with pytest.raises(Contradiction, match=words):
+        nudge(session(given), RIG, silent)
+
+
+def test_right_signs_move_the_piston_a_little():
+    recording = nudge(session(), RIG, silent).recordings["nudge"]
+    assert 1e-4 < np.ptp(recording["position_m"]) < 0.1 * (RIG.limits.position[1] - RIG.limits.position[0])
+    assert np.max(np.abs(recording["valve_command_m"])) <= 0.3 * RIG.limits.spool
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e-5, "bar"), (1e-6, "MPa")])
+def test_a_supply_pressure_in_another_unit_is_named(factor, unit):
+    with pytest.raises(Contradiction, match=unit):
+        at_rest(session(rewired("supply_pressure", factor)), RIG, silent)
+
+
+def test_the_coupling_to_a_held_actuator_is_found():
+    outcome = coupling(session(disturbance=HELD), RIG, silent)
+    [finding] = outcome.findings
+    assert abs(finding.found.value - 2e6) < 2.0 * finding.found.std
+    [told] = [use for use in outcome.rig.effects if use.name == "coupling_stiffness"]
+    assert told.parameters.stiffness == finding.found.value
+
+
+def test_without_a_connected_rod_there_is_no_coupling():
+    with pytest.raises(Contradiction, match="rod connected"):
+        coupling(session(), RIG, silent)
+
+
+def test_the_gate_ends_a_step_at_null_and_what_was_recorded_is_kept():
+    one = session()
+    with pytest.raises(Stopped, match="gate") as stopped:
+        one.record(lambda m, cycle: 5e-3 if cycle < 2000 else math.nan, 3.0)
+    assert len(stopped.value.recording) > 100
+    quiet = one.record(None, 0.1)
+    assert np.ptp(quiet["valve_command_m"]) == 0.0
+
+
+def test_a_stop_is_obeyed_at_once():
+    wired = bridge_from_mapping(BRIDGE, "bridge file").calibration
+    asked = iter([False] * 50 + [True] * 5000)
+    with pytest.raises(Stopped, match="request"):
+        Session(device(), wired, RIG, 1e-3, lockstep=True, stopped=lambda: next(asked)).record(None, 1.0)
+
+
+def test_the_steps_are_logged_skipped_and_resumed(tmp_path, monkeypatch):
+    monkeypatch.setattr(conduct, "STEPS", [step for step in STEPS if step.name in {"at_rest", "nudge"}])
+    asked = []
+
+    def release(step):
+        asked.append(step.name)
+        return step.name == "at_rest"
+
+    def carried_out():
+        one = session()
+        return list(commission(lambda known: one, RIG, tmp_path, release, lambda step: silent))
+
+    first = carried_out()
+    assert [done.outcome is None for done in first] == [False, True]
+    assert asked == ["at_rest", "nudge"]
+    log = json.loads((tmp_path / "commission.json").read_text(encoding="utf-8"))
+    assert log["at_rest"]["findings"]
+    assert log["nudge"] == {"done": False}
+    assert (tmp_path / "at_rest.csv").exists()
+    found = {finding["name"]: finding["value"] for finding in log["at_rest"]["findings"]}
+    assert load_rig(tmp_path / "rig.yaml").sensors["force"].noise_std == pytest.approx(found["sensors.force.noise_std"])
+    assert carried_out() == []
+    (tmp_path / "commission.json").write_text('{"another": 1}', encoding="utf-8")
+    with pytest.raises(BadInput, match="another folder"):
+        carried_out()
+
+
+@pytest.mark.long
+def test_a_wrong_rig_file_is_corrected_by_one_motion():
+    wrong = RIG.with_plant(moving_mass=80.0, bulk_modulus=8e8, discharge_coefficient=0.5).with_friction(coulomb_force=550.0)
+    found = {finding.path: finding.found for finding in motion(session(rig=wrong), wrong, silent).findings}
+    for path, true in (
+        ("plant.moving_mass", 70.0), ("plant.bulk_modulus", 6.9e8), ("plant.discharge_coefficient", 0.62),
+        ("friction.coulomb_force", 640.8), ("effects.command_delay.delay", 1e-3),
+    ):  # fmt: skip
+        assert found[path].value == pytest.approx(true, rel=0.02, abs=4.0 * found[path].std), path
