@@ -262,8 +262,7 @@ def _truth(rig: OwnRig, path: str) -> float | None:
     section, _, name = path.partition(".")
     if section == "effects":
         effect, _, name = name.partition(".")
-        true = next((use.get(name) for use in rig.content["effects"] if use["name"] == effect), None)
-        return max(true, PERIOD) if effect == "command_delay" and true is not None else true
+        return next((use.get(name) for use in rig.content["effects"] if use["name"] == effect), None)
     value = rig.content.get(section, {}).get(name)
     return float(np.sum(value)) if isinstance(value, int | float | list) else None
 
@@ -323,6 +322,9 @@ def main() -> None:
     rigs, limits, found = list[OwnRig](), list[float](), dict[str, list[Outcome]]()
     for number in range(options.count):
         rig = drawn(number, seed, perfect=options.perfect)
+        if options.commission:
+            # The device takes a cycle to pass a command on.
+            rig.content["effects"][0]["delay"] = max(rig.content["effects"][0]["delay"], PERIOD)
         plant, delay = rig.content["plant"], 1e3 * rig.content["effects"][0]["delay"]
         specs = {law: spec_of(rig, law, options.duration) for law in options.laws}
         limit = causal_limit_of(next(iter(specs.values())))
@@ -340,7 +342,7 @@ def main() -> None:
         for name, spec in specs.items():
             result = outcome(spec)
             found.setdefault(name, []).append(result)
-            print(f"    {name:32}{result.text(rig, limit)}", flush=True)
+            print(f"    {name:42}{result.text(rig, limit)}", flush=True)
     for name, outcomes in found.items():
         print(summary(name, outcomes, rigs, limits))
 

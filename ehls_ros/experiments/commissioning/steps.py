@@ -46,8 +46,8 @@ PULSE, PAUSE = 0.3, 0.2
 MOVED, SIGMAS = 1e-3, 20.0
 """Travel of a nudge that shows its sign: over the stroke, and over the noise of a reading."""
 
-LOOK = 0.5
-"""Time at rest before a nudge [s]."""
+LOOK = 1.0
+"""Time at rest before a nudge and before the coupling is pressed [s]."""
 
 LOADED, FORCE_RATIO = 0.01, (0.5, 2.0)
 """Load over the largest force from which force and pressure are compared, and the ratios that a rig may have."""
@@ -74,7 +74,7 @@ COUPLING = "coupling_stiffness"
 PRESSING, PRESS_PART, PRESS_FREQUENCY = 20.0, 0.4, 0.1
 """Slow sine of the force against the actuator under test: duration [s], amplitude over the largest force, frequency [Hz]."""
 
-PRESS_BANDWIDTH, PRESS_OPENING = 30.0, 0.3
+PRESS_BANDWIDTH, PRESS_OPENING = 10.0, 0.3
 """Bandwidth of the force loop with a coupling as stiff as the oil [1/s]; largest opening over the largest spool command."""
 
 ACTUATOR = 0.05
@@ -307,6 +307,7 @@ def coupling(session: Session, rig: Rig, progress: Update) -> Outcome:
     """Press against the actuator under test, which holds still, and measure the stiffness between both."""
     if not {"force", "position"} <= set(session.wired):
         raise Contradiction("force or position is not wired", "bridge file", "channels for both, or the coupling by hand")
+    session.record(None, LOOK)
     recording = session.record(_pressing(session, rig), PRESSING)
     stiffness = _stiffness(recording, rig)
     given = next((use.parameters for use in rig.effects if use.name == COUPLING), None)
