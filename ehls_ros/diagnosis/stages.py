@@ -399,10 +399,11 @@ class Comparison:
         def compute() -> Any:
             values = (raw - bias) / gain
             if bandwidth > 0.0:
-                values = values + self.local_fit(values, 1) / bandwidth
+                values = values + linear(lambda signal: self.local_fit(signal, 1), values) / bandwidth
             if delay > 0.0:
                 # A high-order spline: linear interpolation would average noise, and any delay would seem to help.
-                values = scipy.ndimage.shift(values, -delay / self.record.period, order=5, mode="nearest")
+                ahead = -delay / self.record.period
+                values = linear(lambda signal: scipy.ndimage.shift(signal, ahead, order=5, mode="nearest"), values)
             return values
 
         return self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay), compute)

@@ -86,3 +86,19 @@ def test_the_derivatives_are_those_of_central_differences(recording, missing, or
                 difference = (8.0 * (at(i, h) - at(i, -h)) - (at(i, 2.0 * h) - at(i, -2.0 * h))) / (12.0 * h)
                 errors.append(float(np.linalg.norm(difference - exact[:, i])))
             assert min(errors) <= 1e-6 * size, (channel, c.path)
+
+
+def test_a_lag_and_a_delay_of_the_load_cell_keep_the_derivatives(recording):
+    given, trajectory = recording
+    cell = {**given["sensors"]["force"], "delay": 1.3e-3, "bandwidth": 600.0}
+    rig = rig_from_mapping({**given, "sensors": {**given["sensors"], "force": cell}}, "rig")
+    read = prepare(trajectory, rig, "case")
+    stack = Stack([gather(read, rig, stages.setup(read, rig), seed=0)])
+    chosen = [c for c in coefficients(rig, sizes([read], rig)) if c.path.startswith("sensors.force")]
+    z, rows, base = np.array([c.coordinate(rig) for c in chosen]), stack.rows(["cell"]), stack.residuals(rig)
+    duals = [Dual(x, {i: 1.0}) for i, x in enumerate(z.tolist())]
+    exact = stack.slopes(model_at(rig, chosen, duals), ["cell"], len(chosen))
+    for i in range(len(chosen)):
+        steps = np.eye(len(chosen))[i] * 1e-3
+        ends = [stack.joined(stack.residuals(model_at(rig, chosen, (z + s).tolist()), base))[rows] for s in (steps, -steps)]
+        np.testing.assert_allclose((ends[0] - ends[1]) / 2e-3, exact[:, i], atol=1e-5 * np.max(np.abs(exact[:, i])))

@@ -47,7 +47,7 @@ MOVED, SIGMAS = 1e-3, 20.0
 """Travel of a nudge that shows its sign: over the stroke, and over the noise of a reading."""
 
 LOOK = 1.0
-"""Time at rest before a nudge and before the coupling is pressed [s]."""
+"""Time at rest before each motion, in which the rig settles [s]."""
 
 LOADED, FORCE_RATIO = 0.01, (0.5, 2.0)
 """Load over the largest force from which force and pressure are compared, and the ratios that a rig may have."""
@@ -272,6 +272,7 @@ def _check_signs(recording: Trajectory, session: Session, moved: float) -> None:
 
 def motion(session: Session, rig: Rig, progress: Update) -> Outcome:
     """Move the piston by sines of many frequencies and a random part of the command, and identify the rig."""
+    session.record(None, LOOK)
     recording = session.record(_rich_motion(session, rig), MOTION)
     found = identify_whole_rig({"motion": recording}, rig, seed=0, progress=progress)
     findings = tuple(Finding(path, _given(rig, path), estimate) for path, estimate in found.estimates.items())
