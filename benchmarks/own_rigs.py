@@ -45,7 +45,7 @@ SUPPLIES = (1e7, 2e7)
 FORCE = 18e3
 """Largest force of a rig of size 1 [N]."""
 
-SEEDS = 5
+SEEDS = 3
 """Number of seeds of the sensors' noise with which a law is judged."""
 
 LOST = 20.0
