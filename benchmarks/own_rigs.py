@@ -290,7 +290,7 @@ def outcome(spec: Spec) -> Outcome:
 def retuned(spec: Spec, margins: Sequence[float]) -> Spec:
     """Return an experiment with the numbers found for the rig that its controller knows, which alone is known to the tuning."""
     believed = spec._replace(rig=spec.controller_rig)
-    found = tune(Task({}, believed, ()), wanted=Wanted(*margins), uncertainty=0.0)
+    found = tune(Task(believed, ()), wanted=Wanted(*margins), uncertainty=0.0)
     return with_numbers(spec, found.chosen.numbers)
 
 

@@ -10,7 +10,7 @@ from ehls_ros.api.simulation import rig as read_rig
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.task import task_of
-from ehls_ros.experiments.tuning.tune import Tuned, Wanted
+from ehls_ros.experiments.tuning.tune import USUAL, Tuned, Wanted
 from ehls_ros.experiments.tuning.tune import tune as find
 from ehls_ros.experiments.tuning.uncertainty import standard_errors
 from ehls_ros.progress import progress_bar
@@ -81,7 +81,7 @@ def tune(
     law: str = "fasmc_predictive",
     *,
     spec: SpecSource | None = None,
-    margins: tuple[float, float] = (Wanted().gain_db, Wanted().phase_deg),
+    margins: tuple[float, float] = USUAL,
     identification: str | Path | None = None,
     uncertainty: float = 1.0,
     seed: int = 0,

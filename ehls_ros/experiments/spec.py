@@ -258,6 +258,9 @@ def spec_from_mapping(data: Any, where: str, folder: Path) -> Spec:
 COMMAND_DELAY = "command_delay"
 """Name of the effect that delays the command, and of the parameter with which a law assumes that."""
 
+COUPLING = "coupling_stiffness"
+"""Name of the effect by which a rig file tells the coupling to the actuator under test."""
+
 SAMPLES = 4096
 """Number of times at which a signal is checked before an experiment."""
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.commissioning.steps import STEPS, Step
 from ehls_ros.report import page
 from ehls_ros.report.page import MISSING_NUMBER, Entry, number, signed
@@ -40,7 +39,7 @@ def _part(step: Step, entry: Mapping[str, Any] | None) -> list[str]:
         "found": lambda found: written(found["value"], found["std"]).value,
         "standard error": lambda found: written(found["value"], found["std"]).error,
         "difference": _difference,
-        "unit": lambda found: unit_text(Estimate(found["value"], found["std"], found["unit"]).unit),
+        "unit": lambda found: unit_text(found["unit"]),
     }
     return [page.paragraph(step.moves), page.table_of(entry["findings"], columns), page.bullets(entry["sentences"])]
 

@@ -4,8 +4,7 @@ import json
 import math
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 from ehls_ros.cli.arguments import add_configured, add_results
@@ -14,14 +13,11 @@ from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.commissioning.conduct import LOG, REPORT, RIG, Done, commission, read_log
 from ehls_ros.experiments.commissioning.session import Session
 from ehls_ros.experiments.commissioning.steps import Step
-from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.graph_check import bridge_at
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.hardware.backends import BACKENDS
-from ehls_ros.hardware.backends.base import Device
-from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.physics.rig import Rig
 from ehls_ros.progress import Update, progress_bar
-from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.report.commissioning import write_commissioning_report
 
 HELP = "Measure a rig step by step through its gate: noise, signs, valve, friction, coupling; and write its rig file."
@@ -50,14 +46,13 @@ def run(options: Namespace) -> int:
     if not options.yes and not sys.stdin.isatty():
         raise BadInput("the steps cannot be released", "standard input", "a terminal, or --yes with an emulator")
     rig = load_rig(options.rig)
-    path = options.bridge or config_folder() / "bridge_udp.yaml"
-    bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
+    bridge = bridge_at(options.bridge)
     if options.lockstep and not getattr(BACKENDS.load(bridge.backend), "WAITS", False):
         raise BadInput(
             f"--lockstep with the backend {bridge.backend}", "command line", "no --lockstep, as its device does not wait"
         )
     folder = writable(options.out, LOG)
-    with _opened(bridge.open(options.period)) as device, ExitStack() as bars:
+    with closing(bridge.open(options.period)) as device, ExitStack() as bars:
 
         def session_for(known: Rig) -> Session:
             return Session(device, bridge.calibration, known, options.period, lockstep=options.lockstep)
@@ -79,14 +74,6 @@ def run(options: Namespace) -> int:
     if options.json:
         print(json.dumps(read_log(folder)))
     return 0
-
-
-@contextmanager
-def _opened(device: Device) -> Iterator[Device]:
-    try:
-        yield device
-    finally:
-        device.close()
 
 
 def _released(step: Step, *, asked: bool) -> bool:

@@ -14,7 +14,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.task import task_of
-from ehls_ros.experiments.tuning.tune import Trial, Tuned, Wanted, tune
+from ehls_ros.experiments.tuning.tune import USUAL, Trial, Tuned, Wanted, tune
 from ehls_ros.experiments.tuning.uncertainty import standard_errors
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.yaml_text import read_yaml
@@ -33,9 +33,8 @@ def arguments(parser: ArgumentParser) -> None:
     add_configured(parser, "--spec", "experiments", "experiment whose reference and disturbance count (default: sines)")
     laws = [name for name, law in CONTROLLERS.usable().items() if getattr(law, "TUNED", ())]
     parser.add_argument("--law", choices=laws, default="fasmc_predictive", help="control law (%(default)s)")
-    margins = Wanted()
-    about = "gain margin [dB] and phase margin [degree] (default: {:g} {:g})".format(*margins)
-    parser.add_argument("--margins", type=float, nargs=2, metavar=("DB", "DEG"), default=list(margins), help=about)
+    about = "gain margin [dB] and phase margin [degree] (default: {:g} {:g})".format(*USUAL)
+    parser.add_argument("--margins", type=float, nargs=2, metavar=("DB", "DEG"), default=list(USUAL), help=about)
     about = "identification.json of the rig, for the standard errors of its coefficients; by default usual ones are assumed"
     parser.add_argument("--identification", type=Path, metavar="FILE", help=about)
     about = "factor on all standard errors; 0: the rig file is exact (%(default)s)"

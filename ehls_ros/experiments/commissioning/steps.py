@@ -21,18 +21,22 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.analysis import identify_whole_rig
 from ehls_ros.experiments.catalogue import largest_force, room_of
 from ehls_ros.experiments.commissioning.session import Session, Stopped
+from ehls_ros.experiments.spec import COUPLING
+from ehls_ros.identification.rig_coefficients import read, uses
+from ehls_ros.physics import sensors
 from ehls_ros.physics.data_sheet import COUPLING_DAMPING
 from ehls_ros.physics.parameters import Limits, Sensor
-from ehls_ros.physics.rig import SENSED, Rig, effects_from_list
+from ehls_ros.physics.rig import Rig, effects_from_list
 from ehls_ros.progress import Update
 from ehls_ros.recording.topics import LOADER_STATE
 from ehls_ros.trajectory import SIGNALS, Trajectory
+from ehls_ros.units import size
 
 REST = 3.0
 """Duration of the step at rest [s], the last half of which is judged."""
 
-OTHER_UNITS: Mapping[str, float] = {"bar": 1e5, "MPa": 1e6, "psi": 6894.757, "kPa": 1e3}
-"""Units in which a pressure may have been wired, with their value in Pa."""
+OTHER_UNITS = ("bar", "MPa", "psi", "kPa")
+"""Units in which a pressure may have been wired."""
 
 SUPPLY_WITHIN = 0.3
 """Relative difference of the supply pressure from the rig file's above which they contradict each other."""
@@ -67,9 +71,6 @@ ROOM_PART, SPEED_PART = 0.4, 0.4
 DITHER, HELD = 0.01, 6
 """Random part of the command over its largest value, and number of cycles for which it is held; it shows valve and oil."""
 
-
-COUPLING = "coupling_stiffness"
-"""Effect by which a rig file tells the coupling to the actuator under test."""
 
 PRESSING, PRESS_PART, PRESS_FREQUENCY = 20.0, 0.4, 0.1
 """Slow sine of the force against the actuator under test: duration [s], amplitude over the largest force, frequency [Hz]."""
@@ -138,7 +139,7 @@ class Step(NamedTuple):
 def at_rest(session: Session, rig: Rig, progress: Update) -> Outcome:
     """Measure the noise of the sensors with the valve closed, and compare the supply pressure."""
     recording = session.record(None, REST)
-    findings, sensors = [], dict(rig.sensors)
+    findings, described = [], dict(rig.sensors)
     for signal in session.wired:
         values = recording[LOADER_STATE.signals[signal]]
         if not np.all(np.isfinite(values)):
@@ -147,26 +148,26 @@ def at_rest(session: Session, rig: Rig, progress: Update) -> Outcome:
         values = values[len(values) // 2 :]
         # The difference of neighbours is free of slow drift.
         noise = float(np.std(np.diff(values))) / math.sqrt(2.0)
-        given = sensors.get(signal, Sensor())
+        given = described.get(signal, Sensor())
         if noise > 0.0:
             unit = SIGNALS[LOADER_STATE.signals[signal]].unit
             estimate = Estimate(noise, noise / math.sqrt(len(values)), unit)
             findings.append(Finding(f"sensors.{signal}.noise_std", given.noise_std or math.nan, estimate))
             # The noise found includes the rounding.
-            sensors[signal] = given._replace(noise_std=noise, resolution=0.0)
+            described[signal] = given._replace(noise_std=noise, resolution=0.0)
     _check_supply(recording, rig)
-    return Outcome(rig._replace(sensors=sensors), tuple(findings), (), {"at_rest": recording})
+    return Outcome(rig._replace(sensors=described), tuple(findings), (), {"at_rest": recording})
 
 
 def _check_supply(recording: Trajectory, rig: Rig) -> None:
     if "supply_pressure_pa" not in recording:
         return
-    read, given = float(np.mean(recording["supply_pressure_pa"])), rig.plant.supply_pressure
-    if abs(read / given - 1.0) <= SUPPLY_WITHIN:
+    mean, given = float(np.mean(recording["supply_pressure_pa"])), rig.plant.supply_pressure
+    if abs(mean / given - 1.0) <= SUPPLY_WITHIN:
         return
-    unit = next((unit for unit, size in OTHER_UNITS.items() if abs(read * size / given - 1.0) <= SUPPLY_WITHIN), "")
-    remedy = f"channels.supply_pressure.scale {OTHER_UNITS[unit]:g} times as large ({unit})" if unit else "a running pump"
-    what = f"supply_pressure reads {read:.4g} Pa, the rig file has {given:.4g} Pa"
+    unit = next((unit for unit in OTHER_UNITS if abs(mean * size(unit) / given - 1.0) <= SUPPLY_WITHIN), "")
+    remedy = f"channels.supply_pressure.scale {size(unit):g} times as large ({unit})" if unit else "a running pump"
+    what = f"supply_pressure reads {mean:.4g} Pa, the rig file has {given:.4g} Pa"
     raise Contradiction(what, "bridge file", f"{remedy}, or another supply_pressure in the rig file")
 
 
@@ -226,8 +227,8 @@ def _nudged(session: Session, opening: float, stroke: float) -> Trajectory:
         if within >= pulse or side > 1:
             return 0.0
         if within == 0:
-            start[side] = float(m[0])
-        travelled = abs(float(m[0]) - start[side])
+            start[side] = float(m[sensors.POSITION])
+        travelled = abs(float(m[sensors.POSITION]) - start[side])
         return 0.0 if travelled > TRAVEL * stroke else (opening if side == 0 else -opening)
 
     return session.record(law, 2.0 * (PULSE + PAUSE))
@@ -294,7 +295,7 @@ def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
 
     def law(m: Array, cycle: int) -> float:
         if cycle == 0:
-            start[0] = float(m[0])
+            start[0] = float(m[sensors.POSITION])
         # From where the piston is to mid-stroke in the first second, so that no step is asked for.
         blend = min(times[cycle], 1.0)
         wanted = blend * scale * unit[cycle]
@@ -311,8 +312,8 @@ def coupling(session: Session, rig: Rig, progress: Update) -> Outcome:
     session.record(None, LOOK)
     recording = session.record(_pressing(session, rig), PRESSING)
     stiffness = _stiffness(recording, rig)
-    given = next((use.parameters for use in rig.effects if use.name == COUPLING), None)
-    finding = Finding(f"effects.{COUPLING}.stiffness", math.nan if given is None else given.stiffness, stiffness)
+    path = f"effects.{COUPLING}.stiffness"
+    finding = Finding(path, _given(rig, path), stiffness)
     damping = COUPLING_DAMPING * stiffness.value
     told = effects_from_list([{"name": COUPLING, "stiffness": stiffness.value, "damping": damping}], "commissioning")
     others = tuple(use for use in rig.effects if use.name != COUPLING)
@@ -321,21 +322,18 @@ def coupling(session: Session, rig: Rig, progress: Update) -> Outcome:
 
 def _pressing(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     """Return a slow sine of the force, by a loop that is stable with any coupling softer than the oil."""
-    plant, amplitude = rig.plant, PRESS_PART * largest_force(rig)
-    softest = in_python(compression)(plant) * plant.piston_area
-    force = SENSED.index("force")
+    plant, limit = rig.plant, rig.limits.spool
+    amplitude, turn = PRESS_PART * largest_force(rig), 2.0 * math.pi * PRESS_FREQUENCY
+    oil_stiffness = in_python(compression)(plant) * plant.piston_area
+    # Opening per error of the force.
+    gain = PRESS_BANDWIDTH / oil_stiffness * limit / (in_python(largest_speed)(plant, limit) * plant.valve_gain)
     start = [math.nan]
 
     def law(m: Array, cycle: int) -> float:
         if cycle == 0:
-            start[0] = float(m[force])
-        time = cycle * session.period
-        turn = 2.0 * math.pi * PRESS_FREQUENCY
-        wanted = start[0] + amplitude * math.sin(turn * time)
-        velocity = PRESS_BANDWIDTH * (wanted - float(m[force])) / softest
-        flow = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(plant.supply_pressure / plant.oil_density)
-        opening = plant.piston_area * velocity / (flow * plant.valve_gain)
-        passed: float = saturate(opening, PRESS_OPENING * rig.limits.spool)
+            start[0] = float(m[sensors.FORCE])
+        wanted = start[0] + amplitude * math.sin(turn * cycle * session.period)
+        passed: float = saturate(gain * (wanted - float(m[sensors.FORCE])), PRESS_OPENING * limit)
         return passed
 
     return law
@@ -369,10 +367,8 @@ def _stiffness(recording: Trajectory, rig: Rig) -> Estimate:
 
 
 def _given(rig: Rig, path: str) -> float:
-    """Return a coefficient of the rig file; a list counts by its sum; NaN if there is none."""
-    section, _, name = path.partition(".")
-    value = getattr(getattr(rig, section, None), name, math.nan)
-    return float(np.sum(value)) if isinstance(value, int | float | tuple) else math.nan
+    """Return a coefficient of the rig file; NaN if it belongs to an effect that the rig has not."""
+    return read(rig, path) if uses(rig, path) else math.nan
 
 
 STEPS = (

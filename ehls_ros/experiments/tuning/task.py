@@ -5,14 +5,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ehls_ros.arrays import in_python
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.rig_scale import largest_speed
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import largest_force, room_of
-from ehls_ros.experiments.spec import Spec, check_spec, spec_from_mapping
+from ehls_ros.experiments.spec import COUPLING, Spec, check_spec, spec_from_mapping
 from ehls_ros.physics.rig import Rig, rig_to_mapping
-
-COUPLING = "coupling_stiffness"
-"""Effect by which a rig file tells the coupling to the actuator under test."""
 
 SERVO = "position_servo"
 """Disturbance that stands for the actuator under test."""
@@ -37,12 +36,10 @@ class Task(NamedTuple):
     """An experiment to tune for.
 
     Attributes:
-        content: the experiment as in its file.
         spec: the experiment.
         remarks: sentences on assumptions made.
     """
 
-    content: Mapping[str, Any]
     spec: Spec
     remarks: tuple[str, ...]
 
@@ -53,7 +50,7 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
     The simulated rig is the one that the controller knows, including delay and coupling.
 
     Args:
-        rig: the rig; its effect :data:`COUPLING` is the coupling to the actuator under test.
+        rig: the rig; its effect ``coupling_stiffness`` is the coupling to the actuator under test.
         law: name of the control law.
         given: content of an experiment file, of which reference, disturbance, control period and the law's numbers are used;
             None: sines of force and motion within the rig's reach.
@@ -78,14 +75,13 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
     spec = spec_from_mapping(content, where, folder)
     check_spec(spec, where)
     assumed = (UNTOLD.format(spec.disturbance.parameters.stiffness),) if coupled and not told else ()
-    return Task(content, spec, assumed)
+    return Task(spec, assumed)
 
 
 def _usual(rig: Rig) -> dict[str, Any]:
     """Return reference and disturbance within the reach of a rig."""
     plant, limits = rig.plant, rig.limits
-    flow = plant.discharge_coefficient * plant.valve_area_gradient * limits.spool * plant.valve_gain
-    speed = min(flow * math.sqrt(plant.supply_pressure / plant.oil_density) / plant.piston_area, limits.velocity)
+    speed = min(in_python(largest_speed)(plant, limits.spool * plant.valve_gain), limits.velocity)
     travel = min(SPEED_PART * speed / (2.0 * math.pi * MOTION_FREQUENCY), STROKE_PART * room_of(rig))
     amplitude = FORCE_PART * (largest_force(rig) - abs(plant.moving_mass * plant.gravity))
     return {

@@ -187,7 +187,7 @@ def tune(
         BadInput: the law names no numbers to tune.
     """
     names = tunable(task.spec.controller.name)
-    again = uncertain(task.spec, REPEATS - 1, seed, {}, 0.0)
+    again = [_with_seed(task.spec, seed + number) for number in range(1, REPEATS)]
     rigs = uncertain(task.spec, RIGS if uncertainty > 0.0 else 0, seed + REPEATS, errors or {}, uncertainty)
     with Workers(jobs) as workers:
         search = _Search([task.spec, *again], rigs, names, wanted, workers, progress)
@@ -349,6 +349,11 @@ class _Search:
         tasks = [partial(_largest, case[name]) for name in cases[0] for case in cases]
         errors = np.reshape(self._workers.run(tasks), (len(cases[0]), len(cases)))
         return [Limit(name, _mean(each.tolist())) for name, each in zip(cases[0], errors, strict=True)]
+
+
+def _with_seed(spec: Spec, seed: int) -> Spec:
+    """Return an experiment with other noise of the sensors."""
+    return spec._replace(settings=spec.settings._replace(seed=seed))
 
 
 def _largest(spec: Spec) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.spec import Spec
+from ehls_ros.experiments.spec import COUPLING, Spec
 from ehls_ros.physics.rig import Rig
 from ehls_ros.recording.yaml_text import read_yaml
 
@@ -24,7 +24,7 @@ ASSUMED: Mapping[str, float] = {
     "friction.static_force": 0.1,
     "friction.viscous_coefficient": 0.2,
     "friction.element_stiffness": 0.2,
-    "coupling_stiffness.stiffness": 0.1,
+    f"{COUPLING}.stiffness": 0.1,
 }
 """Relative standard error of a coefficient whose file has none."""
 
@@ -75,7 +75,7 @@ def _drawn(spec: Spec, errors: Mapping[str, float], scale: float, seed: int) -> 
         path: max(1.0 + scale * error * float(np.clip(random.standard_normal(), -LIMIT, LIMIT)), MIN_FACTOR)
         for path, error in errors.items()
     }
-    moved = _section(factors, "coupling_stiffness")
+    moved = _section(factors, COUPLING)
     coupled = spec.disturbance.parameters
     if "stiffness" in getattr(coupled, "_fields", ()) and "stiffness" in moved:
         coupled = coupled._replace(stiffness=coupled.stiffness * moved["stiffness"])
