@@ -381,7 +381,7 @@ class ProgrammeNode(AheadNode):
             return None
         # A rig without reference waits, and its earlier messages have arrived once no more, or only few, arrive.
         newest = self.tally.waiting[-1]
-        return newest if newest[1] == 0 or time.perf_counter() - self.received[0] > QUIET else None
+        return newest if time.perf_counter() - self.received[0] > QUIET else None
 
     def _identify_rig(self) -> None:
         """Determine the rig's process."""

@@ -1,5 +1,6 @@
 """A rig file from data sheets, from a file of answers and on a terminal."""
 
+import codecs
 import json
 import os
 import pty
@@ -81,6 +82,8 @@ def dialogue(rig, answers):
     if process == 0:
         os.execv(command[0], command)
     shown, left, sent = "", list(answers), ""
+    # A read may end within a character.
+    decoder = codecs.getincrementaldecoder("utf-8")()
     with suppress(OSError):  # Linux: the terminal's last user is gone
         while True:
             if not select.select([terminal], [], [], REPEATED_AFTER)[0]:
@@ -90,7 +93,7 @@ def dialogue(rig, answers):
                 continue
             if not (more := os.read(terminal, 4096)):
                 break
-            shown += more.decode()
+            shown += decoder.decode(more)
             if left and shown.endswith("> "):
                 sent = left.pop(0)
                 os.write(terminal, sent.encode())
