@@ -2,6 +2,7 @@
 
     python -m benchmarks.own_rigs --seed 7 --count 60 --perfect     # the laws' defaults
     python -m benchmarks.own_rigs --seed 7 --count 12 --tune 3 20   # and the numbers that `ehls tune` finds
+    python -m benchmarks.own_rigs --seed 7 --count 60 --commission --laws fasmc_predictive  # wrong files, commissioned
 
 Forces over three decades, supplies of 100 and 200 bar, valves of 20 to 200 Hz, delays of 0 to 2 cycles, noise as data sheets
 have it. The controller's rig file is right. The actuator under test is the position servo behind an elastic coupling; the error
@@ -21,13 +22,15 @@ from benchmarks.common import parser_of
 from benchmarks.emulated import EmulatedDevice
 from ehls_ros.control.margins import LoopMargins
 from ehls_ros.errors import BadInput, WorkFailed
+from ehls_ros.experiments.commissioning.conduct import STEPS
+from ehls_ros.experiments.commissioning.first_run import LAW
 from ehls_ros.experiments.commissioning.session import Session
-from ehls_ros.experiments.commissioning.steps import STEPS
+from ehls_ros.experiments.commissioning.step import Known, after
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning.loop_margins import margins_of
 from ehls_ros.experiments.tuning.task import Task
-from ehls_ros.experiments.tuning.tune import Wanted, causal_limit_of, tune, with_numbers
+from ehls_ros.experiments.tuning.tune import USUAL, Wanted, causal_limit_of, tune, with_numbers
 from ehls_ros.hardware.calibration import Calibration, Input, Output
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 
@@ -191,19 +194,19 @@ class Found(NamedTuple):
     """A commissioned rig.
 
     Attributes:
-        rig: the rig as found.
+        known: the rig as found, and the numbers of the law as tuned.
         covered: number of findings whose 95 % interval holds the truth.
         told: number of findings with a truth.
         trouble: reason if a step ended early; otherwise empty.
     """
 
-    rig: Rig
+    known: Known
     covered: int
     told: int
     trouble: str
 
 
-def commissioned(rig: OwnRig, seed: int) -> Found:
+def commissioned(rig: OwnRig, seed: int, wanted: Wanted) -> Found:
     """Commission a rig whose file is wrong, has no sensors, and tells neither delay nor coupling."""
     random = np.random.default_rng(seed)
     wrong = copy.deepcopy(rig.content) | {"effects": [], "sensors": {}}
@@ -214,21 +217,27 @@ def commissioned(rig: OwnRig, seed: int) -> Found:
         wrong["friction"][name] *= factor
     file = rig_from_mapping(wrong, "wrong file")
     calibration = _wiring(file)
-    known, covered, told = file, 0, 0
+    known, covered, told = Known(file, {}, wanted), 0, 0
     for step in STEPS:
-        coupled = step.name == "coupling"
+        coupled = step.name in ("coupling", "first_run")
         device = EmulatedDevice(_emulated(rig, seed, coupled=coupled), calibration)
-        session = Session(device, calibration, known, PERIOD, lockstep=True)
+        session = Session(device, calibration, known.rig, PERIOD, lockstep=True)
         try:
             outcome = step.run(session, known, lambda done, total, doing="": None)
         except (BadInput, WorkFailed) as error:
             return Found(known, covered, told, f"{step.name}: {error}")
-        known = outcome.rig
+        known = after(known, outcome)
         for finding in outcome.findings:
             true = _truth(rig, finding.path)
             if true is not None:
                 told += 1
-                covered += abs(finding.found.value - true) <= 1.96 * finding.found.std
+                holds = abs(finding.found.value - true) <= 1.96 * finding.found.std
+                covered += holds
+                if not holds:
+                    found = finding.found
+                    print(f"    {finding.path}: {found.value:.5g} +- {found.std:.2g}, true {true:.5g} {found.unit}", flush=True)
+        if step.name == "first_run":
+            print("".join(f"    {sentence}\n" for sentence in outcome.sentences[: len(outcome.recordings)]), end="", flush=True)
     return Found(known, covered, told, "")
 
 
@@ -314,8 +323,9 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=5.0, help="of each run, s (%(default)s)")
     parser.add_argument("--perfect", action="store_true", help="perfect sensors")
     parser.add_argument("--laws", nargs="+", default=LAWS, help="control laws")
-    parser.add_argument("--commission", action="store_true", help="commission each rig first, with a wrong file")
-    parser.add_argument("--tune", nargs=2, type=float, metavar=("DB", "DEG"), help="tune each law too, with these margins")
+    parser.add_argument("--commission", action="store_true", help="commission each rig first, with a wrong file, and tune it")
+    about = "tune each law with these margins; with --commission they are those asked for there"
+    parser.add_argument("--tune", nargs=2, type=float, metavar=("DB", "DEG"), help=about)
     options = parser.parse_args()
     seed = secrets.randbits(32) if options.seed is None else options.seed
     print(f"seed {seed}, {options.count} rigs of {options.duration:g} s", flush=True)
@@ -332,10 +342,13 @@ def main() -> None:
         force = rig.content["limits"]["force"]
         print(f"{number}: {force:.4g} N, valve {valve:.1f} Hz, delay {delay:.2f} ms, limit {limit:.3g} N", flush=True)
         if options.commission:
-            measured = commissioned(rig, seed + number)
+            measured = commissioned(rig, seed + number, Wanted(*options.tune or USUAL))
             print(f"    commissioned: {measured.covered} of {measured.told} intervals hold {measured.trouble}", flush=True)
-            specs = {f"{law}, commissioned": spec._replace(controller_rig=measured.rig) for law, spec in specs.items()}
-        if options.tune:
+            known = measured.known
+            specs = {f"{law}, commissioned": spec._replace(controller_rig=known.rig) for law, spec in specs.items()}
+            if LAW in options.laws:
+                specs[f"{LAW}, and tuned"] = with_numbers(specs[f"{LAW}, commissioned"], known.numbers)
+        elif options.tune:
             specs |= {f"{name}, tuned": retuned(spec, options.tune) for name, spec in specs.items()}
         rigs.append(rig)
         limits.append(limit)

@@ -8,11 +8,10 @@ from ehls_ros.api.results import figure, written
 from ehls_ros.api.simulation import RigSource, SpecSource, spec_content
 from ehls_ros.api.simulation import rig as read_rig
 from ehls_ros.experiments.spec import Spec
-from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
+from ehls_ros.experiments.tuning.files import EXPERIMENT, document, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.task import task_of
 from ehls_ros.experiments.tuning.tune import USUAL, Tuned, Wanted
 from ehls_ros.experiments.tuning.tune import tune as find
-from ehls_ros.experiments.tuning.uncertainty import standard_errors
 from ehls_ros.progress import progress_bar
 from ehls_ros.report.tuning import sentence, trade_off, write_tuning_report
 
@@ -58,7 +57,7 @@ class TuningResult:
     def save(self, folder: str | Path) -> Path:
         """Write the experiment and the parameter file of the controller's node into a folder, and return the folder."""
         into = Path(folder)
-        written(into / "experiment.yaml", lambda path: path.write_text(experiment_text(self.found), encoding="utf-8"))
+        written(into / EXPERIMENT, lambda path: path.write_text(experiment_text(self.found), encoding="utf-8"))
         file = into / f"{self.spec.controller.name}.yaml"
         written(file, lambda path: path.write_text(parameters_text(self.found), encoding="utf-8"))
         return into
@@ -82,7 +81,6 @@ def tune(
     *,
     spec: SpecSource | None = None,
     margins: tuple[float, float] = USUAL,
-    identification: str | Path | None = None,
     uncertainty: float = 1.0,
     seed: int = 0,
     jobs: int | None = None,
@@ -94,8 +92,7 @@ def tune(
         law: name of the control law.
         spec: experiment whose reference and disturbance count; None: sines of force and motion within the rig's reach.
         margins: gain margin [dB] and phase margin [degree] asked for.
-        identification: ``identification.json`` of the rig, for the standard errors of its coefficients; None: usual ones.
-        uncertainty: factor on all standard errors; 0: the rig file is exact.
+        uncertainty: factor on the standard errors of the rig's coefficients, its file's or assumed ones; 0: it is exact.
         seed: seed of the rigs drawn within the uncertainty.
         jobs: number of processes; None: one per processor.
 
@@ -104,12 +101,10 @@ def tune(
     """
     given, where, folder = (None, "tune", Path()) if spec is None else spec_content(spec)
     task = task_of(read_rig(rig), law, given, where, folder)
-    errors = {} if identification is None else standard_errors(Path(identification))
     with progress_bar("tuning") as bar:
         found = find(
             task,
             wanted=Wanted(*margins),
-            errors=errors,
             uncertainty=uncertainty,
             seed=seed,
             jobs=jobs,

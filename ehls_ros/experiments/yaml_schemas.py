@@ -64,6 +64,7 @@ def _rig() -> Schema:
             **sections,
             "effects": _effects(),
             "sensors": _by_signal(Sensor),
+            "standard_errors": {"type": "object", "additionalProperties": {"type": "number", "minimum": 0.0}},
         },
         ("friction",),
     )

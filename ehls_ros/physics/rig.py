@@ -43,6 +43,7 @@ class Rig(NamedTuple):
         sensors: sensors by signal; a missing one is perfect.
         limits: limits of the rig.
         other_friction: keys of the rig file that belong to other friction models, kept for a change of model.
+        standard_errors: standard errors of coefficients by dotted path, such as ``plant.bulk_modulus``, in their units.
     """
 
     plant: Plant
@@ -52,6 +53,7 @@ class Rig(NamedTuple):
     sensors: Mapping[str, Sensor]
     limits: Limits
     other_friction: Mapping[str, Any] = {}
+    standard_errors: Mapping[str, float] = {}
 
     @property
     def friction_law(self) -> FrictionModel:
@@ -73,7 +75,7 @@ class Rig(NamedTuple):
             shift = getattr(EFFECTS.load(use.name), "shift", None)
             if shift is not None:
                 rig = shift(rig, use.parameters)
-        return EffectiveRig(*rig[:-1])
+        return EffectiveRig(rig.plant, rig.friction_model, rig.friction, rig.effects, rig.sensors, rig.limits)
 
     def quiet(self) -> "Rig":
         """Return the rig with sensors free of noise and quantisation."""
@@ -140,7 +142,7 @@ ABSENT: Mapping[type, Mapping[str, Any]] = {
 }
 """Placeholders of keys missing in a rig file."""
 
-SECTIONS = ("plant", "friction", "effects", "sensors", "limits")
+SECTIONS = ("plant", "friction", "effects", "sensors", "limits", "standard_errors")
 
 MAX_EFFECTS = 64
 """Most effects of a rig, including those of an experiment; the compile time of its equations grows more than linearly."""
@@ -153,7 +155,7 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
     """Build a rig from the content of a rig file.
 
     Args:
-        data: the parsed file, with the sections of :data:`SECTIONS`.
+        data: the parsed file, with sections of :data:`SECTIONS`.
         where: the file, for error messages.
 
     Returns:
@@ -187,7 +189,7 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
         other_friction=others,
     )
     check_friction_effects(rig, f"{where}: effects")
-    return rig
+    return rig._replace(standard_errors=_errors_from_mapping(data.get("standard_errors"), rig, f"{where}: standard_errors"))
 
 
 def unknown_keys(rig: Rig) -> tuple[str, ...]:
@@ -325,6 +327,30 @@ def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:
     return {signal: parse(Sensor, values or {}, f"{where}: {signal}") for signal, values in data.items()}
 
 
+def _errors_from_mapping(data: Any, rig: Rig, where: str) -> dict[str, float]:
+    if not isinstance(data, Mapping | None):
+        raise BadInput(f"standard_errors is {data!r}", where, "a mapping of paths such as plant.bulk_modulus")
+    for path, std in (data or {}).items():
+        if not has_number(rig, str(path)):
+            raise BadInput(f"the rig has no {path}", where, "the path of one of its coefficients, such as plant.bulk_modulus")
+        if isinstance(std, bool) or not isinstance(std, int | float) or not 0.0 <= std < math.inf:
+            raise BadInput(f"{path} is {std!r}", where, "a standard error of 0 or more, in the coefficient's unit")
+    return {str(path): float(std) for path, std in (data or {}).items()}
+
+
+def has_number(rig: Rig, path: str) -> bool:
+    """Return whether a dotted path, such as ``plant.bulk_modulus`` or ``effects.command_delay.delay``, is one of a rig."""
+    section, _, name = path.partition(".")
+    owner, _, key = name.partition(".")
+    names: dict[str, Collection[str]] = {
+        "plant": Plant._fields,
+        "friction": (*rig.friction._fields, *rig.other_friction),
+        "effects": next((use.parameters._fields for use in rig.effects if use.name == owner), ()),
+        "sensors": Sensor._fields if owner in SENSED else (),
+    }
+    return (key if section in ("effects", "sensors") else name) in names.get(section, ())
+
+
 def rig_to_mapping(rig: Rig) -> dict[str, Any]:
     """Return the content of a rig file, the inverse of :func:`rig_from_mapping`.
 
@@ -350,4 +376,5 @@ def rig_to_mapping(rig: Rig) -> dict[str, Any]:
         "effects": [{"name": use.name, **plain(use.parameters)} for use in rig.effects],
         "sensors": {signal: plain(sensor) for signal, sensor in rig.sensors.items()},
         "limits": known("limits"),
+        **({"standard_errors": dict(rig.standard_errors)} if rig.standard_errors else {}),
     }

@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.experiments.commissioning.steps import STEPS, Step
+from ehls_ros.experiments.commissioning.conduct import STEPS
+from ehls_ros.experiments.commissioning.step import Step
 from ehls_ros.report import page
 from ehls_ros.report.page import MISSING_NUMBER, Entry, number, signed
 from ehls_ros.report.quantities import unit_text, written

@@ -47,7 +47,6 @@ def test_a_rig_with_sensors_is_tuned_within_its_uncertainty(tmp_path, capsys):
         (["--uncertainty", "-1"], "uncertainty"),
         (["--law", "fasmc", "--spec", "no_such_spec"], "no_such_spec"),
         (["--spec", "friction_presliding"], "force"),
-        (["--identification", "nowhere.json"], "nowhere.json"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, arguments, words):

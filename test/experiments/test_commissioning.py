@@ -10,9 +10,10 @@ from benchmarks.emulated import EmulatedDevice
 from ehls_ros.control.controllers.base import reading_std
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.commissioning import conduct
-from ehls_ros.experiments.commissioning.conduct import commission
+from ehls_ros.experiments.commissioning.conduct import STEPS, commission
+from ehls_ros.experiments.commissioning.measuring import at_rest, coupling, motion, nudge
 from ehls_ros.experiments.commissioning.session import Session, Stopped
-from ehls_ros.experiments.commissioning.steps import STEPS, Contradiction, at_rest, coupling, motion, nudge
+from ehls_ros.experiments.commissioning.step import Contradiction, Known
 from ehls_ros.experiments.files import config_folder, configured
 from ehls_ros.experiments.spec import load_rig, spec_from_mapping
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
@@ -48,7 +49,7 @@ def silent(done, total, doing=""):
 
 
 def test_the_noise_of_each_sensor_is_found_at_rest():
-    outcome = at_rest(session(), RIG._replace(sensors={}), silent)
+    outcome = at_rest(session(), Known(RIG._replace(sensors={})), silent)
     found = {finding.path.split(".")[1]: finding.found for finding in outcome.findings}
     for signal in ("load_pressure", "force"):
         assert abs(found[signal].value - reading_std(RIG.sensors[signal])) < 4.0 * found[signal].std + 0.1 * found[signal].value
@@ -69,11 +70,11 @@ def test_the_noise_of_each_sensor_is_found_at_rest():
 )
 def test_a_reversed_sign_or_a_piston_at_rest_ends_with_the_remedy(given, words):
     with pytest.raises(Contradiction, match=words):
-        nudge(session(given), RIG, silent)
+        nudge(session(given), Known(RIG), silent)
 
 
 def test_right_signs_move_the_piston_a_little():
-    recording = nudge(session(), RIG, silent).recordings["nudge"]
+    recording = nudge(session(), Known(RIG), silent).recordings["nudge"]
     assert 1e-4 < np.ptp(recording["position_m"]) < 0.1 * (RIG.limits.position[1] - RIG.limits.position[0])
     assert np.max(np.abs(recording["valve_command_m"])) <= 0.3 * RIG.limits.spool
 
@@ -81,11 +82,11 @@ def test_right_signs_move_the_piston_a_little():
 @pytest.mark.parametrize(("factor", "unit"), [(1e-5, "bar"), (1e-6, "MPa")])
 def test_a_supply_pressure_in_another_unit_is_named(factor, unit):
     with pytest.raises(Contradiction, match=unit):
-        at_rest(session(rewired("supply_pressure", factor)), RIG, silent)
+        at_rest(session(rewired("supply_pressure", factor)), Known(RIG), silent)
 
 
 def test_the_coupling_to_a_held_actuator_is_found():
-    outcome = coupling(session(disturbance=HELD), RIG, silent)
+    outcome = coupling(session(disturbance=HELD), Known(RIG), silent)
     [finding] = outcome.findings
     assert abs(finding.found.value - 2e6) < 2.0 * finding.found.std
     [told] = [use for use in outcome.rig.effects if use.name == "coupling_stiffness"]
@@ -94,7 +95,7 @@ def test_the_coupling_to_a_held_actuator_is_found():
 
 def test_without_a_connected_rod_there_is_no_coupling():
     with pytest.raises(Contradiction, match="rod connected"):
-        coupling(session(), RIG, silent)
+        coupling(session(), Known(RIG), silent)
 
 
 def test_the_gate_ends_a_step_at_null_and_what_was_recorded_is_kept():
@@ -143,7 +144,7 @@ def test_the_steps_are_logged_skipped_and_resumed(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_a_wrong_rig_file_is_corrected_by_one_motion():
     wrong = RIG.with_plant(moving_mass=80.0, bulk_modulus=8e8, discharge_coefficient=0.5).with_friction(coulomb_force=550.0)
-    found = {finding.path: finding.found for finding in motion(session(rig=wrong), wrong, silent).findings}
+    found = {finding.path: finding.found for finding in motion(session(rig=wrong), Known(wrong), silent).findings}
     for path, true in (
         ("plant.moving_mass", 70.0), ("plant.bulk_modulus", 6.9e8), ("plant.discharge_coefficient", 0.62),
         ("friction.coulomb_force", 640.8), ("effects.command_delay.delay", 1e-3),

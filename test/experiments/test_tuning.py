@@ -1,7 +1,5 @@
 """Tuning of a law: margins of the loop, the task, the uncertainty and the search."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ from ehls_ros.experiments.tuning.files import document, experiment_text, paramet
 from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
 from ehls_ros.experiments.tuning.task import task_of
 from ehls_ros.experiments.tuning.tune import Wanted, tune
-from ehls_ros.experiments.tuning.uncertainty import LIMIT, standard_errors, uncertain
+from ehls_ros.experiments.tuning.uncertainty import LIMIT, uncertain
 from ehls_ros.physics.rig import effects_from_list, rig_to_mapping
 from ehls_ros.recording.yaml_text import parse_yaml
 
@@ -89,30 +87,17 @@ def test_a_law_that_follows_a_position_is_refused():
 
 
 def test_rigs_within_the_uncertainty():
-    spec = task_of(RIG.with_effects(COUPLING), "fasmc_predictive").spec
-    drawn = uncertain(spec, 3, 1, {"plant.moving_mass": 0.2})
+    told = RIG.with_effects(COUPLING)._replace(standard_errors={"plant.moving_mass": 0.2 * RIG.plant.moving_mass})
+    spec = task_of(told, "fasmc_predictive").spec
+    drawn = uncertain(spec, 3, 1)
     for other in drawn:
         assert other.controller_rig == spec.controller_rig
         assert abs(other.rig.plant.moving_mass / RIG.plant.moving_mass - 1.0) <= 0.2 * LIMIT
         assert other.rig.plant.bulk_modulus != RIG.plant.bulk_modulus
         assert other.disturbance.parameters.stiffness != 3e6
     assert len({other.rig.plant.moving_mass for other in drawn}) == 3
-    [exact] = uncertain(spec, 1, 1, {}, 0.0)
+    [exact] = uncertain(spec, 1, 1, 0.0)
     assert exact.rig == spec.rig
-
-
-def test_standard_errors_of_an_identification(tmp_path):
-    path = tmp_path / "identification.json"
-    path.write_text(json.dumps({"parameters": {"plant.moving_mass": {"value": 50.0, "std": 5.0, "unit": "kg"}}}))
-    assert standard_errors(path) == {"plant.moving_mass": pytest.approx(0.1)}
-
-
-@pytest.mark.parametrize("content", ["[]", '{"parameters": {"moving_mass": 3}}'])
-def test_a_file_that_is_no_identification_is_refused(tmp_path, content):
-    path = tmp_path / "identification.json"
-    path.write_text(content)
-    with pytest.raises(BadInput):
-        standard_errors(path)
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ def test_numbers_found_stand_beside_those_of_the_file(tmp_path):
     }
     write_commissioning_report(log, "my_rig.yaml", tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert parts(text) == ["Sensors at rest", "Signs", "The rig identified", "Coupling"]
+    assert parts(text) == ["Sensors at rest", "Signs", "The rig identified", "Coupling", "Law tuned", "First run"]
     table = rows(text, "The rig identified")
     assert [row[0] for row in table if row[0].startswith("plant")] == ["plant.moving_mass"]
     [mass] = [row for row in table if row[0] == "plant.moving_mass"]
@@ -25,4 +25,4 @@ def test_numbers_found_stand_beside_those_of_the_file(tmp_path):
     [delay] = [row for row in table if row[0] == "effects.command_delay.delay"]
     assert delay[1] == delay[4] == "–"
     assert "a remark" in text
-    assert "Signs and Coupling" in text
+    assert "Signs, Coupling, Law tuned and First run" in text

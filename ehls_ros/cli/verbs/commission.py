@@ -10,17 +10,19 @@ from pathlib import Path
 from ehls_ros.cli.arguments import add_configured, add_results
 from ehls_ros.cli.results import print_files, print_table, writable
 from ehls_ros.errors import BadInput, WorkFailed
-from ehls_ros.experiments.commissioning.conduct import LOG, REPORT, RIG, Done, commission, read_log
+from ehls_ros.experiments.commissioning.conduct import LOG, REPORT, RIG, STEPS, Done, commission, read_log
 from ehls_ros.experiments.commissioning.session import Session
-from ehls_ros.experiments.commissioning.steps import Step
+from ehls_ros.experiments.commissioning.step import Step
 from ehls_ros.experiments.graph_check import bridge_at
 from ehls_ros.experiments.spec import load_rig
+from ehls_ros.experiments.tuning.files import EXPERIMENT
+from ehls_ros.experiments.tuning.tune import USUAL, Wanted
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.physics.rig import Rig
 from ehls_ros.progress import Update, progress_bar
 from ehls_ros.report.commissioning import write_commissioning_report
 
-HELP = "Measure a rig step by step through its gate: noise, signs, valve, friction, coupling; and write its rig file."
+HELP = "Measure a rig step by step through its gate, write its rig file, tune the law and run it with small amplitudes first."
 
 ASKED = "Enter: go on; s: skip it; q: end here"
 """Choices of the operator before each step."""
@@ -36,6 +38,8 @@ def arguments(parser: ArgumentParser) -> None:
     about = "the device waits for the answer to each sample, as `ehls rig-emulator --lockstep` does"
     parser.add_argument("--lockstep", action="store_true", help=about)
     parser.add_argument("--yes", action="store_true", help="release all steps without asking; for emulators")
+    about = "gain margin [dB] and phase margin [degree] asked of the law (default: {:g} {:g})".format(*USUAL)
+    parser.add_argument("--margins", type=float, nargs=2, metavar=("DB", "DEG"), default=list(USUAL), help=about)
     add_results(parser, "runs/commission", LOG)
 
 
@@ -52,6 +56,8 @@ def run(options: Namespace) -> int:
             f"--lockstep with the backend {bridge.backend}", "command line", "no --lockstep, as its device does not wait"
         )
     folder = writable(options.out, LOG)
+    if done_before := [step.title for step in STEPS if step.name in read_log(folder)]:
+        print(f"{folder} goes on after: {', '.join(done_before)}. Another rig needs another --out.")
     with closing(bridge.open(options.period)) as device, ExitStack() as bars:
 
         def session_for(known: Rig) -> Session:
@@ -65,12 +71,12 @@ def run(options: Namespace) -> int:
             bars.close()
             return _released(step, asked=not options.yes)
 
-        for done in commission(session_for, rig, folder, release, progress):
+        for done in commission(session_for, rig, folder, release, progress, Wanted(*options.margins)):
             bars.close()
             _print(done)
             write_commissioning_report(read_log(folder), str(options.rig), folder / REPORT)
     print_files([("rig", folder / RIG), ("log", folder / LOG), ("report", folder / REPORT)])
-    print(f"  next: ehls tune {folder / RIG}")
+    print(f"  next: ehls experiment {folder / EXPERIMENT}, or ehls tune {folder / RIG} for a task of your own")
     if options.json:
         print(json.dumps(read_log(folder)))
     return 0
@@ -85,7 +91,10 @@ def _released(step: Step, *, asked: bool) -> bool:
     print(f"{step.title}: {step.moves}", flush=True)
     if not asked:
         return True
-    answer = input(f"  {ASKED} > ").strip().lower()
+    try:
+        answer = input(f"  {ASKED} > ").strip().lower()
+    except EOFError:
+        answer = "q"
     if answer == "q":
         raise WorkFailed("ended by the operator; start again to go on with this step")
     return answer != "s"

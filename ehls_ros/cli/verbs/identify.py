@@ -108,7 +108,8 @@ def _whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, options: Namespac
     with progress_bar("identifying") as bar:
         found = identify_whole_rig(recordings, rig, seed=options.seed, progress=bar)
     result = rig_to_json(found)
-    _write(folder, found.rig, result, options.data)
+    errors = {path: estimate.std for path, estimate in found.estimates.items()}
+    _write(folder, found.rig._replace(standard_errors=errors), result, options.data)
     write_rig_report(found, folder / REPORT, before=rig)
     _print(found, folder)
     return result

@@ -12,10 +12,9 @@ from ehls_ros.cli.results import print_files, print_table, writable, write_json
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
-from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
+from ehls_ros.experiments.tuning.files import EXPERIMENT, document, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.task import task_of
 from ehls_ros.experiments.tuning.tune import USUAL, Trial, Tuned, Wanted, tune
-from ehls_ros.experiments.tuning.uncertainty import standard_errors
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.report.page import limit_text, with_unit
@@ -23,8 +22,8 @@ from ehls_ros.report.tuning import LOST, sentence, write_tuning_report
 
 HELP = "Find the numbers of a control law for a rig: the least error with the margins asked for."
 
-RESULT, REPORT, EXPERIMENT = "tuning.json", "report.html", "experiment.yaml"
-"""Files in the folder of the results; the parameter file has the law's name."""
+RESULT, REPORT = "tuning.json", "report.html"
+"""Files in the folder of the results, beside the experiment and the parameter file, which has the law's name."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -35,9 +34,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--law", choices=laws, default="fasmc_predictive", help="control law (%(default)s)")
     about = "gain margin [dB] and phase margin [degree] (default: {:g} {:g})".format(*USUAL)
     parser.add_argument("--margins", type=float, nargs=2, metavar=("DB", "DEG"), default=list(USUAL), help=about)
-    about = "identification.json of the rig, for the standard errors of its coefficients; by default usual ones are assumed"
-    parser.add_argument("--identification", type=Path, metavar="FILE", help=about)
-    about = "factor on all standard errors; 0: the rig file is exact (%(default)s)"
+    about = "factor on the standard errors of the rig file, assumed where it has none; 0: it is exact (%(default)s)"
     parser.add_argument("--uncertainty", type=float, default=1.0, metavar="FACTOR", help=about)
     parser.add_argument("--seed", type=int, default=0, help="seed of the rigs drawn within the uncertainty (%(default)s)")
     parser.add_argument("--jobs", type=int, help="number of processes (default: one per processor)")
@@ -54,13 +51,11 @@ def run(options: Namespace) -> int:
     rig = load_rig(options.rig)
     given, where, folder = _experiment(options.spec)
     task = task_of(rig, options.law, given, where, folder)
-    errors = {} if options.identification is None else standard_errors(options.identification)
     out = writable(options.out, RESULT)
     with progress_bar("tuning") as bar:
         found = tune(
             task,
             wanted=Wanted(*options.margins),
-            errors=errors,
             uncertainty=options.uncertainty,
             seed=options.seed,
             jobs=options.jobs,

@@ -1,5 +1,6 @@
 """A rig driven in steps through its safety gate, without ROS: samples in, bounded commands out, everything recorded."""
 
+import math
 import time
 from collections.abc import Callable
 
@@ -9,8 +10,9 @@ from ehls_ros.arrays import Array
 from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import WorkFailed
 from ehls_ros.hardware.backends.base import Device, Reading
-from ehls_ros.hardware.calibration import Calibration
+from ehls_ros.hardware.calibration import Calibration, step
 from ehls_ros.hardware.gate_bounds import bounds_of, within
+from ehls_ros.hardware.gate_parameters import WARN
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.safety_gate import Gate
 from ehls_ros.physics.rig import SENSED, Rig
@@ -83,10 +85,16 @@ class Session:
         self.period = period
         self._device, self._calibration, self._lockstep, self._stopped = device, calibration, lockstep, stopped
         chosen = tuned_for(GateParameters, rig)
-        chosen = chosen._replace(trip_level=min(chosen.trip_level, TRIP_LEVEL), enable_time=ENABLE_TIME)
+        # The largest rate of a reading follows from numbers of the rig file, which are not known yet.
+        chosen = chosen._replace(trip_level=min(chosen.trip_level, TRIP_LEVEL), enable_time=ENABLE_TIME, on_sensor_jump=WARN)
         self._gate = Gate(rig, period, within(chosen, bounds_of(rig, period)), self.wired)
         self._gate.begin()
         self._cycle = 0
+
+    def resolution(self, signal: str) -> float:
+        """Return the step of a wired signal's converter, in the signal's unit."""
+        channel = self._calibration.inputs[self.wired.index(signal)]
+        return math.fabs(channel.scale) * step(channel)
 
     def record(self, law: Law | None, duration: float) -> Trajectory:
         """Drive the rig for a time, return the valve to null, and return the recording.

@@ -9,6 +9,9 @@ from ehls_ros.experiments.tuning.tune import Trial, Tuned
 from ehls_ros.experiments.yaml_files import commented, spec_text
 from ehls_ros.schema import notes
 
+EXPERIMENT = "experiment.yaml"
+"""Name of the experiment's file."""
+
 
 def experiment_text(found: Tuned) -> str:
     """Return the experiment's file, its rig written out."""

@@ -60,7 +60,7 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
     Raises:
         BadInput: a key of the experiment is wrong, or the law does not control a force.
     """
-    content: dict[str, Any] = {"title": f"tuning of {law}", **(_usual(rig) if given is None else given)}
+    content: dict[str, Any] = {"title": f"tuning of {law}", **(usual(rig) if given is None else given)}
     stated = content.get("controller")
     stated = dict(stated) if isinstance(stated, Mapping) else {"name": stated or law}
     for name in (law, stated.get("name")):
@@ -78,13 +78,19 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
     return Task(spec, assumed)
 
 
-def _usual(rig: Rig) -> dict[str, Any]:
-    """Return reference and disturbance within the reach of a rig."""
+def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:
+    """Return reference and disturbance within the reach of a rig.
+
+    Args:
+        rig: the rig.
+        period: control period [s]; None: the usual one.
+    """
     plant, limits = rig.plant, rig.limits
     speed = min(in_python(largest_speed)(plant, limits.spool * plant.valve_gain), limits.velocity)
     travel = min(SPEED_PART * speed / (2.0 * math.pi * MOTION_FREQUENCY), STROKE_PART * room_of(rig))
     amplitude = FORCE_PART * (largest_force(rig) - abs(plant.moving_mass * plant.gravity))
     return {
+        **({} if period is None else {"control_period": period}),
         "reference": {"name": "sine", "amplitude": float(f"{amplitude:.3g}"), "frequency": FREQUENCY},
         "disturbance": {
             "name": SERVO,

@@ -166,7 +166,6 @@ def tune(
     task: Task,
     *,
     wanted: Wanted = USUAL,
-    errors: Mapping[str, float] | None = None,
     uncertainty: float = 1.0,
     seed: int = 0,
     jobs: int | None = None,
@@ -177,8 +176,7 @@ def tune(
     Args:
         task: the experiment.
         wanted: margins asked for.
-        errors: relative standard errors of the rig file's coefficients, in place of the assumed ones.
-        uncertainty: factor on all of them; 0: the file is exact.
+        uncertainty: factor on the standard errors of the rig's coefficients, its file's or assumed ones; 0: it is exact.
         seed: seed of the rigs drawn.
         jobs: number of processes; None: one per processor.
         progress: called with the number of trials done and the largest number.
@@ -188,7 +186,7 @@ def tune(
     """
     names = tunable(task.spec.controller.name)
     again = [_with_seed(task.spec, seed + number) for number in range(1, REPEATS)]
-    rigs = uncertain(task.spec, RIGS if uncertainty > 0.0 else 0, seed + REPEATS, errors or {}, uncertainty)
+    rigs = uncertain(task.spec, RIGS if uncertainty > 0.0 else 0, seed + REPEATS, uncertainty)
     with Workers(jobs) as workers:
         search = _Search([task.spec, *again], rigs, names, wanted, workers, progress)
         default = search.tried({})

@@ -1,15 +1,13 @@
 """Rigs as they may be within the uncertainty of a rig file."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import COUPLING, Spec
+from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.physics.rig import Rig
-from ehls_ros.recording.yaml_text import read_yaml
 
 ASSUMED: Mapping[str, float] = {
     "plant.supply_pressure": 0.02,
@@ -24,7 +22,7 @@ ASSUMED: Mapping[str, float] = {
     "friction.static_force": 0.1,
     "friction.viscous_coefficient": 0.2,
     "friction.element_stiffness": 0.2,
-    f"{COUPLING}.stiffness": 0.1,
+    f"effects.{COUPLING}.stiffness": 0.1,
 }
 """Relative standard error of a coefficient whose file has none."""
 
@@ -35,37 +33,22 @@ MIN_FACTOR = 0.2
 """Smallest factor on a coefficient."""
 
 
-def standard_errors(path: Path) -> dict[str, float]:
-    """Return the relative standard errors of a rig's coefficients from its ``identification.json``, by section and name.
-
-    Raises:
-        BadInput: the file cannot be read or is no identification.
-    """
-    content = read_yaml(path, "identification")
-    parameters = content.get("parameters") if isinstance(content, Mapping) else None
-    if not isinstance(parameters, Mapping):
-        raise BadInput("there are no parameters", str(path), "an identification.json of `ehls identify`")
-    found: dict[str, float] = {}
-    for name, estimate in parameters.items():
-        value, std = (estimate.get(key) if isinstance(estimate, Mapping) else None for key in ("value", "std"))
-        if not isinstance(value, int | float) or not isinstance(std, int | float):
-            raise BadInput(f"{name} is {estimate!r}", str(path), "a mapping with numbers value and std")
-        paths = [path for path in ASSUMED if path.split(".")[1] == name.split(".")[-1].split("[")[0]]
-        found |= {path: max(std / abs(value), found.get(path, 0.0)) for path in paths if value != 0.0}
-    return found
+def relative_errors(rig: Rig) -> dict[str, float]:
+    """Return the relative standard errors of a rig's coefficients: its file's where it has them, else :data:`ASSUMED`."""
+    stated = {path: std for path, std in rig.standard_errors.items() if path in ASSUMED and read(rig, path) != 0.0}
+    return {**ASSUMED, **{path: std / abs(read(rig, path)) for path, std in stated.items()}}
 
 
-def uncertain(spec: Spec, count: int, seed: int, stated: Mapping[str, float], scale: float = 1.0) -> list[Spec]:
-    """Return experiments on rigs within the uncertainty, with the controller's rig unchanged.
+def uncertain(spec: Spec, count: int, seed: int, scale: float = 1.0) -> list[Spec]:
+    """Return experiments on rigs within the uncertainty of the controller's rig, which stays as it is.
 
     Args:
         spec: the experiment on the rig of the file.
         count: number of rigs.
         seed: seed of the draws and of the sensors' noise.
-        stated: relative standard errors by section and coefficient, in place of :data:`ASSUMED`.
         scale: factor on all standard errors.
     """
-    errors = {**ASSUMED, **stated}
+    errors = relative_errors(spec.controller_rig)
     return [_drawn(spec, errors, scale, seed + 1 + number) for number in range(count)]
 
 
@@ -75,7 +58,7 @@ def _drawn(spec: Spec, errors: Mapping[str, float], scale: float, seed: int) -> 
         path: max(1.0 + scale * error * float(np.clip(random.standard_normal(), -LIMIT, LIMIT)), MIN_FACTOR)
         for path, error in errors.items()
     }
-    moved = _section(factors, COUPLING)
+    moved = _section(factors, f"effects.{COUPLING}")
     coupled = spec.disturbance.parameters
     if "stiffness" in getattr(coupled, "_fields", ()) and "stiffness" in moved:
         coupled = coupled._replace(stiffness=coupled.stiffness * moved["stiffness"])

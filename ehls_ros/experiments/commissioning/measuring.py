@@ -1,12 +1,11 @@
-"""Steps of a commissioning, in order: sensors at rest, signs by a nudge, a rich motion and the rig identified from it.
+"""Measuring steps of a commissioning: sensors at rest, signs by a nudge, the rig identified from a rich motion, the coupling.
 
-Each step moves the rig no more than its sentence says. It returns the rig with the numbers found; a contradiction between rig
-and files ends it with the remedy.
+Each step moves the rig no more than its sentence in the table of steps says. It returns the rig with the numbers found; a
+contradiction between rig and files ends it with the remedy.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable
 
 import numpy as np
 
@@ -16,11 +15,11 @@ from ehls_ros.control.controllers import pid
 from ehls_ros.control.controllers.base import model_of, saturate
 from ehls_ros.control.references import multi_sine
 from ehls_ros.control.rig_scale import compression, largest_speed, tuned_for
-from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.analysis import identify_whole_rig
 from ehls_ros.experiments.catalogue import largest_force, room_of
 from ehls_ros.experiments.commissioning.session import Session, Stopped
+from ehls_ros.experiments.commissioning.step import Contradiction, Finding, Known, Outcome
 from ehls_ros.experiments.spec import COUPLING
 from ehls_ros.identification.rig_coefficients import read, uses
 from ehls_ros.physics import sensors
@@ -78,7 +77,7 @@ PRESSING, PRESS_PART, PRESS_FREQUENCY = 20.0, 0.4, 0.1
 PRESS_BANDWIDTH, PRESS_OPENING = 10.0, 0.3
 """Bandwidth of the force loop with a coupling as stiff as the oil [1/s]; largest opening over the largest spool command."""
 
-ACTUATOR = 0.05
+ACTUATOR = 0.1
 """Relative error of the stiffness found, as the actuator under test yields a little where it holds its position."""
 
 BLOCKS, SLIDING, CORRELATED = 400, 0.6, 20.0
@@ -86,59 +85,10 @@ BLOCKS, SLIDING, CORRELATED = 400, 0.6, 20.0
 number of neighbouring blocks with the same error of form."""
 
 
-class Contradiction(BadInput):
-    """Rig, bridge file and rig file contradict each other; the message ends with the remedy."""
-
-
-class Finding(NamedTuple):
-    """A number found.
-
-    Attributes:
-        path: section and name in the rig file.
-        given: the file's value; NaN if it has none.
-        found: the value with its standard error.
-    """
-
-    path: str
-    given: float
-    found: Estimate
-
-
-class Outcome(NamedTuple):
-    """Result of a step.
-
-    Attributes:
-        rig: the rig with the numbers found.
-        findings: these numbers.
-        sentences: further results.
-        recordings: recordings by name.
-    """
-
-    rig: Rig
-    findings: tuple[Finding, ...] = ()
-    sentences: tuple[str, ...] = ()
-    recordings: Mapping[str, Trajectory] = {}
-
-
-class Step(NamedTuple):
-    """A step.
-
-    Attributes:
-        name: its name in files.
-        title: its title.
-        moves: what it does to the rig, for the operator who releases it.
-        run: does it.
-    """
-
-    name: str
-    title: str
-    moves: str
-    run: Callable[[Session, Rig, Update], Outcome]
-
-
-def at_rest(session: Session, rig: Rig, progress: Update) -> Outcome:
+def at_rest(session: Session, known: Known, progress: Update) -> Outcome:
     """Measure the noise of the sensors with the valve closed, and compare the supply pressure."""
     recording = session.record(None, REST)
+    rig = known.rig
     findings, described = [], dict(rig.sensors)
     for signal in session.wired:
         values = recording[LOADER_STATE.signals[signal]]
@@ -146,15 +96,15 @@ def at_rest(session: Session, rig: Rig, progress: Update) -> Outcome:
             missing = f"{signal} is at the end of its converter's range, or not a number"
             raise Contradiction(missing, "bridge file", f"a wired sensor, or a wider range of channels.{signal}")
         values = values[len(values) // 2 :]
-        # The difference of neighbours is free of slow drift.
-        noise = float(np.std(np.diff(values))) / math.sqrt(2.0)
-        given = described.get(signal, Sensor())
+        given, resolution = described.get(signal, Sensor()), session.resolution(signal)
+        # The difference of neighbours is free of slow drift; the converter's rounding is told apart by its step.
+        power = 0.5 * float(np.var(np.diff(values))) - resolution**2 / 12.0
+        noise = math.sqrt(max(power, 0.0))
         if noise > 0.0:
             unit = SIGNALS[LOADER_STATE.signals[signal]].unit
             estimate = Estimate(noise, noise / math.sqrt(len(values)), unit)
             findings.append(Finding(f"sensors.{signal}.noise_std", given.noise_std or math.nan, estimate))
-            # The noise found includes the rounding.
-            described[signal] = given._replace(noise_std=noise, resolution=0.0)
+        described[signal] = given._replace(noise_std=noise, resolution=resolution)
     _check_supply(recording, rig)
     return Outcome(rig._replace(sensors=described), tuple(findings), (), {"at_rest": recording})
 
@@ -171,9 +121,9 @@ def _check_supply(recording: Trajectory, rig: Rig) -> None:
     raise Contradiction(what, "bridge file", f"{remedy}, or another supply_pressure in the rig file")
 
 
-def nudge(session: Session, rig: Rig, progress: Update) -> Outcome:
+def nudge(session: Session, known: Known, progress: Update) -> Outcome:
     """Open the valve a little to each side, and compare the signs of the readings."""
-    limits = rig.limits
+    rig, limits = known.rig, known.rig.limits
     stroke = limits.position[1] - limits.position[0]
     noise = rig.sensors.get("position", Sensor()).noise_std
     needed = max(MOVED * stroke, SIGMAS * noise)
@@ -271,14 +221,23 @@ def _check_signs(recording: Trajectory, session: Session, moved: float) -> None:
     raise Contradiction(what, "bridge file", remedy)
 
 
-def motion(session: Session, rig: Rig, progress: Update) -> Outcome:
+def motion(session: Session, known: Known, progress: Update) -> Outcome:
     """Move the piston by sines of many frequencies and a random part of the command, and identify the rig."""
+    rig = known.rig
     session.record(None, LOOK)
     recording = session.record(_rich_motion(session, rig), MOTION)
     found = identify_whole_rig({"motion": recording}, rig, seed=0, progress=progress)
-    findings = tuple(Finding(path, _given(rig, path), estimate) for path, estimate in found.estimates.items())
+    estimates = {path: _rounded(path, estimate, session) for path, estimate in found.estimates.items()}
+    findings = tuple(Finding(path, _given(rig, path), estimate) for path, estimate in estimates.items())
     unknown = tuple(f"{path} is not identified: {why}" for path, why in found.not_identifiable.items())
     return Outcome(found.rig, findings, (*found.remarks, *unknown), {"motion": recording})
+
+
+def _rounded(path: str, estimate: Estimate, session: Session) -> Estimate:
+    """Return the supply pressure with the rounding of its reading: that of a constant is the same in all samples."""
+    if path != "plant.supply_pressure" or "supply_pressure" not in session.wired:
+        return estimate
+    return estimate._replace(std=math.hypot(estimate.std, session.resolution("supply_pressure") / math.sqrt(12.0)))
 
 
 def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
@@ -305,8 +264,9 @@ def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     return law
 
 
-def coupling(session: Session, rig: Rig, progress: Update) -> Outcome:
+def coupling(session: Session, known: Known, progress: Update) -> Outcome:
     """Press against the actuator under test, which holds still, and measure the stiffness between both."""
+    rig = known.rig
     if not {"force", "position"} <= set(session.wired):
         raise Contradiction("force or position is not wired", "bridge file", "channels for both, or the coupling by hand")
     session.record(None, LOOK)
@@ -369,29 +329,3 @@ def _stiffness(recording: Trajectory, rig: Rig) -> Estimate:
 def _given(rig: Rig, path: str) -> float:
     """Return a coefficient of the rig file; NaN if it belongs to an effect that the rig has not."""
     return read(rig, path) if uses(rig, path) else math.nan
-
-
-STEPS = (
-    Step("at_rest", "Sensors at rest", "The valve stays closed for 3 s.", at_rest),
-    Step(
-        "nudge",
-        "Signs",
-        "The valve opens by 2 to 30 % to either side for 0.3 s, until the piston moves by a thousandth of the stroke.",
-        nudge,
-    ),
-    Step(
-        "motion",
-        "The rig identified",
-        "The piston moves about mid-stroke for 20 s, by up to 40 % of the room to either end, at up to 40 % of its speed."
-        " Disconnect the rod from the actuator under test first.",
-        motion,
-    ),
-    Step(
-        "coupling",
-        "Coupling",
-        "The force follows a slow sine of 40 % of the largest for 20 s. Connect the rod first to the actuator under test, and"
-        " let that hold its position.",
-        coupling,
-    ),
-)
-"""The steps, in order."""

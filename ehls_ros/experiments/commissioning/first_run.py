@@ -1,0 +1,120 @@
+"""The last steps of a commissioning: the law tuned for the rig as found, and the force that it controls for the first time."""
+
+from typing import Any
+
+import numpy as np
+
+from ehls_ros.arrays import Array
+from ehls_ros.control.companions import adaptation
+from ehls_ros.control.controller import Controller, Outlook
+from ehls_ros.control.controllers.base import model_of
+from ehls_ros.control.references._signals import eased_in
+from ehls_ros.experiments.catalogue import largest_force
+from ehls_ros.experiments.commissioning.measuring import LOOK
+from ehls_ros.experiments.commissioning.session import Session, Stopped
+from ehls_ros.experiments.commissioning.step import Known, Outcome
+from ehls_ros.experiments.loop import sampled
+from ehls_ros.experiments.spec import Spec, Use, company_of
+from ehls_ros.experiments.stepped_run import stepped_run
+from ehls_ros.experiments.tuning.files import EXPERIMENT, experiment_text, parameters_text
+from ehls_ros.experiments.tuning.task import SERVO, task_of, usual
+from ehls_ros.experiments.tuning.tune import tune, with_numbers
+from ehls_ros.progress import Update
+from ehls_ros.trajectory import Trajectory
+
+LAW = "fasmc_predictive"
+"""The law: it takes delay, coupling and noise from the rig file."""
+
+PARTS = (0.05, 0.15, 0.4)
+"""Amplitudes of the first runs over the largest force, in their order."""
+
+FREQUENCY, PERIODS = 0.5, 3
+"""Frequency of their sine [Hz], and number of its periods; it is eased in during the first, and the last half is judged."""
+
+OFF = 0.3
+"""Error over the amplitude above which no larger one follows."""
+
+
+def law_tuned(session: Session, known: Known, progress: Update) -> Outcome:
+    """Tune the law in simulation, with the standard errors found as its uncertainty."""
+    found = tune(task_of(known.rig, LAW, usual(known.rig, session.period)), wanted=known.wanted, progress=progress)
+    chosen, limit = found.chosen, found.causal_limit
+    beside = f", {chosen.error / limit:.1f} times the causal limit" if limit > 0.0 else ""
+    margins = f"{chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
+    errors = f"largest error {chosen.error:.3g} N, with the defaults {found.default.error:.3g} N"
+    simulated = f"simulated: {errors}{beside}; margins {margins}"
+    numbers = tuple(f"{name} {found.default.numbers[name]:.4g} -> {value:.4g}" for name, value in chosen.numbers.items())
+    files = {f"{LAW}.yaml": parameters_text(found), EXPERIMENT: experiment_text(found)}
+    return Outcome(known.rig, (), (simulated, *numbers, *found.remarks), {}, chosen.numbers, files)
+
+
+def first_run(session: Session, known: Known, progress: Update) -> Outcome:
+    """Control the force, with a small amplitude first, while the actuator under test holds its position.
+
+    Raises:
+        Stopped: the gate closed the valve, or the force does not follow.
+    """
+    sentences, recordings = list[str](), dict[str, Trajectory]()
+    for number, part in enumerate(PARTS):
+        progress(number, len(PARTS))
+        rest = session.record(None, LOOK)
+        amplitude = part * largest_force(known.rig)
+        spec = _experiment(known, session.period, amplitude, float(np.mean(rest["force_n"])))
+        loop = _Loop(spec)
+        recording = recordings[f"first_run_{100.0 * part:g}"] = session.record(loop.command, spec.settings.duration)
+        error = _largest_error(recording, spec)
+        expected = stepped_run(spec._replace(companions=())).largest()
+        said = f"amplitude {amplitude:.4g} N: largest error {error:.3g} N, simulated {expected:.3g} N"
+        if error > OFF * amplitude:
+            raise Stopped(f"{said}; no larger amplitude before the cause is found (tune with larger margins)", recording)
+        sentences.append(said)
+        apparent = loop.apparent_errors()
+    return Outcome(known.rig, (), (*sentences, *apparent), recordings, known.numbers)
+
+
+def _experiment(known: Known, period: float, amplitude: float, offset: float) -> Spec:
+    """Return the experiment of a first run, with adaptation: it finds the errors of the file that commissioning has left."""
+    still = {"name": "constant", "value": 0.0}
+    content: dict[str, Any] = {
+        "title": "first run",
+        "duration": PERIODS / FREQUENCY,
+        "control_period": period,
+        "reference": {"name": "sine", "amplitude": amplitude, "frequency": FREQUENCY, "offset": offset},
+        "disturbance": {"name": SERVO, "signal": still},
+    }
+    spec = with_numbers(task_of(known.rig, LAW, content).spec, known.numbers)
+    duration = spec.settings._replace(duration=PERIODS / FREQUENCY)
+    return spec._replace(settings=duration, companions=(Use("adaptation", adaptation.Parameters()),))
+
+
+def _wanted(spec: Spec) -> Array:
+    """Return the reference with its derivatives, eased in from its offset, shape (cycles, 3)."""
+    period = spec.settings.control_period
+    rows = sampled(spec.reference, period).rows(0, spec.cycles)
+    lead, start = 1.0 / FREQUENCY, spec.reference.parameters.offset
+    led = range(round(lead / period))
+    rows[led] = [eased_in(rows[cycle].tolist(), start, cycle * period, lead) for cycle in led]
+    return rows
+
+
+class _Loop:
+    """The law with adaptation, as the session calls it."""
+
+    def __init__(self, spec: Spec) -> None:
+        model = model_of(spec.controller_rig, spec.settings.control_period)
+        company = company_of(spec, model, spec.settings.title)
+        self._law = Controller(spec.controller.name, spec.controller.parameters, model, company)
+        self._wanted, self._friction = _wanted(spec), np.zeros(2)
+
+    def command(self, measured: Array, cycle: int) -> float:
+        """Return the spool command [m]."""
+        return self._law.step(measured, self._wanted[cycle], self._friction, outlook=Outlook(cycle))
+
+    def apparent_errors(self) -> tuple[str, ...]:
+        """Return the sentences of the adaptation on errors of the rig file."""
+        return tuple(value for value in self._law.companions.report().values() if isinstance(value, str))
+
+
+def _largest_error(recording: Trajectory, spec: Spec) -> float:
+    error = np.abs(recording["force_n"] - _wanted(spec)[: len(recording), 0])
+    return float(np.nanmax(error[len(error) // 2 :]))
