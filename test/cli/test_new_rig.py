@@ -1,21 +1,14 @@
 """A rig file from data sheets, from a file of answers and on a terminal."""
 
-import codecs
 import json
-import os
-import pty
-import select
 import sys
-from contextlib import suppress
 
 import pytest
 import yaml
+from terminal import INTERRUPT, dialogue
 
 from ehls_ros.cli.main import main
 from ehls_ros.experiments.spec import load_rig
-
-INTERRUPT, REPEATED_AFTER = "\x03", 1.0
-"""Ctrl-C, and the time without an output after which it is sent again [s]."""
 
 ANSWERS = "bore: 63\nrod: 36 mm\nrods: two\nstroke: 200\nsupply_pressure: 210 bar\nrated_flow: 38\nrated_drop: 70\n"
 
@@ -75,35 +68,14 @@ def test_answers_that_make_no_rig_write_none(answers, tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["answers.yaml"]
 
 
-def dialogue(rig, answers):
+def questions(rig, answers):
     """Answer the questions on a terminal as they are asked; return the exit code and the terminal's content."""
-    command = [sys.executable, "-m", "ehls_ros.cli.main", "new-rig", "--out", str(rig)]
-    process, terminal = pty.fork()
-    if process == 0:
-        os.execv(command[0], command)
-    shown, left, sent = "", list(answers), ""
-    # A read may end within a character.
-    decoder = codecs.getincrementaldecoder("utf-8")()
-    with suppress(OSError):  # Linux: the terminal's last user is gone
-        while True:
-            if not select.select([terminal], [], [], REPEATED_AFTER)[0]:
-                # Python loses an interrupt between its prompt and its wait for the answer; a user presses again.
-                if sent == INTERRUPT and "interrupted" not in shown:
-                    os.write(terminal, sent.encode())
-                continue
-            if not (more := os.read(terminal, 4096)):
-                break
-            shown += decoder.decode(more)
-            if left and shown.endswith("> "):
-                sent = left.pop(0)
-                os.write(terminal, sent.encode())
-    os.close(terminal)
-    return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), shown
+    return dialogue([sys.executable, "-m", "ehls_ros.cli.main", "new-rig", "--out", str(rig)], answers)
 
 
 def test_questions_on_a_terminal(tmp_path):
     first = ["63\n", "36\n", "both\n", "two\n", "200\n", "3000 psi\n", "38\n", "70 bar\n"]
-    code, shown = dialogue(tmp_path / "rig.yaml", [*first, *20 * ["\n"]])
+    code, shown = questions(tmp_path / "rig.yaml", [*first, *20 * ["\n"]])
     assert code == 0, shown
     assert "'both' is not valid" in shown
     assert "piston diameter" in shown
@@ -114,6 +86,6 @@ def test_questions_on_a_terminal(tmp_path):
 
 @pytest.mark.parametrize(("key", "code"), [(INTERRUPT, 130), ("\x04", 2)], ids=["Ctrl-C", "Ctrl-D"])
 def test_who_gives_up_leaves_nothing(key, code, tmp_path):
-    found, shown = dialogue(tmp_path / "rig.yaml", ["63\n", "36\n", key])
+    found, shown = questions(tmp_path / "rig.yaml", ["63\n", "36\n", key])
     assert found == code, shown
     assert not list(tmp_path.iterdir())

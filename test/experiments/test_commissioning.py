@@ -11,13 +11,14 @@ from ehls_ros.control.controllers.base import reading_std
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.commissioning import conduct
 from ehls_ros.experiments.commissioning.conduct import STEPS, commission
+from ehls_ros.experiments.commissioning.first_run import first_run
 from ehls_ros.experiments.commissioning.measuring import at_rest, coupling, motion, nudge
 from ehls_ros.experiments.commissioning.session import Session, Stopped
 from ehls_ros.experiments.commissioning.step import Contradiction, Known
 from ehls_ros.experiments.files import config_folder, configured
 from ehls_ros.experiments.spec import load_rig, spec_from_mapping
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
-from ehls_ros.physics.rig import rig_to_mapping
+from ehls_ros.physics.rig import effects_from_list, rig_to_mapping
 from ehls_ros.recording.yaml_text import read_yaml
 
 RIG = load_rig(configured("rig_paper_measured"))
@@ -139,6 +140,33 @@ def test_the_steps_are_logged_skipped_and_resumed(tmp_path, monkeypatch):
     (tmp_path / "commission.json").write_text('{"another": 1}', encoding="utf-8")
     with pytest.raises(BadInput, match="another folder"):
         carried_out()
+
+
+def connected():
+    """Return what is known once the coupling is."""
+    told = [{"name": "coupling_stiffness", "stiffness": 2e6, "damping": 2e3}]
+    delay = [{"name": "command_delay", "delay": 1e-3}]
+    return Known(RIG._replace(effects=effects_from_list([*delay, *told], "test")))
+
+
+def test_the_first_run_begins_small_and_the_force_follows():
+    outcome = first_run(session(disturbance=HELD), connected(), silent)
+    reached = list[float]()
+    for recording in outcome.recordings.values():
+        half = slice(len(recording) // 2, None)
+        angle, force = 2.0 * np.pi * 0.5 * recording.time_s[half], recording["force_n"][half]
+        columns = np.stack((np.sin(angle), np.cos(angle), np.ones(len(angle))), axis=1)
+        (sine, cosine, _), *_ = np.linalg.lstsq(columns, force, rcond=None)
+        reached.append(math.hypot(sine, cosine))
+    largest = min(RIG.limits.force, RIG.plant.supply_pressure * RIG.plant.piston_area)
+    assert reached == pytest.approx([0.05 * largest, 0.15 * largest, 0.4 * largest], rel=0.02)
+
+
+def test_no_larger_amplitude_follows_where_the_force_does_not():
+    wired = bridge_from_mapping(BRIDGE, "bridge file").calibration
+    without_pump = device(HELD, rig=RIG.with_plant(supply_pressure=2e5))
+    with pytest.raises(Stopped, match=r"gate closed the valve|no larger amplitude"):
+        first_run(Session(without_pump, wired, RIG, 1e-3, lockstep=True), connected(), silent)
 
 
 @pytest.mark.long

@@ -170,6 +170,30 @@ def test_sensors_that_are_wrong(sensors, said, rig_data):
         assert part in line
 
 
+@pytest.mark.parametrize(
+    ("errors", "said"),
+    [
+        ([1.0], ["standard_errors", "plant.bulk_modulus"]),
+        ({"plant.bulk": 1.0}, ["plant.bulk", "one of its coefficients"]),
+        ({"effects.command_delay.delay": 1e-5}, ["effects.command_delay.delay"]),
+        ({"sensors.speed.noise_std": 1e-5}, ["sensors.speed.noise_std"]),
+        ({"plant.bulk_modulus": -1.0}, ["plant.bulk_modulus", "-1.0", "0 or more"]),
+    ],
+)
+def test_standard_errors_that_are_wrong(errors, said, rig_data):
+    rig_data["standard_errors"] = errors
+    line = refused(rig_data)
+    for part in said:
+        assert part in line
+
+
+def test_standard_errors_are_kept(rig_data):
+    errors = {"plant.bulk_modulus": 1e7, "sensors.force.noise_std": 0.1, "effects.command_delay.delay": 1e-6}
+    rig_data |= {"standard_errors": errors, "effects": [{"name": "command_delay", "delay": 1e-3}]}
+    written = json.loads(json.dumps(rig_to_mapping(rig_from_mapping(rig_data, "rig.yaml"))))
+    assert rig_from_mapping(written, "rig.yaml").standard_errors == errors
+
+
 # --- the friction section ---------------------------------------------------------------------------------------------
 
 

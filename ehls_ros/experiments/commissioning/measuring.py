@@ -178,8 +178,11 @@ def _nudged(session: Session, opening: float, stroke: float) -> Trajectory:
             return 0.0
         if within == 0:
             start[side] = float(m[sensors.POSITION])
-        travelled = abs(float(m[sensors.POSITION]) - start[side])
-        return 0.0 if travelled > TRAVEL * stroke else (opening if side == 0 else -opening)
+        if abs(float(m[sensors.POSITION]) - start[side]) > TRAVEL * stroke:
+            return 0.0
+        # Smooth, as after a step a reading without noise would seem frozen until it answers.
+        shape = math.sin(math.pi * within / pulse) ** 2
+        return opening * shape if side == 0 else -opening * shape
 
     return session.record(law, 2.0 * (PULSE + PAUSE))
 
