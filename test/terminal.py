@@ -7,8 +7,8 @@ import select
 from collections.abc import Sequence
 from contextlib import suppress
 
-INTERRUPT = "\x03"
-"""Ctrl-C."""
+INTERRUPT, END = "\x03", "\x04"
+"""Ctrl-C and Ctrl-D."""
 
 REPEATED_AFTER = 1.0
 """Time without an output after which an interrupt is sent again [s]."""
@@ -32,8 +32,9 @@ def dialogue(command: Sequence[str], answers: Sequence[str], prompt: str = "> ")
             if not (more := os.read(terminal, 4096)):
                 break
             shown += decoder.decode(more)
-            if left and shown.endswith(prompt):
-                sent = left.pop(0)
+            if shown.endswith(prompt):
+                # A question too many ends the input.
+                sent = left.pop(0) if left else END
                 os.write(terminal, sent.encode())
     os.close(terminal)
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), shown

@@ -114,7 +114,7 @@ def test_the_walk_from_data_sheet_to_programme(tmp_path):
         assert code == 2, shown
         assert "channels.load_pressure.scale with the other sign" in shown
     with emulator(free, bridge):
-        code, shown = commission(bridge, "\n", "\n", "q")
+        code, shown = commission(bridge, "\n", "\n", "q\n")
         assert code == 1, shown
         assert "goes on after: Sensors at rest" in shown
     with emulator(connected, bridge):
