@@ -1,17 +1,23 @@
 """Report of a tuning: the numbers found, error against margin, and the limitations of the rig."""
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.experiments.spec import spec_to_mapping
+from ehls_ros.experiments.tuning.files import EXPERIMENT, document, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.tune import Limit, Trial, Tuned
 from ehls_ros.report import page, plot
 from ehls_ros.report.page import Panel, limit_text, number, plane, with_unit
 from ehls_ros.report.plot import NEWTON, Axis, Trace, Unit
 from ehls_ros.schema import notes
+
+RESULT = "tuning.json"
+"""File with the result for programs."""
 
 DECIBEL = Unit("dB")
 
@@ -20,6 +26,37 @@ LOST = "lost"
 
 WORTH = 0.95
 """Ratio of the errors without and with a limitation below which it limits the result."""
+
+
+class TuningFiles(NamedTuple):
+    """Files of a tuning.
+
+    Attributes:
+        numbers: parameter file of the controller's node.
+        spec: experiment with the numbers found.
+        result: JSON document.
+        report: HTML file.
+    """
+
+    numbers: Path
+    spec: Path
+    result: Path
+    report: Path
+
+
+def tuning_files(folder: Path, law: str) -> TuningFiles:
+    """Return the files of a tuning in a folder."""
+    return TuningFiles(folder / f"{law}.yaml", folder / EXPERIMENT, folder / RESULT, folder / "report.html")
+
+
+def write_tuning_files(found: Tuned, folder: Path) -> TuningFiles:
+    """Write all files of a tuning into an existing folder."""
+    files = tuning_files(folder, found.spec.controller.name)
+    files.numbers.write_text(parameters_text(found), encoding="utf-8")
+    files.spec.write_text(experiment_text(found), encoding="utf-8")
+    files.result.write_text(json.dumps(document(found), indent=2) + "\n", encoding="utf-8")
+    write_tuning_report(found, files.report)
+    return files
 
 
 def write_tuning_report(found: Tuned, path: Path) -> None:
@@ -54,12 +91,13 @@ def sentence(found: Tuned) -> str:
 
 def trade_off(found: Tuned) -> Panel:
     """Draw the error over the gain margin, all numbers made slower and faster together."""
-    curve = sorted((t for t in found.curve if math.isfinite(t.error) and t.gain_db > 0.0), key=lambda trial: trial.gain_db)
+    # In the order of speed: a loop that is made slower may lose gain margin, too.
+    curve = [trial for trial in found.curve if math.isfinite(trial.error) and trial.gain_db > 0.0]
     points = [*curve, found.chosen, found.default]
     errors = np.asarray([trial.error for trial in points if 0.0 < trial.error < math.inf])
     traces: list[Trace] = []
     if curve:
-        traces.append(_line(curve, "slower (right) and faster (left)", plot.BLUE))
+        traces.append(_line(curve, "all numbers slower or faster", plot.BLUE))
     for trial, name, color, symbol in (
         (found.chosen, "chosen", plot.VERMILION, "circle"),
         (found.default, "defaults", plot.GREY, "diamond"),

@@ -8,22 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from ehls_ros.cli.arguments import add_configured, add_results, check_range
-from ehls_ros.cli.results import print_files, print_table, writable, write_json
+from ehls_ros.cli.results import print_files, print_table, writable
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.spec import load_rig
-from ehls_ros.experiments.tuning.files import EXPERIMENT, document, experiment_text, parameters_text
+from ehls_ros.experiments.tuning.files import document
 from ehls_ros.experiments.tuning.task import task_of
 from ehls_ros.experiments.tuning.tune import USUAL, Trial, Tuned, Wanted, tune
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.report.page import limit_text, with_unit
-from ehls_ros.report.tuning import LOST, sentence, write_tuning_report
+from ehls_ros.report.tuning import LOST, RESULT, sentence, write_tuning_files
 
 HELP = "Find the numbers of a control law for a rig: the least error with the margins asked for."
-
-RESULT, REPORT = "tuning.json", "report.html"
-"""Files in the folder of the results, beside the experiment and the parameter file, which has the law's name."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -61,13 +58,9 @@ def run(options: Namespace) -> int:
             jobs=options.jobs,
             progress=bar,
         )
-    parameters = out / f"{options.law}.yaml"
-    parameters.write_text(parameters_text(found), encoding="utf-8")
-    (out / EXPERIMENT).write_text(experiment_text(found), encoding="utf-8")
-    write_json(out / RESULT, document(found))
-    write_tuning_report(found, out / REPORT)
+    files = write_tuning_files(found, out)
     _print(found)
-    print_files([("numbers", parameters), ("spec", out / EXPERIMENT), ("result", out / RESULT), ("report", out / REPORT)])
+    print_files(files._asdict().items())
     if options.json:
         print(json.dumps(document(found)))
     return 1 if found.lost else 0
