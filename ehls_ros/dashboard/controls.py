@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from ehls_ros.dashboard.access import DOCUMENTS
 from ehls_ros.dashboard.graph import Answer
 
 
@@ -34,3 +35,14 @@ def button(text: str, request: Callable[[], Answer], look: str) -> ui.button:
         await ask(request)
 
     return ui.button(text, on_click=pressed).props(f'{look} data-name="{text.lower()}"')
+
+
+def document_link(name: str, title: str) -> str:
+    """Return a link to a document as HTML; the browser adds the token, which is in the page's address alone.
+
+    Args:
+        name: of the document.
+        title: text of the link.
+    """
+    address = f'href="{DOCUMENTS}{name}" onclick="this.search = location.search" target="_blank" rel="noopener"'
+    return f'<a {address} data-name="document-{name}">{title}</a>'

@@ -6,8 +6,7 @@ from typing import Any
 
 from nicegui import ui
 
-from ehls_ros.dashboard.access import DOCUMENTS
-from ehls_ros.dashboard.controls import ask, button
+from ehls_ros.dashboard.controls import ask, button, document_link
 from ehls_ros.dashboard.graph import EVALUATIONS, Answer, Graph, GraphSnapshot, Timing
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.files import config_folder
@@ -82,10 +81,8 @@ class _Result:
     """Result of an evaluation, with a link to its document."""
 
     def __init__(self, verb: str, title: str) -> None:
-        # The browser adds the token, which is in the page's address alone.
-        address = f'href="{DOCUMENTS}{verb}" onclick="this.search = location.search" target="_blank" rel="noopener"'
         with ui.element("div").classes("note") as self._row:
-            ui.html(f'<a {address} data-name="document-{verb}">{title}</a>', sanitize=False)
+            ui.html(document_link(verb, title), sanitize=False)
             self._sentence = ui.label("").props(f'data-name="result-{verb}"')
 
     def show(self, sentence: str) -> None:
@@ -106,6 +103,7 @@ class ExperimentTab:
         """
         self._graph = graph
         self._recording = False
+        self._law = ("", "")
         folder = config_folder() / "experiments"
         first = str(spec or folder / "sine_fd2.yaml")
         files = sorted({first, *map(str, folder.glob("*.yaml"))})
@@ -145,13 +143,29 @@ class ExperimentTab:
 
     async def _start_graph(self) -> None:
         try:
-            spec, name = self._chosen()
+            spec, name = self.chosen()
         except BadInput as error:
             self._refused.set_text(str(error))
             return
         self._say(await ask(lambda: self._graph.start(spec, name, self._timing.value)))
 
-    def _chosen(self) -> tuple[Spec, str]:
+    def law(self) -> str:
+        """Return the law of the chosen experiment.
+
+        Raises:
+            BadInput: the experiment's file is wrong.
+        """
+        file = str(self._spec.value)
+        if file != self._law[0]:
+            self._law = file, load_spec(Path(file)).controller.name
+        return self._law[1]
+
+    def chosen(self) -> tuple[Spec, str]:
+        """Return the chosen experiment, with its hidden effects, and its name.
+
+        Raises:
+            BadInput: the experiment's file is wrong.
+        """
         path = Path(str(self._spec.value))
         spec = load_spec(path)
         return spec if self._effects is None else spec._replace(rig=spec.rig.with_effects(self._effects.chosen())), path.stem

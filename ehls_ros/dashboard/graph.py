@@ -34,6 +34,11 @@ RETRY_INTERVAL = 0.1
 EVALUATIONS: Mapping[str, str] = MappingProxyType({"verify": "Verification", "report": "Report"})
 """Verbs of ``ehls`` that evaluate a recording, and the names of the documents that they write."""
 
+TUNING_DOCUMENTS: Mapping[str, str] = MappingProxyType(
+    {"tuning-report": "Report", "tuning-experiment": "Experiment", "tuning-numbers": "Parameter file"}
+)
+"""Documents of a tuning, and their names on the page."""
+
 
 class NodeHealth(NamedTuple):
     """A node's latest diagnostics.
@@ -147,6 +152,96 @@ class RigHealth(NamedTuple):
     outside: float = 0.0
 
 
+class TunedNumber(NamedTuple):
+    """A number of a law before and after a tuning.
+
+    Attributes:
+        name: its name.
+        unit: its unit; 1 without one.
+        meaning: its description.
+        default: value in the experiment.
+        found: value found.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    default: float
+    found: float
+
+
+class TuningPoint(NamedTuple):
+    """Error and margins of a set of numbers, in simulation.
+
+    Attributes:
+        error: largest error of the true force [N]; None: the force is lost.
+        gain_db: gain margin [dB]; None: unlimited.
+        phase_deg: phase margin [degree]; None: unlimited.
+    """
+
+    error: float | None
+    gain_db: float | None
+    phase_deg: float | None
+
+
+class TuningResult(NamedTuple):
+    """Result of a tuning.
+
+    Attributes:
+        sentence: the result in a sentence.
+        holds: whether the force is held with the margins asked for.
+        lost: whether the force is lost, so that the numbers are of no use.
+        numbers: the numbers tuned.
+        default: results of the experiment's numbers.
+        found: results of the numbers found.
+        curve: results of the numbers found, made slower and faster together.
+        wanted_db: gain margin asked for [dB].
+        causal_limit: error of the best law without foresight [N]; None: unknown.
+        remarks: sentences for the user.
+    """
+
+    sentence: str
+    holds: bool
+    lost: bool
+    numbers: tuple[TunedNumber, ...]
+    default: TuningPoint
+    found: TuningPoint
+    curve: tuple[TuningPoint, ...]
+    wanted_db: float
+    causal_limit: float | None
+    remarks: tuple[str, ...]
+
+
+class Tuning(NamedTuple):
+    """The last tuning begun here.
+
+    Attributes:
+        law: law tuned.
+        experiment: name of the experiment tuned for.
+        running: whether it runs.
+        seconds: time since its beginning, or its duration [s].
+        done: number of sets of numbers tried.
+        most: largest number of sets to be tried; 0 until the first is done.
+        failure: reason for the lack of a result; empty if there is one or it is awaited.
+        result: the result; None until it is there.
+        folder: folder of its files.
+        applied: sentence on the last application of the numbers to a running controller; empty before.
+        applications: number of applications of all tunings so far.
+    """
+
+    law: str
+    experiment: str
+    running: bool = True
+    seconds: float = 0.0
+    done: int = 0
+    most: int = 0
+    failure: str = ""
+    result: TuningResult | None = None
+    folder: str = ""
+    applied: str = ""
+    applications: int = 0
+
+
 class GraphSnapshot(NamedTuple):
     """State of the graph at one moment; all texts of the page at one time come from one snapshot.
 
@@ -162,6 +257,9 @@ class GraphSnapshot(NamedTuple):
         recorded: whether one has ended, so that it can be evaluated.
         results: what its evaluations found, in a sentence each, by verb.
         rig: rig health reported by a monitor; None without a monitor.
+        laws: laws with a running node, the driving one first.
+        on_rig: whether the graph may drive a real rig: anything but the simulated rig alone.
+        tuning: the last tuning begun here; None before the first.
     """
 
     rate: float = 0.0
@@ -175,6 +273,9 @@ class GraphSnapshot(NamedTuple):
     recorded: bool = False
     results: Mapping[str, str] = MappingProxyType({})
     rig: RigHealth | None = None
+    laws: tuple[str, ...] = ()
+    on_rig: bool = False
+    tuning: Tuning | None = None
 
 
 class Answer(NamedTuple):
@@ -255,8 +356,27 @@ class Graph(Protocol):
     def evaluate(self, verb: str) -> Answer:
         """Evaluate the last recording that ended here with one of :data:`EVALUATIONS`, and write its document."""
 
-    def document(self, verb: str) -> Path | None:
-        """Return the document that an evaluation has written; None if there is none."""
+    def tune(self, spec: "Spec | None", name: str) -> Answer:
+        """Begin to tune the law of an experiment in simulation; :attr:`GraphSnapshot.tuning` shows the progress.
+
+        Args:
+            spec: the experiment; None: that of the running graph, with the law that drives it.
+            name: its name, if it is given.
+        """
+
+    def cancel_tuning(self) -> Answer:
+        """End the running tuning without a result."""
+
+    def apply_tuning(self, folder: str, *, confirmed: bool) -> Answer:
+        """Set the numbers found by a tuning in the law's running node, all in one request.
+
+        Args:
+            folder: folder of the tuning's files, which identifies it.
+            confirmed: whether the operator has confirmed that a real rig is to run with them.
+        """
+
+    def document(self, name: str) -> Path | None:
+        """Return a document of an evaluation or of a tuning; None if there is none of that name."""
 
     def abort(self) -> None:
         """Abort every pending request: the server is shutting down."""

@@ -25,6 +25,7 @@ from ehls_ros.dashboard.status import (
     status_of,
 )
 from ehls_ros.dashboard.tuning import TuningTab
+from ehls_ros.dashboard.tuning_section import TuningSection
 from ehls_ros.dashboard.window import INTERVAL
 
 FOLDER = Path(__file__).parent
@@ -70,7 +71,9 @@ class Page:
         self._client = ui.context.client
         self._following, self._era = 0, -1
         self._graph_seen = False
+        self._tuning_section: TuningSection | None = None
         self._tuning: TuningTab | None = None
+        self._applications = 0
         self._experiment: ExperimentTab | None = None
         self._remedies: dict[Remedy, ui.button] = {}
         self._requests: dict[str, ui.button] = {}
@@ -137,10 +140,11 @@ class Page:
             made = {name: ui.tab(name).props(f'data-name="tab-{name.lower()}"') for name in names}
         with ui.tab_panels(tabs, value=made[names[0]], animated=False, keep_alive=True):
             if writes:
-                with ui.tab_panel(made["Tune"]):
-                    self._tuning = TuningTab(self._graph)
                 with ui.tab_panel(made["Experiment"]):
                     self._experiment = ExperimentTab(self._graph, spec, timing)
+                with ui.tab_panel(made["Tune"]):
+                    self._tuning_section = TuningSection(self._graph, self._experiment)
+                    self._tuning = TuningTab(self._graph)
             with ui.tab_panel(made["Nodes"]):
                 self._nodes = NodesTab()
             with ui.tab_panel(made["Rig"]):
@@ -161,7 +165,7 @@ class Page:
     async def _send_texts(self) -> None:
         self._show_texts()
         if self._tuning is not None:
-            await self._tuning.follow(self._era)
+            await self._tuning.follow(self._era, self._applications)
 
     def _show_texts(self) -> None:
         snapshot = self._graph.snapshot()
@@ -187,6 +191,9 @@ class Page:
         self._rig.show(snapshot.rig)
         if self._experiment is not None:
             self._experiment.show(snapshot)
+        if self._tuning_section is not None:
+            self._tuning_section.show(snapshot)
+        self._applications = snapshot.tuning.applications if snapshot.tuning is not None else 0
 
 
 class StartCard:

@@ -73,10 +73,13 @@ def serve(graph: Graph, opened: socket.socket, spec: Path | None, timing: Timing
         client.on_delete(lambda: access.end(client.id))
         Page(graph, spec, timing, writes=writes)
 
-    @app.get(f"{DOCUMENTS}{{verb}}")
-    def _document(verb: str) -> Response:
-        document = graph.document(verb)
-        return PlainTextResponse("there is no such document\n", 404) if document is None else FileResponse(document)
+    @app.get(f"{DOCUMENTS}{{name}}")
+    def _document(name: str) -> Response:
+        document = graph.document(name)
+        if document is None:
+            return PlainTextResponse("there is no such document\n", 404)
+        # A browser shows YAML only as plain text.
+        return FileResponse(document, media_type="text/plain" if document.suffix == ".yaml" else None)
 
     _quieten()
     ui.run_with(app, tailwind=False, show_welcome_message=False, binding_refresh_interval=None, reconnect_timeout=AWAY)

@@ -28,7 +28,7 @@ class TuningTab:
         """Build the tab in the current slot."""
         self._graph = graph
         self._asking = self._answered = self._by_hand = False
-        self._era = -1
+        self._version = (-1, 0)
         with ui.element("div").classes("row-of"):
             self._node = ui.select([], label="node", on_change=self.show).props("dense").style("flex: 1; min-width: 0")
             self._node.on("update:model-value", self._chosen_by_hand)
@@ -54,15 +54,16 @@ class TuningTab:
             if not found:
                 ui.label(f"{chosen} does not answer." if chosen else "There is no node to tune.").classes("note")
 
-    async def follow(self, era: int) -> None:
+    async def follow(self, era: int, applications: int) -> None:
         """Update the list of nodes; keep the input for a node that is still present.
 
         Args:
             era: changes when the graph restarts, whose nodes may have other values.
+            applications: number of applications of a tuning's numbers, which change values too.
         """
         nodes = list(self._graph.tunable_nodes())
-        unknown = self._node.value != self._node_to_show(nodes) or not self._answered or era != self._era
-        self._era = era
+        unknown = self._node.value != self._node_to_show(nodes) or not self._answered or self._version != (era, applications)
+        self._version = era, applications
         if unknown and not self._asking:
             await self.show()
         elif nodes != self._node.options:

@@ -13,11 +13,13 @@ from typing import Any, NamedTuple
 from lifecycle_msgs.msg import Transition
 
 from ehls_ros.dashboard.graph import Answer, GraphSnapshot, NodeHealth, StartProgress, Timing, shortened
+from ehls_ros.dashboard.tuning_job import Applicable, TuningJob
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.graph_check import Graph as Checked
 from ehls_ros.experiments.graph_check import bridge_at, check_fit
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, for_simulated_rig, load_spec
+from ehls_ros.experiments.spec import Spec, chosen_spec, for_simulated_rig, with_programme
+from ehls_ros.nodes import SUFFIX
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.dashboard_link import READ_INTERVAL, Link
 from ehls_ros.nodes.graph import (
@@ -32,7 +34,7 @@ from ehls_ros.nodes.graph import (
     node_processes,
     share_processors,
 )
-from ehls_ros.nodes.graph_nodes import LOCKSTEP, PLANTS, REALTIME, RECORDER, reference_node
+from ehls_ros.nodes.graph_nodes import LOCKSTEP, PLANTS, PROGRAMME, REALTIME, RECORDER, reference_node
 
 STORAGE = "mcap"
 
@@ -58,6 +60,7 @@ class DashboardGraph(Link):
         self.simulated = plant.bridge is None and plant.kind == SIMULATED.kind
         self._recorded: RunFolder | None = None
         self._results: dict[str, _Result] = {}
+        self._tuning = TuningJob()
         self._changing = threading.Lock()
         self._nodes = _StartedProcesses()
         self._recorder = _StartedProcesses()
@@ -70,6 +73,7 @@ class DashboardGraph(Link):
     def close(self) -> None:
         """Stop everything started here and leave the graph."""
         self.abort()
+        self._tuning.close()
         with self._changing:
             self._recorder.end()
             self._nodes.end()
@@ -93,6 +97,9 @@ class DashboardGraph(Link):
             recorded=self._recorded is not None,
             results={verb: result.sentence for verb, result in self._results.items()},
             rig=self.rig_health(),
+            laws=self.laws(),
+            on_rig=self.on_rig(),
+            tuning=self._tuning.state(),
         )
 
     def recording(self) -> bool:
@@ -213,9 +220,66 @@ class DashboardGraph(Link):
         self._results[verb] = _Result(document, sentence)
         return Answer(done=True, message=sentence)
 
-    def document(self, verb: str) -> Path | None:
-        """Return the document that an evaluation has written; None if there is none."""
-        return self._results[verb].document if verb in self._results else None
+    def tune(self, spec: Spec | None, name: str) -> Answer:
+        """Begin to tune a law for an experiment; without one, the driving law for that of the running graph."""
+        try:
+            if spec is None:
+                spec, name, law = self._experiment_of_graph()
+            else:
+                # As it would be started here.
+                spec, law = for_simulated_rig(spec) if self.simulated else spec, spec.controller.name
+        except BadInput as error:
+            return Answer(done=False, message=shortened(str(error)))
+        return self._tuning.begin(spec, name, law)
+
+    def cancel_tuning(self) -> Answer:
+        """End the running tuning without a result."""
+        return self._tuning.cancel()
+
+    def apply_tuning(self, folder: str, *, confirmed: bool) -> Answer:
+        """Set the numbers found in the running node of their law, if the graph is what they were found for."""
+        try:
+            found = self._applicable(folder, confirmed=confirmed)
+        except BadInput as error:
+            return Answer(done=False, message=shortened(str(error)))
+        node = f"{found.law}{SUFFIX}"
+        answer = self.set_parameters(node, {number.name: number.found for number in found.result.numbers})
+        if not answer.done:
+            return answer
+        answer = answer._replace(message=f"{node}: {answer.message}.{self._not_as_simulated(node, found)}")
+        self._tuning.note_application(found, f"Applied at {time.strftime('%H:%M:%S')} to {answer.message}")
+        return answer
+
+    def _applicable(self, folder: str, *, confirmed: bool) -> Applicable:
+        """Return the numbers of a tuning.
+
+        Raises:
+            BadInput: they are not for this graph, or may not be applied to it.
+        """
+        found = self._tuning.applicable(folder)
+        if found.law not in self.laws():
+            raise BadInput(f"no {found.law}{SUFFIX} is running", "Apply", "a graph with that controller")
+        spec, name, _ = self._experiment_of_graph()
+        if not found.is_for(spec, name):
+            raise BadInput("the numbers were found for another rig or experiment", "Apply", "to tune for this one")
+        if self.on_rig() and not confirmed:
+            raise BadInput("this graph may drive a real rig", "Apply", "the operator's confirmation")
+        return found
+
+    def _not_as_simulated(self, node: str, found: Applicable) -> str:
+        """Return a sentence on the numbers of a node that were neither tuned nor simulated with; empty if there are none."""
+        simulated = found.task.controller.parameters._asdict()
+        tuned = {number.name for number in found.result.numbers}
+        differing = [
+            f"{each.name} is {each.value}, was {simulated[each.name]}"
+            for each in self.parameters(node)
+            if each.name in simulated and each.name not in tuned and each.value != simulated[each.name]
+        ]
+        return f" Not as in the simulation: {'; '.join(differing)}." if differing else ""
+
+    def document(self, name: str) -> Path | None:
+        """Return a document of an evaluation or of a tuning; None if there is none of that name."""
+        return self._results[name].document if name in self._results else self._tuning.document(name)
 
     def _end_nodes(self) -> None:
         """Stop the nodes without reporting their silence."""
@@ -281,10 +345,24 @@ class DashboardGraph(Link):
         """
         for plant in PLANTS.values():
             if plant in self.tunable_nodes():
-                path = Path(self.text_parameter(plant, "spec"))
-                name = self._nodes.folder.path.name if self.started_here() else path.stem
-                return load_spec(path), name, self.text_parameter(plant, "timing")
+                file, rig, timing = self.text_parameters(plant, ("spec", "rig", "timing"))
+                name = self._nodes.folder.path.name if self.started_here() else Path(file).stem
+                return chosen_spec(file, rig), name or "experiment", timing
         raise BadInput("there is no plant node", "graph", f"one of {', '.join(PLANTS.values())}")
+
+    def _experiment_of_graph(self) -> tuple[Spec, str, str]:
+        """Return the experiment that runs, its name, and the driving law.
+
+        Raises:
+            BadInput: plant or controller is missing or does not answer, or a file cannot be read.
+        """
+        laws = self.laws()
+        if not laws:
+            raise BadInput("there is no controller's node", "graph", "a running controller")
+        spec, name, _ = self._spec_of_graph()
+        if any(health.node == PROGRAMME for health in self.health()):
+            spec = with_programme(spec, *self.text_parameters(PROGRAMME, ("programme",)))
+        return spec, name, laws[0]
 
 
 class _Result(NamedTuple):

@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
 from rcl_interfaces.msg import ParameterDescriptor
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -39,9 +39,10 @@ from ehls_ros.dashboard.graph import (
 )
 from ehls_ros.dashboard.panels import ELEMENTS, FORCE_REFERENCE, PEAK, POSITION_REFERENCE, RESPONSE, SIGNALS, VALLEY
 from ehls_ros.dashboard.window import Peaks, Window
+from ehls_ros.errors import BadInput
 from ehls_ros.hardware.ownership import node_of
 from ehls_ros.hardware.realtime import preferring_what_starts
-from ehls_ros.nodes import SUFFIX, codec, node_names
+from ehls_ros.nodes import SUFFIX, codec, controller_of, node_names
 from ehls_ros.nodes.control import NAMESPACE
 from ehls_ros.nodes.dashboard_rig import RigWatch
 from ehls_ros.nodes.graph import GOALS, LOST, REALTIME_PRIORITY
@@ -283,6 +284,15 @@ class Link:
         laws = sorted((law + SUFFIX for law in CONTROLLERS.names()), key=lambda node: node != driver)
         return tuple(node for node in (*laws, *PLANTS.values()) if node in known)
 
+    def laws(self) -> tuple[str, ...]:
+        """Return the laws with a running node, the driving one first."""
+        return tuple(law for node in self.tunable_nodes() if (law := controller_of(node)) is not None)
+
+    def on_rig(self) -> bool:
+        """Return whether the graph may drive a real rig: anything but the simulated rig alone."""
+        present = {node for node in self.tunable_nodes() if node in PLANTS.values()}
+        return present != {PLANTS["sim"]}
+
     def parameters(self, node: str) -> tuple[Tunable, ...]:
         """Return a node's live parameters; empty if it does not answer."""
         listed = self.call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
@@ -311,6 +321,17 @@ class Link:
         result = response.results[0]
         reason = shortened(result.reason) or f"{node} refused {name} without giving a reason"
         return Answer(result.successful, f"{name} is now {value}" if result.successful else reason)
+
+    def set_parameters(self, node: str, values: Mapping[str, Value]) -> Answer:
+        """Set several parameters of a node at once, all or none; the answer carries the node's reason if it refuses."""
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        response = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
+        if response is None:
+            return Answer(done=False, message=f"{node} does not answer")
+        if not response.result.successful:
+            return Answer(done=False, message=shortened(response.result.reason) or f"{node} refused without giving a reason")
+        return Answer(done=True, message=", ".join(f"{name} is now {value}" for name, value in values.items()))
 
     def emergency_stop(self) -> Answer:
         """Cut the command."""
@@ -379,10 +400,16 @@ class Link:
                 return Answer(done=True, message="")
         return Answer(done=False, message=f"{node} did not answer in {patience:.0f} s")
 
-    def text_parameter(self, node: str, name: str) -> str:
-        """Return a node's text parameter; empty if it does not answer."""
-        response = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
-        return str(response.values[0].string_value) if response is not None and response.values else ""
+    def text_parameters(self, node: str, names: Sequence[str]) -> list[str]:
+        """Return text parameters of a node.
+
+        Raises:
+            BadInput: it does not answer.
+        """
+        response = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=list(names)))
+        if response is None or len(response.values) != len(names):
+            raise BadInput(f"{node} does not answer", "graph", f"its parameters {', '.join(names)}")
+        return [str(value.string_value) for value in response.values]
 
     def call(
         self,

@@ -1,7 +1,8 @@
 """The dashboard's server on a stand-in graph: `python stand_in.py HOST` serves until SIGINT.
 
 It prints the page's address, then a line for every request that reaches the graph. A line of JSON on its input sets the nodes'
-diagnostics: a list of [node, level, message, figures]. A mapping sets a monitor's report: the fields of RigHealth.
+diagnostics: a list of [node, level, message, figures]. A mapping sets a monitor's report, the fields of RigHealth, or under
+"snapshot" some fields of the snapshot.
 """
 
 import json
@@ -21,11 +22,13 @@ from ehls_ros.dashboard.graph import (
     RigHealth,
     Timing,
     Tunable,
+    Tuning,
     Value,
 )
 from ehls_ros.dashboard.panels import SIGNALS
 from ehls_ros.dashboard.server import listening, serve
 from ehls_ros.dashboard.window import Window
+from ehls_ros.schema import fitted
 
 CYCLES = 20_000
 
@@ -42,17 +45,21 @@ class StandIn:
         # A closed gate, so that there is a button that opens it: those that are not shown do nothing.
         self._health = (NodeHealth("plant_sim_node", 0, "disabled", {"state": "disabled", "owner": "nobody"}),)
         self._rig: RigHealth | None = None
+        self._more: dict[str, Any] = {"laws": ("fasmc",)}
 
     def listen(self) -> None:
         for line in sys.stdin:
             said = json.loads(line)
-            if isinstance(said, dict):
+            if isinstance(said, dict) and "snapshot" in said:
+                kinds = {"tuning": Tuning | None, "laws": tuple[str, ...], "on_rig": bool}
+                self._more = {name: fitted(kinds[name], value) for name, value in said["snapshot"].items()}
+            elif isinstance(said, dict):
                 self._rig = _rig_health(said)
             else:
                 self._health = tuple(NodeHealth(*node) for node in said)
 
     def snapshot(self) -> GraphSnapshot:
-        return GraphSnapshot(rate=1000.0, period=1e-3, health=self._health, started_here=True, rig=self._rig)
+        return GraphSnapshot(rate=1000.0, period=1e-3, health=self._health, started_here=True, rig=self._rig, **self._more)
 
     def tunable_nodes(self) -> tuple[str, ...]:
         return ("fasmc_node",)
@@ -96,8 +103,17 @@ class StandIn:
     def evaluate(self, verb: str) -> Answer:
         return self._request(verb)
 
-    def document(self, verb: str) -> Path | None:
-        return Path(__file__) if verb == "report" else None
+    def tune(self, spec: Any, name: str) -> Answer:
+        return self._request("tune")
+
+    def cancel_tuning(self) -> Answer:
+        return self._request("cancel tuning")
+
+    def apply_tuning(self, folder: str, *, confirmed: bool) -> Answer:
+        return self._request(f"apply {folder}{' to a rig' if confirmed else ''}")
+
+    def document(self, name: str) -> Path | None:
+        return Path(__file__) if name == "report" else None
 
     def abort(self) -> None:
         pass
