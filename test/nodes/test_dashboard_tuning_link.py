@@ -14,6 +14,7 @@ from ehls_ros.dashboard.graph import TunedNumber, Tuning, TuningPoint, TuningRes
 from ehls_ros.dashboard.tuning_job import Applicable, TuningJob
 from ehls_ros.dashboard.tuning_process import task_for
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.nodes import dashboard_link
 from ehls_ros.nodes.dashboard_graph import DashboardGraph
@@ -49,25 +50,25 @@ class Ended(TuningJob):
 
 
 @pytest.fixture
-def dashboard(graph, spec_file, monkeypatch, tmp_path):
-    """Return the dashboard of a graph of plant and controller, and its experiment's file."""
+def dashboard(graph, spec_file, monkeypatch, tmp_path, request):
+    """Return the dashboard of a graph of plant and controller, and its experiment; the parameter is a rig for its nodes."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(dashboard_link, "DISCOVERY_TIMEOUT", PATIENCE)
     file = spec_file(duration=1.0)
+    rig = getattr(request, "param", None)
     for node in ("plant_sim_node", "fasmc_node"):
-        graph.start(node, spec=file, autostart="false")
+        graph.start(node, spec=file, autostart="false", **({} if rig is None else {"rig": rig}))
     joined = DashboardGraph("ehls")
     deadline = time.monotonic() + PATIENCE
     while set(joined.tunable_nodes()) != {"fasmc_node", "plant_sim_node"}:
         assert time.monotonic() < deadline, joined.tunable_nodes()
         time.sleep(0.05)
-    yield joined, file
+    yield joined, load_spec(file, rig)
     joined.close()
 
 
 def test_numbers_are_applied_together_to_the_graph_they_were_found_for(dashboard, participant):
-    joined, file = dashboard
-    spec = load_spec(file)
+    joined, spec = dashboard
 
     def value(name):
         return participant.get_parameter("fasmc_node", name).double_value
@@ -97,9 +98,10 @@ def test_numbers_are_applied_together_to_the_graph_they_were_found_for(dashboard
     assert list(Path("runs").glob("*")) == []
 
 
+@pytest.mark.parametrize("dashboard", [configured("rig_paper_measured")], indirect=True, ids=["a rig in place of the spec's"])
 def test_a_graph_with_a_bridge_gets_no_numbers_unless_the_operator_has_confirmed(dashboard, participant):
-    joined, file = dashboard
-    joined._tuning = ended = Ended(load_spec(file), g=123.0)
+    joined, spec = dashboard
+    joined._tuning = ended = Ended(spec, g=123.0)
     publisher = participant.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     bridge = DiagnosticArray(status=[DiagnosticStatus(name="hardware_bridge_node", message="active", hardware_id="ehls")])
 
@@ -111,7 +113,7 @@ def test_a_graph_with_a_bridge_gets_no_numbers_unless_the_operator_has_confirmed
     refused = joined.apply_tuning(FOLDER, confirmed=False)
     assert (refused.done, ended.noted) == (False, [])
     assert "real rig" in refused.message
-    assert participant.get_parameter("fasmc_node", "g").double_value == 60.0
+    assert participant.get_parameter("fasmc_node", "g").double_value == spec.controller.parameters.g
     participant.until(on_rig)
     assert joined.apply_tuning(FOLDER, confirmed=True).done
     assert participant.get_parameter("fasmc_node", "g").double_value == 123.0
