@@ -74,15 +74,15 @@ class Records(NamedTuple):
 
 
 def digest(programme: Programme) -> str:
-    """Return a digest of a programme's course; its limits may change between two starts."""
+    """Return a digest of a programme's course; its limits and its pacing may change between two starts."""
     p = programme.parameters
-    course = [_without_limits(p.blocks), p.start, p.transition]
+    course = [_course(p.blocks), p.start, p.transition]
     return hashlib.blake2b(json.dumps(course, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
-def _without_limits(entries: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    kept = [{key: value for key, value in entry.items() if key != "limits"} for entry in entries]
-    return [{**entry, "blocks": _without_limits(entry["blocks"])} if "blocks" in entry else entry for entry in kept]
+def _course(entries: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    kept = [{key: value for key, value in entry.items() if key not in {"limits", "pacing"}} for entry in entries]
+    return [{**entry, "blocks": _course(entry["blocks"])} if "blocks" in entry else entry for entry in kept]
 
 
 def state_file(folder: Path, origin: Origin | None = None) -> StateFile:

@@ -6,6 +6,7 @@ from typing import Any
 
 from ehls_ros.control.programme.blocks import BLOCKS
 from ehls_ros.control.programme.declaration import Limits as ProgrammeLimits
+from ehls_ros.control.programme.declaration import Pacing
 from ehls_ros.control.programme.declaration import Parameters as ProgrammeParameters
 from ehls_ros.experiments.campaign.plan import Settings as CampaignSettings
 from ehls_ros.experiments.campaign.variation import Distribution, Range, Values
@@ -139,14 +140,19 @@ def _answers() -> Schema:
 
 def _programme() -> Schema:
     entries: Schema = {"type": "array", "items": _ref("entry"), "minItems": 1}
-    return object_of(ProgrammeParameters, ("blocks",), blocks=entries, limits=schema_of(ProgrammeLimits))
+    return object_of(ProgrammeParameters, ("blocks",), blocks=entries, **_shared_settings())
+
+
+def _shared_settings() -> dict[str, Schema]:
+    """Return the schemas of the settings that a programme has for all blocks and a block of its own."""
+    return {"limits": schema_of(ProgrammeLimits), "pacing": schema_of(Pacing)}
 
 
 def _entry() -> Schema:
     """Return the schema of a block or a repeat."""
     made = []
     for name, member in BLOCKS.usable().items():
-        more: dict[str, Schema] = {"block": {"const": name}, "name": {"type": "string"}, "limits": schema_of(ProgrammeLimits)}
+        more: dict[str, Schema] = {"block": {"const": name}, "name": {"type": "string"}, **_shared_settings()}
         needed = object_of(member.Parameters)["required"]
         if "points" in member.Parameters._fields:
             more["file"] = {"type": "string", "description": POINTS_FILE}

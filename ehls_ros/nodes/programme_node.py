@@ -18,6 +18,7 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.programme.counting import Counter, LoadCycle, Sample
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.programme.motion import Motion, Rows, Runner, State
+from ehls_ros.control.programme.pacing import Pacer
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.programme_records import MAX_HOLDS, Records, digest, open_records, plain, state_file
 from ehls_ros.experiments.spec import with_programme
@@ -45,6 +46,9 @@ QUIET, FEW = 0.3, 5
 it waits for a tenth of a second in each cycle."""
 
 
+MIN_LEAD = 20
+"""Fewest control cycles published ahead, and those published while the programme waits for the measured value."""
+
 UNITS = {"force": "N", "position": "m"}
 """Unit of a programme's values, by the quantity that it prescribes."""
 
@@ -69,7 +73,10 @@ class Parameters(NamedTuple):
     ahead: Annotated[
         int,
         quantity(
-            "1", "control cycles by which the reference is published ahead; a stop acts after them", minimum=20, maximum=LEAD
+            "1",
+            "control cycles by which the reference is published ahead; a stop acts after them",
+            minimum=MIN_LEAD,
+            maximum=LEAD,
         ),
     ] = LEAD
     start_time: Annotated[
@@ -155,6 +162,7 @@ class ProgrammeNode(AheadNode):
         self.file: StateFile
         self.holds: tuple[float | None, ...]
         self.tally: Tally
+        self.pacer: Pacer
         self.rig: RigProcess
         self.runner: Runner | None
         self.unwritten: str
@@ -218,6 +226,7 @@ class ProgrammeNode(AheadNode):
         held = (*(saved.holds if saved else ()), self.programme.parameters.hold)
         self.holds = tuple(dict.fromkeys(held))[-MAX_HOLDS:]
         self.tally = Tally(Counter(self.programme, records.counted, saved.stiffness if saved else ()))
+        self.pacer = Pacer(self.programme, self.spec.settings.control_period)
         self.rig, self.runner = RigProcess(), None
         self.unwritten = ""
         self.state, self.block = State.STARTING, 0
@@ -281,7 +290,7 @@ class ProgrammeNode(AheadNode):
         if self.last > self.next:
             self._interrupt(self.last, f"the rig had no reference from control cycle {self.next} on")
         self._follow_requests()
-        self._publish_to(self.last + self.lead)
+        self._publish_to(self.runner.horizon(self.last, self.lead, MIN_LEAD))
         time.sleep(PAUSE)
         if self._is_repeat_due():
             self._send(max(self.last, 0), self.next - 1)
@@ -364,7 +373,7 @@ class ProgrammeNode(AheadNode):
         self.next, self.last = cycle, max(cycle, self.last)
         if self.valve_follows is False:
             self._hold_closed()
-        self._publish_to(cycle + self.lead)
+        self._publish_to(self.runner.horizon(cycle, self.lead, MIN_LEAD))
 
     def _present(self) -> tuple[Any, ...] | None:
         """Return the rig's newest snapshot, once it is certain to be the newest."""
@@ -421,9 +430,10 @@ class ProgrammeNode(AheadNode):
         return self.runner
 
     def _follow_requests(self) -> None:
-        """Stop, resume or skip from the first unpublished control cycle on."""
+        """Stop, resume, skip or pace from the first unpublished control cycle on."""
         runner = self._running()
-        if complaint := self.tally.counter.complaint or self.unwritten:
+        paced = self.pacer.follow(runner, self.next)
+        if complaint := self.tally.counter.complaint or self.unwritten or paced:
             if runner.stop(self.next, complaint):
                 self.get_logger().error(f"the programme stops: {complaint}")
             self.tally.counter.complaint = ""
@@ -468,7 +478,8 @@ class ProgrammeNode(AheadNode):
         """Replace the state; ``durable`` only after the loop: a busy disk takes longer than the rig has reference."""
         runner = self._running()
         counting = self.tally.next if self.tally.counter.since is None else self.tally.counter.since
-        runner.forget(min(counting, self.next))
+        # Of a load cycle with many motions, only those are needed whose snapshots the rig keeps.
+        runner.forget(min(max(counting, self.last - DEPTH), self.next))
         seen = max(self.tally.next - 1, 0)
         if not self.rig.is_certain:
             self._identify_rig()
@@ -506,9 +517,9 @@ class ProgrammeNode(AheadNode):
                 continue
             block, repetition, load_cycles, phase, state, reference = known
             measured, position = message[2 + MEASURED[self.follows]], message[2 + sensors.POSITION]
-            finished = self.tally.counter.add(
-                Sample(cycle, block, repetition, load_cycles, phase, state, reference, measured, position)
-            )
+            sample = Sample(cycle, block, repetition, load_cycles, phase, state, reference, measured, position)
+            finished = self.tally.counter.add(sample)
+            self.pacer.add(sample, finished)
             self.state, self.block = State(state), block
             if finished:
                 self.records.log.add(finished, stamp / NANOSECONDS)
@@ -553,7 +564,9 @@ class ProgrammeNode(AheadNode):
             return OK, "inactive", figures
         if runner is None and (other := self.owners.owner_of(REFERENCE_TOPICS[self.follows].name)):
             return WARN, f"waits to begin: {other} owns {self.outbox.topic}; deactivate or stop it", figures
-        return OK, self.state.name.lower(), figures
+        if self.pacer.remark:
+            figures["pacing"] = self.pacer.remark
+        return OK, self.pacer.remark or self.state.name.lower(), figures
 
     def _owner_of_reference(self) -> str | None:
         """Return the sender that owns the reference at present; None if the programme may begin."""

@@ -15,6 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from benchmarks.spoilt_memory import PROGRAMME as PROGRAMME_OF_FATIGUE
 from ehls_msgs.msg import LoaderState, ProgrammePoint
 from ehls_ros.control.programme.motion import Runner, State
+from ehls_ros.control.programme.pacing import Pacer
 from ehls_ros.experiments.programme_records import read_state
 from ehls_ros.experiments.state_files.access import LOCKS, NotWritten
 from ehls_ros.nodes.ahead import LEAD
@@ -146,6 +147,7 @@ def test_a_programme_stops_where_its_records_cannot_be_written():
     node = SimpleNamespace(
         unwritten="",
         tally=SimpleNamespace(counter=SimpleNamespace(complaint="")),
+        pacer=Pacer(PROGRAMME_OF_FATIGUE, 1e-3),
         next=500,
         requests=[],
         _running=lambda: runner,

@@ -133,11 +133,13 @@ class Counter:
         if self._open is not None and self._open.block != sample.block:
             # The remainder of the block was skipped.
             self._open = None
-        if sample.load_cycles == self.done and not math.isnan(sample.phase):
-            if self._open is None:
+        if sample.load_cycles == self.done:
+            if self._open is None and not math.isnan(sample.phase):
                 self._open = _Open(sample)
-            self._open.add(sample)
-        if sample.state == State.RUNNING:
+            # A wait belongs to the load cycle in which it occurs.
+            if self._open is not None and (sample.state == State.WAITING or not math.isnan(sample.phase)):
+                self._open.add(sample)
+        if sample.state in {State.RUNNING, State.WAITING}:
             self._watch(sample)
         return finished
 

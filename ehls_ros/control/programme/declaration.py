@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.control.programme.blocks import BLOCKS
 from ehls_ros.errors import BadInput, one_of
-from ehls_ros.schema import parse, quantity, text
+from ehls_ros.schema import missing_key, notes, parse, quantity, text
 
 MAX_PASSES = 10**15
 """Most repeats."""
@@ -54,6 +54,25 @@ class Limits(NamedTuple):
         return self.position is not None or self.stiffness_change is not None
 
 
+class Pacing(NamedTuple):
+    """Null pacing: whether and how the programme follows the measured peaks and valleys.
+
+    ``static``: it waits at each of them. ``dynamic``: its time runs slower while they fall short.
+    """
+
+    mode: Annotated[str, text("none, static or dynamic", choices=("none", "static", "dynamic"))] = "none"
+    tolerance: Annotated[
+        float | None, quantity("N or m", "largest shortfall of a measured peak or valley from the reference's", above=0.0)
+    ] = None
+    timeout: Annotated[
+        float, quantity("s", "time without a peak in tolerance, static or at the slowest speed, after which it stops", above=0.0)
+    ] = 30.0
+    slowest: Annotated[
+        float,
+        quantity("1", "lowest speed of the programme's time in dynamic pacing; 1: the normal speed", minimum=0.01, maximum=1.0),
+    ] = 0.1
+
+
 class Parameters(NamedTuple):
     """Settings of a programme, and its blocks; in place of these a spec may name a YAML ``file``."""
 
@@ -77,6 +96,7 @@ class Parameters(NamedTuple):
         float, quantity("s", "time of the ramp to the value held, and of the ramp back", above=0.0, maximum=1e3)
     ] = 1.0
     limits: Annotated[Mapping[str, Any] | None, text("limits of all blocks; a block may have its own")] = None
+    pacing: Annotated[Mapping[str, Any] | None, text("null pacing of all blocks; a block may have its own")] = None
 
 
 class Leaf(NamedTuple):
@@ -88,6 +108,7 @@ class Leaf(NamedTuple):
         kind: name of its member of :data:`BLOCKS`.
         parameters: parameters of the block.
         limits: limits that stop the programme in this block.
+        pacing: null pacing in this block.
     """
 
     number: int
@@ -95,6 +116,7 @@ class Leaf(NamedTuple):
     kind: str
     parameters: Any
     limits: Limits
+    pacing: Pacing
 
 
 class Repeat(NamedTuple):
@@ -114,22 +136,40 @@ def tree_of(p: Parameters, where: str) -> Repeat:
     Raises:
         BadInput: an entry is wrong; the first is reported.
     """
-    limits = {} if p.limits is None else p.limits
-    parse(Limits, limits, f"{where}: limits")
-    return Repeat(1, _parts(p.blocks, where, limits, [], 0))
+    shared = {"limits": p.limits or {}, "pacing": p.pacing or {}}
+    _settings(shared, {}, where)
+    return Repeat(1, _parts(p.blocks, where, shared, [], 0))
+
+
+Shared = Mapping[str, Mapping[str, Any]]
+"""Settings of all blocks, which a block may replace one by one: ``limits`` and ``pacing``."""
+
+
+def _settings(shared: Shared, entry: Mapping[str, Any], where: str) -> tuple[Limits, Pacing]:
+    """Return limits and pacing of a block."""
+    merged = {}
+    for name, common in shared.items():
+        own = entry.get(name)
+        if own is not None and not isinstance(own, Mapping):
+            raise BadInput(f"{name} is {own!r}", where, "a mapping")
+        merged[name] = {**common, **(own or {})}
+    pacing = parse(Pacing, merged["pacing"], f"{where}: pacing")
+    if pacing.mode != "none" and pacing.tolerance is None:
+        raise missing_key("tolerance", notes(Pacing)["tolerance"], f"{where}: pacing")
+    return parse(Limits, merged["limits"], f"{where}: limits"), pacing
 
 
 def _parts(
-    entries: Sequence[Mapping[str, Any]], where: str, limits: Mapping[str, Any], leaves: list[Leaf], depth: int
+    entries: Sequence[Mapping[str, Any]], where: str, shared: Shared, leaves: list[Leaf], depth: int
 ) -> tuple[Leaf | Repeat, ...]:
     if not isinstance(entries, list | tuple) or not entries:
         raise BadInput(f"blocks is {entries!r}", where, "a list of one block or more")
     if depth > MAX_DEPTH:
         raise BadInput("the repeats are too deep", where, f"at most {MAX_DEPTH} within each other")
-    return tuple(_part(entry, f"{where}: blocks[{i}]", limits, leaves, depth) for i, entry in enumerate(entries))
+    return tuple(_part(entry, f"{where}: blocks[{i}]", shared, leaves, depth) for i, entry in enumerate(entries))
 
 
-def _part(entry: Any, where: str, limits: Mapping[str, Any], leaves: list[Leaf], depth: int) -> Leaf | Repeat:
+def _part(entry: Any, where: str, shared: Shared, leaves: list[Leaf], depth: int) -> Leaf | Repeat:
     if not isinstance(entry, Mapping) or ("block" in entry) == ("repeat" in entry):
         kinds = ", ".join(BLOCKS.names())
         raise BadInput(f"entry is {entry!r}", where, f"a mapping with 'block', one of {kinds}, or with 'repeat' and 'blocks'")
@@ -138,27 +178,24 @@ def _part(entry: Any, where: str, limits: Mapping[str, Any], leaves: list[Leaf],
             if key not in {"repeat", "blocks"}:
                 raise BadInput(f"key {key!r} is unknown", where, one_of(key, ("repeat", "blocks")))
         count = parse(_Times, {"repeat": entry["repeat"]}, where).repeat
-        return Repeat(count, _parts(entry.get("blocks", ()), where, limits, leaves, depth + 1))
+        return Repeat(count, _parts(entry.get("blocks", ()), where, shared, leaves, depth + 1))
     kind = entry["block"]
     member = BLOCKS.load(kind, where)
     number = len(leaves)
     named = parse(_Named, {key: entry[key] for key in ("name",) if key in entry}, where)
-    own = entry.get("limits")
-    if own is not None and not isinstance(own, Mapping):
-        raise BadInput(f"limits is {own!r}", where, "a mapping")
     within = f"{where}: {kind}"
     leaf = Leaf(
         number,
         named.name or f"{kind} {number}",
         kind,
         parse(member.Parameters, {key: value for key, value in entry.items() if key not in OF_ANY}, within),
-        parse(Limits, {**limits, **(own or {})}, f"{where}: limits"),
+        *_settings(shared, entry, where),
     )
     leaves.append(leaf)
     return leaf
 
 
-OF_ANY = ("block", "name", "limits")
+OF_ANY = ("block", "name", "limits", "pacing")
 """Keys of every block besides its parameters."""
 
 

@@ -8,6 +8,7 @@ Blocks begin and end at rest. If a block begins at another value than the progra
 the second derivative may jump where load cycles begin and end.
 """
 
+import math
 import pickle
 from collections.abc import Iterator
 from functools import lru_cache
@@ -25,6 +26,18 @@ from ehls_ros.errors import BadInput
 
 CLOSE = 1e-7
 """Tolerance within which a sample is assigned to a boundary of a block or load cycle, to allow for rounding [s]."""
+
+SHORT = 1e-6
+"""Time before a reversal at which static pacing waits, so that the wait is part of the load cycle that ends there [s]."""
+
+MIN_STEPS, MAX_STEPS = 20, 200_000
+"""Fewest and most samples of a load cycle, or of a block without load cycles, in which reversals are searched."""
+
+SLOWEST_RATE = 1e-6
+"""Rate that counts as zero, as a fraction of the largest."""
+
+MAX_SEGMENTS = 1000
+"""Most blocks without a reversal in succession, such as dwells, that static pacing passes without a wait."""
 
 LONGEST = 1e8
 """Longest programme, up to which times are exact to 15 ns [s]."""
@@ -149,6 +162,7 @@ class Programme:
         tree = tree_of(parameters, where)
         self.leaves = tuple(_leaves(tree))
         self._known: dict[tuple[int, float], tuple[Sequence, float]] = {}
+        self._reversals: dict[tuple[int, float, bool], Array] = {}
         self._where = where
         self.whole, self.end = self._sequence(tree, parameters.start)
         self.duration, self.load_cycles = self.whole.duration, self.whole.load_cycles
@@ -166,6 +180,10 @@ class Programme:
             passes = min(max(int((time - since + CLOSE) / part.duration), 0), count - 1)
             since, before = since + passes * part.duration, before + passes * part.load_cycles
         return Spot(part, since, before)
+
+    def leaf(self, time: float) -> Leaf:
+        """Return the block at a time [s]."""
+        return self.spot(time).segment.leaf
 
     def sample(self, t: Array) -> Array:
         """Return value, first and second derivative at times [s], shape (n,), as shape (n, 3); the end values are held."""
@@ -197,6 +215,34 @@ class Programme:
             # At the very end of the programme nothing repeats.
             points.phase[chosen] = np.where(done < course.count, np.maximum(cycles - done, 0.0), np.nan)
         return points
+
+    def reversal(self, after: float) -> float | None:
+        """Return the first time after another at which static pacing waits [s]; None if there is none.
+
+        These are the times at which the value turns back or comes to rest in blocks with static pacing.
+        """
+        for _ in range(MAX_SEGMENTS):
+            spot = self.spot(after)
+            course, times = spot.segment.course, self._turning(spot.segment)
+            if times.size:
+                local, period = after - spot.since, course.cycle or course.duration
+                first = math.floor(max(local, 0.0) / period)
+                found = np.append(np.add.outer([first * period, (first + 1) * period], times), course.duration)
+                found = np.minimum(found, course.duration)
+                if (later := found[found > local + CLOSE]).size:
+                    return spot.since + float(later.min())
+            if spot.end >= self.duration - CLOSE:
+                return None
+            after = spot.end
+        return after
+
+    def _turning(self, segment: Segment) -> Array:
+        """Return the times of the reversals within a load cycle, or within a block without load cycles [s]."""
+        key = segment.leaf.number, segment.start, segment.leads
+        if key not in self._reversals:
+            paced = segment.leaf.pacing.mode == "static"
+            self._reversals[key] = reversals(segment) if paced else np.empty(0)
+        return self._reversals[key]
 
     def _walk(self, t: Array) -> Iterator[tuple[NDArray[np.intp], Spot]]:
         """Yield each visited pass of a block or ramp with the indices of its times, in order of time."""
@@ -245,6 +291,26 @@ class Programme:
             segments.insert(0, Segment(leaf, value, lead, leads=True))
             segments[1] = segments[1]._replace(start=course.begin)
         return segments, course.end
+
+
+def reversals(segment: Segment) -> Array:
+    """Return the times at which the value turns back or comes to rest, within a load cycle or without any in the segment [s].
+
+    Of several load cycles it is the middle one: noise is faded at the ends of its block.
+    """
+    course = segment.course
+    period = course.cycle or course.duration
+    steps = int(np.clip(period / course.step, MIN_STEPS, MAX_STEPS))
+    t = np.linspace(0.0, period, steps + 1)
+    rate = segment.sample(course.count // 2 * course.cycle + t)[:, 1]
+    rate[np.abs(rate) <= SLOWEST_RATE * np.abs(rate).max()] = 0.0
+    sign = np.sign(rate)
+    # A single zero between equal signs is a point of inflection.
+    sign[1:-1] = np.where(sign[:-2] == sign[2:], sign[2:], sign[1:-1])
+    before = np.flatnonzero((sign[:-1] != 0.0) & (sign[1:] != sign[:-1]))
+    share = rate[before] / (rate[before] - rate[before + 1])
+    found: Array = t[before] + share * period / steps
+    return found
 
 
 def _joined(parts: list[tuple[Segment | Sequence, int]]) -> Sequence:

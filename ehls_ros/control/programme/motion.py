@@ -1,11 +1,14 @@
-"""Run a programme: start, stop, hold, skip and resume as a function of the control cycle alone.
+"""Run a programme: start, stop, hold, skip, resume and pace it as a function of the control cycle alone.
 
 A stop does not leave the programme's path. Its time slows down to a standstill within ``stop_time``, so that no force occurs
 that the programme does not contain; only then the value moves to the held one. Resuming returns to the path and accelerates its
-time again. A :class:`Motion` applies from a control cycle on. It consists of plain numbers that can be stored; a node restarted
+time again. Pacing also changes the speed of that time and nothing else: to zero at each reversal (static), or to a fraction of
+the normal speed (dynamic), with a continuous second derivative. A :class:`Motion` applies from a control cycle on. It consists of plain numbers that can be stored; a node restarted
 with the same motions yields bitwise the same values in the same cycles.
 """
 
+import math
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
@@ -13,10 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.programme.expansion import CLOSE, Points, Programme, programme_of
+from ehls_ros.control.programme.expansion import CLOSE, SHORT, Points, Programme, programme_of
 
 Row = tuple[float, float, float]
 """A value with its first and second derivative."""
+
+EASING = 0.2
+"""Time in which a programme's time slows down before a wait, and speeds up after it, as a fraction of the time between two
+reversals: the third derivative remains in the order of that of the programme."""
 
 
 class State(IntEnum):
@@ -28,6 +35,7 @@ class State(IntEnum):
     STOPPED = 3
     RESUMING = 4
     FINISHED = 5
+    WAITING = 6
 
 
 class Leg(NamedTuple):
@@ -60,25 +68,28 @@ class Skip(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Motion from a control cycle on: some legs, then the programme at normal speed or at rest.
+    """Motion from a control cycle on: some legs, then the programme at a constant speed or at rest.
 
     Attributes:
         first: first control cycle.
-        kind: request that caused the motion.
+        kind: request that caused the motion; ``pace``: pacing.
         legs: parts before the final phase.
         since: programme time at the end of the legs [s].
         rests: value held from then on; None if the programme runs.
         skipped: load cycles skipped so far.
-        reason: reason of a stop.
+        reason: reason of a stop, or of the speed.
+        speed: speed of the programme's time after the legs; if the programme is stopped, after it is resumed. 1: normal speed,
+            0: it waits for the measured value.
     """
 
     first: int
-    kind: Literal["start", "stop", "resume", "skip"]
+    kind: Literal["start", "stop", "resume", "skip", "pace"]
     legs: tuple[Leg, ...]
     since: float
     rests: float | None = None
     skipped: tuple[Skip, ...] = ()
     reason: str = ""
+    speed: float = 1.0
 
 
 class Rows(NamedTuple):
@@ -151,11 +162,12 @@ class Runner:
             measured: measured value from which it is led in; None to start at once.
             lead: duration of the lead-in [s].
         """
+        speed = 0.0 if programme.leaf(0.0).pacing.mode == "static" else 1.0
         if measured is None or lead <= 0.0:
-            return Motion(first, "start", (), 0.0)
+            return Motion(first, "start", (), 0.0, speed=speed)
         glide = Leg(lead, 0.0, row=(measured, 0.0, 0.0), to=programme.parameters.start)
-        speeding = Leg(programme.parameters.stop_time, 0.0, end_speed=1.0)
-        return Motion(first, "start", (glide, speeding), _end(speeding))
+        speeding = _speeding(programme.parameters.stop_time, 0.0, speed)
+        return Motion(first, "start", (glide, *speeding), _end([glide, *speeding], 0.0), speed=speed)
 
     def resting(self, first: int, since: float, measured: float, reason: str, skipped: tuple[Skip, ...] = ()) -> Motion:
         """Return the motion to the held value, for a rig that has left the programme's path.
@@ -170,7 +182,7 @@ class Runner:
         since = _past_skips(since, skipped)
         held = self._held(since)
         glide = Leg(self._hold_time, since, row=(measured, 0.0, 0.0), to=held)
-        return Motion(first, "stop", (glide,), since, held, skipped, reason)
+        return Motion(first, "stop", (glide,), since, held, skipped, reason, self.motions[-1].speed)
 
     def rows(self, first: int, count: int) -> Rows:
         """Return the programme's setpoints in consecutive control cycles.
@@ -206,7 +218,7 @@ class Runner:
         since = _past_skips(since, motion.skipped)
         held = self._held(since)
         legs += self._way(row, since, held)
-        self._add(Motion(cycle, "stop", tuple(legs), since, held, motion.skipped, reason))
+        self._add(Motion(cycle, "stop", tuple(legs), since, held, motion.skipped, reason, motion.speed))
         return True
 
     def resume(self, cycle: int) -> bool:
@@ -216,14 +228,14 @@ class Runner:
             return False
         legs: list[Leg] = []
         goes_on = _past_skips(since, motion.skipped)
-        if goes_on > since:
-            # A stop while a block was being skipped: the remainder of that block is not resumed.
-            legs, _, row = self._slowed(since, speed, growth, row)
-            since, speed, growth = goes_on, 0.0, 0.0
+        if goes_on > since or not motion.speed:
+            # A stop while a block was being skipped: the remainder of that block is not resumed. And what waits comes to rest.
+            legs, since, row = self._slowed(since, speed, growth, row)
+            since, speed, growth = max(goes_on, since), 0.0, 0.0
         if not speed:
             legs += self._way(row, since, self.programme.value(since))
-        legs.append(Leg(self._stop_time, since, speed, growth, 1.0))
-        self._add(Motion(cycle, "resume", tuple(legs), _end(legs[-1]), None, motion.skipped))
+        legs += _speeding(self._stop_time, since, motion.speed, speed, growth)
+        self._add(Motion(cycle, "resume", tuple(legs), _end(legs, since), None, motion.skipped, speed=motion.speed))
         return True
 
     def skip(self, cycle: int) -> bool:
@@ -242,12 +254,58 @@ class Runner:
         if motion.rests is not None:
             held = self._held(following)
             legs += self._way(row, following, held)
-            self._add(Motion(cycle, "stop", tuple(legs), following, held, skipped, motion.reason))
+            self._add(Motion(cycle, "stop", tuple(legs), following, held, skipped, motion.reason, motion.speed))
             return True
         legs += self._way(row, following, self.programme.value(following))
-        legs.append(Leg(self._stop_time, following, 0.0, 0.0, 1.0))
-        self._add(Motion(cycle, "skip", tuple(legs), _end(legs[-1]), None, skipped))
+        legs += _speeding(self._stop_time, following, motion.speed)
+        self._add(Motion(cycle, "skip", tuple(legs), _end(legs, following), None, skipped, speed=motion.speed))
         return True
+
+    def pace(self, cycle: int, speed: float, reason: str = "") -> None:
+        """Change the speed of the programme's time within the stop time, from a control cycle after all legs on."""
+        motion, (since, now, growth), _ = self._now(cycle)
+        leg = Leg(self._stop_time, since, now, growth, speed)
+        self._add(Motion(cycle, "pace", (leg,), _end([leg], since), None, motion.skipped, reason, speed))
+
+    def run_to_reversal(self, cycle: int) -> None:
+        """Run to the next reversal, if there is one, and wait there, from a control cycle after all legs on."""
+        motion, (since, speed, _), _ = self._now(cycle)
+        reversal = self.programme.reversal(since + 2.0 * SHORT)
+        if reversal is None:
+            if not speed:
+                self.pace(cycle, 1.0)
+            return
+        to = reversal - SHORT
+        # Not in a rest before the block: its time says nothing about the reversals.
+        slowing = min(self._stop_time, EASING * (to - max(since, self.programme.spot(to).since)))
+        # From a place between two reversals, the value would be accelerated more than by the programme.
+        speeding = 0.0 if speed else self._stop_time if motion.kind == "resume" else slowing
+        speed = speed or min(1.0, 2.0 * (to - since) / (speeding + slowing))
+        ends = to - 0.5 * slowing * speed
+        legs = _speeding(speeding, since, speed) if speeding else []
+        begins = _end(legs, since)
+        if ends > begins:
+            legs.append(Leg((ends - begins) / speed, begins, speed, 0.0, speed))
+        legs.append(Leg(slowing, ends, speed, 0.0, 0.0))
+        self._add(Motion(cycle, "pace", tuple(legs), to, None, motion.skipped, speed=0.0))
+
+    def horizon(self, cycle: int, lead: int, min_lead: int) -> int:
+        """Return the last control cycle to publish: not further ahead than necessary where the programme has to wait.
+
+        Args:
+            cycle: newest control cycle of the rig.
+            lead: control cycles to publish ahead.
+            min_lead: fewest control cycles to publish ahead.
+        """
+        motion = self.motions[-1]
+        if motion.speed or motion.rests is not None:
+            return cycle + lead
+        return min(cycle + lead, max(self.arrival(), cycle + min_lead))
+
+    def arrival(self) -> int:
+        """Return the first control cycle after the legs of the last motion."""
+        motion = self.motions[-1]
+        return motion.first + math.ceil(sum(leg.duration for leg in motion.legs) / self._period)
 
     def forget(self, before: int) -> None:
         """Drop the motions that no control cycle from ``before`` on needs."""
@@ -267,7 +325,8 @@ class Runner:
         if not speed:
             return [], since, row
         leg = Leg(self._stop_time, since, speed, growth, 0.0)
-        return [leg], _end(leg), (self.programme.value(_end(leg)), 0.0, 0.0)
+        end = _end([leg], since)
+        return [leg], end, (self.programme.value(end), 0.0, 0.0)
 
     def _way(self, row: Row, since: float, to: float) -> list[Leg]:
         """Return the leg from a row to rest at a value; none if it already rests there."""
@@ -293,14 +352,22 @@ class Runner:
         made.points.load_cycles[chosen] = points.load_cycles
         for skip in motion.skipped:
             made.points.load_cycles[chosen] -= np.where(moving.since >= skip.to - CLOSE, skip.load_cycles, 0)
-        made.points.phase[chosen] = np.where(moving.speed > 0.0, points.phase, np.nan)
+        proceeds = (moving.speed > 0.0) | (moving.busy & (motion.kind == "pace"))
+        made.points.phase[chosen] = np.where(proceeds, points.phase, np.nan)
         made.state[chosen] = self._states(motion, moving, cycles[chosen])
 
     def _states(self, motion: Motion, moving: Moving, cycles: NDArray[np.int64]) -> NDArray[np.int64]:
-        under_way = {"start": State.STARTING, "stop": State.STOPPING, "resume": State.RESUMING, "skip": State.RESUMING}[
-            motion.kind
-        ]
-        arrived = State.RUNNING if motion.rests is None else State.STOPPED
+        under_way = {
+            "start": State.STARTING,
+            "stop": State.STOPPING,
+            "resume": State.RESUMING,
+            "skip": State.RESUMING,
+            "pace": State.RUNNING,
+        }[motion.kind]
+        if motion.rests is not None:
+            arrived = State.STOPPED
+        else:
+            arrived = State.RUNNING if motion.speed else State.WAITING
         state = np.where(moving.busy | (cycles < motion.first), under_way, arrived)
         return np.where((moving.since >= self.programme.duration - CLOSE) & ~moving.busy, State.FINISHED, state).astype(
             np.int64
@@ -328,9 +395,9 @@ class Runner:
             left &= ~now
             gone = np.where(left, gone - leg.duration, gone)
         if motion.rests is None:
-            moving.since[left] = motion.since + gone[left]
+            moving.since[left] = motion.since + motion.speed * gone[left]
             # Before its first cycle it is stationary.
-            moving.speed[left] = cycles[left] >= motion.first
+            moving.speed[left] = motion.speed * (cycles[left] >= motion.first)
         else:
             moving.since[left] = motion.since
             moving.off[left] = (motion.rests, 0.0, 0.0)
@@ -338,7 +405,7 @@ class Runner:
 
 
 def point_signals(parameters: Any, time: Array, period: float) -> dict[str, Array]:
-    """Return the signals of an uninterrupted programme, by name as in ``programme_point``.
+    """Return the signals of an uninterrupted programme without pacing, by name as in ``programme_point``.
 
     Args:
         parameters: parameters of the programme.
@@ -346,7 +413,7 @@ def point_signals(parameters: Any, time: Array, period: float) -> dict[str, Arra
         period: control period [s].
     """
     programme = programme_of(parameters)
-    runner = Runner(programme, period, (Runner.beginning(programme, 0),))
+    runner = Runner(programme, period, (Motion(0, "start", (), 0.0),))
     rows = runner.rows(round(float(time[0]) / period) if time.size else 0, time.size)
     points = rows.points
     return {
@@ -389,8 +456,16 @@ def _past_skips(since: float, skipped: tuple[Skip, ...]) -> float:
     return max([since, *(skip.to for skip in skipped)])
 
 
-def _end(leg: Leg) -> float:
-    """Return the programme time at the end of a leg [s]."""
+def _speeding(duration: float, since: float, to: float, speed: float = 0.0, growth: float = 0.0) -> list[Leg]:
+    """Return the leg to a speed of the programme's time; none to speed 0, at which it stands."""
+    return [Leg(duration, since, speed, growth, to)] if to else []
+
+
+def _end(legs: Sequence[Leg], since: float) -> float:
+    """Return the programme time at the end of legs, or another if there are none [s]."""
+    if not legs:
+        return since
+    leg = legs[-1]
     if leg.row is not None:
         return leg.since
     return leg.since + leg.duration * float(_hermite_area(leg.speed, leg.growth * leg.duration, leg.end_speed, np.ones(1))[0])

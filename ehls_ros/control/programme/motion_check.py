@@ -20,10 +20,11 @@ Holds = Sequence[float | None]
 """Values held after a stop; None for the programme's value at the stop."""
 
 MAX_LEGS = 3
-"""Most legs of a motion: along the programme to a standstill, to another value, and along the programme again."""
+"""Most legs of a motion: along the programme to a standstill, to another value, and along the programme again; or faster, evenly
+and slower to the next reversal."""
 
 MAX_MOTIONS = 100
-"""Most motions: one for each request within the control cycles published ahead."""
+"""Most motions: one for each request or decision of pacing within the control cycles whose snapshots the rig keeps."""
 
 MAX_SKIPS = 10_000
 """Most skipped blocks."""
@@ -102,6 +103,8 @@ def _check_motion(motion: Motion, programme: Programme, holds: Holds, low: float
         raise ValueError("more is skipped than the programme holds")
     if any(not 0.0 <= skip.to <= latest or skip.load_cycles < 0 for skip in motion.skipped):
         raise ValueError("a skipped block is not in the programme")
+    if not 0.0 <= motion.speed <= 1.0:
+        raise ValueError(f"a motion follows the programme at {motion.speed:g} times its speed")
     if (motion.rests is None) == (motion.kind == "stop"):
         raise ValueError(f"a motion of the kind {motion.kind!r} rests at {motion.rests}")
     ends = [_ends(leg, programme, low, high) for leg in motion.legs]
