@@ -87,6 +87,7 @@ FILES: Mapping[str, tuple[tuple[str, type, ModuleType], ...]] = {
     "Programme file": (
         ("Settings of a programme", programme_declaration.Parameters, programme_declaration),
         ("limits of a programme", programme_declaration.Limits, programme_declaration),
+        ("pacing of a programme", programme_declaration.Pacing, programme_declaration),
     ),
     "Column map": (
         ("A column", columns.Column, columns),

@@ -214,7 +214,7 @@ def programme_requests(figures: Mapping[str, str]) -> frozenset[str]:
 
 
 def programme_line(figures: Mapping[str, str]) -> str:
-    """Return title, block, load cycles, last peak and valley, and state of a programme.
+    """Return title, block, load cycles, last peak and valley, state and pacing of a programme.
 
     Args:
         figures: diagnostics of the programme node; empty: no programme.
@@ -224,7 +224,7 @@ def programme_line(figures: Mapping[str, str]) -> str:
     block = f"block {figures.get('block', '')} {figures.get('block_name', '')}"
     count = f"{figures.get('load_cycles', '')} of {figures.get('of_load_cycles', '')} load cycles"
     state = figures.get("programme_state", "")
-    return " · ".join(filter(None, [figures["programme"], block, count, _last_peak(figures), state]))
+    return " · ".join(filter(None, [figures["programme"], block, count, _last_peak(figures), state, figures.get("pacing")]))
 
 
 def _last_peak(figures: Mapping[str, str]) -> str:

@@ -19,6 +19,7 @@ from ehls_ros.control.controllers.base import Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.observers.base import check_friction_support
+from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.control.rig_scale import defaults_for
 from ehls_ros.errors import BadInput, one_of
@@ -461,6 +462,13 @@ def undeclared_effects(spec: Spec, law: str | None = None) -> tuple[str, ...]:
         for effect in getattr(CONTROLLERS.load(name), "KNOWS", ())
         if effect in undeclared
     )
+
+
+def ignored_pacing(spec: Spec) -> tuple[str, ...]:
+    """Return a warning for a programme with pacing in a run without :mod:`~ehls_ros.nodes.programme_node`, which paces it."""
+    if spec.reference.name != "programme" or not programme_of(spec.reference.parameters).is_paced:
+        return ()
+    return ("the programme ran without its pacing, which needs the programme node: leave out --in-process",)
 
 
 def uses_actuator(spec: Spec) -> bool:

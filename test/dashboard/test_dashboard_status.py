@@ -117,6 +117,9 @@ def test_the_programmes_line_has_units():
     )
     stopped = {**PROGRAMME, "programme_state": "stopped", "peak": "nan"}
     assert programme_line(stopped).endswith("17 of 60 load cycles · stopped")
+    waiting = {**PROGRAMME, "programme_state": "waiting", "pacing": "waits for the peak 12600: 65.8 short"}
+    assert programme_line(waiting).endswith(" · waiting · waits for the peak 12600: 65.8 short")
+    assert programme_requests(waiting) == {"stop", "skip"}
     position = {**PROGRAMME, "peak": "0.0125", "valley": "-0.003", "unit": "m"}
     assert "peak 12.5 mm, valley -3 mm" in programme_line(position)
 

@@ -92,6 +92,8 @@ SPOILT = {
     "a jump after a leg": (spoil_leg(to=900.0), "the reference jumps between two legs from 900 to 100"),
     "an endless leg": (spoil_leg(duration=1e9), "a leg takes 1e+09 s"),
     "far along the programme": (spoil_motion(since=1e6), "a motion is 1e+06 s along the programme"),
+    "twice its speed": (spoil_motion(speed=2.0), "a motion follows the programme at 2 times its speed"),
+    "backwards": (spoil_motion(speed=-0.5), "a motion follows the programme at -0.5 times its speed"),
     "no motions": (spoil_state("motions", []), "no motion holds"),
     "a motion as text": (spoil_state("motions", ["stop"]), "a mapping of keys to values"),
     "a negative stiffness": (spoil_state("stiffness", [{"block": 0, "total": -1.0, "cycles": 3}]), "a stiffness that is not"),
@@ -154,8 +156,9 @@ def test_settings_that_changed_since_the_last_start_are_named(folder: Path):
         "hold of the programme was 100 and is not given from the next stop on [N or m]",
         "stop_time of the programme was 0.5 and is 0.25 from the next stop on [s]",
     )
-    # Its limits may change.
-    assert opened(folder, programme=altered(limits={"peak_error": 100.0})).remarks == ()
+    # Its limits and its pacing may change.
+    pacing = {"mode": "static", "tolerance": 10.0}
+    assert opened(folder, programme=altered(limits={"peak_error": 100.0}, pacing=pacing)).remarks == ()
 
 
 def test_a_programme_that_begins_anew_loses_nothing_of_the_one_before(folder: Path):
@@ -211,16 +214,21 @@ def test_a_folder_that_cannot_be_written_is_said_at_the_start(tmp_path: Path):
 
 
 def test_every_motion_that_a_programme_makes_is_accepted():
-    """The check covers stop, resume and skip, at any time."""
+    """The check covers stop, resume, skip and pacing, at any time."""
     from ehls_ros.control.programme.motion_check import check_motions
 
+    paced = altered(pacing={"mode": "static", "tolerance": 10.0})
     for seed in range(20):
-        runner = Runner(PROGRAMME, PERIOD, (Runner.beginning(PROGRAMME, 0, 300.0, 0.3 * (seed % 2)),))
+        programme = (PROGRAMME, paced)[seed // 2 % 2]
+        runner = Runner(programme, PERIOD, (Runner.beginning(programme, 0, 300.0, 0.3 * (seed % 2)),))
         cycle = 0
         for step in range(30):
             cycle += (1, 7, 40, 160, 600)[(seed + step * step) % 5]
             request = ("stop", "resume", "skip", "resume")[(step + seed) % 4]
             runner.stop(cycle, "test") if request == "stop" else getattr(runner, request)(cycle)
+            cycle += 40
+            if runner.motions[-1].rests is None and cycle > runner.arrival():
+                runner.run_to_reversal(cycle) if programme is paced else runner.pace(cycle, (0.3, 1.0)[step % 2])
             runner.forget(cycle - (0, 200, 900)[step % 3])
             check_motions(tuple(runner.motions), PROGRAMME, PERIOD, (100.0,), -2e4, 2e4)
         runner.motions = [runner.resting(cycle, runner.at(cycle)[0], 800.0, "fell out", runner.motions[-1].skipped)]

@@ -25,7 +25,7 @@ from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate, st
 from ehls_ros.experiments.programme_records import STATE, read_state
 from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, company_of, for_simulated_rig, load_spec, undeclared_effects
+from ehls_ros.experiments.spec import Spec, company_of, for_simulated_rig, ignored_pacing, load_spec, undeclared_effects
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.bag_reader import read_bag
@@ -135,7 +135,8 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
         found = adapted(spec, done.trajectory)
         limited = () if found is None else found.at_bounds
         stops = stops_of(folder.bag, done.trajectory)
-        metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(spec), *limited, *stops))
+        unpaced = ignored_pacing(spec) if options.in_process else ()
+        metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(spec), *limited, *stops, *unpaced))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
         lines = () if found is None else _write_adapted(found, folder)

@@ -91,7 +91,7 @@ def run(options: Namespace) -> int:
     if options.counted is not None:
         trajectory = load(recording_in(options.counted))
         summary = summary._replace(recorded=counted(trajectory, str(options.counted)))
-    _print(summary)
+    _print(summary, paced=programme.is_paced)
     if options.out is not None:
         writable(options.out.parent, options.out.name)
         write_programme_report(programme, summary, options.out)
@@ -141,9 +141,9 @@ def _ask(options: Namespace) -> int:
     return 0
 
 
-def _print(summary: Summary) -> None:
+def _print(summary: Summary, *, paced: bool) -> None:
     print(summary.title)
-    print(f"  duration            {number(summary.duration_s)} s")
+    print(f"  duration            {number(summary.duration_s)} s{', longer by its pacing' if paced else ''}")
     print(f"  load cycles         {number(summary.load_cycles)}")
     print(
         f"  largest rate        {number(summary.largest_rate_n_s)} N/s; the rig reaches {number(summary.possible_rate_n_s)} N/s"

@@ -36,8 +36,8 @@ MIN_STEPS, MAX_STEPS = 20, 200_000
 SLOWEST_RATE = 1e-6
 """Rate that counts as zero, as a fraction of the largest."""
 
-MAX_SEGMENTS = 1000
-"""Most blocks without a reversal in succession, such as dwells, that static pacing passes without a wait."""
+MAX_PASSED = 100
+"""Most reversals within the tolerance, or blocks without any, such as dwells, that static pacing passes without a wait."""
 
 LONGEST = 1e8
 """Longest programme, up to which times are exact to 15 ns [s]."""
@@ -169,6 +169,11 @@ class Programme:
         if not self.duration <= LONGEST:
             raise BadInput(f"the programme takes {self.duration:.3g} s", where, f"at most {LONGEST:g} s")
 
+    @property
+    def is_paced(self) -> bool:
+        """Whether any block has pacing."""
+        return any(leaf.pacing.mode != "none" for leaf in self.leaves)
+
     def spot(self, time: float) -> Spot:
         """Return the position at a time [s]: before the start in the first block, after the end in the last."""
         part: Segment | Sequence = self.whole
@@ -217,12 +222,22 @@ class Programme:
         return points
 
     def reversal(self, after: float) -> float | None:
-        """Return the first time after another at which static pacing waits [s]; None if there is none.
+        """Return the first time after another at which static pacing waits [s]; None if there is none before other pacing.
 
-        These are the times at which the value turns back or comes to rest in blocks with static pacing.
+        These are the times at which the value turns back or comes to rest, by more than the tolerance from the present value.
         """
-        for _ in range(MAX_SEGMENTS):
+        value, time = self.value(after), self._turning_after(after)
+        for _ in range(MAX_PASSED):
+            if time is None or abs(self.value(time) - value) > (self.leaf(time - SHORT).pacing.tolerance or 0.0):
+                break
+            time = self._turning_after(time)
+        return time
+
+    def _turning_after(self, after: float) -> float | None:
+        for _ in range(MAX_PASSED):
             spot = self.spot(after)
+            if spot.segment.leaf.pacing.mode == "dynamic":
+                return None
             course, times = spot.segment.course, self._turning(spot.segment)
             if times.size:
                 local, period = after - spot.since, course.cycle or course.duration

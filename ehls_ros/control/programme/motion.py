@@ -26,6 +26,11 @@ EASING = 0.2
 reversals: the third derivative remains in the order of that of the programme."""
 
 
+STEEPEST = 1.5
+"""Largest rate of the speed at the beginning of a leg times its duration, that of a leg from standstill to normal speed: a leg
+that takes over from a shorter one is as short, or it would swing beyond the speeds between which it leads."""
+
+
 class State(IntEnum):
     """State of a programme, as in ``programme_point``."""
 
@@ -166,8 +171,8 @@ class Runner:
         if measured is None or lead <= 0.0:
             return Motion(first, "start", (), 0.0, speed=speed)
         glide = Leg(lead, 0.0, row=(measured, 0.0, 0.0), to=programme.parameters.start)
-        speeding = _speeding(programme.parameters.stop_time, 0.0, speed)
-        return Motion(first, "start", (glide, *speeding), _end([glide, *speeding], 0.0), speed=speed)
+        legs = (glide, Leg(programme.parameters.stop_time, 0.0, end_speed=speed)) if speed else (glide,)
+        return Motion(first, "start", legs, _end(legs, 0.0), speed=speed)
 
     def resting(self, first: int, since: float, measured: float, reason: str, skipped: tuple[Skip, ...] = ()) -> Motion:
         """Return the motion to the held value, for a rig that has left the programme's path.
@@ -234,7 +239,8 @@ class Runner:
             since, speed, growth = max(goes_on, since), 0.0, 0.0
         if not speed:
             legs += self._way(row, since, self.programme.value(since))
-        legs += _speeding(self._stop_time, since, motion.speed, speed, growth)
+        if motion.speed:
+            legs.append(self._change(since, speed, growth, motion.speed))
         self._add(Motion(cycle, "resume", tuple(legs), _end(legs, since), None, motion.skipped, speed=motion.speed))
         return True
 
@@ -257,14 +263,15 @@ class Runner:
             self._add(Motion(cycle, "stop", tuple(legs), following, held, skipped, motion.reason, motion.speed))
             return True
         legs += self._way(row, following, self.programme.value(following))
-        legs += _speeding(self._stop_time, following, motion.speed)
+        if motion.speed:
+            legs.append(self._change(following, 0.0, 0.0, motion.speed))
         self._add(Motion(cycle, "skip", tuple(legs), _end(legs, following), None, skipped, speed=motion.speed))
         return True
 
     def pace(self, cycle: int, speed: float, reason: str = "") -> None:
         """Change the speed of the programme's time within the stop time, from a control cycle after all legs on."""
         motion, (since, now, growth), _ = self._now(cycle)
-        leg = Leg(self._stop_time, since, now, growth, speed)
+        leg = self._change(since, now, growth, speed)
         self._add(Motion(cycle, "pace", (leg,), _end([leg], since), None, motion.skipped, reason, speed))
 
     def run_to_reversal(self, cycle: int) -> None:
@@ -282,7 +289,7 @@ class Runner:
         speeding = 0.0 if speed else self._stop_time if motion.kind == "resume" else slowing
         speed = speed or min(1.0, 2.0 * (to - since) / (speeding + slowing))
         ends = to - 0.5 * slowing * speed
-        legs = _speeding(speeding, since, speed) if speeding else []
+        legs = [Leg(speeding, since, 0.0, 0.0, speed)] if speeding else []
         begins = _end(legs, since)
         if ends > begins:
             legs.append(Leg((ends - begins) / speed, begins, speed, 0.0, speed))
@@ -324,9 +331,14 @@ class Runner:
         """Return the leg to a standstill along the programme, none if stopped, with its final programme time and row."""
         if not speed:
             return [], since, row
-        leg = Leg(self._stop_time, since, speed, growth, 0.0)
+        leg = self._change(since, speed, growth, 0.0)
         end = _end([leg], since)
         return [leg], end, (self.programme.value(end), 0.0, 0.0)
+
+    def _change(self, since: float, speed: float, growth: float, to: float) -> Leg:
+        """Return the leg from a speed of the programme's time, and its rate, to another speed."""
+        duration = min(self._stop_time, STEEPEST / abs(growth)) if growth else self._stop_time
+        return Leg(duration, since, speed, growth, to)
 
     def _way(self, row: Row, since: float, to: float) -> list[Leg]:
         """Return the leg from a row to rest at a value; none if it already rests there."""
@@ -454,11 +466,6 @@ def _hermite_area(a: float, b: float, c: float, x: Array) -> Array:
 def _past_skips(since: float, skipped: tuple[Skip, ...]) -> float:
     """Return a programme time, or the end of the last skipped block if it is not yet reached [s]."""
     return max([since, *(skip.to for skip in skipped)])
-
-
-def _speeding(duration: float, since: float, to: float, speed: float = 0.0, growth: float = 0.0) -> list[Leg]:
-    """Return the leg to a speed of the programme's time; none to speed 0, at which it stands."""
-    return [Leg(duration, since, speed, growth, to)] if to else []
 
 
 def _end(legs: Sequence[Leg], since: float) -> float:

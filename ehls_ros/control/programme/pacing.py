@@ -16,7 +16,7 @@ AIM = 0.75
 FAST_ENOUGH = 0.5
 """Shortfall below which the speed rises again, as a fraction of the tolerance."""
 
-LARGEST_STEPS = 0.5, 1.1
+LARGEST_STEPS = 0.25, 1.1
 """Smallest and largest factor by which one decision changes the speed."""
 
 LONG_WAIT = 1.0
@@ -59,7 +59,10 @@ class Pacer:
         """
         samples, finished = self._samples, self._finished
         self._samples, self._finished = [], []
-        motion, (since, _) = runner.motions[-1], runner.at(cycle)
+        motion = runner.motions[-1]
+        if not self._programme.is_paced and motion.speed == 1.0:
+            return ""
+        since, _ = runner.at(cycle)
         if motion.rests is not None or since >= self._programme.duration - CLOSE:
             self.remark = ""
             return ""
