@@ -203,3 +203,38 @@ def test_a_programme_holds_where_an_emergency_stop_closed_the_valve(graph, parti
     assert len(rows) > held
     assert all(int(row["samples"]) >= CYCLES_PER_LOAD_CYCLE for row in rows), [row["samples"] for row in rows]
     assert not any(row["peak_n"] == "nan" for row in rows)
+
+
+WAITS = """
+title: waits
+blocks:
+  - {block: cycles, amplitude: 2000.0, mean: 2000.0, frequency: 10.0, count: 30}
+pacing: {mode: static, tolerance: 100.0, timeout: 5.0}
+"""
+
+
+def test_a_programme_that_waits_for_its_peaks_reaches_them_also_after_a_kill(graph, participant, spec_file, tmp_path):
+    """A law that lags behind the reference; each load cycle is counted once, and none before its valley is reached."""
+    file, spec = tmp_path / "programme.yaml", spec_file(duration=1000.0, controller="sic")
+    file.write_text(WAITS, encoding="utf-8")
+    points = participant.collect(ProgrammePoint, "programme_point")
+    common = {"spec": spec, "timing": "lockstep"}
+    own = {**common, "programme": file, "folder": tmp_path / "run"}
+    graph.start("programme_node", **own)
+    for name in ("disturbance_node", "sic_node"):
+        graph.start(name, **common)
+    graph.start("plant_sim_node", **common, partners="programme_node,disturbance_node,sic_node")
+    participant.until(lambda: points and points[-1].load_cycles >= 5)
+    graph.kill("programme_node")
+    killed_ns = time.time_ns()
+    saved = read_state(tmp_path / "run")
+    assert saved is not None
+    assert saved.counted < 30
+    graph.start("programme_node", **own)
+    participant.until(lambda: points.after(killed_ns) and points[-1].state == State.FINISHED)
+    assert State.WAITING in {point.state for point in points}
+    assert graph.stop("programme_node") == 0, graph.log("programme_node")
+    heading, *lines = (tmp_path / "run" / "load_cycles.csv").read_text(encoding="utf-8").splitlines()
+    rows = [dict(zip(heading.split(","), map(float, line.split(",")), strict=True)) for line in lines]
+    assert [row["load_cycle"] for row in rows] == list(range(1, 31))
+    assert all(row["peak_n"] > 3900.0 and row["valley_n"] < 100.0 for row in rows)

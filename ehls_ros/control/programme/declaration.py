@@ -65,7 +65,8 @@ class Pacing(NamedTuple):
         float | None, quantity("N or m", "largest shortfall of a measured peak or valley from the reference's", above=0.0)
     ] = None
     timeout: Annotated[
-        float, quantity("s", "time without a peak in tolerance, static or at the slowest speed, after which it stops", above=0.0)
+        float,
+        quantity("s", "time without a peak in tolerance, static or at the slowest speed, after which it stops", above=0.0),
     ] = 30.0
     slowest: Annotated[
         float,

@@ -3,8 +3,10 @@
 A stop does not leave the programme's path. Its time slows down to a standstill within ``stop_time``, so that no force occurs
 that the programme does not contain; only then the value moves to the held one. Resuming returns to the path and accelerates its
 time again. Pacing also changes the speed of that time and nothing else: to zero at each reversal (static), or to a fraction of
-the normal speed (dynamic), with a continuous second derivative. A :class:`Motion` applies from a control cycle on. It consists of plain numbers that can be stored; a node restarted
-with the same motions yields bitwise the same values in the same cycles.
+the normal speed (dynamic), with a continuous second derivative.
+
+A :class:`Motion` applies from a control cycle on. It consists of plain numbers that can be stored; a node restarted with the
+same motions yields bitwise the same values in the same cycles.
 """
 
 import math
@@ -376,10 +378,8 @@ class Runner:
             "skip": State.RESUMING,
             "pace": State.RUNNING,
         }[motion.kind]
-        if motion.rests is not None:
-            arrived = State.STOPPED
-        else:
-            arrived = State.RUNNING if motion.speed else State.WAITING
+        goes_on = State.RUNNING if motion.speed else State.WAITING
+        arrived = goes_on if motion.rests is None else State.STOPPED
         state = np.where(moving.busy | (cycles < motion.first), under_way, arrived)
         return np.where((moving.since >= self.programme.duration - CLOSE) & ~moving.busy, State.FINISHED, state).astype(
             np.int64

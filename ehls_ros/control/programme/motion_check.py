@@ -20,8 +20,8 @@ Holds = Sequence[float | None]
 """Values held after a stop; None for the programme's value at the stop."""
 
 MAX_LEGS = 3
-"""Most legs of a motion: along the programme to a standstill, to another value, and along the programme again; or faster, evenly
-and slower to the next reversal."""
+"""Most legs of a motion: along the programme to a standstill, to another value, and along the programme again; or along it
+faster, evenly and slower to the next reversal."""
 
 MAX_MOTIONS = 100
 """Most motions: one for each request or decision of pacing within the control cycles whose snapshots the rig keeps."""

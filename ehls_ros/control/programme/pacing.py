@@ -65,21 +65,18 @@ class Pacer:
         since, _ = runner.at(cycle)
         if motion.rests is not None or since >= self._programme.duration - CLOSE:
             self.remark = ""
-            return ""
-        if cycle <= runner.arrival():
-            return ""
-        mode = self._programme.leaf(since).pacing.mode
-        if mode == "static":
-            if motion.speed:
+        elif cycle > runner.arrival():
+            mode = self._programme.leaf(since).pacing.mode
+            if mode == "static" and not motion.speed:
+                return self._wait(runner, cycle, samples)
+            if mode == "dynamic" and motion.speed:
+                return self._adapt(runner, cycle, finished)
+            # It comes from a block with other pacing, or had other pacing at its last start.
+            if mode == "static":
                 runner.run_to_reversal(cycle)
-                return ""
-            return self._wait(runner, cycle, samples)
-        if mode == "dynamic" and motion.speed:
-            return self._adapt(runner, cycle, finished)
-        if motion.speed != 1.0:
-            # It comes from a block with other pacing.
-            runner.pace(cycle, 1.0)
-        self.remark = ""
+            elif motion.speed != 1.0:
+                runner.pace(cycle, 1.0)
+            self.remark = ""
         return ""
 
     def _wait(self, runner: Runner, cycle: int, samples: list[Sample]) -> str:
