@@ -463,13 +463,11 @@ def test_an_effect_that_the_law_reckons_with_and_is_not_told_of_is_named(config)
 def test_a_programme_that_nobody_paces_is_named(config):
     values = {"rig": str(config / "rig_paper.yaml"), "controller": "sic", "duration": 1.0}
     block = {"block": "ramp", "to": 1e3, "time": 1.0, "pacing": {"mode": "static", "tolerance": 10.0}}
-    said = []
-    for reference in (
-        {"name": "programme", "blocks": [block]},
-        {"name": "programme", "blocks": [{**block, "pacing": {}}]},
-        "sine",
-    ):
-        said.append(ignored_pacing(spec_from_mapping({**values, "reference": reference}, "spec", Path())))
+    programmes = [{"name": "programme", "blocks": [paced]} for paced in (block, {**block, "pacing": {}})]
+    said = [
+        ignored_pacing(spec_from_mapping({**values, "reference": reference}, "spec", Path()))
+        for reference in (*programmes, "sine")
+    ]
     assert said[1:] == [(), ()]
     assert "leave out --in-process" in said[0][0]
 
