@@ -103,13 +103,14 @@ class Pacer:
         return ""
 
     def _adapt(self, runner: Runner, cycle: int, finished: list[LoadCycle]) -> str:
-        """Change the speed by the shortfall of the newest load cycle that has run at the present one."""
+        """Change the speed by the shortfall of the newest load cycle that has run at the present one and was measured."""
         motion, arrival = runner.motions[-1], runner.arrival()
-        judged = [found for found in finished if found.first >= arrival and math.isfinite(found.peak)]
-        if judged:
-            complaint = self._judge(runner, cycle, motion, judged[-1])
-            if complaint:
-                return complaint
+        for found in reversed(finished):
+            paced = self._programme.leaves[found.block].pacing.mode == "dynamic"
+            if paced and found.first >= arrival and math.isfinite(found.peak):
+                if complaint := self._judge(runner, cycle, motion, found):
+                    return complaint
+                break
         reason = runner.motions[-1].reason
         self.remark = f"runs at {100.0 * runner.motions[-1].speed:.3g} % of its speed: {reason}" if reason else ""
         return ""
