@@ -56,10 +56,11 @@ class SteppedController:
         self.needs = law.NEEDS
         where = spec.settings.title
         self._law = Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, where))
-        self._friction = FrictionEstimator(
-            spec.compensation.name, spec.controller_rig, self.period, spec.compensation.parameters
+        uses = spec.compensation
+        self._friction = (
+            FrictionEstimator(uses.name, spec.controller_rig, self.period, uses.parameters) if self._law.uses_friction else None
         )
-        self._measured, self._wanted = np.full(len(SENSED), np.nan), np.zeros(3)
+        self._measured, self._wanted, self._no_friction = np.full(len(SENSED), np.nan), np.zeros(3), np.zeros(2)
         self.cycle = 0
 
     def step(self, measured: Mapping[str, float], reference: float | Sequence[float], *, elapsed: int = 1) -> float:
@@ -85,7 +86,9 @@ class SteppedController:
             raise BadInput(f"{', '.join(missing)} missing", "measured", expected)
         _fill(self._wanted, reference, "reference")
         self.cycle += elapsed if self.cycle else 1
-        friction = self._friction.update(float(readings[VELOCITY]), elapsed)
+        friction = self._no_friction
+        if self._friction is not None:
+            friction = self._friction.update(float(readings[VELOCITY]), elapsed)
         return self._law.step(readings, self._wanted, friction, elapsed, Outlook(self.cycle - 1))
 
     @property
@@ -97,7 +100,8 @@ class SteppedController:
     def reset(self) -> None:
         """Reset law, observer and companions to their state before the first cycle."""
         self._law.reset()
-        self._friction.reset()
+        if self._friction is not None:
+            self._friction.reset()
         self.cycle = 0
 
 
@@ -163,10 +167,10 @@ class SteppedPlant:
 
 def _fill(row: Array, given: float | Sequence[float], where: str) -> None:
     """Write a value, or several, to the beginning of a row, and zeros after it."""
-    values = np.atleast_1d(given)
-    if values.size > row.size:
-        raise BadInput(f"it has {values.size} values", where, f"1 to {row.size}")
-    row[: values.size], row[values.size :] = values, 0.0
+    values = (given,) if isinstance(given, float | int) else given
+    if len(values) > row.size:
+        raise BadInput(f"it has {len(values)} values", where, f"1 to {row.size}")
+    row[: len(values)], row[len(values) :] = values, 0.0
 
 
 _PLACES = {name: place for place, name in enumerate(SENSED)}
