@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from ehls_ros.hardware.gate_parameters import REACTIONS, Parameters
+from ehls_ros.hardware.specimen import Specimen
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.physics.sensors import FORCE, LOAD_PRESSURE, OIL_TEMPERATURE, POSITION, SPOOL, SUPPLY_PRESSURE, VELOCITY
@@ -146,6 +147,7 @@ class SensorDetectors:
         self.force_mismatch = Detector("force_mismatch", "N", "on_sensor_mismatch")
         self.position_mismatch = Detector("position_mismatch", "m", "on_sensor_mismatch")
         self.supply_mismatch = Detector("supply_mismatch", "Pa", "on_sensor_mismatch")
+        self.specimen = Detector("specimen", "")
 
     def __iter__(self) -> Iterator[Detector]:
         """Yield all of them."""
@@ -202,12 +204,14 @@ class Readings:
         """
         self._rig = rig
         self._signals = [Signal(i, rig.sensors.get(s, Sensor())) for i, s in enumerate(SENSED) if s in measured]
+        self._by_index = {signal.index: signal for signal in self._signals}
         self._has = [signal in measured for signal in SENSED]
         self._detectors = detectors
         plant = rig.plant
         self._stiffness = 4.0 * plant.bulk_modulus / plant.total_volume
         self._flow = plant.discharge_coefficient * plant.valve_area_gradient / math.sqrt(plant.oil_density)
         self._lag = 1.0 / plant.valve_bandwidth
+        self._specimen = Specimen(plant.moving_mass, rig.limits.force, rig.sensors.get("position", Sensor()))
         self.begin()
         self.retune(parameters)
 
@@ -218,6 +222,8 @@ class Readings:
         for signal in self._signals:
             signal.good = signal.last = math.nan
             signal.gap = signal.still = signal.lowest = signal.highest = 0.0
+        self._has_specimen = False
+        self._specimen.forget()
 
     def retune(self, parameters: Parameters) -> None:
         """Apply other limits."""
@@ -234,6 +240,7 @@ class Readings:
         detectors.force_mismatch.limit = parameters.force_mismatch
         detectors.position_mismatch.limit = parameters.position_mismatch
         detectors.supply_mismatch.limit = parameters.supply_mismatch
+        detectors.specimen.limit = 1.0 - parameters.stiffness_drop if parameters.stiffness_drop < 1.0 else math.inf
         for signal in self._signals:
             signal.low, signal.high = self._range_of(signal.index)
             signal.rate = self._rate_of(signal.index)
@@ -266,7 +273,26 @@ class Readings:
             OIL_TEMPERATURE: OIL_RATE,
         }[index]
 
-    def look(self, values: Sequence[float], elapsed: float, written: float, reference: float) -> None:
+    @property
+    def position(self) -> float:
+        """Position of the piston in the last snapshot [m]; NaN if it is not measured or implausible."""
+        return self._sound(POSITION)
+
+    @property
+    def pressure(self) -> float:
+        """Load pressure in the last snapshot, from the force where it is not measured [Pa]; NaN if it is implausible."""
+        return self._sound(LOAD_PRESSURE) if self._has[LOAD_PRESSURE] else self._sound(FORCE) / self._rig.plant.piston_area
+
+    def _sound(self, index: int) -> float:
+        signal = self._by_index.get(index)
+        if signal is None or signal.gap > 0.0 or self._is_frozen(signal):
+            return math.nan
+        return signal.good
+
+    def _is_frozen(self, signal: Signal) -> bool:
+        return signal.still >= self._p.frozen_time and signal.highest - signal.lowest >= self._p.frozen_command
+
+    def look(self, values: Sequence[float], elapsed: float, written: float, reference: float, *, driving: bool) -> None:
         """Check a new snapshot.
 
         Args:
@@ -274,11 +300,13 @@ class Readings:
             elapsed: time since the previous snapshot [s].
             written: the command last written [m].
             reference: force reference [N]; NaN if unknown.
+            driving: whether commands reach the actuator.
         """
         self._follow_flow(values, elapsed, written)
         self._look_at_signals(values, elapsed, written)
         self._look_at_limits(values, elapsed, written, reference)
         self._look_at_mismatches(values, elapsed)
+        self._look_at_specimen(values, elapsed, driving=driving)
 
     def _follow_flow(self, values: Sequence[float], elapsed: float, written: float) -> None:
         """Bound the rate of the load pressure by the flow of valve and piston: equations (1) and (2)."""
@@ -287,7 +315,8 @@ class Readings:
         self._opening = max(abs(plant.valve_gain * written), self._opening * math.exp(-elapsed / self._lag))
         opening = max(self._opening, abs(self._known(SPOOL, values, 0.0)))
         head = plant.supply_pressure + abs(self._known(LOAD_PRESSURE, values, plant.supply_pressure))
-        speed = abs(self._known(VELOCITY, values, self._speed))
+        # A piston that swings on the oil may be faster between two samples than at the second.
+        speed = max(abs(self._known(VELOCITY, values, self._speed)), abs(self._last_velocity))
         flow = self._flow * opening * math.sqrt(head) + plant.piston_area * speed
         rate = max(self._p.pressure_rate, MODEL_MARGIN * self._stiffness * flow)
         for signal in self._signals:
@@ -322,9 +351,8 @@ class Readings:
                 continue
             signal.still += elapsed
             signal.lowest, signal.highest = min(signal.lowest, written), max(signal.highest, written)
-            span = signal.highest - signal.lowest
-            if signal.still >= p.frozen_time and span >= p.frozen_command:
-                frozen = frozen or Violation(signal.name, span, p.frozen_command, "m")
+            if self._is_frozen(signal):
+                frozen = frozen or Violation(signal.name, signal.highest - signal.lowest, p.frozen_command, "m")
         self._detectors.not_finite.report(not_finite)
         self._detectors.out_of_range.report(impossible)
         self._detectors.jump.report(jumped)
@@ -370,3 +398,17 @@ class Readings:
             supply = values[SUPPLY_PRESSURE] if has[SUPPLY_PRESSURE] else self._rig.plant.supply_pressure
             excess = abs(values[LOAD_PRESSURE]) - supply
             detectors.supply_mismatch.look(excess > p.supply_mismatch, excess, p.supply_mismatch, elapsed, p.mismatch_time)
+
+    def _look_at_specimen(self, values: Sequence[float], elapsed: float, *, driving: bool) -> None:
+        drop, detector, has = self._p.stiffness_drop, self._detectors.specimen, self._has
+        if not driving or drop == 1.0:
+            if self._has_specimen:
+                # Once the valve has closed, the specimen may be replaced.
+                self._has_specimen = False
+                self._specimen.forget()
+                detector.look(False, 0.0, detector.limit)
+            return
+        self._has_specimen = True
+        force = values[FORCE] if has[FORCE] else self._rig.plant.piston_area * values[LOAD_PRESSURE]
+        short, fraction = self._specimen.look(values[POSITION], values[VELOCITY], force, elapsed, drop)
+        detector.look(short, fraction, detector.limit, elapsed, self._p.limit_time)

@@ -9,11 +9,12 @@ from typing import Annotated, Final, NamedTuple
 
 from ehls_ros.schema import Note, quantity, text
 
-REACTIONS = WARN, HOLD, RAMP, CUT = ("warn", "hold", "ramp", "cut")
+REACTIONS = WARN, HOLD, POSITION, UNLOAD, RAMP, CUT = ("warn", "hold", "position", "unload", "ramp", "cut")
 """Reactions to a fault, mildest first.
 
-``warn`` only reports the fault. ``hold`` keeps the last safe command for a while. ``ramp`` ramps the command to null, and
-``cut`` sets it to null at once.
+``warn`` only reports the fault. ``hold`` keeps the last safe command for a while. ``position`` holds the piston where it comes
+to rest, and ``unload`` lets the load pressure decay; in both the gate itself drives the valve. ``ramp`` ramps the command to
+null, and ``cut`` sets it to null at once.
 """
 
 PROTECTS_WHEN_LARGER = frozenset({"enable_time", "position_margin"})
@@ -50,6 +51,9 @@ class Parameters(NamedTuple):
     ] = 2.0
     hold_time: Annotated[float, quantity("s", "longest hold; after it the gate ramps to null", minimum=0.0, maximum=0.1)] = 0.02
     ramp_time: Annotated[float, quantity("s", "time of the ramp to null", minimum=0.0, maximum=0.2)] = 0.02
+    unload_time: Annotated[
+        float, quantity("s", "longest unloading; after it the gate ramps to null", minimum=0.0, maximum=60.0)
+    ] = 5.0
     enable_time: Annotated[
         float, quantity("s", "duration of blending in the command after enabling", minimum=0.0, maximum=10.0)
     ] = 0.5
@@ -103,6 +107,16 @@ class Parameters(NamedTuple):
         ),
     ] = 7e5
     mismatch_time: Annotated[float, quantity("s", "minimum duration of a mismatch", minimum=0.0, maximum=1.0)] = 0.02
+    stiffness_drop: Annotated[
+        float,
+        quantity(
+            "1",
+            "fraction of the learnt stiffness whose loss is a failure of the specimen; 1: not checked, as against an actuator"
+            " that moves by itself, whose force is no function of the position",
+            above=0.0,
+            maximum=1.0,
+        ),
+    ] = 1.0
 
     on_command_not_finite: Annotated[str, reaction("command not a finite number")] = HOLD
     on_command_range: Annotated[str, reaction("command beyond the rig's limit; warn: clamped")] = HOLD
@@ -120,6 +134,9 @@ class Parameters(NamedTuple):
     on_sensor_jump: Annotated[str, reaction("reading changes faster than the rig can")] = RAMP
     on_sensor_frozen: Annotated[str, reaction("reading unchanged while the command moves")] = RAMP
     on_sensor_mismatch: Annotated[str, reaction("readings that contradict each other")] = RAMP
+    on_specimen: Annotated[str, reaction("failed specimen or load cell; the force falls short of the stiffness learnt")] = (
+        POSITION
+    )
     on_sensor_stale: Annotated[str, reaction("no fresh snapshot", least=RAMP)] = CUT
     on_clock: Annotated[str, reaction("clock not finite, stopped or running backwards; one period is assumed instead")] = WARN
 

@@ -2,9 +2,10 @@
 
 The valve receives only what :meth:`Gate.step` returns: a finite number within the rig's spool limit, whatever the input.
 Detectors raise faults; each fault has a reaction. ``warn`` reports it. ``hold`` keeps the last safe command until the fault is
-gone; once ``hold_time`` is used up it becomes a ramp. ``ramp`` moves to null in ``ramp_time``, ``cut`` goes to null at once.
-Ramp and cut are latched until :meth:`Gate.reset`, after which the gate must be enabled again. An emergency stop must first be
-acknowledged by its name. docs/hardware.md has a table of all states and transitions.
+gone; once ``hold_time`` is used up it becomes a ramp. ``position`` holds the piston where it comes to rest, ``unload`` lets the
+load pressure decay and then closes the valve (:mod:`ehls_ros.hardware.takeover`). ``ramp`` moves to null in ``ramp_time``,
+``cut`` goes to null at once. These four are latched until :meth:`Gate.reset`, after which the gate must be enabled again. An
+emergency stop must first be acknowledged by its name. docs/hardware.md has a table of all states and transitions.
 
 The calls of a cycle, in order::
 
@@ -32,26 +33,38 @@ from ehls_ros.hardware.command_intake import HOLD_REACTION, ROUNDING, CommandInt
 from ehls_ros.hardware.detectors import Detector, Readings, SensorDetectors
 from ehls_ros.hardware.gate_bounds import Bound, bounds_of, out_of_bounds, within
 from ehls_ros.hardware.gate_parameters import REACTIONS, Change, Parameters, changes
+from ehls_ros.hardware.takeover import TakeOver
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.schema import parse
 
-STATES = DISABLED, ENABLING, ACTIVE, HOLDING, RAMPING, CUT, STOPPED = (
-    "disabled", "enabling", "active", "holding", "ramping", "cut", "stopped",
+STATES = DISABLED, ENABLING, ACTIVE, HOLDING, POSITION_CONTROL, UNLOADING, RAMPING, CUT, STOPPED = (
+    "disabled", "enabling", "active", "holding", "position control", "unloading", "ramping", "cut", "stopped",
 )  # fmt: skip
-"""Disabled, ramping, cut and stopped lead to null and stay there; the last three are latched."""
+"""States, mildest first. Disabled, ramping, cut and stopped lead to null and stay there.
+
+From position control on they are latched, except for an unloading that an operator requested, which ends disabled.
+"""
 
 DRIVING = frozenset({ENABLING, ACTIVE, HOLDING})
 """States in which commands reach the actuator."""
 
+TAKEN_OVER = frozenset({POSITION_CONTROL, UNLOADING})
+"""States in which the gate itself drives the actuator."""
+
 OK, WARN, ERROR = range(3)
 """Levels of :meth:`Gate.health`."""
 
-WARN_REACTION, _, RAMP_REACTION, CUT_REACTION = range(len(REACTIONS))
-CUT_NAME = REACTIONS[CUT_REACTION]
+WARN_REACTION, _, POSITION_REACTION, UNLOAD_REACTION, RAMP_REACTION, CUT_REACTION = range(len(REACTIONS))
+RAMP_NAME, CUT_NAME = REACTIONS[RAMP_REACTION], REACTIONS[CUT_REACTION]
+
+TRIPPED = {POSITION_REACTION: POSITION_CONTROL, UNLOAD_REACTION: UNLOADING, RAMP_REACTION: RAMPING, CUT_REACTION: CUT}
+"""State of a trip, by its reaction."""
 
 STOP = "emergency_stop"
 LEFT = "left_active"
-"""Causes without a detector: a requested emergency stop; the end of the loop while commands reached the actuator."""
+READING_LOST = "reading_lost"
+"""Causes without a detector: a requested emergency stop; the end of the loop while the actuator was driven; the lack of a
+plausible reading of the quantity that the gate itself controls."""
 
 STOP_TIME = 1.0
 """Shortest duration of an emergency stop [s]."""
@@ -89,8 +102,8 @@ def steps_to_drive(state: str, stop: str) -> tuple[str, ...]:
     """
     if state in DRIVING:
         return ()
-    acknowledge = (f"acknowledge {stop}",) if stop else ()
-    return (*acknowledge, *(() if state == DISABLED else ("reset",)), "enable")
+    first = (f"acknowledge {stop}",) if stop else ("unload",) if state == POSITION_CONTROL else ()
+    return (*first, *(() if state == DISABLED else ("reset",)), "enable")
 
 
 class Cause(NamedTuple):
@@ -116,7 +129,7 @@ class Cause(NamedTuple):
 
     def __str__(self) -> str:
         """Return the cause in one line."""
-        if self.detector in {STOP, LEFT}:
+        if self.detector in {STOP, LEFT, READING_LOST}:
             return self.detector.replace("_", " ")
         about = f" of {self.subject}" if self.subject else ""
         if math.isnan(self.limit):
@@ -188,6 +201,7 @@ class Gate:
         )
         self.detectors = {detector.name: detector for detector in self._all}
         self._readings = Readings(rig, measured, chosen, sensors)
+        self._law = TakeOver(rig, self._period)
         self._put_in_force(chosen)
         self.state, self.output = DISABLED, 0.0
         self.causes: list[Cause] = []
@@ -234,9 +248,10 @@ class Gate:
         with self._lock:
             self._begun = False
             self.output = 0.0
-            if self.driving:
+            driven = self.driving or self.state in TAKEN_OVER
+            if driven and not self.causes:
                 self.causes.append(Cause(LEFT, CUT_NAME, self._time))
-            if self.driving or self.state == RAMPING:
+            if driven or self.state == RAMPING:
                 self.state = CUT
             self._commands.begin()
 
@@ -252,6 +267,7 @@ class Gate:
         self._blend = 0.0
         self._start = 0.0
         self._slope = math.inf
+        self._taken_for = 0.0
         for detector in self._all:
             detector.look(False, 0.0, detector.limit)
 
@@ -327,7 +343,8 @@ class Gate:
             self._device_null.look(bool(at_null), math.nan, math.nan)
             # A force error is meaningless while the loop does not control the force.
             expected = _number(reference) if self.state in {ACTIVE, HOLDING} else math.nan
-            self._readings.look(_readings(measured), periods if elapsed is None else elapsed, self.output, expected)
+            lasted = periods if elapsed is None else elapsed
+            self._readings.look(_readings(measured), lasted, self.output, expected, driving=self.driving)
 
     def take(self, cycle: int, spool: float, sender: str = "") -> bool:
         """Accept or refuse a command.
@@ -367,11 +384,13 @@ class Gate:
         moment = _number(time)
         with self._lock:
             elapsed = self._elapsed(moment)
-            self._gap.look(self.driving and elapsed > self._gap.limit + ROUNDING, elapsed, self._gap.limit)
+            driven = self.driving or self.state in TAKEN_OVER
+            self._gap.look(driven and elapsed > self._gap.limit + ROUNDING, elapsed, self._gap.limit)
             self._age(elapsed)
             worst = self._worst()
             self._react(worst, elapsed)
             self._move(elapsed)
+            self._law.follow(self.output, elapsed)
             return self.output
 
     def _elapsed(self, time: float) -> float:
@@ -394,8 +413,8 @@ class Gate:
         self._snapshot_age = self._lag if self._sensed else self._snapshot_age + elapsed
         self._sensed = False
         age = self._age_of_command()
-        # No command is due before the gate is enabled.
-        missed = self.state != DISABLED and age >= p.command_timeout - ROUNDING
+        # No command is due before the gate is enabled, nor while it drives the actuator itself.
+        missed = self.state not in {DISABLED, *TAKEN_OVER} and age >= p.command_timeout - ROUNDING
         self._command_stale.look(missed, age, p.command_timeout)
         self._sensor_stale.look(self._snapshot_age >= p.sensor_timeout - ROUNDING, self._snapshot_age, p.sensor_timeout)
 
@@ -414,13 +433,15 @@ class Gate:
 
     def _react(self, worst: Detector | None, elapsed: float) -> None:
         self._commands.clear_message_faults()
-        if worst is not None and self.state in {RAMPING, CUT, STOPPED}:
+        # To a gate that drives the actuator itself, there is no command to hold.
+        severe = worst is not None and worst.reaction > HOLD_REACTION
+        if worst is not None and (self.state in {RAMPING, CUT, STOPPED} or (severe and self.state in TAKEN_OVER)):
             self._trip(worst, worst.reaction)
         elif self.driving:
             if worst is None:
                 self.state = ACTIVE if self._blend >= 1.0 else ENABLING
                 self._held = max(0.0, self._held - RECOVERY * elapsed)
-            elif worst.reaction >= RAMP_REACTION:
+            elif worst.reaction > HOLD_REACTION:
                 self._trip(worst, worst.reaction)
             else:
                 self.state = HOLDING
@@ -429,7 +450,7 @@ class Gate:
                     self._trip(worst, RAMP_REACTION)
 
     def _trip(self, worst: Detector, reaction: int) -> None:
-        """Latch a fault together with all others present; a cut overrides a ramp."""
+        """Latch a fault together with all others present; a stronger reaction overrides a weaker one."""
         others = [d for d in self._all if d.raised and d.reaction >= HOLD_REACTION and d is not worst]
         for detector in (worst, *others):
             if all(cause.detector != detector.name for cause in self.causes):
@@ -437,12 +458,23 @@ class Gate:
                 self.causes.append(
                     Cause(detector.name, named, self._time, detector.value, detector.limit, detector.unit, detector.subject)
                 )
-        if self.state == STOPPED:
-            return
-        if reaction == CUT_REACTION:
-            self.state = CUT
-        elif self.state not in {RAMPING, CUT} and reaction == RAMP_REACTION:
+        state = TRIPPED.get(reaction, self.state)
+        if STATES.index(state) > STATES.index(self.state):
+            self._enter(state)
+
+    def _enter(self, state: str) -> None:
+        """Begin a reaction that is latched."""
+        if state in TAKEN_OVER:
+            self._law.start()
+            # As fast as a ramp from the largest opening: one from the present opening may be slower than the load's motion.
+            ramp_time, rate = self.parameters.ramp_time, self.parameters.command_rate
+            self._slope = min(self._limit / ramp_time, rate) if ramp_time > 0.0 else rate
+            self._taken_for = 0.0
+            self.state = state
+        elif state == RAMPING:
             self._ramp(RAMPING)
+        else:
+            self.state = state
 
     def _ramp(self, state: str) -> None:
         """Start the ramp to null."""
@@ -462,13 +494,40 @@ class Gate:
                 goal = self._start + self._blend * (goal - self._start)
                 if self._blend >= 1.0:
                     self.state, goal = ACTIVE, self._commands.value
-            reach = self.parameters.command_rate * max(passed, self._period)
-            if abs(goal - self.output) > reach:
-                goal = self.output + math.copysign(reach, goal - self.output)
-            self.output = min(max(goal, -self._limit), self._limit)
+            self._approach(goal, self.parameters.command_rate * max(passed, self._period))
+        elif self.state in TAKEN_OVER:
+            self._control(min(elapsed, MAX_PERIODS * self._period))
         elif self.state != HOLDING:
-            left = abs(self.output) - self._slope * elapsed
-            self.output = math.copysign(left, self.output) if left > 0.0 else 0.0
+            self._close(elapsed)
+
+    def _approach(self, goal: float, reach: float) -> None:
+        """Move the output towards a goal, by a largest step [m]."""
+        if abs(goal - self.output) > reach:
+            goal = self.output + math.copysign(reach, goal - self.output)
+        self.output = min(max(goal, -self._limit), self._limit)
+
+    def _close(self, elapsed: float) -> None:
+        """Ramp the output to null."""
+        left = abs(self.output) - self._slope * elapsed
+        self.output = math.copysign(left, self.output) if left > 0.0 else 0.0
+
+    def _control(self, elapsed: float) -> None:
+        """Hold the piston or unload it; without a plausible reading, or when it is unloaded, ramp to null."""
+        position = self._readings.position
+        if self.state == POSITION_CONTROL:
+            goal = self._law.hold(position)
+        else:
+            goal = self._law.unload(self._readings.pressure, position, elapsed)
+            self._taken_for += elapsed
+        late = self._taken_for > self.parameters.unload_time + ROUNDING
+        over = self.state == UNLOADING and (self._law.unloaded or late)
+        if math.isnan(goal):
+            self.causes.append(Cause(READING_LOST, RAMP_NAME, self._time))
+        if over or math.isnan(goal):
+            self._ramp(RAMPING if self.causes else DISABLED)
+            self._close(elapsed)
+        else:
+            self._approach(goal, self._slope * max(elapsed, self._period))
 
     def enable(self) -> str | None:
         """Let commands through from the next step, blended in over ``enable_time``.
@@ -487,12 +546,12 @@ class Gate:
             return None
 
     def _why_not(self) -> str | None:
-        if not self._begun:
-            return "the node is not active"
+        if not self._begun or self.state == UNLOADING:
+            return "unloading" if self._begun else "the node is not active"
         if self.state == STOPPED:
             return f"{self.stop} is engaged; acknowledge_stop first"
         if self.causes:
-            return f"tripped by {self.causes[0]}; reset_trips first"
+            return f"tripped by {self.causes[0]}; {'unload, then ' * (self.state == POSITION_CONTROL)}reset_trips first"
         fault = self._fault()
         if fault is not None:
             return f"{fault.name} persists"
@@ -505,11 +564,28 @@ class Gate:
         return next((d for d in self._all if d.raised and d.reaction >= HOLD_REACTION), None)
 
     def disable(self) -> None:
-        """Ramp the output to null and release the owner."""
+        """Ramp the output to null, whoever drives the actuator, and release the owner."""
         with self._lock:
             self._commands.owner = None
-            if self.driving:
-                self._ramp(DISABLED)
+            if self.driving or self.state in TAKEN_OVER:
+                self._ramp(RAMPING if self.causes else DISABLED)
+
+    def unload(self) -> str | None:
+        """Let the load pressure decay, then ramp the output to null; the owner is released.
+
+        Returns:
+            None, or the reason for refusal: the gate is closed, or neither load pressure nor force has a plausible reading.
+        """
+        with self._lock:
+            if self.state == UNLOADING:
+                return None
+            if not self.driving and self.state != POSITION_CONTROL:
+                return f"the gate is {self.state}: the valve is closed"
+            if math.isnan(self._readings.pressure):
+                return "neither load pressure nor force has a plausible reading"
+            self._commands.owner = None
+            self._enter(UNLOADING)
+            return None
 
     def emergency_stop(self) -> str:
         """Cut and latch until acknowledged.
@@ -556,7 +632,9 @@ class Gate:
                 return None
             if self.state == STOPPED:
                 return f"{self.stop} is engaged; acknowledge_stop first"
-            if self.output != 0.0:
+            if self.state == POSITION_CONTROL:
+                return "the piston is held in position control; unload first"
+            if self.state == UNLOADING or self.output != 0.0:
                 return "not at null yet"
             fault = self._fault()
             if fault is not None:
@@ -572,7 +650,9 @@ class Gate:
             if self.causes and self.causes[0].detector == LEFT:
                 level, message = OK, f"{self.state}; reset_trips, then enable to go on"
             elif self.causes:
-                first = f"acknowledge_stop {self.stop}, then " if self.stop else ""
+                first = (
+                    f"acknowledge_stop {self.stop}, then " if self.stop else "unload, then " * (self.state == POSITION_CONTROL)
+                )
                 level, message = ERROR, f"{self.state}, tripped by {self.causes[0]}; {first}reset_trips and enable to go on"
             elif lately:
                 level, message = WARN, f"{self.state}; {', '.join(d.name for d in lately)}"

@@ -10,7 +10,11 @@ from ehls_ros.hardware.safety_gate import STATES, STOP_TIME
 
 PAGE = Path(__file__).parents[2] / "docs" / "hardware.md"
 SAME, IMPOSSIBLE = "·", "–"
-SHARP = {"acceleration": 1e5, "hold_time": 0.01, "ramp_time": 0.2, "enable_time": 0.05}
+SHARP = {
+    "acceleration": 1e5, "hold_time": 0.01, "ramp_time": 0.2, "enable_time": 0.05, "unload_time": 0.03,
+    "on_clock": "position", "on_second_sender": "unload",
+}  # fmt: skip
+"""Parameters; faults that otherwise only warn take position control and unload here."""
 
 
 def table():
@@ -44,6 +48,16 @@ def holding(bench):
     bench.turn(math.nan)
 
 
+def position_control(bench):
+    active(bench)
+    backwards(bench)
+
+
+def unloading(bench):
+    active(bench)
+    from_a_stranger(bench)
+
+
 def ramping(bench):
     active(bench)
     bench.turns(2, velocity=1.9)
@@ -67,6 +81,8 @@ PREPARE = {
     "enabling": enabling,
     "active": active,
     "holding": holding,
+    "position control": position_control,
+    "unloading": unloading,
     "ramping": ramping,
     "cut": cut,
     "stopped": stopped,
@@ -104,6 +120,16 @@ def cycle_with(bench, elapsed=1e-3, **sample):
     bench.step(elapsed)
 
 
+def backwards(bench):
+    """Let the clock run backwards for a cycle."""
+    cycle_with(bench, elapsed=-1e-3)
+
+
+def out_of_order(bench):
+    bench.gate.take(bench.cycle + 5, 1e-3, "controller")
+    bench.turn()
+
+
 def silent(bench):
     bench.gate.set_service_silence(2.0)
     bench.turn()
@@ -112,17 +138,24 @@ def silent(bench):
 EVENTS = {
     "enable": lambda bench: bench.gate.enable(),
     "disable": lambda bench: bench.gate.disable(),
+    "unload": lambda bench: bench.gate.unload(),
     "emergency stop": lambda bench: bench.gate.emergency_stop(),
     "acknowledge, too early or by another name": acknowledge_wrongly,
     "acknowledge": acknowledge,
     "reset": reset,
     "the loop ends": lambda bench: bench.gate.leave(),
-    "fault that warns": from_a_stranger,
+    "fault that warns": out_of_order,
     "fault that holds": lambda bench: bench.turn(math.nan),
+    "fault that takes position control": backwards,
+    "fault that unloads": from_a_stranger,
     "fault that ramps": lambda bench: bench.turns(2, velocity=1.9),
     "fault that cuts": lambda bench: bench.turns(2, force=2e4),
     "hold_time is used up": lambda bench: bench.turns(11, math.nan),
     "enable_time is over": lambda bench: bench.turns(50),
+    "unloaded, or unload_time is used up": lambda bench: bench.turns(30),
+    "no plausible position": lambda bench: bench.turn(position=math.nan),
+    "no plausible load pressure": lambda bench: bench.turn(load_pressure=math.nan),
+    "no more commands": lambda bench: bench.turns(20, None),
     "sound cycle": lambda bench: bench.turn(),
     "gap": lambda bench: cycle_with(bench, elapsed=0.1),
     "device at null": lambda bench: cycle_with(bench, at_null=True),
