@@ -66,7 +66,7 @@ def test_a_table_shows_required_parameters_and_ranges(reference: ModuleType) -> 
 
 
 def test_services_are_those_of_the_plant_node(reference: ModuleType) -> None:
-    names = ("emergency_stop", "acknowledge_stop", "reset_trips", "enable", "switch_controller")
+    names = ("emergency_stop", "acknowledge_stop", "unload", "reset_trips", "enable", "switch_controller")
     assert {name for name, _, _ in reference.plant_services()} == {f"`/ehls/{name}`" for name in names}
 
 

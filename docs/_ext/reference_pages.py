@@ -171,6 +171,7 @@ TOPICS: Mapping[str, str] = {
 SERVICES: Mapping[str, str] = {
     "emergency_stop": "closes the valve at once and latches; returns the name of the stop",
     "acknowledge_stop": "acknowledges the named emergency stop, at the earliest one second after it; the trip remains",
+    "unload": "lets the load pressure decay, then closes the valve; the way out of position control, and an end of a test",
     "reset_trips": "clears the causes of a trip; refused while one persists or an emergency stop is engaged",
     "programme_stop": "stops the test programme: along its own path to rest, then to the force held",
     "programme_resume": "goes on with a stopped programme where it was",

@@ -332,6 +332,9 @@ class Graph(Protocol):
     def acknowledge_changes(self) -> Answer:
         """Acknowledge the changes of the rig detected by the monitor."""
 
+    def unload(self) -> Answer:
+        """Let the load pressure decay, then close the valve."""
+
     def reset_trips(self) -> Answer:
         """Reset the gate's latched trips."""
 

@@ -126,6 +126,7 @@ class Page:
                 if writes:
                     remedies = {
                         Remedy.ACKNOWLEDGE: graph.acknowledge_stop,
+                        Remedy.UNLOAD: graph.unload,
                         Remedy.RESET: graph.reset_and_enable,
                         Remedy.ENABLE: graph.enable,
                     }

@@ -15,6 +15,7 @@ from ehls_ros.dashboard.graph import GraphSnapshot, NodeHealth
 from ehls_ros.dashboard.panels import UNITS
 from ehls_ros.hardware.gate_parameters import REACTIONS
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
+from ehls_ros.hardware.safety_gate import DISABLED, POSITION_CONTROL, READING_LOST, UNLOADING
 from ehls_ros.recording.topics import OF_GATE, TRIPPED_BY
 from ehls_ros.schema import declarations
 
@@ -54,6 +55,7 @@ class Remedy(Enum):
     """Button that resolves the trouble; the value is its label."""
 
     ACKNOWLEDGE = "Acknowledge stop"
+    UNLOAD = "Unload"
     RESET = "Reset and enable"
     ENABLE = "Enable"
 
@@ -99,20 +101,22 @@ def _running(snapshot: GraphSnapshot) -> Status:
     speed = f"{snapshot.rate:.0f} cycles/s{_pace(snapshot)}"
     if gate is not None and gate.figures.get(TRIPPED_BY):
         tripped = "stopped" if gate.figures.get(STOP) else "tripped"
-        return Status(f"{tripped}, valve closed, {speed}", BAD, *_trip(gate, snapshot))
+        return Status(f"{tripped}, {_doing(gate)}, {speed}", BAD, *_trip(gate, snapshot))
     if snapshot.complaint:
         return Status(f"a node died, {speed}", BAD, snapshot.complaint)
     slow = next((f"{node.node}: {node.message}" for node in snapshot.health if TOO_SLOW in node.message), "")
     held = next((node for node in snapshot.health if node.level and STOPPED_BECAUSE in node.figures), None)
     worst = max((node for node in snapshot.health if node is not held), key=lambda node: node.level, default=None)
     wrong = f"{worst.node}: {worst.message}" if worst is not None and worst.level else ""
-    closed = gate is not None and gate.figures[STATE] == "disabled"
+    closed = gate is not None and gate.figures[STATE] == DISABLED
     steps = (*((Remedy.ENABLE.value,) if closed else ()), PROGRAMME_BUTTONS["resume"])
     stopped = f"The programme is stopped: {held.figures[STOPPED_BECAUSE]}. {_to_go_on(steps)}" if held is not None else ""
     # The cause before its consequence.
     trouble = ". ".join(dict.fromkeys(filter(None, (slow, wrong, stopped))))
     if closed:
         return Status(f"valve closed, {speed}", WARNING, trouble or "The safety gate is closed.", Remedy.ENABLE)
+    if gate is not None and gate.figures[STATE] == UNLOADING:
+        return Status(f"{_doing(gate)}, {speed}", WARNING, trouble)
     level = min(max((node.level for node in snapshot.health), default=GOOD), BAD)
     return Status(f"{TOO_SLOW if slow else 'running'}, {speed}", level, trouble)
 
@@ -127,11 +131,30 @@ def _trip(gate: NodeHealth, snapshot: GraphSnapshot) -> tuple[str, Remedy]:
     """Return the description of a trip and its remedy."""
     explanation = explained(gate.figures[TRIPPED_BY])
     stopped = gate.figures.get(STOP)
-    remedies = (Remedy.ACKNOWLEDGE, Remedy.RESET) if stopped else (Remedy.RESET,)
+    held = gate.figures[STATE] == POSITION_CONTROL
+    remedies = (Remedy.ACKNOWLEDGE, Remedy.RESET) if stopped else (Remedy.UNLOAD, Remedy.RESET) if held else (Remedy.RESET,)
     resume = (PROGRAMME_BUTTONS["resume"],) if STOPPED_BECAUSE in programme_figures(snapshot.health) else ()
     again = " If it trips again: stop and start under Experiment." if snapshot.started_here and not stopped else ""
     steps = (*(remedy.value for remedy in remedies), *resume)
-    return f"{explanation} The valve is closed. {_to_go_on(steps)}{again}", remedies[0]
+    return f"{explanation} {valve_text(gate.figures[STATE])} {_to_go_on(steps)}{again}", remedies[0]
+
+
+def _doing(gate: NodeHealth) -> str:
+    """Return how the gate moves the valve after a trip or a request, in two words."""
+    return {POSITION_CONTROL: "piston held", UNLOADING: UNLOADING}.get(gate.figures[STATE], "valve closed")
+
+
+def valve_text(state: str) -> str:
+    """Return how the gate moves the valve after a trip, as a sentence.
+
+    Args:
+        state: of the gate.
+    """
+    taken = {
+        POSITION_CONTROL: "The gate holds the piston in its position.",
+        UNLOADING: "The gate unloads the rig, and then closes the valve.",
+    }
+    return taken.get(state, "The valve is closed.")
 
 
 def _to_go_on(buttons: Iterable[str]) -> str:
@@ -151,6 +174,7 @@ _SHARED = {"force_mismatch": "sensor_mismatch", "position_mismatch": "sensor_mis
 _UNDECLARED = MappingProxyType(
     {
         "emergency stop": "emergency stop requested",
+        READING_LOST.replace("_", " "): "no plausible reading to hold the piston or to unload by",
         "left active": "the plant node ended its loop while commands reached the valve",
         "gap": "the plant's loop paused",
         "services_silent": "the plant node could not receive an emergency stop",

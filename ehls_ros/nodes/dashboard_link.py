@@ -88,6 +88,7 @@ These three times are counted in passes of the reading thread, so that a stalled
 SERVICES = (
     (Trigger, "emergency_stop"),
     (AcknowledgeStop, "acknowledge_stop"),
+    (Trigger, "unload"),
     (Trigger, "reset_trips"),
     (SetBool, "enable"),
     (Trigger, "monitor_acknowledge"),
@@ -350,6 +351,10 @@ class Link:
     def acknowledge_changes(self) -> Answer:
         """Acknowledge the changes found by the monitor on behalf of an operator."""
         return self._request(Trigger, "monitor_acknowledge", Trigger.Request(), "monitor")
+
+    def unload(self) -> Answer:
+        """Let the load pressure decay, then close the valve."""
+        return self._gate(Trigger, "unload", Trigger.Request())
 
     def reset_trips(self) -> Answer:
         """Reset the gate's latched trips."""

@@ -7,7 +7,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.srv import AcknowledgeStop
 from ehls_ros.hardware.gate_parameters import Parameters
-from ehls_ros.hardware.safety_gate import STOP_TIME, Gate
+from ehls_ros.hardware.safety_gate import POSITION_CONTROL, STOP_TIME, Gate
 from ehls_ros.nodes.control import ControlNode
 from ehls_ros.nodes.parameters import follow
 
@@ -30,6 +30,7 @@ class GateServices:
         follow(node, Parameters, self._retune, gate.objection)
         node.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
         node.create_service(AcknowledgeStop, "acknowledge_stop", self._on_acknowledge)
+        node.create_service(Trigger, "unload", self._on_unload)
         node.create_service(Trigger, "reset_trips", self._on_reset)
         node.create_service(SetBool, "enable", self._on_enable)
 
@@ -47,8 +48,9 @@ class GateServices:
             return ""
         call, stop = f"ros2 service call {self._node.get_namespace().rstrip('/')}", self._gate.stop
         acknowledge = [f'{call}/acknowledge_stop ehls_msgs/srv/AcknowledgeStop "{{stop: {stop}}}"'] if stop else []
+        unload = [f"{call}/unload std_srvs/srv/Trigger"] if self._gate.state == POSITION_CONTROL else []
         reset = [f"{call}/reset_trips std_srvs/srv/Trigger", f'{call}/enable std_srvs/srv/SetBool "{{data: true}}"']
-        return f": {' && '.join([*acknowledge, *reset])}"
+        return f": {' && '.join([*acknowledge, *unload, *reset])}"
 
     def _retune(self, parameters: Parameters) -> None:
         for change in self._gate.retune(parameters):
@@ -61,6 +63,10 @@ class GateServices:
 
     def _on_acknowledge(self, request: AcknowledgeStop.Request, response: AcknowledgeStop.Response) -> AcknowledgeStop.Response:
         return self._answered(response, self._gate.acknowledge(request.stop), "acknowledged; reset_trips, then enable to go on")
+
+    def _on_unload(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        then = "reset_trips and enable" if self._gate.causes else "enable"
+        return self._answered(response, self._gate.unload(), f"unloading; after at most a few seconds {then} to go on")
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._answered(response, self._gate.reset(), "reset; enable to go on")

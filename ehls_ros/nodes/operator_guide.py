@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Mapping
 
-from ehls_ros.dashboard.status import explained
+from ehls_ros.dashboard.status import explained, valve_text
 from ehls_ros.hardware.safety_gate import DRIVING, LEFT, steps_to_drive
 from ehls_ros.recording.topics import TRIPPED_BY
 
@@ -63,7 +63,7 @@ class OperatorGuide:
         if self.tripped and is_new and not self.ends_run:
             self._said = cause, stop
             self._say(
-                f"{explained(cause)} The valve is closed; the graph and the recording go on. To go on, in another terminal:"
+                f"{explained(cause)} {valve_text(state)} The graph and the recording go on. To go on, in another terminal:"
             )
             for step in steps:
                 self._say(f"  {self.prefix()}ehls {step}")

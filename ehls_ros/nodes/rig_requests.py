@@ -81,6 +81,10 @@ class RigRequests(Requests):
             raise WorkFailed("no emergency stop is engaged")
         return self._gate("acknowledge_stop", AcknowledgeStop, AcknowledgeStop.Request(stop=stop), retry=True)
 
+    def unload(self) -> str:
+        """Let the load pressure decay, then close the valve; return the answer."""
+        return self._gate("unload", Trigger, Trigger.Request())
+
     def reset(self) -> str:
         """Clear the trip; return the answer."""
         return self._gate("reset_trips", Trigger, Trigger.Request(), retry=True)

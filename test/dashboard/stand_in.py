@@ -79,6 +79,9 @@ class StandIn:
     def acknowledge_changes(self) -> Answer:
         return self._request("acknowledge changes")
 
+    def unload(self) -> Answer:
+        return self._request("unload")
+
     def reset_trips(self) -> Answer:
         return self._request("reset trips")
 

@@ -31,6 +31,38 @@ def test_a_trip_says_what_happened_why_and_what_to_press_and_nothing_else_is_sai
     )
 
 
+LOST = "specimen: 0.2, limit 0.5 at 3 s, position"
+
+
+@pytest.mark.parametrize(
+    ("state", "text", "trouble", "remedy"),
+    [
+        (
+            "position control",
+            "tripped, piston held",
+            "The gate holds the piston in its position. To go on: Unload, then Reset and enable.",
+            Remedy.UNLOAD,
+        ),
+        (
+            "unloading",
+            "tripped, unloading",
+            "The gate unloads the rig, and then closes the valve. To go on: Reset and enable.",
+            Remedy.RESET,
+        ),
+    ],
+)
+def test_a_take_over_is_not_called_a_closed_valve(state, text, trouble, remedy):
+    status = said(plant(2, f"{state}, tripped", state=state, cause_1=LOST))
+    assert (status.text, status.remedy) == (f"{text}, 1000 cycles/s", remedy)
+    assert status.trouble.endswith(trouble)
+    assert status.trouble.startswith("Tripped: failed specimen or load cell: 0.2, allowed 0.5, at 3.000 s.")
+
+
+def test_an_unloading_on_request_is_neither_running_nor_a_trip():
+    status = said(plant(0, "unloading", state="unloading"))
+    assert (status.text, status.level, status.trouble, status.remedy) == ("unloading, 1000 cycles/s", WARNING, "", None)
+
+
 def test_an_emergency_stop_is_acknowledged_first():
     status = said(plant(2, "stopped", state="stopped", stop="stop-1", cause_1="emergency stop at 1 s, cut"))
     assert status.text.startswith("stopped")

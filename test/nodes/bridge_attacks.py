@@ -93,6 +93,7 @@ KINDS = {
     "enable": Kind(3),
     "reset": Kind(2),
     "disable": Kind(2),
+    "unload": Kind(1),
     "emergency_stop": Kind(1),
     "acknowledge": Kind(1),
     "acknowledge_wrongly": Kind(1, lambda random: (random.choice(["", "stop", "stop-0", "stop-999", "emergency_stop"]),)),
@@ -185,6 +186,9 @@ class BridgeAttacks:
 
     def disable(self) -> None:
         assert self.rig.ask(SetBool, "enable", data=False).success
+
+    def unload(self) -> None:
+        self.rig.ask(Trigger, "unload")
 
     def emergency_stop(self) -> None:
         self.rig.emergency_stop()

@@ -56,6 +56,7 @@ def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(runn
     tuned_after = a_new_k_acts_within_two_cycles_and_wrong_ones_are_refused(running, participant, diagnostics)
     the_estimator_may_go_and_come_back(running, participant, diagnostics, graph, spec_file(duration=1000.0))
     an_estimate_at_its_bound_is_said(running, participant, diagnostics)
+    the_rig_is_unloaded_on_request(participant, diagnostics)
     assert participant.call(Trigger, "emergency_stop", Trigger.Request()).success
     # SIGINT to all, then their exit codes.
     for name in (*NODES, "plant_sim_node"):
@@ -109,6 +110,19 @@ def an_estimate_at_its_bound_is_said(running, participant, diagnostics):
     participant.until(lambda: any(status.message.startswith(words) for array in diagnostics for status in array.status))
     assert participant.set_parameter("fasmc_node", "delta_maximum", 5e4).successful
     participant.until(lambda: not running[-1].at_bound)
+
+
+def the_rig_is_unloaded_on_request(participant, diagnostics):
+    def states():
+        pairs = (pair for array in diagnostics for status in array.status for pair in status.values)
+        return [pair.value for pair in pairs if pair.key == "state"]
+
+    assert "disabled" not in states()[-1:]
+    assert participant.call(Trigger, "unload", Trigger.Request()).success
+    participant.until(lambda: "disabled" in states()[-5:])
+    assert "unloading" in states()
+    refused = participant.call(Trigger, "unload", Trigger.Request())
+    assert (refused.success, refused.message) == (False, "the gate is disabled: the valve is closed")
 
 
 def it_is_all_in_the_bag(bag, tuned_after):

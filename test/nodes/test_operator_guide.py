@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
-from ehls_ros.hardware.safety_gate import ACTIVE, CUT, DISABLED, STOPPED, steps_to_drive
+from ehls_ros.hardware.safety_gate import ACTIVE, CUT, DISABLED, POSITION_CONTROL, STOPPED, UNLOADING, steps_to_drive
 from ehls_ros.nodes.operator_guide import OperatorGuide
 
 STOP = {"state": "stopped", "stop": "stop-1", "cause_1": "emergency stop at 2.500000 s, cut"}
@@ -16,6 +16,8 @@ TRIP = {"state": "cut", "stop": "", "cause_1": "force: 17000 N, limit 16380 N at
     [
         (STOPPED, "stop-2", ("acknowledge stop-2", "reset", "enable")),
         (CUT, "", ("reset", "enable")),
+        (POSITION_CONTROL, "", ("unload", "reset", "enable")),
+        (UNLOADING, "", ("reset", "enable")),
         (DISABLED, "", ("enable",)),
         (ACTIVE, "", ()),
     ],
@@ -46,6 +48,14 @@ def test_each_stop_is_told_once_with_the_commands_and_the_domain(monkeypatch):
     assert lines == ["The rig is enabled again; ROS_DOMAIN_ID=37 ehls programme resume continues the programme."]
     assert guide.has_tripped
     assert not guide.tripped
+
+
+def test_a_held_piston_is_told_with_unload_first():
+    lines = []
+    guide = OperatorGuide(lines.append)
+    guide.follow({"state": "position control", "stop": "", "cause_1": "specimen: 0.2, limit 0.5 at 3.000000 s, position"})
+    assert "The gate holds the piston in its position." in lines[0]
+    assert [line.split("ehls ")[-1] for line in lines[1:-1]] == ["rig unload", "rig reset", "rig enable"]
 
 
 def test_the_end_of_a_run_is_no_trip():

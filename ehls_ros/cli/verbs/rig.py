@@ -16,6 +16,7 @@ HELP = "Stop a running rig at once, bring it back into operation, or show its st
 USES = {
     "stop": "close the valve at once: emergency stop",
     "acknowledge": "release an emergency stop, by its name or the engaged one; it lasts at least a second",
+    "unload": "let the load pressure decay, then close the valve: after the gate has held the piston, or to end a test",
     "reset": "clear a trip once its cause is gone; the valve stays closed",
     "enable": "let the controller's commands reach the valve again",
     "status": "state of the safety gate, causes of a trip, age of the last sample, next step",
@@ -52,7 +53,7 @@ def _answer(rig: "RigRequests", action: str, stop: str) -> tuple[Any, str]:
         stop = answer.partition(";")[0]
         after = [f"acknowledge {stop}", "reset", "enable"]
     else:
-        after = {"acknowledge": ["reset", "enable"], "reset": ["enable"]}.get(action, [])
+        after = {"acknowledge": ["reset", "enable"], "unload": ["reset", "enable"], "reset": ["enable"]}.get(action, [])
     commands = [command_line(f"rig {step}", rig.namespace) for step in after]
     then = f"; next: {', then '.join(commands)}" if commands else ""
     done = f"emergency stop {stop}: the valve is closed" if action == "stop" else answer.partition(";")[0]
