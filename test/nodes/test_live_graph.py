@@ -12,7 +12,7 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 
 from diagnostic_msgs.msg import DiagnosticArray
 from patience import PATIENCE
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from ehls_msgs.msg import ControllerStatus
 from ehls_ros.recording.events import read_events
@@ -117,10 +117,13 @@ def the_rig_is_unloaded_on_request(participant, diagnostics):
         pairs = (pair for array in diagnostics for status in array.status for pair in status.values)
         return [pair.value for pair in pairs if pair.key == "state"]
 
-    assert "disabled" not in states()[-1:]
+    # The gate is cut since the plant was deactivated.
+    assert participant.call(Trigger, "reset_trips", Trigger.Request()).success
+    assert participant.call(SetBool, "enable", SetBool.Request(data=True)).success
+    participant.until(lambda: "active" in states()[-1:])
     assert participant.call(Trigger, "unload", Trigger.Request()).success
-    participant.until(lambda: "disabled" in states()[-5:])
-    assert "unloading" in states()
+    participant.until(lambda: "unloading" in states())
+    participant.until(lambda: "disabled" in states()[-1:])
     refused = participant.call(Trigger, "unload", Trigger.Request())
     assert (refused.success, refused.message) == (False, "the gate is disabled: the valve is closed")
 

@@ -20,6 +20,7 @@ from ehls_ros.hardware.safety_gate import (
     RAMPING,
     STOP_TIME,
     STOPPED,
+    TAKEN_OVER,
 )
 from policies.policy import Policy
 from policies.temporal import NOTHING, Condition, During, Flags, Margins, Quantity, always, constant, each
@@ -79,11 +80,16 @@ def limit(name: str, unit: str, of: Callable[[Trace], float]) -> Quantity:
 
 
 def reaction_time(name: str) -> Quantity:
-    """Return the longest time of the reactions that a fault may have [s]: none, the ramp, or hold and ramp."""
+    """Return the longest time until a fault's reaction closes the valve [s]: none, the ramp, hold or unloading before it.
+
+    Position control does not close it.
+    """
 
     def of(trace: Trace) -> Array:
-        ramps, holds = trace.was(name, "ramp") | trace.was(name, "hold"), trace.was(name, "hold")
-        return ramps * trace.parameter("ramp_time") + holds * trace.parameter("hold_time")
+        holds, unloads = trace.was(name, "hold"), trace.was(name, "unload")
+        ramps = trace.was(name, "ramp") | holds | unloads
+        closing = holds * trace.parameter("hold_time") + unloads * trace.parameter("unload_time")
+        return np.where(trace.was(name, "position"), np.inf, closing + ramps * trace.parameter("ramp_time"))
 
     return Quantity(f"{name}'s reaction", "s", of)
 
@@ -197,6 +203,26 @@ def _untold(trace: Trace) -> list[float]:
     return [message[0] for message in trace.driving if not message[1]]
 
 
+def _closed_by_gate(trace: Trace) -> list[float]:
+    """Return the times at which the plant announced that commands do not reach the valve, and did not drive it itself."""
+    taken = np.array(_reported(trace, *TAKEN_OVER))
+    return [when for when in _untold(trace) if not np.any((taken >= when - WITHIN) & (taken <= when + WITHIN))]
+
+
+def _taken_over(trace: Trace) -> Flags:
+    """Return the rows in which the gate may drive the valve itself, according to its reports."""
+    reports = sorted((r.time, r.values["state"]) for r in trace.reports if r.node == trace.setup.plant and "state" in r.values)
+    times = [when for when, _ in reports]
+    taken = np.array([False, *(state in TAKEN_OVER for _, state in reports)])
+    # A report of the beginning may come later.
+    before, after = (taken[np.searchsorted(times, trace.moments + ahead)] for ahead in (0.0, WITHIN))
+    rows: Flags = before | after
+    return rows
+
+
+AS_COMMANDED = Condition("the gate does not take over", lambda trace: ~_taken_over(trace))
+
+
 def _shut(trace: Trace) -> list[float]:
     """Return the times at which the target had closed the valve for some cycles while its measurements reported it."""
     if not trace.command.size:
@@ -221,8 +247,8 @@ HUNG = _closing("services hang", lambda trace: _ends(trace, "deaf"))
 REPORTED_CUT = _closing("diagnostics say cut or stopped", lambda trace: _reported(trace, CUT, STOPPED))
 REPORTED_RAMP = _closing("diagnostics say ramping or disabled", lambda trace: _reported(trace, RAMPING, DISABLED))
 NOT_DRIVING = During(
-    "driving is false, until enable or driving is true",
-    lambda trace: _cut_short(trace.until_opened(_untold(trace)), [m[0] for m in trace.driving if m[1]]),
+    "driving is false and the gate does not take over, until enable or driving is true",
+    lambda trace: _cut_short(trace.until_opened(_closed_by_gate(trace)), [m[0] for m in trace.driving if m[1]]),
 )
 SHUT = _closing("the target has closed the valve itself", _shut)
 
@@ -677,7 +703,7 @@ POLICIES = (
     Policy(
         "opens_gradually",
         always(
-            Condition("blended in", lambda trace: _opening_number(trace) >= 0),
+            Condition("blended in", lambda trace: _opening_number(trace) >= 0) & AS_COMMANDED,
             Quantity("commanded * time since opening / enable_time", "m", _ramp_of_opening) >= COMMAND,
         ),
         RIG,
@@ -693,7 +719,10 @@ POLICIES = (
     ),
     Policy(
         "fresh_command",
-        always(OPEN & IN_REALTIME & COMMANDS_HEARD, Quantity("time since a command was sent", "s", _command_age) <= STALE),
+        always(
+            OPEN & IN_REALTIME & COMMANDS_HEARD & AS_COMMANDED,
+            Quantity("time since a command was sent", "s", _command_age) <= STALE,
+        ),
         RIG,
         "a stale snapshot and a stale command cannot be set to `warn`",
         1e-2,
