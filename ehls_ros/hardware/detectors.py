@@ -22,6 +22,9 @@ MODEL_MARGIN = 1.25
 SPREAD = 8.0
 """Permitted scatter of a reading, in standard deviations of its noise."""
 
+ANSWER = 3
+"""Cycles after which a reading answers a change of the command, beside the valve's time constant."""
+
 OIL_RANGE = (200.0, 450.0)
 """Possible oil temperatures [K]."""
 
@@ -172,10 +175,12 @@ class Signal:
         still: time for which the reading has not changed [s].
         lowest: smallest command written in that time [m].
         highest: largest command written in that time [m].
+        unanswered: time since these span enough for the reading to answer, less that of :data:`ANSWER` cycles [s].
     """
 
     __slots__ = (
-        "gap", "good", "high", "highest", "index", "last", "low", "lowest", "moves", "name", "rate", "scatter", "still", "unit",
+        "gap", "good", "high", "highest", "index", "last", "low", "lowest", "moves", "name", "rate", "scatter", "still",
+        "unanswered", "unit",
     )  # fmt: skip
 
     def __init__(self, index: int, sensor: Sensor) -> None:
@@ -187,7 +192,7 @@ class Signal:
         self.scatter = 2.0 * SPREAD * sensor.noise_std + 2.0 * sensor.resolution
         self.moves = index not in {SUPPLY_PRESSURE, OIL_TEMPERATURE}
         self.good = self.last = math.nan
-        self.gap = self.still = self.lowest = self.highest = 0.0
+        self.gap = self.still = self.lowest = self.highest = self.unanswered = 0.0
 
 
 class Readings:
@@ -221,7 +226,7 @@ class Readings:
         self._last_position = self._last_velocity = math.nan
         for signal in self._signals:
             signal.good = signal.last = math.nan
-            signal.gap = signal.still = signal.lowest = signal.highest = 0.0
+            signal.gap = signal.still = signal.lowest = signal.highest = signal.unanswered = 0.0
         self._has_specimen = False
         self._specimen.forget()
 
@@ -290,7 +295,8 @@ class Readings:
         return signal.good
 
     def _is_frozen(self, signal: Signal) -> bool:
-        return signal.still >= self._p.frozen_time and signal.highest - signal.lowest >= self._p.frozen_command
+        # A reading that was still at a steady command has the time to answer its first change.
+        return signal.still >= self._p.frozen_time and signal.unanswered > self._lag
 
     def look(self, values: Sequence[float], elapsed: float, written: float, reference: float, *, driving: bool) -> None:
         """Check a new snapshot.
@@ -351,6 +357,8 @@ class Readings:
                 continue
             signal.still += elapsed
             signal.lowest, signal.highest = min(signal.lowest, written), max(signal.highest, written)
+            spans = signal.highest - signal.lowest >= p.frozen_command
+            signal.unanswered = signal.unanswered + elapsed if spans else -ANSWER * elapsed
             if self._is_frozen(signal):
                 frozen = frozen or Violation(signal.name, signal.highest - signal.lowest, p.frozen_command, "m")
         self._detectors.not_finite.report(not_finite)

@@ -210,6 +210,16 @@ def test_unchanged_readings_of_a_rig_at_rest_are_accepted():
     assert bench.counts() == {}
 
 
+def test_a_reading_without_noise_has_time_to_answer_a_step():
+    bench, value = Bench().run(0.0), 0.0
+    for command in (1e-3, 0.0, -1e-3, 0.0):
+        for cycle in range(100):
+            # The reading answers after two cycles, and is then as steady as the command.
+            value = command if cycle == 2 else value
+            bench.turn(command, spool_position=value)
+    assert "sensor_frozen" not in bench.counts()
+
+
 def test_a_coarse_reading_that_changes_now_and_then_is_not_frozen():
     bench = Bench().run(0.0)
     for k in range(5000):
