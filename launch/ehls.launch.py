@@ -19,7 +19,9 @@ from launch_ros.parameter_descriptions import ParameterValue
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit
-from ehls_ros.experiments.spec import COMMAND_DELAY, Use, chosen_spec, for_simulated_rig, with_programme
+from ehls_ros.experiments.real_rig import for_real_rig
+from ehls_ros.experiments.spec import COMMAND_DELAY, Use, chosen_spec, for_simulated_rig, spec_to_mapping, with_programme
+from ehls_ros.experiments.yaml_files import spec_text
 from ehls_ros.nodes import SUFFIX
 from ehls_ros.nodes.frames import frame_prefix, robot_description
 from ehls_ros.nodes.graph_nodes import (
@@ -38,6 +40,7 @@ from launch import LaunchDescription
 ARGUMENTS = {
     "plant": ("sim", "sim: the simulated rig; bridge: the real one", list(PLANTS)),
     "bridge": ("", "bridge file for plant:=bridge: DAQ backend, channels, calibration; empty: UDP to this host", None),
+    "adapt": ("true", "with plant:=bridge: adapt to wrong numbers of the rig file while it runs", ["true", "false"]),
     "controller": (
         "",
         "control law; it must follow what the spec's reference is, a force or a position; empty: the spec's",
@@ -122,11 +125,14 @@ def nodes(context: LaunchContext) -> list[Node]:
         MONITOR: {"baseline": chosen["baseline"]} if chosen["baseline"] else {},
         plant: {"partners": ",".join(name for name in names if name not in {*left_out, MONITOR})},
     }
+    used = spec if law == spec.controller.name else spec._replace(controller=Use(law, CONTROLLERS.load(law).Parameters()))
     if chosen["plant"] == "sim" and not chosen["params_file"]:
-        use = spec.controller if law == spec.controller.name else Use(law, CONTROLLERS.load(law).Parameters())
-        fitted = for_simulated_rig(spec._replace(controller=use)).controller
-        if fitted != use:
+        fitted = for_simulated_rig(used).controller
+        if fitted != used.controller:
             own[law + SUFFIX] = {COMMAND_DELAY: fitted.parameters.command_delay}
+    if chosen["plant"] == "bridge":
+        real = for_real_rig(used, adapt=chosen["adapt"] == "true")
+        own[law + SUFFIX] = {"spec": _temporary(spec_text(spec_to_mapping(real.spec))), "rig": ""}
     if chosen["programme"]:
         own[PROGRAMME] = {"programme": chosen["programme"]}
         own[RECORDER]["programme"] = chosen["programme"]
@@ -137,15 +143,20 @@ def nodes(context: LaunchContext) -> list[Node]:
     return [_process(name, given, law + SUFFIX, chosen) for name in processes]
 
 
+def _temporary(text: str) -> str:
+    """Return the path of a file with a text, which outlives this process."""
+    with tempfile.NamedTemporaryFile("w", prefix="ehls_", suffix=".yaml", delete=False) as file:
+        file.write(text)
+    return file.name
+
+
 def _process(name: str, own: dict[str, dict[str, object]], controller: str, chosen: dict[str, str]) -> Node:
     """Return the process of one node, or of several whose names PLUS joins; each has separate parameters."""
     is_shared = PLUS in name
     parameters: object = own.get(name)
     if is_shared:
         by_node = {f"/**/{node}": {"ros__parameters": own[node]} for node in name.split(PLUS) if own[node]}
-        with tempfile.NamedTemporaryFile("w", prefix="ehls_", suffix=".yaml", delete=False) as file:
-            yaml.safe_dump(by_node, file)
-        parameters = file.name
+        parameters = _temporary(yaml.safe_dump(by_node))
     # A controller of another package has no executable in this one; `ehls run` starts any.
     by_ehls = is_shared or name == controller
     return Node(

@@ -10,12 +10,10 @@ from typing import NamedTuple
 
 from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import reading_std
 from ehls_ros.control.programme.declaration import Limits as ProgrammeLimits
 from ehls_ros.control.programme.expansion import programme_of
 from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.adaptation_result import NAME as ADAPTATION
 from ehls_ros.experiments.files import config_folder
 from ehls_ros.experiments.spec import Spec, check_law, check_spec, reference_extremes, signal_kind
 from ehls_ros.hardware.backends import BACKENDS
@@ -25,15 +23,8 @@ from ehls_ros.hardware.gate_bounds import bounds_of, within
 from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.safety_gate import Gate
-from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.yaml_text import read_yaml
-
-FOUND_BY = {
-    "command_delay": "`ehls identify --whole-rig` finds it from a recording with valve_command_m and spool_m",
-    "coupling_stiffness": "`ehls diagnose` finds it from a recording with disturbance_displacement_m",
-}
-"""Way to find an effect that a law takes from the rig file."""
 
 UNITS = {"force": "N", "position": "m"}
 """Units of the quantities that a law may follow."""
@@ -102,7 +93,7 @@ def check_fit(spec: Spec, graph: Graph, where: str) -> tuple[str, ...]:
     ):
         for problem in check(spec, graph, law, where):
             raise problem
-    return (*_remarks(spec, graph), *_untold(spec, graph, law))
+    return tuple(_remarks(spec, graph))
 
 
 def laws_for(follows: str, measured: Sequence[str]) -> list[str]:
@@ -282,27 +273,3 @@ def _remarks(spec: Spec, graph: Graph) -> Iterator[str]:
     if spec.rig.effects:
         names = ", ".join(use.name for use in spec.rig.effects)
         yield f"the effects of the experiment ({names}) are those of the simulated rig and are not sent to the bridge"
-
-
-def _untold(spec: Spec, graph: Graph, law: str) -> Iterator[str]:
-    """Yield each number that a law takes from the rig file and that the file lacks, with the way to find it."""
-    if graph.bridge is None:
-        return
-    module, rig = CONTROLLERS.load(law), spec.controller_rig
-    knows = getattr(module, "KNOWS", ())
-    told = {use.name for use in rig.effects}
-    for effect in knows:
-        if effect not in told:
-            lacking = f"the controller's rig file has no effect {effect}, so {law} assumes none and may lose the force"
-            yield f"{lacking}: {FOUND_BY[effect]}"
-    exact = [signal for signal in module.NEEDS if reading_std(rig.sensors.get(signal, Sensor())) == 0.0]
-    if knows and exact:
-        yield (
-            f"the controller's rig file has no noise_std of {', '.join(exact)}, so {law} takes these readings to be exact:"
-            " the standard deviation at rest, or that of the data sheet"
-        )
-    if (knows or module.FRICTION) and ADAPTATION not in {use.name for use in spec.companions}:
-        yield (
-            "adaptation is off: with `companions: [adaptation]`, wrong numbers of the rig file are found while it runs, and"
-            " corrected within bounds"
-        )

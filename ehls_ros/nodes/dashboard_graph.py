@@ -17,6 +17,7 @@ from ehls_ros.dashboard.tuning_job import Applicable, TuningJob
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.graph_check import Graph as Checked
 from ehls_ros.experiments.graph_check import bridge_at, check_fit
+from ehls_ros.experiments.real_rig import for_real_rig
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, chosen_spec, for_simulated_rig, with_programme
 from ehls_ros.nodes import SUFFIX
@@ -134,10 +135,10 @@ class DashboardGraph(Link):
         with self._changing:
             if self.started_here() or self.rate():
                 return Answer(done=False, message="a graph is already running: stop it first")
-            spec = for_simulated_rig(spec) if self.simulated else spec
+            spec, assumed = (for_simulated_rig(spec), ()) if self.simulated else for_real_rig(spec)
             try:
                 bridge = None if self.simulated else bridge_at(self._plant.bridge)
-                remarks = check_fit(spec, Checked(bridge=bridge, lockstep=timing is not Timing.REALTIME), name)
+                remarks = assumed + check_fit(spec, Checked(bridge=bridge, lockstep=timing is not Timing.REALTIME), name)
                 folder = _folder(spec, name)
                 folder.logs.mkdir()
             except (BadInput, OSError) as error:
@@ -227,7 +228,8 @@ class DashboardGraph(Link):
                 spec, name, law = self._experiment_of_graph()
             else:
                 # As it would be started here.
-                spec, law = for_simulated_rig(spec) if self.simulated else spec, spec.controller.name
+                spec = for_simulated_rig(spec) if self.simulated else for_real_rig(spec).spec
+                law = spec.controller.name
         except BadInput as error:
             return Answer(done=False, message=shortened(str(error)))
         return self._tuning.begin(spec, name, law)

@@ -9,8 +9,6 @@ from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit, laws_f
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
-from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.rig import effects_from_list
 
 CONFIG = config_folder()
 UDP = yaml.safe_load((CONFIG / "bridge_udp.yaml").read_text(encoding="utf-8"))
@@ -183,21 +181,6 @@ def test_parts_left_to_the_rig_are_remarks():
     assert "the disturbance of the experiment (force, sine) is not sent" in remarks[0]
     assert "command_delay" in remarks[1]
     assert check_fit(spec(disturbance=disturbance), Graph(), "spec") == ()
-
-
-def test_a_law_says_which_of_its_numbers_the_rig_file_lacks():
-    graph = Graph(bridge=bridge())
-    untold = check_fit(spec("fasmc_predictive"), graph, "spec")
-    wanted = ("command_delay", "coupling_stiffness", "adaptation")
-    assert [next(word for word in wanted if word in said) for said in untold] == list(wanted)
-    effects = [{"name": "command_delay", "delay": 1e-3}, {"name": "coupling_stiffness", "stiffness": 2e6}]
-    told = spec("fasmc_predictive", companions=["adaptation"])
-    rig = told.controller_rig._replace(effects=effects_from_list(effects, "effects"))
-    assert check_fit(told._replace(controller_rig=rig), graph, "spec") == ()
-    silent = rig._replace(sensors={**rig.sensors, "force": Sensor()})
-    (said,) = check_fit(told._replace(controller_rig=silent), graph, "spec")
-    assert "no noise_std of force, so" in said
-    assert check_fit(spec("pid", {"name": "sine", "amplitude": 0.1, "frequency": 0.1}), graph, "spec") == ()
 
 
 def test_the_backends_that_wait_declare_it():

@@ -23,6 +23,7 @@ from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
 from ehls_ros.experiments.metrics import CONVERGENCE_BAND, Metrics, evaluate, stops_of
 from ehls_ros.experiments.programme_records import STATE, read_state
+from ehls_ros.experiments.real_rig import for_real_rig
 from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
 from ehls_ros.experiments.spec import Spec, company_of, for_simulated_rig, ignored_pacing, load_spec, undeclared_effects
@@ -63,6 +64,8 @@ def add_graph_options(parser: _ActionsContainer) -> None:
         help="run the nodes of a control cycle in one process, where a cycle is one call; by default each is a process",
     )
     add_plant(parser)
+    about = "with --plant bridge: do not adapt to wrong numbers of the rig file while it runs"
+    parser.add_argument("--no-adaptation", dest="adaptation", action="store_false", help=about)
     parser.add_argument(
         "--end-on-trip",
         action="store_true",
@@ -113,6 +116,8 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
         law = spec.controller.name
         remarks = (f"{law} assumes no command delay instead of its default, as the simulated rig has no effect command_delay",)
         spec = simulated
+    if options.plant == "bridge":
+        spec, remarks = for_real_rig(spec, adapt=options.adaptation)
     if not options.in_process:
         bridge = bridge_at(options.bridge) if options.plant == "bridge" else None
         remarks += check_fit(spec, Graph(bridge=bridge, lockstep=options.timing == "lockstep"), where)
