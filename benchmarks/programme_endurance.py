@@ -13,8 +13,8 @@ import platform
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -35,6 +35,9 @@ SAMPLES = 10
 PERIOD = 1e-3
 PATIENCE = 300.0
 """Timeout for a new load cycle [s]; it ends a hung run."""
+
+LONGEST_PAUSE = 30.0
+"""Longest pause of the rig in which a request is repeated [s]."""
 
 LOOK = 0.05
 """Interval between checks of the log [s]."""
@@ -125,16 +128,14 @@ def endure(folder: Path, cycles: int) -> Outcome:
         runner.start()
         began = time.monotonic()
         runner.until(cycles // 10)
-        with runner.standing():
-            ask("programme_stop")
+        runner.ask_standing(ask, "programme_stop")
         runner.until_quiet()
         ask("programme_resume")
         runner.until(cycles * 4 // 10)
         runner.kill()
         runner.start()
         runner.until(cycles // 2)
-        with runner.standing():
-            ask("programme_stop")
+        runner.ask_standing(ask, "programme_stop")
         runner.until_quiet()
         runner.kill()
         runner.start()
@@ -189,15 +190,25 @@ class _Runner:
         self._running.process.kill()
         self._running.process.wait()
 
-    @contextmanager
-    def standing(self) -> Iterator[None]:
-        """Pause the rig: a node may be discovered only seconds after its start, when the programme could be over."""
-        plant = self._graph[-1].process
-        plant.send_signal(signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            plant.send_signal(signal.SIGCONT)
+    def ask_standing(self, ask: "_Asker", service: str) -> None:
+        """Ask while the rig pauses: a node may be discovered only seconds after its start, when the programme could be over.
+
+        The pause may hit the rig within shared memory that others then wait for; so the rig goes on and pauses again.
+        """
+        plant, asked = self._graph[-1].process, list[Any]()
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            plant.send_signal(signal.SIGSTOP)
+            try:
+                ask(service, asked, LONGEST_PAUSE)
+            except TimeoutError:
+                if time.monotonic() > deadline:
+                    raise
+            else:
+                return
+            finally:
+                plant.send_signal(signal.SIGCONT)
+            time.sleep(LOOK)
 
     def until(self, count: int) -> None:
         """Wait for a number of load cycles in the log."""
@@ -254,10 +265,11 @@ class _Asker:
         self._clients = {name: self._node.create_client(Trigger, name) for name in ("programme_stop", "programme_resume")}
         return self
 
-    def __call__(self, service: str) -> None:
-        client = self._clients[service]
-        deadline = time.monotonic() + PATIENCE
-        said, asked = "it does not answer", list[Any]()
+    def __call__(self, service: str, asked: list[Any] | None = None, patience: float = PATIENCE) -> None:
+        """Ask; ``asked`` holds the requests so far, answered or not."""
+        client, asked = self._clients[service], [] if asked is None else asked
+        deadline = time.monotonic() + patience
+        said = "it does not answer"
         while time.monotonic() < deadline:
             # A killed node still seems to be present for a while, and swallows requests.
             if client.wait_for_service(1.0):

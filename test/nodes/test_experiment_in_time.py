@@ -72,7 +72,9 @@ def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
-    assert complaint.splitlines() == [f"the recording so far is kept in {out / 'bag'}", "ehls experiment: interrupted"]
+    # Before them there may be lines of progress.
+    said = [f"the recording so far is kept in {out / 'bag'}", "ehls experiment: interrupted"]
+    assert complaint.splitlines()[-2:] == said
     recorded = read_bag(out / "bag")
     assert len(recorded) > 100
     assert not np.isnan(recorded["force_n"]).any()
