@@ -17,6 +17,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit
 from ehls_ros.experiments.real_rig import for_real_rig
@@ -125,7 +126,9 @@ def nodes(context: LaunchContext) -> list[Node]:
         MONITOR: {"baseline": chosen["baseline"]} if chosen["baseline"] else {},
         plant: {"partners": ",".join(name for name in names if name not in {*left_out, MONITOR})},
     }
-    used = spec if law == spec.controller.name else spec._replace(controller=Use(law, CONTROLLERS.load(law).Parameters()))
+    used = spec
+    if law != spec.controller.name:
+        used = spec._replace(controller=Use(law, tuned_for(CONTROLLERS.load(law).Parameters, spec.controller_rig)))
     if chosen["plant"] == "sim" and not chosen["params_file"]:
         fitted = for_simulated_rig(used).controller
         if fitted != used.controller:
