@@ -162,6 +162,12 @@ def test_the_first_run_begins_small_and_the_force_follows():
     assert reached == pytest.approx([0.05 * largest, 0.15 * largest, 0.4 * largest], rel=0.02)
 
 
+def test_a_first_run_without_a_wired_force_names_the_channels():
+    channels = {signal: channel for signal, channel in BRIDGE["channels"].items() if signal != "force"}
+    with pytest.raises(Contradiction, match=r"channels for the readings of fasmc_predictive: .*force"):
+        first_run(session({**BRIDGE, "channels": channels}), connected(), silent)
+
+
 def test_no_larger_amplitude_follows_where_the_force_does_not():
     wired = bridge_from_mapping(BRIDGE, "bridge file").calibration
     without_pump = device(HELD, rig=RIG.with_plant(supply_pressure=2e5))

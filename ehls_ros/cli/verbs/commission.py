@@ -76,7 +76,8 @@ def run(options: Namespace) -> int:
             _print(done)
             write_commissioning_report(read_log(folder), str(options.rig), folder / REPORT)
     print_files([("rig", folder / RIG), ("log", folder / LOG), ("report", folder / REPORT)])
-    print(f"  next: ehls experiment {folder / EXPERIMENT}, or ehls tune {folder / RIG} for a task of your own")
+    tuned = f"ehls experiment {folder / EXPERIMENT}, or " if (folder / EXPERIMENT).exists() else ""
+    print(f"  next: {tuned}ehls tune {folder / RIG} for a task of your own")
     if options.json:
         print(json.dumps(read_log(folder)))
     return 0

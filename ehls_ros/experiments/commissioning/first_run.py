@@ -7,12 +7,14 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.controller import Controller, Outlook
+from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.references._signals import eased_in
 from ehls_ros.experiments.catalogue import largest_force
 from ehls_ros.experiments.commissioning.measuring import LOOK
 from ehls_ros.experiments.commissioning.session import Session, Stopped
-from ehls_ros.experiments.commissioning.step import Known, Outcome
+from ehls_ros.experiments.commissioning.step import Contradiction, Known, Outcome
+from ehls_ros.experiments.graph_check import laws_for
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import Spec, Use, company_of
 from ehls_ros.experiments.stepped_run import stepped_run
@@ -52,8 +54,12 @@ def first_run(session: Session, known: Known, progress: Update) -> Outcome:
     """Control the force, with a small amplitude first, while the actuator under test holds its position.
 
     Raises:
+        Contradiction: readings that the law needs are not wired.
         Stopped: the gate closed the valve, or the force does not follow.
     """
+    if LAW not in laws_for("force", session.wired):
+        needs = f"channels for the readings of {LAW}: {', '.join(CONTROLLERS.load(LAW).NEEDS)}"
+        raise Contradiction(f"only {', '.join(session.wired)} are wired", "bridge file", needs)
     sentences, recordings = list[str](), dict[str, Trajectory]()
     for number, part in enumerate(PARTS):
         progress(number, len(PARTS))
@@ -62,14 +68,13 @@ def first_run(session: Session, known: Known, progress: Update) -> Outcome:
         spec = _experiment(known, session.period, amplitude, float(np.mean(rest["force_n"])))
         loop = _Loop(spec)
         recording = recordings[f"first_run_{100.0 * part:g}"] = session.record(loop.command, spec.settings.duration)
-        error = _largest_error(recording, spec)
+        error = _largest_error(recording, loop.wanted)
         expected = stepped_run(spec._replace(companions=())).largest()
         said = f"amplitude {amplitude:.4g} N: largest error {error:.3g} N, simulated {expected:.3g} N"
         if error > OFF * amplitude:
             raise Stopped(f"{said}; no larger amplitude before the cause is found (tune with larger margins)", recording)
         sentences.append(said)
-        apparent = loop.apparent_errors()
-    return Outcome(known.rig, (), (*sentences, *apparent), recordings, known.numbers)
+    return Outcome(known.rig, (), (*sentences, *loop.apparent_errors()), recordings, known.numbers)
 
 
 def _experiment(known: Known, period: float, amplitude: float, offset: float) -> Spec:
@@ -98,23 +103,27 @@ def _wanted(spec: Spec) -> Array:
 
 
 class _Loop:
-    """The law with adaptation, as the session calls it."""
+    """The law with adaptation, as the session calls it.
+
+    Attributes:
+        wanted: the reference with its derivatives, shape (cycles, 3).
+    """
 
     def __init__(self, spec: Spec) -> None:
         model = model_of(spec.controller_rig, spec.settings.control_period)
         company = company_of(spec, model, spec.settings.title)
         self._law = Controller(spec.controller.name, spec.controller.parameters, model, company)
-        self._wanted, self._friction = _wanted(spec), np.zeros(2)
+        self.wanted, self._friction = _wanted(spec), np.zeros(2)
 
     def command(self, measured: Array, cycle: int) -> float:
         """Return the spool command [m]."""
-        return self._law.step(measured, self._wanted[cycle], self._friction, outlook=Outlook(cycle))
+        return self._law.step(measured, self.wanted[cycle], self._friction, outlook=Outlook(cycle))
 
     def apparent_errors(self) -> tuple[str, ...]:
         """Return the sentences of the adaptation on errors of the rig file."""
         return tuple(value for value in self._law.companions.report().values() if isinstance(value, str))
 
 
-def _largest_error(recording: Trajectory, spec: Spec) -> float:
-    error = np.abs(recording["force_n"] - _wanted(spec)[: len(recording), 0])
+def _largest_error(recording: Trajectory, wanted: Array) -> float:
+    error = np.abs(recording["force_n"] - wanted[: len(recording), 0])
     return float(np.nanmax(error[len(error) // 2 :]))
