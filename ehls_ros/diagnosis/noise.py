@@ -137,15 +137,12 @@ def scatter(
         # A command sent between two samples was not recorded; the error is at most one sample of lead.
         early = dict(record.signals) | {COMMAND: np.append(record.signals[COMMAND][1:], record.signals[COMMAND][-1])}
         led = Comparison(record._replace(signals=early), comparison.setup).residuals(rig, channels)
-    fit = comparison.setup.fit
-    wider = comparison.setup._replace(fit=fit + 2 * max(1, round(rules.WIDER_FIT * fit)))
-    smeared = Comparison(record, wider).residuals(rig, channels)
+    smeared = Comparison(record, comparison.setup.with_wider_fit()).residuals(rig, channels)
     out = {}
     for c in channels:
         variance = squares[c] / realisations
         typical = float(np.median(variance))
         local = scipy.ndimage.uniform_filter1d(variance, VARIANCE_WINDOWS, mode="nearest")
-        # The change of the residual by a wider local fit of the motion measures the uncertainty of the fit.
         unresolved = scipy.ndimage.uniform_filter1d((smeared[c] - raw[c]) ** 2, OVERLAP, mode="nearest")
         unresolved += scipy.ndimage.uniform_filter1d((led[c] - raw[c]) ** 2, VARIANCE_WINDOWS, mode="nearest")
         out[c] = np.sqrt(np.maximum(local, MIN_VARIANCE * typical) + unresolved)

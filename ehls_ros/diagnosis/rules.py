@@ -63,7 +63,7 @@ SPOOL_WINDOW = 0.008
 """Length of the windows over which spool and sensors are averaged [s]."""
 
 VELOCITY_FIT = 0.011
-"""Length of the local fit that velocities are taken from [s]."""
+"""Longest local fit that velocities are taken from [s]."""
 
 SPOOL_SETTLING = 0.08
 """Time left out of the spool's residual after a gap in the command, and of each residual at the end of a recording [s]."""

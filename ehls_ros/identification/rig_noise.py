@@ -8,6 +8,7 @@ normal equations is of second order in the noise, as their bias by the noise tha
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -91,6 +92,20 @@ def gain(now: RigFit, noisy: Sequence[Stack], doubtful: int = 0) -> Array:
     _, lost, information = _equations(now, noisy)
     lost[:doubtful] = lost[:, :doubtful] = 0.0
     return np.asarray(np.linalg.solve(information - lost, information), dtype=np.float64)
+
+
+def rounding(stack: Stack, now: RigFit) -> dict[str, float]:
+    """Return the standard errors of a fit's coordinates by the rounding of the motion in its local fit, by path.
+
+    It is the same in all recordings, so that no scatter shows it: it is the change of the coordinates by a wider local fit.
+    """
+    if not now.chosen:
+        return {}
+    wider = Stack([replace(e, setup=e.setup.with_wider_fit()) for e in stack.evidences])
+    weighted = now.jacobian * weights(now.e)[:, np.newaxis]
+    change = wider.joined(wider.residuals(now.rig))[now.rows] / now.scales - now.e
+    moved = np.linalg.solve(weighted.T @ now.jacobian + np.eye(len(now.chosen)), weighted.T @ change)
+    return dict(zip(now.paths, np.abs(moved).tolist(), strict=True))
 
 
 def with_added_noise(stack: Stack) -> tuple[Stack, ...]:

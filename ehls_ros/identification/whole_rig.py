@@ -6,6 +6,7 @@ The residuals are those of a diagnosis (:mod:`ehls_ros.diagnosis.stages`), in un
 import math
 import time as clock
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.coefficients import KEPT
 from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.record import FORCE, POSITION, PRESSURE, SPOOL, VELOCITY, Record, prepare
+from ehls_ros.diagnosis.record import COMMAND, FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, VELOCITY, Record, prepare
 from ehls_ros.diagnosis.stages import Channel, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -38,12 +39,13 @@ from ehls_ros.identification.rig_coefficients import (
 )
 from ehls_ros.identification.rig_fit import Stack, fit
 from ehls_ros.identification.rig_identifiability import estimated, unidentifiable
-from ehls_ros.identification.rig_noise import corrected, gain, with_added_noise
+from ehls_ros.identification.rig_noise import corrected, gain, rounding, with_added_noise
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
 from ehls_ros.identification.rig_stages import (
     BANDWIDTH,
     MIN_SIGMAS,
     OF_SENSORS,
+    SUPPLY_PRESSURE,
     Block,
     blocks,
     effective,
@@ -51,6 +53,7 @@ from ehls_ros.identification.rig_stages import (
     stage_by_stage,
     without_signals,
 )
+from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.trajectory import Trajectory
 
@@ -151,6 +154,7 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
     own = [free.pop(path) for path in SENSORS if path in free]
     sensors = _fitted(stack.only(OF_SENSORS), rig, rig, own, OF_SENSORS, least, {})
     model, spread = stage_by_stage(stack, sensors.rig, free, records)
+    spread = {**spread, SUPPLY_PRESSURE: _rounding_of_supply(records, rig)}
 
     progress("standard errors", 2, STEPS)
     # The noise floor depends on the model, and the first guess was far off.
@@ -159,7 +163,7 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
     model, missing = _restored(model, rig, list(lost)), {**missing, **lost}
     parts = list[_Fitted]()
     for block in blocks(stack, [path for path in free if path not in lost]):
-        of_block = stack.only(block.channels)
+        of_block = _valve_of(model, stack.only(block.channels))
         part = _fitted(of_block, rig, model, _of_block(block, free, model), block.channels, least, spread)
         if SECOND_ORDER[0] in part.not_identifiable:
             model = acting(without(model, SECOND_ORDER))
@@ -198,7 +202,13 @@ def _stack(records: Sequence[Record], rig: Rig, seed: int) -> Stack:
     # With too high a guess of the bandwidth, the command would seem to be sampled too slowly.
     slow = placed(rig, {BANDWIDTH: read(rig, BANDWIDTH) / GUESS_FACTOR})
     setups = [(record, setup(record, slow)) for record in records]
-    return Stack([gather(record, rig, compared, seed) for record, compared in setups if compared.channels])
+    return _valve_of(rig, Stack([gather(record, rig, compared, seed) for record, compared in setups if compared.channels]))
+
+
+def _valve_of(rig: Rig, stack: Stack) -> Stack:
+    """Return a stack whose spool moves between samples as the valve of a rig."""
+    valve = rig.effective()
+    return Stack([replace(e, setup=e.setup._replace(valve=valve if COMMAND in e.record else None)) for e in stack.evidences])
 
 
 def _least(records: Sequence[Record]) -> dict[str, float]:
@@ -213,6 +223,13 @@ def _least(records: Sequence[Record]) -> dict[str, float]:
         "sensors.force.bias": noise(FORCE),
         "sensors.velocity.bias": noise(VELOCITY),
     }
+
+
+def _rounding_of_supply(records: Sequence[Record], rig: Rig) -> float:
+    """Return the relative standard error of the supply pressure by rounding: that of a constant is the same in all readings."""
+    if not any(SUPPLY in record for record in records):
+        return 0.0
+    return rig.sensors.get("supply_pressure", Sensor()).resolution / math.sqrt(12.0) / rig.plant.supply_pressure
 
 
 class _Fitted(NamedTuple):
@@ -293,7 +310,8 @@ def _fitted(
     free_of_noise = corrected(stack, now, noisy)
     now = free_of_noise.fit._replace(converged=now.converged)
     whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
-    further = {p: math.hypot(spread.get(p, 0.0), error) for p, error in free_of_noise.spread.items()}
+    rounded = rounding(stack, now)
+    further = {p: math.hypot(spread.get(p, 0.0), error, rounded[p]) for p, error in free_of_noise.spread.items()}
     response = gain(whole, noisy, len(doubtful)) if doubtful else free_of_noise.gain
     found = estimated(stack, whole, len(doubtful), {**spread, **further}, response, form=True)
     vague = [c.path for c in fitted if c.path in found.vague]

@@ -230,17 +230,9 @@ def motion(session: Session, known: Known, progress: Update) -> Outcome:
     session.record(None, LOOK)
     recording = session.record(_rich_motion(session, rig), MOTION)
     found = identify_whole_rig({"motion": recording}, rig, seed=0, progress=progress)
-    estimates = {path: _rounded(path, estimate, session) for path, estimate in found.estimates.items()}
-    findings = tuple(Finding(path, _given(rig, path), estimate) for path, estimate in estimates.items())
+    findings = tuple(Finding(path, _given(rig, path), estimate) for path, estimate in found.estimates.items())
     unknown = tuple(f"{path} is not identified: {why}" for path, why in found.not_identifiable.items())
     return Outcome(found.rig, findings, (*found.remarks, *unknown), {"motion": recording})
-
-
-def _rounded(path: str, estimate: Estimate, session: Session) -> Estimate:
-    """Return the supply pressure with the rounding of its reading: that of a constant is the same in all samples."""
-    if path != "plant.supply_pressure" or "supply_pressure" not in session.wired:
-        return estimate
-    return estimate._replace(std=math.hypot(estimate.std, session.resolution("supply_pressure") / math.sqrt(12.0)))
 
 
 def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
