@@ -62,7 +62,7 @@ MIN_WINDOW = 8
 SPOOL_WINDOW = 0.008
 """Length of the windows over which spool and sensors are averaged [s]."""
 
-VELOCITY_FIT = 0.011
+VELOCITY_FIT = 0.012
 """Longest local fit that velocities are taken from [s]."""
 
 SPOOL_SETTLING = 0.08

@@ -630,6 +630,10 @@ def _velocity_fit(record: Record) -> tuple[int, bool]:
     # Through four samples, a cubic interpolates.
     shortest = 2 * round(2 * moved) + 1
     longest = max(shortest, 2 * round(rules.VELOCITY_FIT / record.period / 2) + 1)
+    # A fit over the end of a stretch is none of the motion.
+    inside = np.ones(len(record.time), dtype=np.bool_)
+    for bound in record.bounds:
+        inside[max(bound - longest, 0) : bound + longest] = False
     errors = dict[tuple[int, bool], float]()
     for measured in (False, True):
         signal = VELOCITY if measured else POSITION
@@ -640,8 +644,8 @@ def _velocity_fit(record: Record) -> tuple[int, bool]:
         for fit in range(shortest, longest + 1, 2):
             row = _velocity_row(record, fit, measured=measured)
             apart = row - np.pad(shortest_row, (fit - shortest) // 2)
-            variance, difference = record.noise[signal] ** 2, _velocity(record, fit, measured=measured) - detailed
-            rounded = max(0.0, float(np.mean(difference**2)) - variance * float(apart @ apart))
+            variance, difference = record.noise[signal] ** 2, (_velocity(record, fit, measured=measured) - detailed)[inside]
+            rounded = max(0.0, float(np.mean(difference**2)) - variance * float(apart @ apart)) if difference.size else 0.0
             errors[fit, measured] = rounded + variance * float(row @ row)
     fit, measured = min(errors, key=lambda choice: errors[choice]) if errors else (longest, False)
     return fit, measured and POSITION in record

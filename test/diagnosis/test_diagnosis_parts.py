@@ -29,14 +29,14 @@ def perfect(rig):
     return rig._replace(sensors=dict.fromkeys(rig.sensors, Sensor()))
 
 
-def simulated(rig, seconds=6.0):
-    """Run the product's simulator open loop, and return trajectory and friction force [N]."""
+def simulated(rig, seconds=6.0, added=0.0):
+    """Run the product's simulator open loop, with an added command [m], and return trajectory and friction force [N]."""
     simulator = Simulator(rig, PERIOD)
     cycles = round(seconds / PERIOD)
     rows, friction = np.empty((cycles, 6)), np.empty(cycles)
     elements = len(simulator.mode) - 1
     t = PERIOD * np.arange(cycles)
-    command = 6e-5 * np.sin(2 * np.pi * 0.7 * t) + 3e-5 * np.sin(2 * np.pi * 2.3 * t)
+    command = 6e-5 * np.sin(2 * np.pi * 0.7 * t) + 3e-5 * np.sin(2 * np.pi * 2.3 * t) + added
     load = 2e3 * np.sin(2 * np.pi * 0.4 * t)
     rate = np.append(np.diff(load), 0.0) / PERIOD
     for k in range(cycles):
@@ -114,7 +114,32 @@ def test_spools_with_a_memory_are_the_simulators(rig, name):
     assert np.max(np.abs(found - trajectory["spool_m"])) < 0.05 * moved
 
 
+@pytest.mark.parametrize("effects", [(), (use("command_delay", delay=0.001),)], ids=["plain", "late"])
+def test_the_volume_balance_knows_the_spool_between_samples(rig, effects):
+    bandwidth = 700.0
+    ours = perfect(rig).with_plant(valve_bandwidth=bandwidth).with_effects(effects)
+    steps = np.repeat(np.random.default_rng(3).choice([-3e-5, 3e-5], 667), 6)[:4000]
+    comparison, r = compared(simulated(ours, 4.0, steps)[0], ours)
+    blind = Comparison(r, comparison.setup._replace(valve=None))
+    left, lagging = (c.residuals(ours, ("volume",))["volume"][40:-40] for c in (comparison, blind))
+    # Euler and Maclaurin: where the slope jumps at samples, their mean lags by bandwidth * period^2 / 12.
+    flow, spool = comparison.flow_terms(ours.effective())[:, 0], r.signals["spool_m"]
+    turned = flow @ spool / (spool @ spool) * comparison.setup.window.rate(r.signals["valve_command_m"])[40:-40]
+    assert turned @ lagging / (turned @ turned) == pytest.approx(bandwidth * PERIOD**2 / 12.0, rel=0.05)
+    assert np.std(left) < 0.05 * np.std(lagging)
+
+
 # -------------------------------------------------------------------------------------------------------------- stages
+
+
+@pytest.mark.parametrize(("noise", "smooth", "fit"), [(2e-7, True, 13), (2e-7, False, 7), (2e-6, False, 13)])
+def test_the_local_fit_is_as_short_as_noise_allows(rig, noise, smooth, fit):
+    t = PERIOD * np.arange(6000)
+    # A smooth motion, or one whose velocity has kinks as where a piston sticks and slips.
+    moved = np.sin(2.0 * np.pi * 0.5 * t) if smooth else np.cumsum(np.abs((50.0 * t) % 2.0 - 1.0) - 0.5) * PERIOD
+    position = 0.02 * moved + noise * np.random.default_rng(0).standard_normal(len(t))
+    r = prepare(Trajectory(t, {"position_m": position, "load_pressure_pa": 1e6 * np.cos(3.0 * t)}), perfect(rig), "it")
+    assert stages.setup(r, rig).fit == fit
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
-"""The derivatives of a rig's fit, by every coefficient, against central differences."""
+"""The derivatives of a rig's fit against central differences, and its error by the rounding of the motion."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,9 @@ from ehls_ros.identification.rig_coefficients import (
     placed,
     uses,
 )
-from ehls_ros.identification.rig_fit import Stack
-from ehls_ros.identification.rig_stages import BANDWIDTH, sizes
+from ehls_ros.identification.rig_fit import Stack, fit
+from ehls_ros.identification.rig_noise import rounding
+from ehls_ros.identification.rig_stages import BANDWIDTH, OF_BALANCE, sizes
 from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -102,3 +104,19 @@ def test_a_lag_and_a_delay_of_the_load_cell_keep_the_derivatives(recording):
         steps = np.eye(len(chosen))[i] * 1e-3
         ends = [stack.joined(stack.residuals(model_at(rig, chosen, (z + s).tolist()), base))[rows] for s in (steps, -steps)]
         np.testing.assert_allclose((ends[0] - ends[1]) / 2e-3, exact[:, i], atol=1e-5 * np.max(np.abs(exact[:, i])))
+
+
+def test_the_rounding_of_the_motion_is_the_change_by_a_wider_fit(recording):
+    given, trajectory = recording
+    left = {name: values for name, values in trajectory.signals.items() if name != "velocity_m_s"}
+    rig = rig_from_mapping(given, "rig")
+    read = prepare(Trajectory(trajectory.time_s, left), rig, "case")
+    setup = stages.setup(read, rig)
+    evidence = gather(read, rig, setup, seed=0)
+    stack, wider = (Stack([replace(evidence, setup=s)]).only(OF_BALANCE) for s in (setup, setup.with_wider_fit()))
+    paths = ("plant.moving_mass", "friction.coulomb_force", "friction.element_stiffness")
+    chosen = [c for c in coefficients(rig, sizes([read], rig)) if c.path in paths]
+    now, moved = (fit(s, rig, chosen, OF_BALANCE) for s in (stack, wider))
+    found = rounding(stack, now)
+    assert [found[c.path] for c in chosen] == pytest.approx(np.abs(moved.z - now.z), rel=0.3, abs=1e-4)
+    assert found["friction.element_stiffness"] > 10.0 * found["plant.moving_mass"]
