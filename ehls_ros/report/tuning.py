@@ -143,6 +143,7 @@ def _results(found: Tuned) -> str:
         "largest error": lambda item: with_unit(item[1].error, "N", LOST),
         "within the uncertainty": lambda item: with_unit(item[1].typical, "N", LOST),
         "largest of all runs": lambda item: with_unit(item[1].worst, "N", LOST),
+        "small force, actuator held": lambda item: with_unit(100.0 * item[1].held, "%", LOST),
         "gain margin": lambda item: with_unit(item[1].gain_db, "dB"),
         "phase margin": lambda item: with_unit(item[1].margins.phase_deg, "°"),
         "further delay": lambda item: with_unit(1e3 * item[1].margins.delay, "ms"),

@@ -1,20 +1,23 @@
 """Tuning of a law: margins of the loop, the task, the uncertainty and the search."""
 
+import math
+
 import numpy as np
 import pytest
 
 from ehls_ros.control.controllers import fasmc_output_feedback
-from ehls_ros.control.margins import pressure_loop_margins
+from ehls_ros.control.margins import LoopMargins, pressure_loop_margins
 from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.catalogue import largest_force
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.spec import load_rig, spec_from_mapping
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning import tune as tuning
 from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
-from ehls_ros.experiments.tuning.task import task_of
-from ehls_ros.experiments.tuning.tune import Wanted, tune
+from ehls_ros.experiments.tuning.task import held, task_of
+from ehls_ros.experiments.tuning.tune import Trial, Wanted, tune
 from ehls_ros.experiments.tuning.uncertainty import LIMIT, uncertain
 from ehls_ros.physics.rig import effects_from_list, rig_to_mapping
 from ehls_ros.recording.yaml_text import parse_yaml
@@ -98,6 +101,23 @@ def test_rigs_within_the_uncertainty():
     assert len({other.rig.plant.moving_mass for other in drawn}) == 3
     [exact] = uncertain(spec, 1, 1, 0.0)
     assert exact.rig == spec.rig
+
+
+def test_a_small_force_against_a_held_actuator_belongs_to_the_task():
+    spec = task_of(RIG.with_effects(COUPLING), "fasmc_predictive").spec
+    still = held(spec)
+    assert still.reference.parameters.amplitude == pytest.approx(0.05 * largest_force(RIG))
+    assert (still.disturbance.signal.name, still.disturbance.signal.parameters.value) == ("constant", 0.0)
+    assert still.loader_rig() == spec.loader_rig()
+    assert held(task_of(RIG, "fasmc", SHORT).spec) is None
+
+
+@pytest.mark.parametrize(("error", "gain_db", "phase", "factor"), [
+    (0.05, 6.0, 30.0, 1.0), (0.1, 6.0, 30.0, 2.0), (0.0, 3.5, 30.0, 2.0), (0.0, 6.0, 20.0, 1.6), (0.1, 3.5, 20.0, 6.4),
+])  # fmt: skip
+def test_lacking_margins_and_an_unsteady_force_count_as_a_larger_error(error, gain_db, phase, factor):
+    trial = Trial({}, 1.0, 1.0, 1.0, error, LoopMargins(gain_db, math.inf, phase, 0.0))
+    assert math.exp(trial.score(Wanted(6.0, 30.0))) == pytest.approx(factor)
 
 
 @pytest.fixture(scope="module")

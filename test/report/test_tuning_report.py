@@ -16,7 +16,7 @@ NUMBERS = {"g": 120.0, "k": 12.0}
 
 
 def trial(error, gain_db, **numbers):
-    return Trial({**NUMBERS, **numbers}, error, error, 1.5 * error, LoopMargins(gain_db, math.inf, 35.0, 1e-3))
+    return Trial({**NUMBERS, **numbers}, error, error, 1.5 * error, 0.02, LoopMargins(gain_db, math.inf, 35.0, 1e-3))
 
 
 def found(chosen, causal_limit=5.0):

@@ -44,7 +44,7 @@ FOLLOWS = "force"
 FRICTION = False
 FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
-TUNED = ("reaching_rate", "g", "calm_g", "rate_noise", "least_noise", "reversal_factor")
+TUNED = ("reaching_rate", "k", "g", "calm_g", "rate_noise", "least_noise", "reversal_factor")
 PREVIEW = True
 KNOWS = ("command_delay", "coupling_stiffness")
 

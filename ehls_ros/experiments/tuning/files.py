@@ -52,6 +52,7 @@ def _trial(trial: Trial) -> Mapping[str, Any]:
         "max_error_n": trial.error,
         "max_error_within_uncertainty_n": trial.typical,
         "largest_of_all_runs_n": trial.worst,
+        "held_error": trial.held,
         "gain_margin_db": trial.gain_db,
         "phase_margin_deg": trial.margins.phase_deg,
         "delay_margin_s": trial.margins.delay,

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 from ehls_ros.arrays import in_python
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.references import constant, sine
 from ehls_ros.control.rig_scale import largest_speed
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import largest_force, room_of
-from ehls_ros.experiments.spec import COUPLING, Spec, check_spec, spec_from_mapping
+from ehls_ros.experiments.spec import COUPLING, Spec, Use, check_spec, spec_from_mapping
 from ehls_ros.physics.rig import Rig, rig_to_mapping
 
 SERVO = "position_servo"
@@ -21,6 +22,9 @@ FORCE_PART, FREQUENCY = 0.5, 0.5
 
 SPEED_PART, STROKE_PART, MOTION_FREQUENCY = 0.3, 0.5, 1.0
 """Motion of the actuator under test by default: velocity over the loader's, travel over half the stroke, frequency [Hz]."""
+
+HELD_PART, HELD_FREQUENCY = 0.05, 0.5
+"""Sine of the force against an actuator under test that holds: amplitude over the largest force, and frequency [Hz]."""
 
 DURATION = 5.0
 """Longest duration of a run [s], the last half of which is judged."""
@@ -76,6 +80,20 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
     check_spec(spec, where)
     assumed = (UNTOLD.format(spec.disturbance.parameters.stiffness),) if coupled and not told else ()
     return Task(spec, assumed)
+
+
+def held(spec: Spec) -> Spec | None:
+    """Return an experiment with a small force against an actuator under test that holds; None without such an actuator.
+
+    There a loop may oscillate that follows a moving actuator: its filter is calm, and the coupling and both oil columns are
+    hardly damped.
+    """
+    if spec.disturbance.name != SERVO:
+        return None
+    amplitude = HELD_PART * largest_force(spec.rig)
+    still = Use("constant", constant.Parameters(0.0))
+    reference = Use("sine", sine.Parameters(amplitude=amplitude, frequency=HELD_FREQUENCY))
+    return spec._replace(reference=reference, disturbance=spec.disturbance._replace(signal=still))
 
 
 def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:

@@ -5,7 +5,7 @@ after another, up and down, by a step that shrinks when nothing improves (coordi
 45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run, as the geometric mean of
 several: on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The error of one
 run alone scatters by 10 to 20 %, and a search would choose its luck. Margins below those asked for count as a larger error, so
-that the search returns to them from anywhere.
+that the search returns to them from anywhere, and so does an error of a small force against an actuator under test that holds.
 """
 
 import math
@@ -24,7 +24,7 @@ from ehls_ros.experiments.metrics import MIN_LOST_ERROR
 from ehls_ros.experiments.spec import COMMAND_DELAY, Spec, Use, reference_extremes
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
-from ehls_ros.experiments.tuning.task import Task
+from ehls_ros.experiments.tuning.task import Task, held
 from ehls_ros.experiments.tuning.uncertainty import uncertain
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig
@@ -44,7 +44,10 @@ BETTER = 0.98
 """Ratio of two scores below which the smaller one is an improvement."""
 
 PER_DB, PER_DEGREE = 0.4, 0.06
-"""Logarithm of the factor on the error per dB and per degree that a margin lacks."""
+"""Relative increase of the error as which each dB and each degree count that a margin lacks."""
+
+STEADY = 0.05
+"""Error of a small force against an actuator that holds, over its amplitude, above which the rest counts as a larger error."""
 
 REPEATS, RIGS = 3, 2
 """Numbers of runs on the rig of the file, and of rigs drawn within the uncertainty."""
@@ -85,6 +88,7 @@ class Trial(NamedTuple):
         error: geometric mean over the runs on the rig of the file of the largest error of each [N]; infinite if one is.
         typical: the same over all runs.
         worst: largest error of all runs [N].
+        held: largest error of a small force against an actuator under test that holds, over its amplitude; 0 without such.
         margins: margins of the loop.
     """
 
@@ -92,12 +96,14 @@ class Trial(NamedTuple):
     error: float
     typical: float
     worst: float
+    held: float
     margins: LoopMargins
 
     def lacking(self, wanted: Wanted) -> float:
-        """Return the logarithm of the factor on the error by which the search counts lacking margins."""
+        """Return the logarithm of the factor on the error by which the search counts lacking margins and unsteadiness."""
         gain, phase = wanted.gain_db - self.gain_db, wanted.phase_deg - self.margins.phase_deg
-        return PER_DB * max(gain, 0.0) + PER_DEGREE * max(phase, 0.0)
+        margins = math.log1p(PER_DB * max(gain, 0.0)) + math.log1p(PER_DEGREE * max(phase, 0.0))
+        return margins + max(math.log(max(self.held, LEAST) / STEADY), 0.0)
 
     @property
     def gain_db(self) -> float:
@@ -105,7 +111,7 @@ class Trial(NamedTuple):
         return min(self.margins.gain_db, self.margins.fall_db)
 
     def score(self, wanted: Wanted) -> float:
-        """Return the logarithm of the error, with lacking margins; smaller is better."""
+        """Return the logarithm of the error, with what it lacks; smaller is better."""
         return (math.log(self.typical) if 0.0 < self.typical < math.inf else math.inf) + self.lacking(wanted)
 
 
@@ -247,8 +253,9 @@ def judged(exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, fl
     errors = [stepped_run(with_numbers(exact[0], numbers)).largest()]
     if errors[0] < beyond:
         errors += [stepped_run(with_numbers(spec, numbers)).largest() for spec in (*exact[1:], *rigs)]
-    on_file, on_all = _mean(errors[: len(exact)]), _mean(errors)
-    return Trial(numbers, on_file, on_all, max(errors), margins_of(with_numbers(exact[0], numbers)))
+    on_file, on_all, still = _mean(errors[: len(exact)]), _mean(errors), held(with_numbers(exact[0], numbers))
+    unsteady = 0.0 if still is None else stepped_run(still).largest() / still.reference.parameters.amplitude
+    return Trial(numbers, on_file, on_all, max(errors), unsteady, margins_of(with_numbers(exact[0], numbers)))
 
 
 def _mean(errors: Sequence[float]) -> float:
@@ -362,7 +369,12 @@ def _remarks(found: Tuned) -> list[str]:
     chosen, wanted = found.chosen, found.wanted
     if found.lost:
         return ["no numbers hold the force of this experiment: try a smaller reference, a slower motion or another law"]
-    if chosen.lacking(wanted) == 0.0:
-        return []
-    reached = f"the margins found are {chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
-    return [f"{reached}; no numbers tried have {wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees"]
+    remarks = list[str]()
+    if chosen.gain_db < wanted.gain_db or chosen.margins.phase_deg < wanted.phase_deg:
+        reached = f"the margins found are {chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
+        remarks.append(f"{reached}; no numbers tried have {wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees")
+    still = held(found.spec)
+    if still is not None and chosen.held > STEADY:
+        against = "against an actuator under test that holds"
+        remarks.append(f"a force of {still.reference.parameters.amplitude:.3g} N {against} errs by {100.0 * chosen.held:.0f} %")
+    return remarks
