@@ -23,8 +23,8 @@ FORCE_PART, FREQUENCY = 0.5, 0.5
 SPEED_PART, STROKE_PART, MOTION_FREQUENCY = 0.3, 0.5, 1.0
 """Motion of the actuator under test by default: velocity over the loader's, travel over half the stroke, frequency [Hz]."""
 
-HELD_PART, HELD_FREQUENCY = 0.05, 0.5
-"""Sine of the force against an actuator under test that holds: amplitude over the largest force, and frequency [Hz]."""
+HELD_PART, HELD_FREQUENCY, HELD_DURATION = 0.05, 0.5, 3.0
+"""Sine of the force against an actuator that holds: amplitude over the largest force, frequency [Hz], duration [s]."""
 
 DURATION = 5.0
 """Longest duration of a run [s], the last half of which is judged."""
@@ -93,7 +93,8 @@ def held(spec: Spec) -> Spec | None:
     amplitude = HELD_PART * largest_force(spec.rig)
     still = Use("constant", constant.Parameters(0.0))
     reference = Use("sine", sine.Parameters(amplitude=amplitude, frequency=HELD_FREQUENCY))
-    return spec._replace(reference=reference, disturbance=spec.disturbance._replace(signal=still))
+    settings = spec.settings._replace(duration=min(spec.settings.duration, HELD_DURATION))
+    return spec._replace(reference=reference, disturbance=spec.disturbance._replace(signal=still), settings=settings)
 
 
 def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:

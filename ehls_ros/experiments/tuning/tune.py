@@ -23,7 +23,7 @@ from ehls_ros.experiments.causal_limit import limit_under
 from ehls_ros.experiments.metrics import MIN_LOST_ERROR
 from ehls_ros.experiments.spec import COMMAND_DELAY, Spec, Use, reference_extremes
 from ehls_ros.experiments.stepped_run import stepped_run
-from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
+from ehls_ros.experiments.tuning.loop_margins import UNSTABLE, changed, margins_of, slipping
 from ehls_ros.experiments.tuning.task import Task, held
 from ehls_ros.experiments.tuning.uncertainty import uncertain
 from ehls_ros.parallel import Workers
@@ -46,6 +46,9 @@ BETTER = 0.98
 PER_DB, PER_DEGREE = 0.4, 0.06
 """Relative increase of the error as which each dB and each degree count that a margin lacks."""
 
+HOPELESS = 1.5
+"""Error of the first run from which no others are made, over the error of the best numbers so far with what they lack."""
+
 STEADY = 0.05
 """Error of a small force against an actuator that holds, over its amplitude, above which the rest counts as a larger error."""
 
@@ -55,7 +58,7 @@ REPEATS, RIGS = 3, 2
 FASTER = 4.0
 """Factor on the valve's bandwidth and on the rate of sampling where their lag is left out."""
 
-MAX_TRIALS = 90
+MAX_TRIALS = 70
 """Largest number of sets of numbers tried by the search."""
 
 SPEEDS = (0.15, 0.3, 0.55, 1.0, 1.8, 3.3, 6.0)
@@ -248,14 +251,19 @@ def judged(exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, fl
         exact: the experiment on the rig of the file, with different noise.
         rigs: the experiment on rigs within the uncertainty.
         numbers: values by name.
-        beyond: error in the first run from which no others are made [N].
+        beyond: error from which the numbers are given up, whatever their margins [N].
     """
-    errors = [stepped_run(with_numbers(exact[0], numbers)).largest()]
-    if errors[0] < beyond:
-        errors += [stepped_run(with_numbers(spec, numbers)).largest() for spec in (*exact[1:], *rigs)]
-    on_file, on_all, still = _mean(errors[: len(exact)]), _mean(errors), held(with_numbers(exact[0], numbers))
+    specs = [with_numbers(spec, numbers) for spec in (*exact, *rigs)]
+    errors = [stepped_run(specs[0]).largest()]
+    if errors[0] < HOPELESS * beyond:
+        errors += [stepped_run(spec).largest() for spec in specs[1:]]
+    on_file, on_all = _mean(errors[: len(exact)]), _mean(errors)
+    given_up = Trial(numbers, on_file, on_all, max(errors), math.inf, UNSTABLE)
+    if len(errors) < len(specs) or on_all >= beyond:
+        return given_up
+    still = held(specs[0])
     unsteady = 0.0 if still is None else stepped_run(still).largest() / still.reference.parameters.amplitude
-    return Trial(numbers, on_file, on_all, max(errors), unsteady, margins_of(with_numbers(exact[0], numbers)))
+    return given_up._replace(held=unsteady, margins=margins_of(specs[0]))
 
 
 def _mean(errors: Sequence[float]) -> float:
@@ -336,7 +344,7 @@ class _Search:
         while step > LAST_STEP and self.count < MAX_TRIALS:
             improved = False
             for name in self._names:
-                self._beyond = 1.5 * best.typical
+                self._beyond = math.exp(best.score(self._wanted))
                 value = best.numbers[name]
                 moved = {self._within(name, value * factor) for factor in (step, 1.0 / step)} - {value}
                 trials = self.all([{**best.numbers, name: number} for number in sorted(moved)])
