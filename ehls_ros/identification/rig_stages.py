@@ -63,7 +63,7 @@ OF_SENSORS: tuple[Channel, ...] = ("cell", "velocity")
 NEEDED: Mapping[Channel, str] = {
     "spool": "the valve command and the spool, sampled fast enough for the valve",
     "volume": "load pressure or load cell, spool or command, and the motion",
-    "force": "load pressure or load cell, and the position, with its turns resolved",
+    "force": "load pressure or load cell, and the position in motion, with its turns resolved",
     "cell": "load pressure and load cell",
     "velocity": "position and velocity",
 }

@@ -15,7 +15,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.coefficients import KEPT
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.record import COMMAND, FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, VELOCITY, Record, prepare
-from ehls_ros.diagnosis.stages import Channel, setup
+from ehls_ros.diagnosis.stages import Channel, Setup, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import (
@@ -64,6 +64,9 @@ CONTRADICTED = "the given value contradicts the data, and one that fits is kept"
 
 MOVING = (SPOOL, PRESSURE, POSITION, VELOCITY, FORCE)
 """Signals that are never constant throughout a recording if their sensor works."""
+
+REST = 12.0
+"""Range of the position over its noise up to which the piston rests; white noise alone spans 8 in 20 000 samples."""
 
 GUESS_FACTOR = 2.0
 """Factor by which a first guess may be off."""
@@ -201,8 +204,15 @@ def _of_block(block: Block, free: Mapping[str, Coefficient], model: Rig) -> list
 def _stack(records: Sequence[Record], rig: Rig, seed: int) -> Stack:
     # With too high a guess of the bandwidth, the command would seem to be sampled too slowly.
     slow = placed(rig, {BANDWIDTH: read(rig, BANDWIDTH) / GUESS_FACTOR})
-    setups = [(record, setup(record, slow)) for record in records]
+    setups = [(record, _without_rest(record, setup(record, slow))) for record in records]
     return _valve_of(rig, Stack([gather(record, rig, compared, seed) for record, compared in setups if compared.channels]))
+
+
+def _without_rest(record: Record, compared: Setup) -> Setup:
+    """Return a setup without the force balance if the piston rests: noise of the motion would pass for inertia and friction."""
+    if POSITION not in record or float(np.ptp(record.signals[POSITION])) > REST * record.noise[POSITION]:
+        return compared
+    return compared._replace(channels=tuple(c for c in compared.channels if c != "force"))
 
 
 def _valve_of(rig: Rig, stack: Stack) -> Stack:

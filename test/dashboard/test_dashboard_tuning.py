@@ -271,8 +271,8 @@ def test_numbers_that_lose_the_force_cannot_be_applied(job):
 
 def test_a_result_has_units_and_the_numbers_of_the_parameter_file():
     margins = LoopMargins(6.5, 20.0, 30.0, 1e-3)
-    start = Trial({"g": 60.0}, 40.0, 50.0, 60.0, margins)
-    best = Trial({"g": 136.7701234567}, 20.0, 25.0, 30.0, margins)
+    start = Trial({"g": 60.0}, 40.0, 50.0, 60.0, 0.0, margins)
+    best = Trial({"g": 136.7701234567}, 20.0, 25.0, 30.0, 0.0, margins)
     task = task_for(SPEC, "fasmc", "sine")
     found = Tuned(task, Wanted(), start, best, float("nan"), (), (best,), 40, ("a remark",))
     result = tuning_job.from_json(Report, reported(result=result_of(found))).result
