@@ -14,7 +14,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.coefficients import KEPT
 from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.record import COMMAND, FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, VELOCITY, Record, prepare
+from ehls_ros.diagnosis.record import FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, VELOCITY, Record, prepare
 from ehls_ros.diagnosis.stages import Channel, Setup, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -218,7 +218,7 @@ def _without_rest(record: Record, compared: Setup) -> Setup:
 def _valve_of(rig: Rig, stack: Stack) -> Stack:
     """Return a stack whose spool moves between samples as the valve of a rig."""
     valve = rig.effective()
-    return Stack([replace(e, setup=e.setup._replace(valve=valve if COMMAND in e.record else None)) for e in stack.evidences])
+    return Stack([replace(e, setup=e.setup._replace(valve=e.setup.valve and valve)) for e in stack.evidences])
 
 
 def _least(records: Sequence[Record]) -> dict[str, float]:

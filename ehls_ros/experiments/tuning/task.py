@@ -82,6 +82,11 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
     return Task(spec, assumed)
 
 
+def still(spec: Spec) -> Spec:
+    """Return an experiment whose actuator under test, or disturbance force, stays at zero."""
+    return spec._replace(disturbance=spec.disturbance._replace(signal=Use("constant", constant.Parameters(0.0))))
+
+
 def held(spec: Spec) -> Spec | None:
     """Return an experiment with a small force against an actuator under test that holds; None without such an actuator.
 
@@ -91,10 +96,9 @@ def held(spec: Spec) -> Spec | None:
     if spec.disturbance.name != SERVO:
         return None
     amplitude = HELD_PART * largest_force(spec.rig)
-    still = Use("constant", constant.Parameters(0.0))
     reference = Use("sine", sine.Parameters(amplitude=amplitude, frequency=HELD_FREQUENCY))
     settings = spec.settings._replace(duration=min(spec.settings.duration, HELD_DURATION))
-    return spec._replace(reference=reference, disturbance=spec.disturbance._replace(signal=still), settings=settings)
+    return still(spec)._replace(reference=reference, settings=settings)
 
 
 def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:

@@ -17,14 +17,13 @@ import numpy as np
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.margins import LoopMargins
-from ehls_ros.control.references import constant
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import limit_under
 from ehls_ros.experiments.metrics import MIN_LOST_ERROR
-from ehls_ros.experiments.spec import COMMAND_DELAY, Spec, Use, reference_extremes
+from ehls_ros.experiments.spec import COMMAND_DELAY, Spec, reference_extremes
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning.loop_margins import UNSTABLE, changed, margins_of, slipping
-from ehls_ros.experiments.tuning.task import Task, held
+from ehls_ros.experiments.tuning.task import Task, held, still
 from ehls_ros.experiments.tuning.uncertainty import uncertain
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig
@@ -261,8 +260,8 @@ def judged(exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, fl
     given_up = Trial(numbers, on_file, on_all, max(errors), math.inf, UNSTABLE)
     if len(errors) < len(specs) or on_all >= beyond:
         return given_up
-    still = held(specs[0])
-    unsteady = 0.0 if still is None else stepped_run(still).largest() / still.reference.parameters.amplitude
+    holding = held(specs[0])
+    unsteady = 0.0 if holding is None else stepped_run(holding).largest() / holding.reference.parameters.amplitude
     return given_up._replace(held=unsteady, margins=margins_of(specs[0]))
 
 
@@ -273,14 +272,14 @@ def _mean(errors: Sequence[float]) -> float:
 
 def without(spec: Spec) -> dict[str, Spec]:
     """Return an experiment with one limitation removed from the rig and from the controller's, by its name."""
-    settings, still = spec.settings, Use("constant", constant.Parameters(0.0))
+    settings = spec.settings
     cases = {
         "noise of the sensors": changed(spec, lambda rig: rig._replace(sensors={})),
         "delay of the command": changed(spec, _at_once),
         "lag of the valve": changed(spec, lambda rig: rig.with_plant(valve_bandwidth=FASTER * rig.plant.valve_bandwidth)),
         "sampling": spec._replace(settings=settings._replace(control_period=settings.control_period / FASTER)),
         "friction": changed(spec, slipping),
-        "motion of the actuator under test": spec._replace(disturbance=spec.disturbance._replace(signal=still)),
+        "motion of the actuator under test": still(spec),
     }
     return {name: case for name, case in cases.items() if case != spec}
 
@@ -381,8 +380,10 @@ def _remarks(found: Tuned) -> list[str]:
     if chosen.gain_db < wanted.gain_db or chosen.margins.phase_deg < wanted.phase_deg:
         reached = f"the margins found are {chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
         remarks.append(f"{reached}; no numbers tried have {wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees")
-    still = held(found.spec)
-    if still is not None and chosen.held > STEADY:
+    holding = held(found.spec)
+    if holding is not None and chosen.held > STEADY:
         against = "against an actuator under test that holds"
-        remarks.append(f"a force of {still.reference.parameters.amplitude:.3g} N {against} errs by {100.0 * chosen.held:.0f} %")
+        remarks.append(
+            f"a force of {holding.reference.parameters.amplitude:.3g} N {against} errs by {100.0 * chosen.held:.0f} %"
+        )
     return remarks
