@@ -175,6 +175,7 @@ def test_a_campaign_is_a_table_with_a_row_for_a_run_that_fails(run):
     assert "rig.effects.0.asymmetry" in found.plot().layout.xaxis.title.text
 
 
+@pytest.mark.long
 def test_a_diagnosis_from_a_file_to_the_extended_rig(tmp_path, capsys):
     pytest.importorskip("plotly.graph_objects")
     worn = {"name": "coulomb_shift", "offset": -150.0}

@@ -73,6 +73,7 @@ def imported() -> set[str]:
     return found - set(sys.stdlib_module_names) - {"ehls_ros"}
 
 
+@pytest.mark.long
 def test_package_xml_asks_for_what_is_imported_and_nothing_else() -> None:
     manifest = ET.parse(ROOT / "package.xml").getroot()
     asked = {element.text for element in manifest.iter("exec_depend")}

@@ -362,11 +362,19 @@ class Comparison:
     def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Any:
         return run_part(part, rig, self._along(part, rig, motion, self._memory_steps(part, rig)))
 
-    def _finer(self, a: ModelRun) -> ModelRun:
-        """Return a run with :data:`FINER` times the samples; the command is held, and the measured states are linear."""
+    def _finer(self, a: ModelRun, moved: bool) -> ModelRun:
+        """Return a run with :data:`FINER` times the samples; the command is held, and the measured states are linear.
+
+        Args:
+            a: the run.
+            moved: whether it depends on anything but the command.
+        """
         samples = len(a.motion.time)
         instants = np.arange(FINER * (samples - 1) + 1)
-        motion = Motion(*(np.interp(instants, FINER * np.arange(samples), value_of(signal)) for signal in a.motion))
+        if moved:
+            motion = Motion(*(np.interp(instants, FINER * np.arange(samples), value_of(signal)) for signal in a.motion))
+        else:
+            motion = Motion(*[np.zeros(len(instants))] * len(a.motion))
         fresh = np.zeros(len(instants), dtype=np.bool_)
         fresh[::FINER] = a.fresh
         command = np.ascontiguousarray(a.motion.command[instants // FINER])
@@ -460,7 +468,8 @@ class Comparison:
 
         def compute() -> Array:
             steps = self._memory_steps("spool", valve)
-            fine = run_part("spool", valve, self._finer(self._along("spool", valve, self._measured_motion(valve), steps)))[:, 0]
+            along = self._along("spool", valve, self._measured_motion(valve), steps)
+            fine = run_part("spool", valve, self._finer(along, moved=bool(_used("spool", valve))))[:, 0]
             begins, middles, ends = fine[:-2:2], fine[1:-1:2], fine[2::2]
             # Simpson's rule, as the spool is smooth between two steps of the command.
             means = ((begins + 4.0 * middles + ends) / 6.0).reshape(samples - 1, FINER // 2).mean(axis=1)

@@ -56,6 +56,7 @@ def test_nothing_changed(recordings, tmp_path, capsys):
     assert "Nothing has changed" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.long
 def test_a_change_is_told_and_shown_beside_the_baseline(recordings, tmp_path, capsys):
     said, result = diagnose(recordings, "changed.csv", tmp_path, capsys)
     assert said[0].startswith("Since the baseline")

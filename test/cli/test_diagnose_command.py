@@ -64,6 +64,7 @@ def again(diagnosed, recording, tmp_path, monkeypatch):
     return run
 
 
+@pytest.mark.long
 def test_a_foreign_file_is_diagnosed_by_the_map_proposed_for_it(diagnosed, recording, tmp_path, monkeypatch):
     whole, file, columns = load(recording), tmp_path / "Prüfstand.csv", tmp_path / "map.yaml"
     names = {
@@ -85,6 +86,7 @@ def test_a_foreign_file_is_diagnosed_by_the_map_proposed_for_it(diagnosed, recor
         np.testing.assert_allclose(read, whole[name], atol=1e-6 / names[name][2])
 
 
+@pytest.mark.long
 def test_several_recordings_are_judged_together(diagnosed, recording, tmp_path, monkeypatch):
     other, judged = tmp_path / "second.csv", []
     other.write_bytes(recording.read_bytes())
@@ -180,6 +182,7 @@ def test_json_is_the_last_line(again, capsys):
     assert any("report.html" in line for line in out)
 
 
+@pytest.mark.long
 def test_open_causes_get_an_experiment_that_can_be_run(again, diagnosed, tmp_path):
     cause = diagnosed[1].causes[0]
     rival = Rival("viscous_shift", 2.0, 0.95, {"added": Estimate(1800.0, 5.0, "N s/m")})
@@ -196,6 +199,7 @@ def test_open_causes_get_an_experiment_that_can_be_run(again, diagnosed, tmp_pat
     assert not (tmp_path / "next_experiment.yaml").exists()
 
 
+@pytest.mark.long
 def test_an_unknown_cause_is_one_entry(again, tmp_path, diagnosed):
     result = diagnosed[1].stages["force_balance"]._replace(unexplained=True, depends_on=("position_m",))
     code, result = again(
@@ -218,6 +222,7 @@ def test_an_unknown_cause_is_one_entry(again, tmp_path, diagnosed):
     assert "Nothing was added" in (tmp_path / "rig_extended.yaml").read_text()
 
 
+@pytest.mark.long
 def test_what_fails_beside_the_diagnosis_is_a_remark(again, monkeypatch):
     def fail(*arguments, **options):
         raise ZeroDivisionError("on purpose")
@@ -231,6 +236,7 @@ def test_what_fails_beside_the_diagnosis_is_a_remark(again, monkeypatch):
     assert result["free_run"] is result["controller_gain"] is result["next_experiment"] is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("module", "where"), [(analysis, "consequences"), (verb, "write_diagnosis_report")])
 def test_an_interruption_leaves_no_halves(again, tmp_path, monkeypatch, module, where, capsys):
     def interrupt(*arguments, **options):

@@ -57,6 +57,7 @@ def again(monkeypatch, tmp_path):
     return run
 
 
+@pytest.mark.long
 def test_a_healthy_recording_gives_no_change(watched):
     document = json.loads((watched / "monitor.json").read_text())
     assert document["healthy"] is True
@@ -69,6 +70,7 @@ def test_a_healthy_recording_gives_no_change(watched):
     assert 0.0 < document["watched"] < SECONDS - 30.0
 
 
+@pytest.mark.long
 def test_each_coefficient_has_a_value_in_its_interval_or_a_reason(watched):
     coefficients = json.loads((watched / "monitor.json").read_text())["coefficients"]
     assert set(coefficients) <= set(COEFFICIENTS)
@@ -85,6 +87,7 @@ def test_each_coefficient_has_a_value_in_its_interval_or_a_reason(watched):
     assert leakage["limit"]["limit"] == 1.2e-11
 
 
+@pytest.mark.long
 def test_the_table_has_a_row_for_each_reading(watched):
     with (watched / "coefficients.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -24,6 +24,7 @@ def folder(reproduced) -> Path:
     return reproduced[0]
 
 
+@pytest.mark.long
 def test_table_3_holds_the_papers_number_beside_ours(folder):
     cells = json.loads((folder / "table3.json").read_text())["cells"]
     assert {(c["controller"], c["reference"], c["disturbance"]) for c in cells} == {
@@ -38,6 +39,7 @@ def test_table_3_holds_the_papers_number_beside_ours(folder):
         assert {"paper_percent", "convergence_s"} <= set(cell)
 
 
+@pytest.mark.long
 def test_everything_and_the_report_are_there(folder):
     everything = json.loads((folder / "reproduction.json").read_text())
     assert everything["quick"] is True
@@ -45,6 +47,7 @@ def test_everything_and_the_report_are_there(folder):
     assert (folder / "report.html").stat().st_size > 1e5
 
 
+@pytest.mark.long
 def test_the_table_is_printed_with_the_times(reproduced):
     folder, lines = reproduced
     assert json.loads(lines[-1]) == json.loads((folder / "table3.json").read_text())

@@ -9,6 +9,7 @@ from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.tuning import tune as tuning
 
 
+@pytest.mark.long
 def test_files_table_and_document(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(tuning, "MAX_TRIALS", 1)
     monkeypatch.setattr(tuning, "SPEEDS", (0.5, 1.0))

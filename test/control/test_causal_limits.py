@@ -113,6 +113,7 @@ def monte_carlo(rig, disturbance, ahead, limit, factor, runs):
     return np.max(np.abs(errors[-(len(disturbance) // 2) :]), axis=0)
 
 
+@pytest.mark.long
 def test_an_independent_kalman_predictor_errs_by_the_limit(measured):
     disturbance = rows(3000, bump)
     limit = causal_limit(delayed(measured, 1e-3), PERIOD, disturbance, velocity_read=False)

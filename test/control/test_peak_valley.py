@@ -282,6 +282,7 @@ def test_with_a_valve_gain_off_by_a_fifth_a_simple_law_has_its_peaks_after_eight
     assert np.all(np.abs(beside) < 40.0)
 
 
+@pytest.mark.long
 def test_each_block_of_a_programme_has_its_own_numbers_from_its_next_pass_on(tmp_path):
     (tmp_path / "blocks.yaml").write_text(PROGRAMME, encoding="utf-8")
     parts: dict[str, Any] = {"emulated": True, "reference": {"name": "programme", "file": str(tmp_path / "blocks.yaml")}}

@@ -77,6 +77,7 @@ def connections(host, port, begun):
         yield opened
 
 
+@pytest.mark.long
 @elsewhere
 def test_half_open_requests_take_a_few_places_and_end_after_seconds_while_others_are_served(everywhere, there):
     before = everywhere.memory()

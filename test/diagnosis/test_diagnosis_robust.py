@@ -41,6 +41,7 @@ SPOILT = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", tiered(SPOILT, "outliers"))
 def test_spoilt_data_still_tell_the_cause(how, hidden, diagnosed):
     d = diagnosed(SPOILT[how](hidden))
@@ -51,11 +52,13 @@ def test_spoilt_data_still_tell_the_cause(how, hidden, diagnosed):
         assert d.causes[0].parameters["offset"].value == pytest.approx(250.0, rel=0.1), told(d)
 
 
+@pytest.mark.long
 def test_gaps_in_the_data_of_a_right_model_are_no_error_of_it(recorded, diagnosed):
     d = diagnosed(SPOILT["stretches of NaN"](recorded({}, "rich", seed=202, duration=DURATION)))
     assert d.verdict == "consistent", told(d)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("column", tiered(["load_pressure_pa", "position_m"], "load_pressure_pa"))
 def test_a_signal_that_comes_late_is_a_sensors_delay(column, recorded, diagnosed):
     r = degrade.shift(recorded({}, "rich", seed=203, duration=DURATION), column, 5e-3)

@@ -86,6 +86,7 @@ def skewed(r, **samples):
     return r.__class__(r.time, columns, r.truth)
 
 
+@pytest.mark.long
 def test_a_disturbance_recorded_half_a_sample_early_is_no_cause(recorded, diagnosed):
     d = diagnosed(skewed(recorded({}, "rich", seed=301, duration=8.0), disturbance_force_n=-0.5))
     assert (d.verdict, d.causes) == ("consistent", ())

@@ -35,6 +35,7 @@ def with_flow(rig, factor):
     return rig._replace(plant=rig.plant._replace(discharge_coefficient=factor * rig.plant.discharge_coefficient))
 
 
+@pytest.mark.long
 def test_the_right_rig_predicts_and_a_wrong_one_does_not(recording, rig):
     wrong = with_flow(rig, 1.2)
     found = predict(of(recording, "position_m", "force_n", "spool_m"), {"right": rig, "wrong": wrong}, [2.0, 0.5])

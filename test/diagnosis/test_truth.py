@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tiers import tiered
 
 import truth_generator
 from truth_generator import EFFECTS, EXPERIMENTS, LISTED, OTHER_FORMS, OUTSIDE, degrade, draw_effect, draw_other_form, record
@@ -59,7 +60,7 @@ def test_every_effect_of_the_design_is_there_and_the_others_are_enough():
     assert {name for effect in OUTSIDE.values() for name in effect.near} <= set(LISTED)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", tiered(EFFECTS, *list(EFFECTS)[::4]))
 def test_a_neutral_size_changes_nothing(name):
     plain = record(RIG, {}, "rich", seed=5, duration=1.0)
     neutral = record(RIG, {name: {}}, "rich", seed=5, duration=1.0)
@@ -71,7 +72,7 @@ def rich_background():
     return background(RIG, "rich", seed=2, duration=30)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", tiered(EFFECTS, *list(EFFECTS)[::4]))
 def test_drawn_sizes_stand_out_of_the_noise(name, rich_background):
     sizes = draw_effect(name, rng_for(name), RIG)
     assert all(value == value for value in sizes.values())  # noqa: PLR0124
@@ -81,7 +82,10 @@ def test_drawn_sizes_stand_out_of_the_noise(name, rich_background):
     assert max(seen.values()) > (1.5 if name in OUTSIDE else 0.3), seen
 
 
-@pytest.mark.parametrize(("name", "form"), [(name, form) for name, of in OTHER_FORMS.items() for form in of])
+FORMS = [(name, form) for name, of in OTHER_FORMS.items() for form in of]
+
+
+@pytest.mark.parametrize(("name", "form"), tiered(FORMS, *FORMS[::4], unpack=True))
 def test_an_effect_by_another_formula_shows_where_the_usual_one_does(name, form, rich_background):
     sizes = draw_other_form(name, form, rng_for(name), RIG)
     r = record(RIG, {name: sizes}, "rich", seed=2, duration=30, noise=0)
@@ -90,7 +94,7 @@ def test_an_effect_by_another_formula_shows_where_the_usual_one_does(name, form,
     assert name not in r.truth["natural"]
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("experiment", tiered(EXPERIMENTS, "rich"))
 def test_the_actuator_stays_within_its_limits_whatever_is_hidden(experiment):
     for seed, name in enumerate(EFFECTS):
         hidden = {name: draw_effect(name, rng_for(name, seed), RIG)}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy.integrate import solve_ivp, trapezoid
+from tiers import tiered
 
 from truth_generator import experiments, kernel, record
 from truth_generator.effects import EFFECTS
@@ -139,11 +140,15 @@ def test_with_nothing_hidden_it_is_the_papers_model(shake, model):
 
 @pytest.mark.parametrize(
     ("name", "sizes"),
-    [
-        ("valve_second_order", {"natural_frequency": 200.0, "damping_ratio": 0.3}),
+    tiered(
+        [
+            ("valve_second_order", {"natural_frequency": 200.0, "damping_ratio": 0.3}),
+            ("entrained_air", {"fraction": 0.05}),
+            ("hinge_backlash", {"gap": 3e-4}),
+        ],
         ("entrained_air", {"fraction": 0.05}),
-        ("hinge_backlash", {"gap": 3e-4}),
-    ],
+        unpack=True,
+    ),
 )
 def test_with_an_effect_the_integrator_keeps_its_tolerance(shake, name, sizes):
     rig = rig_with("lugre" if name == "hinge_backlash" else "gms")

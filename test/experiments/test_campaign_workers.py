@@ -161,6 +161,7 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(processes, long_campai
     assert not list(Path(out).rglob("*.writing"))
 
 
+@pytest.mark.long
 def test_a_killed_local_worker_ends_in_one_line_and_keeps_what_is_done(processes, long_campaign, tmp_path):
     out = tmp_path / "out"
     command = start_command(processes, long_campaign, out)

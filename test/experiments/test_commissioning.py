@@ -149,6 +149,7 @@ def connected():
     return Known(RIG._replace(effects=effects_from_list([*delay, *told], "test")))
 
 
+@pytest.mark.long
 def test_the_first_run_begins_small_and_the_force_follows():
     outcome = first_run(session(disturbance=HELD), connected(), silent)
     reached = list[float]()

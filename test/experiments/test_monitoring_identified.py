@@ -75,6 +75,7 @@ def started(draft, healthy):
     return monitor, events
 
 
+@pytest.mark.long
 def test_the_readings_start_from_the_identified_rig(rig, started):
     monitor, events = started
     assert [event.kind for event in events] == ["differs"]
@@ -86,12 +87,14 @@ def test_the_readings_start_from_the_identified_rig(rig, started):
         assert abs(told[name].value - COEFFICIENTS[name].given(rig)) < 4.0 * told[name].deviation, name
 
 
+@pytest.mark.long
 def test_the_numbers_of_a_right_file_stay(rig, healthy):
     found = identify({"healthy": healthy}, rig)
     assert found.wrong == {}
     assert written(found.wrong) == ""
 
 
+@pytest.mark.long
 def test_the_identified_rig_is_in_the_memory(draft, started):
     monitor, _ = started
     origin = Origin.of(draft, 1e-3)

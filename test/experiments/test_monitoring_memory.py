@@ -100,6 +100,7 @@ def folder(kept: tuple[Monitor, Path], tmp_path: Path) -> Path:
     return Path(shutil.copytree(kept[1], tmp_path / "copy"))
 
 
+@pytest.mark.long
 def test_it_goes_on_with_all_it_knew_and_without_an_alarm(healthy, kept, folder: Path):
     spec, trajectory = healthy
     before, _ = kept

@@ -99,6 +99,7 @@ def test_a_change_is_noticed_named_and_in_the_model_from_then_on(rig, streams):
     assert abs(leakage.value - 1.6 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
 
 
+@pytest.mark.long
 def test_the_onset_is_that_of_the_detection_however_long_the_diagnosis_takes(rig, streams):
     time, _, signals = streams
     examiner, events = Scripted(consistent(rig), leaking(rig)), []
@@ -111,6 +112,7 @@ def test_the_onset_is_that_of_the_detection_however_long_the_diagnosis_takes(rig
     assert monitor.changes[0].earliest <= ONSET <= monitor.changes[0].latest + 5.0
 
 
+@pytest.mark.long
 def test_a_healthy_rig_gives_no_word_over_gaps_and_a_restart_of_its_time(rig, streams):
     time, signals, _ = streams
     late = np.where(time > 45.0, time + 10.0, time)
@@ -134,6 +136,7 @@ def test_a_cause_in_doubt_waits_for_more_samples(rig, streams):
     assert len(lengths) >= 2
 
 
+@pytest.mark.long
 def test_samples_that_cannot_be_judged_teach_nothing(rig, streams):
     time, signals, _ = streams
     refused = Finding("insufficient", (), rig, reason="the piston hardly moves")
@@ -155,6 +158,7 @@ def test_what_no_diagnosis_confirms_is_an_operating_point_only_after_a_minute(ri
     assert examiner.findings
 
 
+@pytest.mark.long
 def test_what_differs_from_the_beginning_is_part_of_the_baseline(rig, rig_file):
     r = record(rig_file, LEAK, "rich", seed=10, duration=45.0)
     monitor, _, events = watched(rig, r.time, dict(r.columns), leaking(rig))
@@ -204,6 +208,7 @@ def test_recordings_of_the_healthy_rig_are_the_baseline_and_one_that_is_too_shor
         Monitor(rig, Parameters(), Scripted(), {"short": short})
 
 
+@pytest.mark.long
 def test_acceptance_aborts_a_diagnosis_against_the_previous_healthy_rig(rig, streams):
     time, _, signals = streams
     monitor, examiner, _ = watched(rig, time, signals, consistent(rig), leaking(rig))
@@ -222,6 +227,7 @@ def test_acceptance_aborts_a_diagnosis_against_the_previous_healthy_rig(rig, str
     assert monitor.add(begin + time[75000:], {}) == []
 
 
+@pytest.mark.long
 def test_a_reset_while_an_unknown_rig_is_learnt_returns_to_the_recordings(rig, streams):
     time, healthy, leak = streams
     recording = Trajectory(time[:20000], {name: values[:20000] for name, values in healthy.items()})

@@ -52,6 +52,7 @@ def made() -> Made:
     return Made(trajectory, *watch([MonitoredRecording("axis", trajectory)], limits={"valve_gain": 0.5}))
 
 
+@pytest.mark.long
 def test_a_hidden_change_is_named_in_time_with_its_size_and_onset(made):
     [change] = made.watched.health.changes
     assert change.name == EFFECT
@@ -62,12 +63,14 @@ def test_a_hidden_change_is_named_in_time_with_its_size_and_onset(made):
     assert found.std < 0.05 * abs(SIZE)
 
 
+@pytest.mark.long
 def test_nothing_is_noticed_while_the_rig_is_healthy(made):
     assert [event.kind for event in made.told if event.time < ONSET] == ["learnt", "watching"]
     assert made.told == list(made.watched.events)
     assert made.watched.health.state == State.WATCHING
 
 
+@pytest.mark.long
 def test_the_coefficients_are_tracked_with_intervals(made):
     before = [past for past in made.watched.history if past.time < ONSET]
     assert len(before) >= 1
@@ -102,6 +105,7 @@ class Listening:
         return replaying.Health(0.0, State.IDLE, "", (), (), 0.0, "", 0.0, {})
 
 
+@pytest.mark.long
 def test_what_was_not_driven_is_not_given_and_begins_a_new_stretch(made, monkeypatch):
     monkeypatch.setattr(replaying, "Monitor", Listening)
     whole = made.trajectory

@@ -30,6 +30,7 @@ def experiment(known=(), law="fasmc_predictive", area=1.0, **more):
     return spec_from_mapping(content, "test", configured("rig_paper").parent)
 
 
+@pytest.mark.long
 def test_numbers_that_the_file_lacks_or_has_wrong_do_not_cost_the_force():
     told = stepped_run(experiment(["command_delay", "coupling_stiffness"])).largest()
     untold = experiment(area=1.2)

@@ -105,6 +105,7 @@ def test_neither_the_order_of_recordings_nor_their_clocks_matter():
     assert turned.noise == pytest.approx(fit.noise[::-1])
 
 
+@pytest.mark.long
 def test_intervals_hold_as_often_as_they_say():
     true = np.array([np.log(TRUE.level), np.log(TRUE.exponent), *LINEAR.values()])
     held = []

@@ -237,6 +237,7 @@ print(result.cost, sum(stats.cache_hits.values()), sum(stats.cache_misses.values
 """
 
 
+@pytest.mark.long
 def test_a_second_process_does_not_compile_again(tmp_path):
     environment = {**os.environ, "EHLS_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", _PROCESS, str(Path(__file__).parent)]

@@ -55,6 +55,7 @@ def recording():
     return rig, Trajectory(made.time, made.columns)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("missing", "order"), [("", {}), ("spool_m", SECOND)], ids=["first order", "second order, no spool"])
 def test_the_derivatives_are_those_of_central_differences(recording, missing, order):
     given, trajectory = recording

@@ -98,6 +98,7 @@ def test_the_rig_and_the_result_can_be_written_and_read(found):
     assert np.all(np.abs(matrix) <= 1.0 + 1e-9)
 
 
+@pytest.mark.long
 def test_biases_and_a_delay_are_found(rig_file, guess, truth):
     hidden = {"command_delay": {"delay": 4e-3}, "constant_load": {"force": 300.0}}
     out = identify_rig({"rich": recording(rig_file, "rich", 5, hidden=hidden)}, guess)
@@ -107,6 +108,7 @@ def test_biases_and_a_delay_are_found(rig_file, guess, truth):
     assert out.estimates["plant.valve_bandwidth"].value == pytest.approx(truth.plant.valve_bandwidth, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_valve_with_inertia_hysteresis_and_delay_is_found(guess):
     """Its spool is the exact response to a held command: delayed, then lost at reversals, then of second order."""
     delay, width, frequency, damping, fine = 1.2e-3, 6e-6, 420.0, 0.75, 5
@@ -168,6 +170,7 @@ def test_a_noisy_position_does_not_make_the_mass_smaller(rig_file, truth):
     assert mass.value == pytest.approx(truth.plant.moving_mass, rel=0.003)
 
 
+@pytest.mark.long
 def test_two_recordings_tell_more_than_one(rig_file, guess, truth, found, rich):
     out = identify_rig({"rich": rich, "random": recording(rig_file, "random", 4)}, guess)
     assert out.recordings == ("rich", "random")
@@ -175,6 +178,7 @@ def test_two_recordings_tell_more_than_one(rig_file, guess, truth, found, rich):
     assert out.estimates["plant.supply_pressure"].std < 1.2 * found.estimates["plant.supply_pressure"].std
 
 
+@pytest.mark.long
 def test_a_spoilt_recording_is_left_out_and_named(rich, guess):
     holes = np.where(np.arange(len(rich)) % 3 == 0, math.nan, rich["position_m"])
     spoilt = Trajectory(rich.time_s, {**rich.signals, "position_m": holes})
@@ -193,6 +197,7 @@ def test_a_stuck_recording_changes_nothing(rich, guess):
     assert {f"plant.{name}" for name in FACTORS} <= set(out.not_identifiable)
 
 
+@pytest.mark.long
 def test_slow_data_tell_what_needs_no_fast_sampling(rich, guess, truth):
     slow = Trajectory(rich.time_s[::10], {name: values[::10] for name, values in rich.signals.items()})
     out = identify_rig({"slow": slow}, guess)

@@ -121,6 +121,7 @@ def test_services_that_hang_close_the_valve(rig, graph):
     assert graph.processes[BRIDGE].poll() is None
 
 
+@pytest.mark.long
 def test_a_dead_service_thread_or_an_exception_in_the_loop_closes_the_valve_and_ends_the_process(rig, graph):
     running = rig(bridge=SABOTAGED)
     graph.journal.note("stopped", BRIDGE)
@@ -163,6 +164,7 @@ def test_each_change_of_the_gate_is_reported_at_once_whatever_else_there_is_to_r
 # The lifecycle
 
 
+@pytest.mark.long
 def test_outside_active_the_valve_is_at_null_and_returning_takes_reset_and_enable(rig):
     running = rig()
     moments = []
@@ -204,6 +206,7 @@ def test_outside_active_the_valve_is_at_null_and_returning_takes_reset_and_enabl
 ENDS = [(signal.SIGTERM, signal.SIGKILL), (signal.SIGINT,)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("numbers", tiered(ENDS, ENDS[0]))
 def test_the_end_of_the_process_closes_the_valve(rig, graph, numbers):
     running = rig()

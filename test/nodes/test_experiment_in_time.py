@@ -66,6 +66,7 @@ def long_run_under_way(spec_file, out: Path) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.long
 def test_ctrl_c_in_the_middle_closes_the_bag(spec_file, tmp_path):
     out = tmp_path / "run"
     process = long_run_under_way(spec_file, out)

@@ -226,6 +226,7 @@ def test_commands_lost_late_duplicated_and_not_finite(trial):
     running.finish()
 
 
+@pytest.mark.long
 def test_sensors_that_lie(trial):
     running = trial()
     # A law that is lied to opens the valve far within one reaction time.

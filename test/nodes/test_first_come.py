@@ -83,6 +83,7 @@ def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_sta
             assert abs(law.follow(*heard, sent[cycle - 1]) - stood_by[cycle]) <= EXACT
 
 
+@pytest.mark.long
 def test_a_driver_that_is_heard_late_is_stood_by_for(graph, participant, spec_file):
     """The test is plant and driver at once, and stays silent as driver for longer than a relay may."""
     path = spec_file(duration=1000.0, controller="sic")

@@ -16,6 +16,7 @@ DEFAULT = 10
 CYCLES = 50
 
 
+@pytest.mark.long
 def test_a_controller_with_the_default_profile_drives_the_plant_and_one_that_is_best_effort_is_named(
     graph, participant, spec_file
 ):

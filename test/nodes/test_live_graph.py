@@ -49,6 +49,7 @@ def figure(participant, diagnostics, node, name, holds):
     return found()[0]
 
 
+@pytest.mark.long
 def test_a_graph_is_retuned_loses_its_estimator_regains_it_and_ends_cleanly(running, participant, graph, spec_file):
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")
     # With the recorder and the test's participant.

@@ -45,6 +45,7 @@ def site(tmp_path):
     return tmp_path / "site"
 
 
+@pytest.mark.long
 def test_its_node_answers_and_is_tuned(site, graph, participant, tmp_path, monkeypatch):
     spec = tmp_path / "spec.yaml"
     spec.write_text(f"title: a new law\nrig: {ROOT}/config/rig_paper.yaml\n{SPEC}", encoding="utf-8")

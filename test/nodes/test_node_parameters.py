@@ -13,6 +13,7 @@ pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import get_parameter_value, parameter_value_to_python
+from tiers import tiered
 
 from ehls_ros.cli.main import main
 from ehls_ros.control.controllers import CONTROLLERS
@@ -36,6 +37,7 @@ def test_descriptors_carry_unit_range_and_help(graph, participant, spec_file):
         assert not descriptor.read_only
 
 
+@pytest.mark.long
 def test_the_command_does_as_ros2_param_does(graph, participant, spec_file, capsys, monkeypatch):
     graph.start("fasmc_node", spec=spec_file())
     participant.call(ListParameters, "fasmc_node/list_parameters", ListParameters.Request())
@@ -80,18 +82,23 @@ def test_the_command_does_as_ros2_param_does(graph, participant, spec_file, caps
 
 @pytest.mark.parametrize(
     ("node", "parameter", "words"),
-    [
+    tiered(
+        [
+            ("fasmc_node", "spec:=/nowhere.yaml", ("/nowhere.yaml", "cannot be read")),
+            ("plant_sim_node", "timing:=sometimes", ("timing is 'sometimes'", "lockstep")),
+            ("recorder_node", "storage:=tape", ("storage is 'tape'", "mcap")),
+            ("friction_estimator_node", "model:=magic", ("'magic'", "gms")),
+            ("hardware_bridge_node", "bridge:=/nowhere.yaml", ("/nowhere.yaml", "cannot be read")),
+            ("plant_sim_node", "on_command_stale:=warn", ("on_command_stale", "cut")),
+            ("fasmc_node", "k:=2000", ("fasmc_node", "k is 2000.0", "[MPa/s]", "0.1 to 1000")),
+            ("fasmc_node", "k:=fast", ("fasmc_node", "k is 'fast'", "a valid number", "[MPa/s]", "0.1 to 1000")),
+            ("fasmc_node", "use_sim_time:=1", ("'use_sim_time'", "'BOOL'")),
+            ("pid_node", "timing:=lockstep", ("reference is a force for fasmc", "follows a position")),
+        ],
         ("fasmc_node", "spec:=/nowhere.yaml", ("/nowhere.yaml", "cannot be read")),
-        ("plant_sim_node", "timing:=sometimes", ("timing is 'sometimes'", "lockstep")),
-        ("recorder_node", "storage:=tape", ("storage is 'tape'", "mcap")),
-        ("friction_estimator_node", "model:=magic", ("'magic'", "gms")),
-        ("hardware_bridge_node", "bridge:=/nowhere.yaml", ("/nowhere.yaml", "cannot be read")),
-        ("plant_sim_node", "on_command_stale:=warn", ("on_command_stale", "cut")),
         ("fasmc_node", "k:=2000", ("fasmc_node", "k is 2000.0", "[MPa/s]", "0.1 to 1000")),
-        ("fasmc_node", "k:=fast", ("fasmc_node", "k is 'fast'", "a valid number", "[MPa/s]", "0.1 to 1000")),
-        ("fasmc_node", "use_sim_time:=1", ("'use_sim_time'", "'BOOL'")),
-        ("pid_node", "timing:=lockstep", ("reference is a force for fasmc", "follows a position")),
-    ],
+        unpack=True,
+    ),
 )
 def test_a_wrong_parameter_ends_the_node_with_one_line_and_code_2(node, parameter, words):
     command = [sys.executable, "-m", f"ehls_ros.nodes.{node}", "--ros-args", "-p", parameter]

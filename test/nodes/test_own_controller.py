@@ -57,6 +57,7 @@ def largest_error(graph, participant):
     return max(abs(force - wanted.row(cycle)[0]) for cycle, force in settled().items())
 
 
+@pytest.mark.long
 def test_the_python_node_holds_the_force(graph, participant, folder):
     graph.run("own_controller", [str(folder / "own_controller.py")])
     assert largest_error(graph, participant) < LARGEST_ERROR

@@ -99,6 +99,7 @@ def test_a_second_reference_is_refused_and_taken_only_after_the_first_has_left(s
     participant.until(lambda: two.follows(-FORCE))
 
 
+@pytest.mark.long
 def test_what_was_refused_does_not_count_once_its_sender_has_left(sources):
     two, participant = sources, sources.participant
     two.second("reference_node", "reference_node_2")
@@ -114,6 +115,7 @@ def test_what_was_refused_does_not_count_once_its_sender_has_left(sources):
     assert "is refused" not in two.graph.log("reference_node")
 
 
+@pytest.mark.long
 def test_a_programme_beside_a_reference_does_not_begin(sources):
     two, participant = sources, sources.participant
     file = two.folder / "programme.yaml"
@@ -137,6 +139,7 @@ def test_a_second_source_of_another_input_is_refused(sources, name):
     participant.until(lambda: two.follows(FORCE))
 
 
+@pytest.mark.long
 def test_a_disturbance_returns_in_the_cycle_that_waits_for_it_although_a_second_plant_has_sent_since(sources):
     two, participant = sources, sources.participant
     assert participant.change("disturbance_node", "deactivate")
@@ -148,6 +151,7 @@ def test_a_disturbance_returns_in_the_cycle_that_waits_for_it_although_a_second_
     participant.until(lambda: two.follows(FORCE))
 
 
+@pytest.mark.long
 def test_a_flood_of_refused_rows_does_not_stall_the_cycles_for_good(sources):
     two, participant = sources, sources.participant
     flood = participant.node.create_publisher(Disturbance, "disturbance", control_qos())

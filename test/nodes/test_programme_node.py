@@ -28,6 +28,7 @@ GONE = DEPTH + LEAD + 100
 """Control cycles after which the rig has neither reference nor the snapshots from before the node ended."""
 
 
+@pytest.mark.long
 def test_no_load_cycle_is_lost_or_counted_twice(ros_domain_id, tmp_path):
     from benchmarks.programme_endurance import endure
 
@@ -105,6 +106,7 @@ def assert_a_second_is_refused(graph, own, tmp_path):
     assert sorted(path.name for path in (tmp_path / "run").glob("[!.]*")) == ["load_cycles.csv", "programme_state.json"]
 
 
+@pytest.mark.long
 def test_a_programme_that_the_rig_ran_on_without_stands_until_it_is_resumed(graph, participant, spec_file, tmp_path):
     """In realtime, after its node was killed and absent for long; the rig's gate closes meanwhile, its cycles continue."""
     file, spec = tmp_path / "programme.yaml", spec_file(duration=100.0, controller="sic")
@@ -220,6 +222,7 @@ pacing: {mode: static, tolerance: 100.0, timeout: 5.0}
 """
 
 
+@pytest.mark.long
 def test_a_programme_that_waits_for_its_peaks_reaches_them_also_after_a_kill(graph, participant, spec_file, tmp_path):
     """A law that lags behind the reference; each load cycle is counted once, and none before its valley is reached."""
     file, spec = tmp_path / "programme.yaml", spec_file(duration=1000.0, controller="sic")

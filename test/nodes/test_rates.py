@@ -111,6 +111,7 @@ def test_a_rig_at_4_khz_is_followed_through_the_bridge(graph, participant, tmp_p
     assert graph.stop("composed") == 0
 
 
+@pytest.mark.long
 def test_a_rig_with_another_rate_than_the_experiments_is_not_enabled(graph, participant, tmp_path, emulator):
     """The law would mistake a sample of one millisecond for one of half a millisecond."""
     bridge = emulator(at(1e-3, tmp_path / "rig.yaml", controller="sic"))

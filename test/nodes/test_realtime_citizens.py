@@ -44,6 +44,7 @@ def test_a_background_node_locks_only_the_memory_it_uses_and_only_its_loop_has_l
     assert found["loop"] == {(os.SCHED_FIFO, MIN_PRIORITY)}
 
 
+@pytest.mark.long
 @needs_permission
 def test_an_overloaded_loop_gives_up_its_priority(graph, participant):
     heard = participant.collect(DiagnosticArray, "/diagnostics")
@@ -101,6 +102,7 @@ def figures(heard) -> list[dict[str, str]]:
     return [{v.key: v.value for v in s.values} | {"message": s.message} for array in heard for s in array.status]
 
 
+@pytest.mark.long
 def test_a_simulated_rig_waits_for_a_controller_that_is_too_slow_and_says_so(graph, participant, spec_file):
     heard = participant.collect(DiagnosticArray, "/diagnostics")
     controller = SlowController(participant)

@@ -80,6 +80,7 @@ def test_only_controllers_command_the_valve_and_only_plant_nodes_open_a_cycle():
     assert all("/ehls/enable" in rights[name]["reply"] for name in PLANTS.values())
 
 
+@pytest.mark.long
 def test_the_nodes_stay_within_the_policy(graph, participant, spec_file, tmp_path: Path):
     rights = policy()
     spec = spec_file()

@@ -214,6 +214,7 @@ def check_report(document):
     assert "tripped by emergency stop" in document
 
 
+@pytest.mark.long
 def test_a_rig_that_does_not_run_is_one_line_with_domain_and_namespace(ros_domain_id):
     for words, sought in ((("rig", "status"), "rig"), (("programme", "stop"), "programme")):
         done = ehls(*words, "--namespace", "rig2")

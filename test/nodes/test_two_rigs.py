@@ -64,6 +64,7 @@ def listen(participant, topic, kind):
     return received
 
 
+@pytest.mark.long
 def test_two_rigs_in_lockstep_do_not_hear_each_other(graph, participant, specs):
     assert max(CYCLES.values()) + LEAD < DEPTH
     heard = {

@@ -13,6 +13,7 @@ import sys
 
 import pytest
 from patience import PATIENCE
+from tiers import tiered
 
 from ehls_ros import sources
 from ehls_ros.errors import BadInput
@@ -221,7 +222,12 @@ def filled(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("kind", "damage"),
-    [(kind, damage) for damage in (flipped, planted) for kind in ("nbi", "nbc", "seal")] + [("nbc", emptied), ("nbc", cut)],
+    tiered(
+        [(kind, damage) for damage in (flipped, planted) for kind in ("nbi", "nbc", "seal")] + [("nbc", emptied), ("nbc", cut)],
+        ("nbc", flipped),
+        ("seal", planted),
+        unpack=True,
+    ),
 )
 def test_machine_code_that_is_not_as_it_was_left_is_compiled_anew(folder, filled, kind, damage):
     shutil.copytree(filled, folder)

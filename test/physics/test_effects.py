@@ -12,6 +12,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from rig_runs import PAPER_RIG, PERIOD
+from tiers import tiered
 
 from ehls_ros.arrays import kernel
 from ehls_ros.physics.composition import compiled
@@ -134,12 +135,12 @@ def test_the_ways_to_fit_an_effect_start_off_the_neutral_values_and_within_range
             assert any(start != declared[key].default for key, start in named)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", tiered(NAMES, *NAMES[::6]))
 def test_the_neutral_value_changes_nothing(name, uncompiled):
     assert uncompiled[name]["neutral_is_neutral"]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", tiered(NAMES, *NAMES[::6]))
 def test_another_value_changes_something(name, uncompiled):
     assert uncompiled[name]["changed_by"] is not None
 

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 from numba import njit
 
 from ehls_ros.arrays import kernel_no_refcount
@@ -66,6 +67,7 @@ def run_alone(calls, y, mode, c, step, steps, work):
     return dense
 
 
+@pytest.mark.long
 def test_each_of_many_bouncing_balls_bounces_as_it_does_alone():
     random = np.random.default_rng(3)
     balls = [Ball(g, b, (d, 0.5 * d)) for g, b, d in random.uniform((5.0, 0.3, 0.0), (15.0, 0.9, 0.5), (LANES, 3))]

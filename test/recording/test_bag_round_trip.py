@@ -34,6 +34,7 @@ def test_the_storage_file_alone_is_enough(tmp_path: Path, storage: Storage):
     assert same(read_bag(alone), trajectory)
 
 
+@pytest.mark.long
 def test_a_long_bag_is_put_together_from_blocks(tmp_path: Path):
     trajectory = make_trajectory(BLOCK + 5)
     elements, slipping = trajectory["friction_elements_n"].copy(), trajectory["friction_slipping"].copy()

@@ -427,6 +427,7 @@ def test_flushing_does_not_change_the_recording(tmp_path: Path, storage: Storage
     assert forces(tmp_path / "bag") == list(range(30))
 
 
+@pytest.mark.long
 @STORAGE
 def test_a_full_disk_leaves_no_partial_bag(tmp_path: Path, storage: Storage):
     bag = cut_off(tmp_path / "bag", storage, 600)
@@ -529,7 +530,7 @@ def benchmark() -> ModuleType:
 @STORAGE
 @pytest.mark.parametrize(
     ("kind", "trials"),
-    tiered([(kind, trials) for trials in (4, 12) for kind in KINDS], *[(kind, 4) for kind in KINDS], unpack=True),
+    tiered([(kind, trials) for trials in (4, 12) for kind in KINDS], unpack=True),
 )
 def test_random_damage_costs_only_what_it_hits(tmp_path: Path, benchmark: ModuleType, storage: Storage, kind: str, trials: int):
     left = benchmark.left_behind(tmp_path / "bag", storage, 60, 1)
