@@ -105,7 +105,7 @@ def main() -> None:
         error = np.abs(value - true) / size
         errors += error[np.isfinite(error)].tolist()
         print(
-            f"{path:34s}{len(value):6d}{100 * np.median(error):14.3f} %{100 * math.sqrt(np.mean(error**2)):10.4f} %"
+            f"{path:34s}{len(value):6d}{100 * np.median(error):14.3f} %{100 * math.sqrt(np.mean(error**2)):10.2g} %"
             f"{100 * np.max(error):8.2f} %"
             f"{100 * np.median(std / size):10.3f} %{100 * np.mean(inside):10.0f} %"
         )

@@ -172,6 +172,7 @@ def test_nothing_but_the_results_is_left(diagnosed):
     assert (diagnosed[0] / "report.html").stat().st_size > 1e5
 
 
+@pytest.mark.long
 def test_json_is_the_last_line(again, capsys):
     code, result = again("--json")
     assert code == 0

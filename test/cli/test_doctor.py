@@ -37,6 +37,7 @@ def test_two_processes_find_each_other():
     assert "us" in found.found
 
 
+@pytest.mark.long
 def test_a_process_that_does_not_exit_is_killed(monkeypatch, tmp_path, ros_domain_id):
     pytest.importorskip("rclpy", reason="needs ROS 2 Jazzy or its wheels")
     deaf = tmp_path / "deaf.py"

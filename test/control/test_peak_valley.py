@@ -274,6 +274,7 @@ def extremes(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
     return np.array(errors), np.array([turns[k, 0] for k, _ in cycles])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gain", [0.8, 1.2])
 def test_with_a_valve_gain_off_by_a_fifth_a_simple_law_has_its_peaks_after_eight_load_cycles(gain):
     parts: dict[str, Any] = {"emulated": True, "gain": gain, "reference": {"name": "sine", "amplitude": 1e4, "frequency": 1.0}}

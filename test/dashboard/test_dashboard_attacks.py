@@ -147,6 +147,7 @@ def test_a_page_has_two_sockets_at_most(shown, here):
         assert opened[-1].state is State.OPEN
 
 
+@pytest.mark.long
 def test_the_number_of_reading_pages_is_limited_and_leaves_room_for_writers():
     with served() as server:
         here = f"http://127.0.0.1:{server.port}/"

@@ -76,6 +76,7 @@ LEFT_OUT = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", tiered(LEFT_OUT, "no pressure"))
 def test_a_missing_signal_narrows_what_is_judged(how, hidden, diagnosed):
     d = diagnosed(degrade.without(hidden, *LEFT_OUT[how]))

@@ -89,6 +89,7 @@ def test_a_single_effect_is_named_and_measured(name, recorded, diagnosed):
     assert {use.name for use in d.extended.effects} == {d.causes[0].name}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pair", tiered(PAIRS, "friction and valve"))
 def test_two_effects_are_named(pair, recorded, diagnosed):
     hidden = {name: sizes for name, (sizes, _) in PAIRS[pair].items()}

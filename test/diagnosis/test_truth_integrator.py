@@ -124,6 +124,7 @@ def reference(rate, y, r, first_element, friction, at_v, scale):
     return np.array(out), modes
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["gms", "lugre"])
 def test_with_nothing_hidden_it_is_the_papers_model(shake, model):
     rig = rig_with(model)

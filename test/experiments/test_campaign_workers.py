@@ -173,6 +173,7 @@ def test_a_killed_local_worker_ends_in_one_line_and_keeps_what_is_done(processes
     assert kept(out)
 
 
+@pytest.mark.long
 def test_two_processes_give_what_one_gives(processes, campaign, made_by_one, tmp_path):
     command = processes(
         "ehls_ros.cli.main", "campaign", str(campaign), "--out", str(tmp_path / "two"), "--jobs", "2", stdout=subprocess.DEVNULL

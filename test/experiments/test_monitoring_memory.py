@@ -124,6 +124,7 @@ def test_it_goes_on_with_all_it_knew_and_without_an_alarm(healthy, kept, folder:
     assert np.allclose(after.saved_state().rows[:, -1], before.saved_state().rows[:, -1], rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.long
 def test_the_history_grows_by_what_is_new(healthy, folder: Path):
     spec, trajectory = healthy
     lines = (folder / COEFFICIENTS).read_text(encoding="utf-8").splitlines()

@@ -171,6 +171,7 @@ def test_what_differs_from_the_beginning_is_part_of_the_baseline(rig, rig_file):
     assert abs(leakage.value - 1.6 * rig.plant.leakage_coefficient) < 4.0 * leakage.deviation
 
 
+@pytest.mark.long
 def test_an_accepted_change_is_the_healthy_rig(rig, streams):
     time, _, signals = streams
     monitor, _, _ = watched(rig, time, signals, consistent(rig), leaking(rig))

@@ -150,6 +150,7 @@ def test_the_files_give_the_numbers_found(tuned):
     assert document(tuned)["chosen"]["max_error_n"] == tuned.chosen.error
 
 
+@pytest.mark.long
 def test_a_lost_force_is_a_result_with_advice(monkeypatch):
     monkeypatch.setattr(tuning, "MAX_TRIALS", 1)
     monkeypatch.setattr(tuning, "SPEEDS", (1.0,))

@@ -23,7 +23,7 @@ PERIOD = 1e-3
 EXPERIMENTS = sorted(path.stem for path in (CONFIG / "experiments").glob("*.yaml") if "sweep" not in path.stem)
 LEAVES_THE_STROKE = {"constant_fd2", "constant_fd2_sic"}
 WITHIN_THE_STROKE = set(EXPERIMENTS) - LEAVES_THE_STROKE
-LONG = {"friction_presliding", "programme_fd1"}
+LONG = set(EXPERIMENTS) - {"sine_fd2", "constant_fd2", "measured_sine_fd1", "servo_sine"}
 
 
 @functools.cache

@@ -133,6 +133,7 @@ def test_a_valve_with_inertia_hysteresis_and_delay_is_found(guess):
     assert SECOND_ORDER[0] in out.not_identifiable["plant.valve_bandwidth"]
 
 
+@pytest.mark.long
 def test_a_load_cell_that_reads_too_much_is_found(rich, guess):
     louder = Trajectory(rich.time_s, {**rich.signals, "force_n": 1.05 * rich["force_n"] + 50.0})
     out = identify_rig({"rich": louder}, guess)

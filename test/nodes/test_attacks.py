@@ -145,6 +145,7 @@ def test_a_dead_service_thread_or_an_exception_in_the_loop_closes_the_valve_and_
     judge("exception in the loop", truth, raised, "end_of_process")
 
 
+@pytest.mark.long
 def test_each_change_of_the_gate_is_reported_at_once_whatever_else_there_is_to_report(rig):
     running = rig()
     # From now on there are unanswered cycles to report.

@@ -44,6 +44,7 @@ def test_a_plant_that_slept_stamps_with_the_clock_again_and_tells_the_jump(graph
     participant.until(lambda: "header stamps jumped by +" in graph.log("plant_sim_node"))
 
 
+@pytest.mark.long
 def test_with_use_sim_time_and_no_clock_diagnostics_come_and_say_so_until_it_comes(graph, participant, spec_file):
     graph.start("reference_node", spec=spec_file(), use_sim_time="true")
     diagnostics = participant.collect(DiagnosticArray, "/diagnostics")

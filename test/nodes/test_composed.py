@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ehls_command import ehls, trajectory_of
+from tiers import tiered
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -142,6 +143,7 @@ def test_what_cannot_be_one_process_is_refused(capsys, names, word):
     assert word in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_an_estimator_apart_is_waited_for(spec_file, graph, participant, tmp_path):
     spec = spec_file()
     reference = tmp_path / "reference"
@@ -200,7 +202,7 @@ PARTNERS = ("reference_node", "disturbance_node", "friction_estimator_node", "fa
 TRANSITIONS = ("deactivate", "activate", "deactivate", "cleanup", "configure", "activate")
 
 
-@pytest.mark.parametrize("gone", PARTNERS)
+@pytest.mark.parametrize("gone", tiered(PARTNERS, "fasmc_node"))
 def test_a_node_that_is_shut_down_takes_no_other_node_of_its_process_with_it(graph, participant, spec_file, gone):
     states = participant.collect(LoaderState, "loader_state")
     process = start_together(graph, spec_file(duration=1e4), timing="lockstep", speed=2.0)

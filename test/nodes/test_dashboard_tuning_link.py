@@ -98,6 +98,7 @@ def test_numbers_are_applied_together_to_the_graph_they_were_found_for(dashboard
     assert list(Path("runs").glob("*")) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dashboard", [configured("rig_paper_measured")], indirect=True, ids=["a rig in place of the spec's"])
 def test_a_graph_with_a_bridge_gets_no_numbers_unless_the_operator_has_confirmed(dashboard, participant):
     joined, spec = dashboard

@@ -252,6 +252,7 @@ def test_sensors_that_lie(trial):
     running.finish()
 
 
+@pytest.mark.long
 def test_the_rig_gone_and_back(trial, graph):
     running = trial()
     running.rig.stop_emulator(signal.SIGKILL)

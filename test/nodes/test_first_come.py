@@ -27,6 +27,7 @@ EXACT = 1e-12
 """Permitted deviation of a standby command from the law in one process [m]."""
 
 
+@pytest.mark.long
 def test_of_two_controllers_that_wait_for_the_plant_one_drives_and_the_other_stands_by(graph, participant, spec_file):
     path = spec_file(duration=1000.0, controller="sic")
     told = participant.collect(Driver, "driver")

@@ -130,6 +130,7 @@ def test_a_programme_beside_a_reference_does_not_begin(sources):
     assert max(abs(state.force - FORCE) for state in two.states) < FOLLOWED
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", tiered(["disturbance_node", "friction_estimator_node", "plant_sim_node"], "plant_sim_node"))
 def test_a_second_source_of_another_input_is_refused(sources, name):
     two, participant = sources, sources.participant

@@ -177,6 +177,7 @@ def test_a_programme_stops_where_its_records_cannot_be_written():
     assert runner.motions[-1].kind == "resume"
 
 
+@pytest.mark.long
 def test_a_programme_holds_where_an_emergency_stop_closed_the_valve(graph, participant, spec_file, tmp_path):
     """Load cycles that were published but not applied are not counted; none is lost, and none is counted twice."""
     file, spec = tmp_path / "programme.yaml", spec_file(duration=1000.0, controller="sic")

@@ -85,6 +85,7 @@ def emulator(tmp_path):
         process.wait(PATIENCE)
 
 
+@pytest.mark.long
 def test_a_rig_at_4_khz_is_followed_through_the_bridge(graph, participant, tmp_path, emulator):
     period = 2.5e-4
     spec = at(period, tmp_path / "fast.yaml", duration=1000.0, controller="fasmc_output_feedback")

@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from tiers import tiered
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -138,7 +139,10 @@ def udp_ports(process: int) -> Iterator[int]:
             yield int(fields[1].partition(":")[2], 16)
 
 
-@pytest.mark.parametrize(("range_", "found"), [(None, False), ("", False), ("LOCALHOST", False), ("SUBNET", True)])
+@pytest.mark.parametrize(
+    ("range_", "found"),
+    tiered([(None, False), ("", False), ("LOCALHOST", False), ("SUBNET", True)], (None, False), ("SUBNET", True), unpack=True),
+)
 def test_a_node_listens_to_other_hosts_only_when_told_to(ros_domain_id: int, range_: str | None, found: bool):
     environment = {key: value for key, value in os.environ.items() if key != "ROS_AUTOMATIC_DISCOVERY_RANGE"}
     if range_ is not None:

@@ -23,6 +23,7 @@ TOPICS = {
 }
 
 
+@pytest.mark.long
 def test_a_node_shut_down_while_active_stops_publishing(graph, participant, spec_file):
     spec = spec_file(duration=1000.0)
     for name in TOPICS:

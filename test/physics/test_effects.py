@@ -168,6 +168,7 @@ def once(friction, elements, states, chains):
     return SimpleNamespace(rates=rates)
 
 
+@pytest.mark.long
 def test_all_effects_compile_together_and_neutral_change_nothing(make_rig):
     """One evaluation of the equations: a whole integrator of all effects takes long to compile."""
     rigs = [make_rig(), make_rig(effects=[{"name": name} for name in NAMES])]

@@ -33,6 +33,7 @@ def model(tmp_path, monkeypatch):
     sys.modules.pop(f"ehls_ros.physics.friction.{name}", None)
 
 
+@pytest.mark.long
 def test_the_model_of_the_page_runs(model, make_rig):
     rig = make_rig(friction={"model": model})
     check_rig(rig, "rig")

@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 import yaml
 from recorded_runs import loader_state, make_trajectory, record, serialized, storage_file
+from tiers import tiered
 
 from ehls_ros.errors import LONGEST, BadInput
 from ehls_ros.recording.bag_reader import read_bag
@@ -47,7 +48,9 @@ def fuzz() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize(("name", "inputs"), [("csv", 1000), ("yaml", 500), ("bag", 100)])
+@pytest.mark.parametrize(
+    ("name", "inputs"), tiered([("csv", 1000), ("yaml", 500), ("bag", 100), ("csv", 200)], ("csv", 200), unpack=True)
+)
 def test_damaged_files_are_read_or_refused(tmp_path: Path, fuzz: ModuleType, name: str, inputs: int):
     outcomes = fuzz.fuzz(fuzz.TARGETS[name](), inputs, 11, tmp_path)
     assert set(outcomes) == {"taken", "refused"}

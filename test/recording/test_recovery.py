@@ -249,7 +249,7 @@ def test_a_damaged_message_costs_only_itself_and_is_reported(tmp_path: Path, sto
 
 
 @STORAGE
-@pytest.mark.parametrize("bit", [0, 32, 56])
+@pytest.mark.parametrize("bit", tiered([0, 32, 56], 32))
 def test_any_flipped_bit_of_a_stamp_is_detected(tmp_path: Path, storage: Storage, bit: int):
     bag = cut_off(tmp_path / "bag", storage)
     stamp = stamp_of(7) + 5
@@ -285,7 +285,7 @@ def test_a_message_moved_to_another_topic_is_dropped(tmp_path: Path, storage: St
 
 
 @STORAGE
-@pytest.mark.parametrize("start", [256, 4096, 40_000, -9000])
+@pytest.mark.parametrize("start", tiered([256, 4096, 40_000, -9000], 4096))
 def test_an_overwritten_block_costs_only_its_messages(tmp_path: Path, storage: Storage, start: int):
     bag = cut_off(tmp_path / "bag", storage)
     file = storage_file(bag)

@@ -11,6 +11,7 @@ import pytest
 from patience import PATIENCE
 from recorded_runs import storage_file
 from test_recovery import cut_off
+from tiers import tiered
 
 from ehls_ros.recording import ledger
 from ehls_ros.recording.damaged_bag import JOURNAL_MAGIC, damaged_bag
@@ -47,7 +48,7 @@ def unsynced(tmp_path: Path, **header: object) -> tuple[Path, Path]:
     return storage_file(bag), journal
 
 
-@pytest.mark.parametrize("page_size", [PAGE, 512, 0])
+@pytest.mark.parametrize("page_size", tiered([PAGE, 512, 0], PAGE))
 @pytest.mark.parametrize("pages", [2**31, 2**32 - 1, 1000, 0])
 def test_a_journal_that_claims_pages_that_are_not_there_costs_their_true_size(tmp_path: Path, pages: int, page_size: int):
     file, journal = unsynced(tmp_path, pages=pages, page_size=page_size)

@@ -147,6 +147,7 @@ def assert_shows(received: list[Received], namespace: str, wanted: Trajectory) -
             assert [message.fields.cycle for message in messages] == list(range(len(wanted)))
 
 
+@pytest.mark.long
 def test_a_recording_and_a_simulation_come_on_one_clock(recorded, spec, stream, tmp_path):
     write_trajectory(tmp_path / "bag", recorded)
     simulated = run_in_process(load_spec(spec))
