@@ -23,21 +23,21 @@ OVERLAP = 2.0
 
 
 ACCURACY: Mapping[str, float] = {
-    "plant.discharge_coefficient": 1e-5,
-    "plant.leakage_coefficient": 1.5e-3,
-    "plant.bulk_modulus": 3e-3,
+    "plant.discharge_coefficient": 1e-7,
+    "plant.leakage_coefficient": 1e-5,
+    "plant.bulk_modulus": 1e-5,
     "friction.coulomb_force": 2e-5,
     "friction.viscous_coefficient": 2e-5,
-    "friction.element_stiffness": 3e-4,
-    "friction.static_force": 6e-3,
-    "friction.stribeck_velocity": 2e-2,
-    "friction.stribeck_exponent": 1e-2,
+    "friction.element_stiffness": 1e-4,
+    "friction.static_force": 7e-3,
+    "friction.stribeck_velocity": 3e-2,
+    "friction.stribeck_exponent": 1.2e-2,
     "friction.attraction_rate": 4e-3,
 }
 """Error of coefficients due to the stages' approximation between samples, as a fraction of the value.
 
-Rms error of a fit to 8 recordings of the truth generator without any noise, 25 s at 1 kHz, rounded up; it grows with the
-square of the sampling period.
+Rms error of a fit to 8 recordings of the truth generator without any noise, 25 s at 1 kHz, rounded up
+(`python -m benchmarks.rig_identification --cases 8 --duration 25 --noise 0`); it grows with the square of the sampling period.
 """
 
 ACCURATE_PERIOD = 1e-3

@@ -96,6 +96,9 @@ DROOPED = 0.3
 STRIBECK_FACTORS = (1.0, 0.4, 2.5)
 """Factors on the given Stribeck velocity from which friction is fitted."""
 
+STIFFNESS_FACTORS = (0.5, 2.0)
+"""The same on the given stiffness of the elements: from half of it, a fit of presliding may end far from the truth."""
+
 NEEDED_GAIN = 60.0
 """Least decrease of the loss for which a dead zone or a delay is accepted [nats]."""
 
@@ -314,6 +317,8 @@ def _force(stack: Stack, rig: Rig, free: Mapping[str, Coefficient]) -> Start:
     if STRIBECK_VELOCITY in free:
         velocity = read(rig, STRIBECK_VELOCITY)
         starts = [placed(rig, {STRIBECK_VELOCITY: factor * velocity}) for factor in STRIBECK_FACTORS]
+    if STIFFNESS in free:
+        starts += [placed(rig, {STIFFNESS: factor * read(rig, STIFFNESS)}) for factor in STIFFNESS_FACTORS]
     chosen = [free[path] for path in (*BEAM, *friction) if path in free]
     trials = [fit(stack, start, chosen, OF_BALANCE, SEARCHED) for start in starts]
     best = min(trials, key=lambda f: f.comparable)

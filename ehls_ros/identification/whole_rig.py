@@ -286,7 +286,7 @@ def _fitted(
     """
     fitted, absent = list(chosen), dict[str, Estimate]()
     now = fit(stack, start, fitted, channels)
-    reasons, doubtful = dict[str, str](), list[Coefficient]()
+    reasons, doubtful, moved = dict[str, str](), list[Coefficient](), dict[str, float]()
     for _ in range(ROUNDS):
         whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
         found = estimated(stack, whole, len(doubtful), spread, form=True)
@@ -312,6 +312,8 @@ def _fitted(
             unseen = [d.path for d in found_unidentifiable if not d.excited]
             again = fit(stack, _restored(now.rig, given, unseen), fitted, channels)
             reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in found_unidentifiable if d.excited}
+        # However far it is from the guess to the truth, the derivatives see only its first step.
+        moved = {c.path: abs(float(z - now.z[now.paths.index(c.path)])) for c, z in zip(fitted, again.z, strict=True)}
         now = again
     if LOAD in absent and given.plant.gravity:
         # Taken as zero for certain, a constant load would give the mass by its weight.
@@ -321,7 +323,8 @@ def _fitted(
     now = free_of_noise.fit._replace(converged=now.converged)
     whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
     rounded = rounding(stack, now)
-    further = {p: math.hypot(spread.get(p, 0.0), error, rounded[p]) for p, error in free_of_noise.spread.items()}
+    own = {p: math.hypot(spread.get(p, 0.0), moved.get(p, 0.0)) for p in now.paths}
+    further = {p: math.hypot(own[p], error, rounded[p]) for p, error in free_of_noise.spread.items()}
     response = gain(whole, noisy, len(doubtful)) if doubtful else free_of_noise.gain
     found = estimated(stack, whole, len(doubtful), {**spread, **further}, response, form=True)
     vague = [c.path for c in fitted if c.path in found.vague]
