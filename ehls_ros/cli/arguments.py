@@ -2,7 +2,7 @@
 
 import argparse
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,6 +74,12 @@ def add_results(parser: ArgumentParser, folder: str, document: str) -> None:
     """
     parser.add_argument("--out", type=Path, default=Path(folder), help="folder of the results (%(default)s)")
     add_json(parser, document)
+
+
+def add_margins(parser: ArgumentParser, usual: Sequence[float]) -> None:
+    """Add ``--margins``, those asked of a control law, with their default."""
+    about = "gain margin [dB] and phase margin [degree] asked of the law (default: {:g} {:g})".format(*usual)
+    parser.add_argument("--margins", type=float, nargs=2, metavar=("DB", "DEG"), default=list(usual), help=about)
 
 
 def add_json(parser: ArgumentParser, document: str) -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ehls_ros.dashboard.graph import TuningPoint, TuningResult
 from ehls_ros.report.page import MIN_LIMIT, MISSING_NUMBER, number, with_unit
 from ehls_ros.report.plot import decades
-from ehls_ros.report.tuning import LOST
+from ehls_ros.report.tuning import HELD, LOST
 
 WIDTH, HEIGHT = 300, 190
 """Size of the drawing, in its units, which are pixels where it has this width."""
@@ -78,9 +78,12 @@ def results_table(result: TuningResult) -> str:
     """Return error and margins of default and found numbers as an HTML table, with the causal limit below them."""
     cells: dict[str, Callable[[TuningPoint], str]] = {
         "largest error": lambda point: with_unit(point.error, "N", LOST),
+        HELD: lambda point: with_unit(None if point.held is None else 100.0 * point.held, "%", LOST),
         "gain margin": lambda point: with_unit(point.gain_db, "dB", "unlimited"),
         "phase margin": lambda point: with_unit(point.phase_deg, "°", "unlimited"),
     }
+    if not result.default.held and not result.found.held:
+        del cells[HELD]
     rows = [(name, cell(result.default), cell(result.found)) for name, cell in cells.items()]
     limit = result.causal_limit
     text = "unknown" if limit is None else with_unit(limit, "N") if limit >= MIN_LIMIT else f"below {MIN_LIMIT:g} N"

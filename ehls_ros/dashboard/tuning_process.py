@@ -96,7 +96,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def _point(trial: Trial) -> TuningPoint:
-    return TuningPoint(trial.error, trial.gain_db, trial.margins.phase_deg)
+    return TuningPoint(trial.error, trial.gain_db, trial.margins.phase_deg, trial.held)
 
 
 def _print(report: Report) -> None:

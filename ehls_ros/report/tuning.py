@@ -10,6 +10,7 @@ import numpy as np
 
 from ehls_ros.experiments.spec import spec_to_mapping
 from ehls_ros.experiments.tuning.files import EXPERIMENT, document, experiment_text, parameters_text
+from ehls_ros.experiments.tuning.task import held
 from ehls_ros.experiments.tuning.tune import Limit, Trial, Tuned
 from ehls_ros.report import page, plot
 from ehls_ros.report.page import Panel, limit_text, number, plane, with_unit
@@ -23,6 +24,9 @@ DECIBEL = Unit("dB")
 
 LOST = "lost"
 """Text for the error of a run in which the force was lost."""
+
+HELD = "small force, actuator held"
+"""Title of the error of a small force against an actuator under test that holds."""
 
 WORTH = 0.95
 """Ratio of the errors without and with a limitation below which it limits the result."""
@@ -143,11 +147,13 @@ def _results(found: Tuned) -> str:
         "largest error": lambda item: with_unit(item[1].error, "N", LOST),
         "within the uncertainty": lambda item: with_unit(item[1].typical, "N", LOST),
         "largest of all runs": lambda item: with_unit(item[1].worst, "N", LOST),
-        "small force, actuator held": lambda item: with_unit(100.0 * item[1].held, "%", LOST),
+        HELD: lambda item: with_unit(100.0 * item[1].held, "%", LOST),
         "gain margin": lambda item: with_unit(item[1].gain_db, "dB"),
         "phase margin": lambda item: with_unit(item[1].margins.phase_deg, "°"),
         "further delay": lambda item: with_unit(1e3 * item[1].margins.delay, "ms"),
     }
+    if held(found.spec) is None:
+        del columns[HELD]
     limit = page.facts([("Causal limit", limit_text(found.causal_limit))]) if found.causal_limit > 0.0 else ""
     return page.table_of((("defaults", found.default), ("found", found.chosen)), columns) + limit
 

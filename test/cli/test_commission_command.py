@@ -12,6 +12,7 @@ from ehls_ros.cli.main import main
         (["--yes", "--period", "0"], "period"),
         (["--yes", "--bridge", "nowhere.yaml"], "nowhere.yaml"),
         (["--yes", "--lockstep", "--bridge", "comedi.yaml"], "no --lockstep"),
+        (["--yes", "--margins", "-1", "30"], "0 or more"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, monkeypatch, arguments, words):

@@ -271,14 +271,14 @@ def test_numbers_that_lose_the_force_cannot_be_applied(job):
 
 def test_a_result_has_units_and_the_numbers_of_the_parameter_file():
     margins = LoopMargins(6.5, 20.0, 30.0, 1e-3)
-    start = Trial({"g": 60.0}, 40.0, 50.0, 60.0, 0.0, margins)
-    best = Trial({"g": 136.7701234567}, 20.0, 25.0, 30.0, 0.0, margins)
+    start = Trial({"g": 60.0}, 40.0, 50.0, 60.0, 0.03, margins)
+    best = Trial({"g": 136.7701234567}, 20.0, 25.0, 30.0, 0.03, margins)
     task = task_for(SPEC, "fasmc", "sine")
     found = Tuned(task, Wanted(), start, best, float("nan"), (), (best,), 40, ("a remark",))
     result = tuning_job.from_json(Report, reported(result=result_of(found))).result
     [number] = result.numbers
     assert (number.name, number.unit, number.default, number.found) == ("g", "1/MPa", 60.0, 136.77)
-    assert result.found == TuningPoint(20.0, 6.5, 30.0)
+    assert result.found == TuningPoint(20.0, 6.5, 30.0, 0.03)
     assert result.causal_limit is None
     assert (result.holds, result.lost, result.remarks) == (True, False, ("a remark",))
 
@@ -363,9 +363,11 @@ def test_the_drawing_has_units_and_its_points_lie_where_their_numbers_are():
 @pytest.mark.parametrize(
     "result",
     [
-        RESULT._replace(found=TuningPoint(None, 0.0, 0.0), default=TuningPoint(None, None, None), curve=()),
-        RESULT._replace(found=TuningPoint(20.0, None, None)),
-        RESULT._replace(found=TuningPoint(1e300, 1e3, 0.0), default=TuningPoint(1e-300, 0.0, 0.0), causal_limit=1e9),
+        RESULT._replace(found=TuningPoint(None, 0.0, 0.0, None), default=TuningPoint(None, None, None, None), curve=()),
+        RESULT._replace(found=TuningPoint(20.0, None, None, 0.03)),
+        RESULT._replace(
+            found=TuningPoint(1e300, 1e3, 0.0, 0.03), default=TuningPoint(1e-300, 0.0, 0.0, 0.0), causal_limit=1e9
+        ),
         RESULT._replace(wanted_db=0.0, causal_limit=None, curve=(RESULT.found,)),
     ],
 )
@@ -385,9 +387,12 @@ def test_tables_have_units_and_texts_are_escaped():
     results = re.findall(r"<tr><th>([^<]*)</th><td>([^<]*)</td><td>([^<]*)</td></tr>", results_table(RESULT))
     assert results[1:] == [
         ("largest error", "40.0 N", "20.0 N"),
+        ("small force, actuator held", "3.00 %", "3.00 %"),
         ("gain margin", "8.00 dB", "6.50 dB"),
         ("phase margin", "35.0 °", "30.0 °"),
     ]
+    without = RESULT._replace(default=RESULT.default._replace(held=0.0), found=RESULT.found._replace(held=0.0))
+    assert "held" not in results_table(without)
     numbers = numbers_table(RESULT)
     assert "<th>g [1/MPa]</th><td>60.00</td><td>136.8</td>" in numbers
     assert "<th>rate_correction</th>" in numbers

@@ -27,7 +27,7 @@ class Ended(TuningJob):
 
     def __init__(self, spec, **numbers):
         super().__init__(lambda folder, law: ["false"])
-        point = TuningPoint(20.0, 6.5, 30.0)
+        point = TuningPoint(20.0, 6.5, 30.0, 0.03)
         values = tuple(TunedNumber(name, "1", "", 0.0, value) for name, value in numbers.items())
         result = TuningResult("", True, False, values, point, point, (), 6.0, None, ())
         self.found = Applicable("fasmc", result, task_for(spec, "fasmc", "test").spec)

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-from ehls_ros.cli.arguments import add_configured, add_results
+from ehls_ros.cli.arguments import add_configured, add_margins, add_results
 from ehls_ros.cli.results import print_files, print_table, writable
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.commissioning.conduct import LOG, REPORT, RIG, STEPS, Done, commission, read_log
@@ -38,8 +38,7 @@ def arguments(parser: ArgumentParser) -> None:
     about = "the device waits for the answer to each sample, as `ehls rig-emulator --lockstep` does"
     parser.add_argument("--lockstep", action="store_true", help=about)
     parser.add_argument("--yes", action="store_true", help="release all steps without asking; for emulators")
-    about = "gain margin [dB] and phase margin [degree] asked of the law (default: {:g} {:g})".format(*USUAL)
-    parser.add_argument("--margins", type=float, nargs=2, metavar=("DB", "DEG"), default=list(USUAL), help=about)
+    add_margins(parser, USUAL)
     add_results(parser, "runs/commission", LOG)
 
 

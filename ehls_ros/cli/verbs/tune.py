@@ -1,13 +1,12 @@
 """`ehls tune`: find the numbers of a control law for a rig."""
 
 import json
-import math
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ehls_ros.cli.arguments import add_configured, add_results, check_range
+from ehls_ros.cli.arguments import add_configured, add_margins, add_results, check_range
 from ehls_ros.cli.results import print_files, print_table, writable
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.errors import BadInput
@@ -29,8 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_configured(parser, "--spec", "experiments", "experiment whose reference and disturbance count (default: sines)")
     laws = [name for name, law in CONTROLLERS.usable().items() if getattr(law, "TUNED", ())]
     parser.add_argument("--law", choices=laws, default="fasmc_predictive", help="control law (%(default)s)")
-    about = "gain margin [dB] and phase margin [degree] (default: {:g} {:g})".format(*USUAL)
-    parser.add_argument("--margins", type=float, nargs=2, metavar=("DB", "DEG"), default=list(USUAL), help=about)
+    add_margins(parser, USUAL)
     about = "factor on the standard errors of the rig file, assumed where it has none; 0: it is exact (%(default)s)"
     parser.add_argument("--uncertainty", type=float, default=1.0, metavar="FACTOR", help=about)
     parser.add_argument("--seed", type=int, default=0, help="seed of the rigs drawn within the uncertainty (%(default)s)")
@@ -43,8 +41,6 @@ def run(options: Namespace) -> int:
     check_range(options, "jobs", 1)
     check_range(options, "seed", 0)
     check_range(options, "uncertainty", 0.0, 10.0)
-    if any(not 0.0 <= margin < math.inf for margin in options.margins):
-        raise BadInput(f"--margins is {options.margins}", "command line", "two numbers of 0 or more")
     rig = load_rig(options.rig)
     given, where, folder = _experiment(options.spec)
     task = task_of(rig, options.law, given, where, folder)

@@ -12,7 +12,7 @@ from ehls_ros.experiments.commissioning.session import Session, Stopped
 from ehls_ros.experiments.commissioning.step import Known, Outcome, Step, after
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.spec import load_rig
-from ehls_ros.experiments.tuning.tune import USUAL, Wanted
+from ehls_ros.experiments.tuning.tune import USUAL, Wanted, check_margins
 from ehls_ros.experiments.yaml_files import rig_text
 from ehls_ros.physics.rig import Rig, rig_to_mapping
 from ehls_ros.progress import Update
@@ -97,9 +97,10 @@ def commission(
         Each step when it is done or skipped, and its results are written.
 
     Raises:
-        BadInput: rig and files contradict each other; the message has the remedy.
+        BadInput: rig and files contradict each other, the message has the remedy; or the margins are none.
         Stopped: the gate closed the valve, or the device was lost.
     """
+    check_margins(wanted)
     log = read_log(folder)
     known = Known(load_rig(folder / RIG) if log else rig, log.get(TUNE, {}).get("numbers", {}), wanted)
     for step in STEPS:

@@ -19,7 +19,7 @@ from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import Spec, Use, company_of
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning.files import EXPERIMENT, experiment_text, parameters_text
-from ehls_ros.experiments.tuning.task import SERVO, task_of, usual
+from ehls_ros.experiments.tuning.task import HELD_FREQUENCY, HELD_PART, SERVO, task_of, usual
 from ehls_ros.experiments.tuning.tune import tune, with_numbers
 from ehls_ros.progress import Update
 from ehls_ros.trajectory import Trajectory
@@ -27,11 +27,11 @@ from ehls_ros.trajectory import Trajectory
 LAW = "fasmc_predictive"
 """The law: it takes delay, coupling and noise from the rig file."""
 
-PARTS = (0.05, 0.15, 0.4)
-"""Amplitudes of the first runs over the largest force, in their order."""
+PARTS = (HELD_PART, 3.0 * HELD_PART, 8.0 * HELD_PART)
+"""Amplitudes of the first runs over the largest force, in their order; the law is tuned for the first."""
 
-FREQUENCY, PERIODS = 0.5, 3
-"""Frequency of their sine [Hz], and number of its periods; it is eased in during the first, and the last half is judged."""
+PERIODS = 3
+"""Number of periods of their sine, which is eased in during the first; the last half is judged."""
 
 OFF = 0.3
 """Error over the amplitude above which no larger one follows."""
@@ -82,13 +82,13 @@ def _experiment(known: Known, period: float, amplitude: float, offset: float) ->
     still = {"name": "constant", "value": 0.0}
     content: dict[str, Any] = {
         "title": "first run",
-        "duration": PERIODS / FREQUENCY,
+        "duration": PERIODS / HELD_FREQUENCY,
         "control_period": period,
-        "reference": {"name": "sine", "amplitude": amplitude, "frequency": FREQUENCY, "offset": offset},
+        "reference": {"name": "sine", "amplitude": amplitude, "frequency": HELD_FREQUENCY, "offset": offset},
         "disturbance": {"name": SERVO, "signal": still},
     }
     spec = with_numbers(task_of(known.rig, LAW, content).spec, known.numbers)
-    duration = spec.settings._replace(duration=PERIODS / FREQUENCY)
+    duration = spec.settings._replace(duration=PERIODS / HELD_FREQUENCY)
     return spec._replace(settings=duration, companions=(Use("adaptation", adaptation.Parameters()),))
 
 
@@ -96,7 +96,7 @@ def _wanted(spec: Spec) -> Array:
     """Return the reference with its derivatives, eased in from its offset, shape (cycles, 3)."""
     period = spec.settings.control_period
     rows = sampled(spec.reference, period).rows(0, spec.cycles)
-    lead, start = 1.0 / FREQUENCY, spec.reference.parameters.offset
+    lead, start = 1.0 / HELD_FREQUENCY, spec.reference.parameters.offset
     led = range(round(lead / period))
     rows[led] = [eased_in(rows[cycle].tolist(), start, cycle * period, lead) for cycle in led]
     return rows

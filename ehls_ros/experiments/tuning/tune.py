@@ -190,8 +190,9 @@ def tune(
         progress: called with the number of trials done and the largest number.
 
     Raises:
-        BadInput: the law names no numbers to tune.
+        BadInput: the law names no numbers to tune, or the margins are none.
     """
+    check_margins(wanted)
     names = tunable(task.spec.controller.name)
     again = [_with_seed(task.spec, seed + number) for number in range(1, REPEATS)]
     rigs = uncertain(task.spec, RIGS if uncertainty > 0.0 else 0, seed + REPEATS, uncertainty)
@@ -215,6 +216,17 @@ def tune(
         (),
     )
     return found._replace(remarks=(*task.remarks, *_remarks(found)))
+
+
+def check_margins(wanted: Wanted) -> None:
+    """Check the margins asked for.
+
+    Raises:
+        BadInput: one is negative or not finite.
+    """
+    if not all(0.0 <= margin < math.inf for margin in wanted):
+        asked = f"margins of {wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees are asked for"
+        raise BadInput(asked, "margins", "two numbers of 0 or more")
 
 
 def tunable(law: str) -> tuple[str, ...]:
