@@ -75,6 +75,9 @@ GUIDED_STEP = 0.6
 FINER = 4
 """Samples of the simulated spool per sample of the recording where its course between them counts; an even number."""
 
+LENGTHENED = 20
+"""Lengths of local fits differ by a tenth at most where they are longer than this."""
+
 KEPT_RUNS = 3
 """Runs of each part of the model that are kept for reuse."""
 
@@ -585,8 +588,14 @@ def formable(signals: Container[str], springless: bool) -> list[Channel]:
     return [channel for channel, formed in there.items() if formed]
 
 
-def setup(record: Record, rig: Rig) -> Setup:
-    """Determine which parts of the model can be compared with a recording."""
+def setup(record: Record, rig: Rig, longest_fit: float = rules.VELOCITY_FIT) -> Setup:
+    """Determine which parts of the model can be compared with a recording.
+
+    Args:
+        record: the recording.
+        rig: the model.
+        longest_fit: longest local fit that velocities are taken from [s].
+    """
     period = record.period
     # For signals slower than the time base, the windows hold the same number of original samples.
     balanced = record.sampled(*formed_of(record, "force")) / period
@@ -598,7 +607,7 @@ def setup(record: Record, rig: Rig) -> Setup:
     if "spool" in channels and not command_seen(record, rig):
         channels.remove("spool")
         why_not["valve"] = COMMAND_UNSEEN.format(rate=f"{1.0 / record.sampled(COMMAND, SPOOL):.3g}")
-    fit, measured = _velocity_fit(record)
+    fit, measured = _velocity_fit(record, longest_fit)
     valve = rig.effective() if COMMAND in record else None
     found = Setup(smooth_window(samples, period), average, tuple(channels), measured, fit, presliding_travel(rig), valve=valve)
     if "force" in channels and np.mean(_friction_known(Comparison(record, found))) < rules.MIN_KEPT_WINDOWS:
@@ -629,7 +638,7 @@ def _lacking(comparison: Comparison, rig: Rig) -> dict[Channel, list[str]]:
     return out
 
 
-def _velocity_fit(record: Record) -> tuple[int, bool]:
+def _velocity_fit(record: Record, longest_fit: float) -> tuple[int, bool]:
     """Return the samples of the local fit of the motion, and whether velocities come from the velocity sensor.
 
     A short fit passes noise, and a long one rounds the turns of the velocity, and so the break-away of friction. Rounding shows
@@ -638,7 +647,7 @@ def _velocity_fit(record: Record) -> tuple[int, bool]:
     moved = record.sampled(POSITION, VELOCITY) / record.period
     # Through four samples, a cubic interpolates.
     shortest = 2 * round(2 * moved) + 1
-    longest = max(shortest, 2 * round(rules.VELOCITY_FIT / record.period / 2) + 1)
+    longest = max(shortest, 2 * round(longest_fit / record.period / 2) + 1)
     # A fit over the end of a stretch is none of the motion.
     inside = np.ones(len(record.time), dtype=np.bool_)
     for bound in record.bounds:
@@ -650,7 +659,7 @@ def _velocity_fit(record: Record) -> tuple[int, bool]:
             continue
         detailed = _velocity(record, shortest, measured=measured)
         shortest_row = _velocity_row(record, shortest, measured=measured)
-        for fit in range(shortest, longest + 1, 2):
+        for fit in _lengths(shortest, longest):
             row = _velocity_row(record, fit, measured=measured)
             apart = row - np.pad(shortest_row, (fit - shortest) // 2)
             variance, difference = record.noise[signal] ** 2, (_velocity(record, fit, measured=measured) - detailed)[inside]
@@ -658,6 +667,14 @@ def _velocity_fit(record: Record) -> tuple[int, bool]:
             errors[fit, measured] = rounded + variance * float(row @ row)
     fit, measured = min(errors, key=lambda choice: errors[choice]) if errors else (longest, False)
     return fit, measured and POSITION in record
+
+
+def _lengths(shortest: int, longest: int) -> list[int]:
+    """Return odd lengths from one to another, a few per cent apart if they are long."""
+    lengths = [shortest]
+    while lengths[-1] < longest:
+        lengths.append(min(longest, lengths[-1] + 2 * max(1, lengths[-1] // LENGTHENED)))
+    return lengths
 
 
 def _velocity(record: Record, fit: int, *, measured: bool) -> Array:

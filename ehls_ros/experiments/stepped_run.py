@@ -44,6 +44,20 @@ class Cycles(NamedTuple):
         """Return the largest error of the last half [N]."""
         return float(np.max(np.abs(self.error[len(self.error) // 2 :])))
 
+    def swing(self) -> float:
+        """Return the amplitude of a sine with the rms error of the last half [N]; infinite if the force is lost.
+
+        Short peaks, as friction makes them where the piston breaks away, hardly count; an oscillation does in full.
+        """
+        return swing(self.error)
+
+
+def swing(error: Array) -> float:
+    """Return the amplitude of a sine with the rms of the last half of an error, shape (n,); infinite if it is not finite."""
+    last = error[len(error) // 2 :]
+    amplitude = math.sqrt(2.0 * float(np.mean(last**2)))
+    return amplitude if math.isfinite(amplitude) else math.inf
+
 
 def stepped_run(spec: Spec, added: Array | None = None, plant: Simulator | None = None) -> Cycles:
     """Run an experiment, companions included.

@@ -9,7 +9,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.loss import weights
 from ehls_ros.estimate import Estimate
 from ehls_ros.identification.covariance import clustered_covariance
-from ehls_ros.identification.rig_coefficients import STATIC, slopes_at, values_at
+from ehls_ros.identification.rig_coefficients import slopes_at, values_at
 from ehls_ros.identification.rig_fit import RigFit, Stack
 
 MAX_STD = 0.25
@@ -144,9 +144,12 @@ def unidentifiable(stack: Stack, fit: RigFit, rank: Mapping[str, int]) -> tuple[
 
 
 def _at_limit(fit: RigFit, index: int) -> bool:
-    """Return whether a coordinate is at a limit; the lower limit of static friction, Coulomb friction, does not count."""
+    """Return whether a coordinate is at a limit.
+
+    So is static friction at Coulomb friction: the shape of the Stribeck curve has no effect there, and its interval none of it.
+    """
     c, z = fit.chosen[index], float(fit.z[index])
-    return z >= c.high - AT_LIMIT or (z <= c.low + AT_LIMIT and c.path != STATIC)
+    return z >= c.high - AT_LIMIT or z <= c.low + AT_LIMIT
 
 
 def _only(fit: RigFit, columns: Sequence[int]) -> RigFit:

@@ -31,13 +31,14 @@ from ehls_ros.identification.rig_coefficients import (
     acting,
     coefficients,
     effect_of,
+    model_at,
     placed,
     read,
     uses,
     with_ratio,
     without,
 )
-from ehls_ros.identification.rig_fit import Stack, fit
+from ehls_ros.identification.rig_fit import RigFit, Stack, fit
 from ehls_ros.identification.rig_identifiability import estimated, unidentifiable
 from ehls_ros.identification.rig_noise import corrected, gain, rounding, with_added_noise
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
@@ -45,6 +46,7 @@ from ehls_ros.identification.rig_stages import (
     BANDWIDTH,
     MIN_SIGMAS,
     OF_SENSORS,
+    SEARCHED,
     SUPPLY_PRESSURE,
     Block,
     blocks,
@@ -67,6 +69,9 @@ MOVING = (SPOOL, PRESSURE, POSITION, VELOCITY, FORCE)
 
 REST = 12.0
 """Range of the position over its noise up to which the piston rests; white noise alone spans 8 in 20 000 samples."""
+
+LONGEST_FIT = 0.05
+"""Longest local fit of the motion [s]: a slow stroke, which shows the break-away of friction, hardly turns within it."""
 
 GUESS_FACTOR = 2.0
 """Factor by which a first guess may be off."""
@@ -204,7 +209,7 @@ def _of_block(block: Block, free: Mapping[str, Coefficient], model: Rig) -> list
 def _stack(records: Sequence[Record], rig: Rig, seed: int) -> Stack:
     # With too high a guess of the bandwidth, the command would seem to be sampled too slowly.
     slow = placed(rig, {BANDWIDTH: read(rig, BANDWIDTH) / GUESS_FACTOR})
-    setups = [(record, _without_rest(record, setup(record, slow))) for record in records]
+    setups = [(record, _without_rest(record, setup(record, slow, LONGEST_FIT))) for record in records]
     return _valve_of(rig, Stack([gather(record, rig, compared, seed) for record, compared in setups if compared.channels]))
 
 
@@ -312,8 +317,7 @@ def _fitted(
             unseen = [d.path for d in found_unidentifiable if not d.excited]
             again = fit(stack, _restored(now.rig, given, unseen), fitted, channels)
             reasons |= {d.path: f"{d.reason}; {CONTRADICTED}" for d in found_unidentifiable if d.excited}
-        # However far it is from the guess to the truth, the derivatives see only its first step.
-        moved = {c.path: abs(float(z - now.z[now.paths.index(c.path)])) for c, z in zip(fitted, again.z, strict=True)}
+        moved = _moved(stack, again, doubtful, channels)
         now = again
     if LOAD in absent and given.plant.gravity:
         # Taken as zero for certain, a constant load would give the mass by its weight.
@@ -333,6 +337,21 @@ def _fitted(
     kept = [i for i, c in enumerate(whole.chosen) if c.path not in reasons and c.path not in absent]
     estimates = {whole.paths[i]: found.by_path[whole.paths[i]] for i in kept}
     return _Fitted(now.rig, estimates, found.covariance[np.ix_(kept, kept)], reasons, absent, now.converged)
+
+
+def _moved(stack: Stack, fitted: RigFit, doubtful: Sequence[Coefficient], channels: Collection[Channel]) -> dict[str, float]:
+    """Return by path how far a fit moves with coefficients that were not fitted and may be off by :data:`GUESS_FACTOR`.
+
+    Derivatives at the guess do not see as far. A value that contradicts the data moves nothing.
+    """
+    far = np.zeros(len(fitted.z))
+    for c in doubtful:
+        for step in (math.log(GUESS_FACTOR), -math.log(GUESS_FACTOR)) if c.scale == 0.0 else ():
+            z = min(max(c.coordinate(fitted.rig) + step, c.low), c.high)
+            other = fit(stack, model_at(fitted.rig, [c], [z]), fitted.chosen, channels, SEARCHED)
+            if other.comparable <= fitted.comparable + CONTRADICTS:
+                far = np.maximum(far, np.abs(other.z - fitted.z))
+    return dict(zip(fitted.paths, far.tolist(), strict=True))
 
 
 def _left(fitted: Sequence[Coefficient], none: Container[str]) -> list[Coefficient]:

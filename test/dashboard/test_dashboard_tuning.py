@@ -365,9 +365,7 @@ def test_the_drawing_has_units_and_its_points_lie_where_their_numbers_are():
     [
         RESULT._replace(found=TuningPoint(None, 0.0, 0.0, None), default=TuningPoint(None, None, None, None), curve=()),
         RESULT._replace(found=TuningPoint(20.0, None, None, 0.03)),
-        RESULT._replace(
-            found=TuningPoint(1e300, 1e3, 0.0, 0.03), default=TuningPoint(1e-300, 0.0, 0.0, 0.0), causal_limit=1e9
-        ),
+        RESULT._replace(found=TuningPoint(1e300, 1e3, 0.0, 0.03), default=TuningPoint(1e-300, 0.0, 0.0, 0.0), causal_limit=1e9),
         RESULT._replace(wanted_db=0.0, causal_limit=None, curve=(RESULT.found,)),
     ],
 )

@@ -34,8 +34,8 @@ STEPS = (
     Step(
         "motion",
         "The rig identified",
-        "The piston moves about mid-stroke for 20 s, by up to 40 % of the room to either end, at up to 40 % of its speed."
-        " Disconnect the rod from the actuator under test first.",
+        "The piston moves about mid-stroke for 20 s, by up to 40 % of the room to either end, at up to 40 % of its speed,"
+        " and for 20 s slowly. Disconnect the rod from the actuator under test first.",
         motion,
     ),
     Step(

@@ -70,6 +70,9 @@ ROOM_PART, SPEED_PART = 0.4, 0.4
 DITHER, HELD = 0.01, 6
 """Random part of the command over its largest value, and number of cycles for which it is held; it shows valve and oil."""
 
+CREEP, CREEP_FREQUENCY, CREEP_PARTS = 20.0, 0.5, (2e-3, 0.1)
+"""Slow motion: duration [s], frequency of its sine [Hz], and velocity at first and at last over the loader's. Only slow motion
+shows how friction changes from sticking to sliding."""
 
 PRESSING, PRESS_PART, PRESS_FREQUENCY = 20.0, 0.4, 0.1
 """Slow sine of the force against the actuator under test: duration [s], amplitude over the largest force, frequency [Hz]."""
@@ -225,26 +228,61 @@ def _check_signs(recording: Trajectory, session: Session, moved: float) -> None:
 
 
 def motion(session: Session, known: Known, progress: Update) -> Outcome:
-    """Move the piston by sines of many frequencies and a random part of the command, and identify the rig."""
+    """Move the piston by sines of many frequencies with a random part of the command, then slowly, and identify the rig."""
     rig = known.rig
     session.record(None, LOOK)
-    recording = session.record(_rich_motion(session, rig), MOTION)
-    found = identify_whole_rig({"motion": recording}, rig, seed=0, progress=progress)
+    recordings = {"motion": session.record(_rich_motion(session, rig), MOTION)}
+    session.record(None, LOOK)
+    recordings["slow_motion"] = session.record(_slow_motion(session, rig), CREEP)
+    found = identify_whole_rig(recordings, rig, seed=0, progress=progress)
     findings = tuple(Finding(path, _given(rig, path), estimate) for path, estimate in found.estimates.items())
     unknown = tuple(f"{path} is not identified: {why}" for path, why in found.not_identifiable.items())
-    return Outcome(found.rig, findings, (*found.remarks, *unknown), {"motion": recording})
+    return Outcome(found.rig, findings, (*found.remarks, *unknown), recordings)
 
 
 def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
-    limits: Limits = rig.limits
-    times = session.period * np.arange(round(MOTION / session.period) + 1, dtype=np.float64)
+    times = _times(session, MOTION)
     unit = multi_sine.sample(times, multi_sine.Parameters(1.0, LOWEST, HARMONICS))
-    speed = min(in_python(largest_speed)(rig.plant, limits.spool), limits.velocity)
-    scale = min(ROOM_PART * room_of(rig) / np.max(np.abs(unit[:, 0])), SPEED_PART * speed / np.max(np.abs(unit[:, 1])))
+    speed = SPEED_PART * _speed(rig)
+    scale = min(ROOM_PART * room_of(rig) / np.max(np.abs(unit[:, 0])), speed / np.max(np.abs(unit[:, 1])))
+    random = np.random.default_rng(0)
+    dither = np.repeat(random.choice([-1.0, 1.0], len(times) // HELD + 1), HELD)[: len(times)]
+    return _following(session, rig, scale * unit, DITHER * rig.limits.spool * dither)
+
+
+def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
+    """Return a sine whose velocity grows exponentially, so that each velocity has as many periods as any other."""
+    times, turn = _times(session, CREEP), 2.0 * math.pi * CREEP_FREQUENCY
+    first, last = (part * _speed(rig) for part in CREEP_PARTS)
+    last = min(last, ROOM_PART * room_of(rig) * turn)
+    rate = math.log(last / first) / CREEP + 1j * turn
+    row = first / turn * np.exp(rate * times)
+    wanted = np.stack([(rate**derivative * row).imag for derivative in range(3)], axis=1)
+    return _following(session, rig, wanted, np.zeros(len(times)))
+
+
+def _times(session: Session, duration: float) -> Array:
+    return session.period * np.arange(round(duration / session.period) + 1, dtype=np.float64)
+
+
+def _speed(rig: Rig) -> float:
+    """Return the loader's largest velocity [m/s]."""
+    return min(in_python(largest_speed)(rig.plant, rig.limits.spool), rig.limits.velocity)
+
+
+def _following(session: Session, rig: Rig, course: Array, added: Array) -> Callable[[Array, int], float]:
+    """Return the command by which the piston follows a course around mid-stroke.
+
+    Args:
+        session: the session.
+        rig: the rig.
+        course: position, velocity and acceleration from mid-stroke in each cycle, shape (cycles, 3).
+        added: what is added to the command, shape (cycles,) [m].
+    """
+    limits: Limits = rig.limits
+    times = session.period * np.arange(len(course))
     middle = 0.5 * (limits.position[0] + limits.position[1])
     loop = Controller("pid", tuned_for(pid.Parameters, rig), model_of(rig, session.period))
-    random = np.random.default_rng(0)
-    dither = DITHER * limits.spool * np.repeat(random.choice([-1.0, 1.0], len(times) // HELD + 1), HELD)[: len(times)]
     start = [math.nan]
 
     def law(m: Array, cycle: int) -> float:
@@ -252,9 +290,9 @@ def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
             start[0] = float(m[sensors.POSITION])
         # From where the piston is to mid-stroke in the first second, so that no step is asked for.
         blend = min(times[cycle], 1.0)
-        wanted = blend * scale * unit[cycle]
+        wanted = blend * course[cycle]
         wanted[0] += start[0] + (middle - start[0]) * blend
-        return float(loop.step(m, wanted, np.zeros(2)) + blend * dither[cycle])
+        return float(loop.step(m, wanted, np.zeros(2)) + blend * added[cycle])
 
     return law
 

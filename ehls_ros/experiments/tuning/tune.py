@@ -49,7 +49,10 @@ HOPELESS = 1.5
 """Error of the first run from which no others are made, over the error of the best numbers so far with what they lack."""
 
 STEADY = 0.05
-"""Error of a small force against an actuator that holds, over its amplitude, above which the rest counts as a larger error."""
+"""Swing of the error of a small force against an actuator that holds, over its amplitude, above which it counts as an error.
+
+The largest error there is that of friction when the piston breaks away, which no numbers avoid.
+"""
 
 REPEATS, RIGS = 3, 2
 """Numbers of runs on the rig of the file, and of rigs drawn within the uncertainty."""
@@ -90,7 +93,8 @@ class Trial(NamedTuple):
         error: geometric mean over the runs on the rig of the file of the largest error of each [N]; infinite if one is.
         typical: the same over all runs.
         worst: largest error of all runs [N].
-        held: largest error of a small force against an actuator under test that holds, over its amplitude; 0 without such.
+        held: swing of the error of a small force against an actuator under test that holds, over the force's amplitude; 0
+            without such.
         margins: margins of the loop.
     """
 
@@ -273,7 +277,7 @@ def judged(exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, fl
     if len(errors) < len(specs) or on_all >= beyond:
         return given_up
     holding = held(specs[0])
-    unsteady = 0.0 if holding is None else stepped_run(holding).largest() / holding.reference.parameters.amplitude
+    unsteady = 0.0 if holding is None else stepped_run(holding).swing() / holding.reference.parameters.amplitude
     return given_up._replace(held=unsteady, margins=margins_of(specs[0]))
 
 
