@@ -177,7 +177,7 @@ class TuningPoint(NamedTuple):
         error: largest error of the true force [N]; None: the force is lost.
         gain_db: gain margin [dB]; None: unlimited.
         phase_deg: phase margin [degree]; None: unlimited.
-        held: largest error of a small force against an actuator under test that holds, over its amplitude; None: it is lost.
+        held: swing of the error of a small force against an actuator under test that holds, over its amplitude; None: lost.
     """
 
     error: float | None

@@ -670,7 +670,7 @@ def _velocity_fit(record: Record, longest_fit: float) -> tuple[int, bool]:
 
 
 def _lengths(shortest: int, longest: int) -> list[int]:
-    """Return odd lengths from one to another, a few per cent apart if they are long."""
+    """Return odd lengths from one to another, a tenth apart at most where they are long."""
     lengths = [shortest]
     while lengths[-1] < longest:
         lengths.append(min(longest, lengths[-1] + 2 * max(1, lengths[-1] // LENGTHENED)))

@@ -42,7 +42,7 @@ class Cycles(NamedTuple):
 
     def largest(self) -> float:
         """Return the largest error of the last half [N]."""
-        return float(np.max(np.abs(self.error[len(self.error) // 2 :])))
+        return largest(self.error)
 
     def swing(self) -> float:
         """Return the amplitude of a sine with the rms error of the last half [N]; infinite if the force is lost.
@@ -52,10 +52,14 @@ class Cycles(NamedTuple):
         return swing(self.error)
 
 
+def largest(error: Array) -> float:
+    """Return the largest magnitude of the last half of an error, shape (n,)."""
+    return float(np.max(np.abs(error[len(error) // 2 :]), initial=0.0))
+
+
 def swing(error: Array) -> float:
     """Return the amplitude of a sine with the rms of the last half of an error, shape (n,); infinite if it is not finite."""
-    last = error[len(error) // 2 :]
-    amplitude = math.sqrt(2.0 * float(np.mean(last**2)))
+    amplitude = math.sqrt(2.0 * float(np.mean(error[len(error) // 2 :] ** 2)))
     return amplitude if math.isfinite(amplitude) else math.inf
 
 

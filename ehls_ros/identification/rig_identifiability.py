@@ -146,7 +146,7 @@ def unidentifiable(stack: Stack, fit: RigFit, rank: Mapping[str, int]) -> tuple[
 def _at_limit(fit: RigFit, index: int) -> bool:
     """Return whether a coordinate is at a limit.
 
-    So is static friction at Coulomb friction: the shape of the Stribeck curve has no effect there, and its interval none of it.
+    Static friction equal to Coulomb friction counts: the shape of the Stribeck curve then has no effect on the interval.
     """
     c, z = fit.chosen[index], float(fit.z[index])
     return z >= c.high - AT_LIMIT or z <= c.low + AT_LIMIT

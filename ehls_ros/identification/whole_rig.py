@@ -7,6 +7,7 @@ import math
 import time as clock
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -327,8 +328,9 @@ def _fitted(
     now = free_of_noise.fit._replace(converged=now.converged)
     whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
     rounded = rounding(stack, now)
-    own = {p: math.hypot(spread.get(p, 0.0), moved.get(p, 0.0)) for p in now.paths}
-    further = {p: math.hypot(own[p], error, rounded[p]) for p, error in free_of_noise.spread.items()}
+    further = {
+        p: math.hypot(spread.get(p, 0.0), moved.get(p, 0.0), error, rounded[p]) for p, error in free_of_noise.spread.items()
+    }
     response = gain(whole, noisy, len(doubtful)) if doubtful else free_of_noise.gain
     found = estimated(stack, whole, len(doubtful), {**spread, **further}, response, form=True)
     vague = [c.path for c in fitted if c.path in found.vague]
@@ -340,17 +342,17 @@ def _fitted(
 
 
 def _moved(stack: Stack, fitted: RigFit, doubtful: Sequence[Coefficient], channels: Collection[Channel]) -> dict[str, float]:
-    """Return by path how far a fit moves with coefficients that were not fitted and may be off by :data:`GUESS_FACTOR`.
+    """Return by path the change of the coordinates when others that are not fitted change by :data:`GUESS_FACTOR`.
 
-    Derivatives at the guess do not see as far. A value that contradicts the data moves nothing.
+    The propagation by derivatives is too small where the fit is not linear. Values that contradict the data do not count.
     """
     far = np.zeros(len(fitted.z))
-    for c in doubtful:
-        for step in (math.log(GUESS_FACTOR), -math.log(GUESS_FACTOR)) if c.scale == 0.0 else ():
-            z = min(max(c.coordinate(fitted.rig) + step, c.low), c.high)
-            other = fit(stack, model_at(fitted.rig, [c], [z]), fitted.chosen, channels, SEARCHED)
-            if other.comparable <= fitted.comparable + CONTRADICTS:
-                far = np.maximum(far, np.abs(other.z - fitted.z))
+    positive = [c for c in doubtful if c.scale == 0.0]
+    for c, step in product(positive, (math.log(GUESS_FACTOR), -math.log(GUESS_FACTOR))):
+        z = min(max(c.coordinate(fitted.rig) + step, c.low), c.high)
+        other = fit(stack, model_at(fitted.rig, [c], [z]), fitted.chosen, channels, SEARCHED)
+        if other.comparable <= fitted.comparable + CONTRADICTS:
+            far = np.maximum(far, np.abs(other.z - fitted.z))
     return dict(zip(fitted.paths, far.tolist(), strict=True))
 
 

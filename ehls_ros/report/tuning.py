@@ -26,7 +26,7 @@ LOST = "lost"
 """Text for the error of a run in which the force was lost."""
 
 HELD = "small force, actuator held"
-"""Title of the error of a small force against an actuator under test that holds."""
+"""Title of the error's swing with a small force against an actuator under test that holds."""
 
 WORTH = 0.95
 """Ratio of the errors without and with a limitation below which it limits the result."""

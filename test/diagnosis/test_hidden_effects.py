@@ -90,7 +90,7 @@ def test_a_single_effect_is_named_and_measured(name, recorded, diagnosed):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("pair", tiered(PAIRS, "friction and valve"))
+@pytest.mark.parametrize("pair", PAIRS)
 def test_two_effects_are_named(pair, recorded, diagnosed):
     hidden = {name: sizes for name, (sizes, _) in PAIRS[pair].items()}
     d = diagnosed(recorded(hidden, "rich", seed=102, duration=DURATION))
@@ -110,7 +110,8 @@ def test_nothing_hidden_is_consistent(recorded, diagnosed):
     assert all(stage.judged and not stage.exceeds for stage in d.stages.values())
 
 
-@pytest.mark.parametrize("name", tiered(STRANGE))
+@pytest.mark.long
+@pytest.mark.parametrize("name", STRANGE)
 def test_what_is_not_on_the_list_is_unexplained_in_its_stage_and_nothing_is_held_for_certain(name, recorded, diagnosed):
     d = diagnosed(recorded({name: STRANGE[name]}, "rich", seed=105, duration=DURATION))
     assert d.verdict in {"unknown", "partial"}, told(d)

@@ -20,7 +20,6 @@ from patience import PATIENCE
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_srvs.srv import SetBool, Trigger
-from tiers import tiered
 
 from ehls_msgs.msg import LoaderState
 from ehls_msgs.srv import AcknowledgeStop
@@ -208,7 +207,7 @@ ENDS = [(signal.SIGTERM, signal.SIGKILL), (signal.SIGINT,)]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("numbers", tiered(ENDS, ENDS[0]))
+@pytest.mark.parametrize("numbers", ENDS)
 def test_the_end_of_the_process_closes_the_valve(rig, graph, numbers):
     running = rig()
     moments = []

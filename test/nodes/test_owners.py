@@ -2,7 +2,6 @@
 
 import pytest
 import yaml
-from tiers import tiered
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
@@ -131,7 +130,7 @@ def test_a_programme_beside_a_reference_does_not_begin(sources):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", tiered(["disturbance_node", "friction_estimator_node", "plant_sim_node"], "plant_sim_node"))
+@pytest.mark.parametrize("name", ["disturbance_node", "friction_estimator_node", "plant_sim_node"])
 def test_a_second_source_of_another_input_is_refused(sources, name):
     two, participant = sources, sources.participant
     two.second(name, f"{name}_2")

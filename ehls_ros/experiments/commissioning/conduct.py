@@ -97,7 +97,7 @@ def commission(
         Each step when it is done or skipped, and its results are written.
 
     Raises:
-        BadInput: rig and files contradict each other, the message has the remedy; or the margins are none.
+        BadInput: a margin is negative or not finite, or rig and files contradict each other; the message has the remedy.
         Stopped: the gate closed the valve, or the device was lost.
     """
     check_margins(wanted)

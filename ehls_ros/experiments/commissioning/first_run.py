@@ -17,7 +17,7 @@ from ehls_ros.experiments.commissioning.step import Contradiction, Known, Outcom
 from ehls_ros.experiments.graph_check import laws_for
 from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import Spec, Use, company_of
-from ehls_ros.experiments.stepped_run import stepped_run, swing
+from ehls_ros.experiments.stepped_run import largest, stepped_run, swing
 from ehls_ros.experiments.tuning.files import EXPERIMENT, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.task import HELD_FREQUENCY, HELD_PART, SERVO, task_of, usual
 from ehls_ros.experiments.tuning.tune import tune, with_numbers
@@ -71,8 +71,8 @@ def first_run(session: Session, known: Known, progress: Update) -> Outcome:
         error = recording["force_n"] - loop.wanted[: len(recording), 0]
         error = error[np.isfinite(error)]
         expected = stepped_run(spec._replace(companions=()))
-        largest = f"largest error {np.max(np.abs(error[len(error) // 2 :])):.3g} N, simulated {expected.largest():.3g} N"
-        said = f"amplitude {amplitude:.4g} N: {largest}; swing {swing(error):.3g} N, simulated {expected.swing():.3g} N"
+        peak = f"largest error {largest(error):.3g} N, simulated {expected.largest():.3g} N"
+        said = f"amplitude {amplitude:.4g} N: {peak}; swing {swing(error):.3g} N, simulated {expected.swing():.3g} N"
         if swing(error) > OFF * amplitude:
             raise Stopped(f"{said}; no larger amplitude before the cause is found (tune with larger margins)", recording)
         sentences.append(said)

@@ -256,8 +256,8 @@ def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     first, last = (part * _speed(rig) for part in CREEP_PARTS)
     last = min(last, ROOM_PART * room_of(rig) * turn)
     rate = math.log(last / first) / CREEP + 1j * turn
-    row = first / turn * np.exp(rate * times)
-    wanted = np.stack([(rate**derivative * row).imag for derivative in range(3)], axis=1)
+    wave = first / turn * np.exp(rate * times)
+    wanted = np.stack([(rate**derivative * wave).imag for derivative in range(3)], axis=1)
     return _following(session, rig, wanted, np.zeros(len(times)))
 
 

@@ -194,7 +194,7 @@ def tune(
         progress: called with the number of trials done and the largest number.
 
     Raises:
-        BadInput: the law names no numbers to tune, or the margins are none.
+        BadInput: the law names no numbers to tune, or a margin is negative or not finite.
     """
     check_margins(wanted)
     names = tunable(task.spec.controller.name)
