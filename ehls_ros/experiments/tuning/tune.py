@@ -111,6 +111,10 @@ class Trial(NamedTuple):
         margins = math.log1p(PER_DB * max(gain, 0.0)) + math.log1p(PER_DEGREE * max(phase, 0.0))
         return margins + max(math.log(max(self.held, LEAST) / STEADY), 0.0)
 
+    def has(self, wanted: Wanted) -> bool:
+        """Return whether the loop has the margins asked for."""
+        return self.gain_db >= wanted.gain_db and self.margins.phase_deg >= wanted.phase_deg
+
     @property
     def gain_db(self) -> float:
         """Factor by which the loop's gain may rise or fall [dB]."""
@@ -203,10 +207,10 @@ def tune(
     with Workers(jobs) as workers:
         search = _Search([task.spec, *again], rigs, names, wanted, workers, progress)
         default = search.tried({})
-        chosen = search.best(default)
-        curve = search.all([search.faster(chosen.numbers, speed) for speed in SPEEDS])
+        search.improve(default)
+        curve = search.all([search.faster(search.choice().numbers, speed) for speed in SPEEDS])
         # Faster or slower altogether may be better still.
-        chosen = min((chosen, *curve), key=lambda trial: trial.score(wanted))
+        chosen = search.choice()
         limits = search.limits(chosen)
     found = Tuned(
         task,
@@ -216,10 +220,10 @@ def tune(
         causal_limit_of(with_numbers(task.spec, chosen.numbers)),
         tuple(limits),
         tuple(curve),
-        search.count,
+        len(search.trials),
         (),
     )
-    return found._replace(remarks=(*task.remarks, *_remarks(found)))
+    return found._replace(remarks=(*task.remarks, *_remarks(found, search.trials)))
 
 
 def check_margins(wanted: Wanted) -> None:
@@ -308,7 +312,7 @@ class _Search:
     """State of a search.
 
     Attributes:
-        count: number of sets tried.
+        trials: all sets tried.
     """
 
     def __init__(
@@ -326,7 +330,7 @@ class _Search:
         self._start = {name: float(getattr(spec.controller.parameters, name)) for name in names}
         self._declared = {declared.name: declared for declared in declarations(type(spec.controller.parameters))}
         self._beyond = math.inf
-        self.count = 0
+        self.trials = list[Trial]()
 
     def tried(self, numbers: Mapping[str, float]) -> Trial:
         """Return the results of one set of numbers; missing ones are the defaults."""
@@ -337,9 +341,9 @@ class _Search:
         within = [{name: self._within(name, given.get(name, self._start[name])) for name in self._names} for given in sets]
         tasks = [partial(judged, self._exact, self._rigs, numbers, self._beyond) for numbers in within]
         found: list[Trial] = self._workers.run(tasks)
-        self.count += len(found)
+        self.trials += found
         if self._progress is not None:
-            self._progress(min(self.count, MAX_TRIALS), MAX_TRIALS + len(SPEEDS))
+            self._progress(min(len(self.trials), MAX_TRIALS), MAX_TRIALS + len(SPEEDS))
         return found
 
     def _within(self, name: str, value: float) -> float:
@@ -353,10 +357,16 @@ class _Search:
         """Return numbers with all but the dimensionless ones multiplied."""
         return {name: value if self._declared[name].unit == "1" else factor * value for name, value in numbers.items()}
 
-    def best(self, start: Trial) -> Trial:
-        """Return the best set of numbers found from a start."""
+    def choice(self) -> Trial:
+        """Return the best of all sets tried; of equally good ones, one that lacks nothing."""
+        level = min(trial.score(self._wanted) for trial in self.trials) - math.log(BETTER)
+        equal = [trial for trial in self.trials if trial.score(self._wanted) <= level]
+        return min(equal, key=lambda trial: (trial.lacking(self._wanted) > 0.0, trial.score(self._wanted)))
+
+    def improve(self, start: Trial) -> None:
+        """Try sets of numbers, each better than the one before, from a start."""
         best, step = start, FIRST_STEP
-        while step > LAST_STEP and self.count < MAX_TRIALS:
+        while step > LAST_STEP and len(self.trials) < MAX_TRIALS:
             improved = False
             for name in self._names:
                 self._beyond = math.exp(best.score(self._wanted))
@@ -369,7 +379,6 @@ class _Search:
             if not improved:
                 step = math.sqrt(step)
         self._beyond = math.inf
-        return best
 
     def limits(self, chosen: Trial) -> list[Limit]:
         """Return the error without each limitation, with the same numbers."""
@@ -388,14 +397,17 @@ def _largest(spec: Spec) -> float:
     return stepped_run(spec).largest()
 
 
-def _remarks(found: Tuned) -> list[str]:
+def _remarks(found: Tuned, tried: Sequence[Trial]) -> list[str]:
     chosen, wanted = found.chosen, found.wanted
     if found.lost:
         return ["no numbers hold the force of this experiment: try a smaller reference, a slower motion or another law"]
     remarks = list[str]()
-    if chosen.gain_db < wanted.gain_db or chosen.margins.phase_deg < wanted.phase_deg:
+    if not chosen.has(wanted):
         reached = f"the margins found are {chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
-        remarks.append(f"{reached}; no numbers tried have {wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees")
+        asked = f"{wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees"
+        costs = [trial.error for trial in tried if trial.has(wanted)]
+        known = f"with {asked} the error is {min(costs):.3g} N at least" if costs else f"no numbers tried have {asked}"
+        remarks.append(f"{reached}; {known}")
     holding = held(found.spec)
     if holding is not None and chosen.held > STEADY:
         against = "against an actuator under test that holds"
