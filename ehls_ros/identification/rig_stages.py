@@ -245,34 +245,54 @@ def _valve(stack: Stack, rig: Rig, free: Mapping[str, Coefficient]) -> Rig:
 
 
 def _with_further(stack: Stack, basic: RigFit, free: Mapping[str, Coefficient], channels: Collection[Channel]) -> RigFit:
-    """Fit all further effects of the valve as well, and leave out those that gain too little."""
+    """Fit further effects of the valve as well: add the one that gains most, as often as one does, then leave out the others.
+
+    Together from the start, an effect that is absent but has a least size would keep the others from their values.
+    """
     groups = [group for group in FURTHER if set(group) <= set(free)]
-    if not groups:
-        return basic
-    lag = 1.0 / read(basic.rig, BANDWIDTH)
-    starts = []
-    for part in DELAYS:
-        # Of the same lag in all; 2 ζ / ωn is that of the second order.
-        values = {DELAY: part * lag, HYSTERESIS[0]: PLAY * free[HYSTERESIS[0]].scale, HYSTERESIS[1]: ROUND}
-        values |= {SECOND_ORDER[0]: 2.0 * DAMPING / ((1.0 - part) * lag), SECOND_ORDER[1]: DAMPING}
-        starts.append(placed(basic.rig, values))
-    best = _best(stack, starts, _chosen(basic, free, groups), channels)
-    if basic.comparable - best.comparable < KEPT_GAIN:
-        return basic
-    for group in groups:
-        left = [other for other in groups if other != group]
-        if group == (DELAY,) and SECOND_ORDER in left:
+    best, used = basic, list[Sequence[str]]()
+    while left := [group for group in groups if group not in used]:
+        trials = [_added(stack, basic, best, free, group, channels) for group in left]
+        gaining = min(trials, key=lambda trial: trial.comparable)
+        if best.comparable - gaining.comparable < KEPT_GAIN:
+            break
+        best, used = gaining, [group for group in groups if set(group) <= set(gaining.paths)]
+    for group in used:
+        others = [other for other in used if other != group]
+        if group == (DELAY,) and SECOND_ORDER in used:
             # Left out, an insignificant delay would give a wrong natural frequency for certain.
             continue
         # A neutral effect has the same compiled model as one that acts.
-        other = fit(stack, without(best.rig, group), _chosen(basic, free, left), channels)
+        other = fit(stack, without(best.rig, group), _chosen(basic, free, others), channels)
         # A large gain counts whatever the standard errors, which are large where effects can replace each other.
         if other.comparable - best.comparable > NEEDED_GAIN:
             continue
         needed = SECOND_ORDER if group == SECOND_ORDER else group[:1]
         if not _is_better(stack, other, best, [needed], KEPT_GAIN):
-            best, groups = other, left
+            best, used = other, others
     return best._replace(rig=acting(best.rig))
+
+
+def _added(
+    stack: Stack,
+    basic: RigFit,
+    best: RigFit,
+    free: Mapping[str, Coefficient],
+    group: Sequence[str],
+    channels: Collection[Channel],
+) -> RigFit:
+    """Return the fit with one more effect than the best one so far; the second order brings the delay with it."""
+    added = {*group, *((DELAY,) if group == SECOND_ORDER else ())} - set(best.paths)
+    lag = 1.0 / read(basic.rig, BANDWIDTH)
+    starts = []
+    for part in DELAYS if group != HYSTERESIS else DELAYS[:1]:
+        # Of the same lag in all; 2 ζ / ωn is that of the second order.
+        values = {DELAY: part * lag, HYSTERESIS[0]: PLAY * free[HYSTERESIS[0]].scale, HYSTERESIS[1]: ROUND}
+        values |= {SECOND_ORDER[0]: 2.0 * DAMPING / ((1.0 - part) * lag), SECOND_ORDER[1]: DAMPING}
+        of_first_order = {BANDWIDTH: 1.0 / ((1.0 - part) * lag)} if group == (DELAY,) else {}
+        starts.append(placed(best.rig, {**{path: values[path] for path in added}, **of_first_order}))
+    together = [other for other in FURTHER if set(other) <= {*best.paths, *added}]
+    return _best(stack, starts, _chosen(basic, free, together), channels)
 
 
 def _chosen(basic: RigFit, free: Mapping[str, Coefficient], groups: Sequence[Sequence[str]]) -> list[Coefficient]:
