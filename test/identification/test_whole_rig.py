@@ -133,6 +133,22 @@ def test_a_valve_with_inertia_hysteresis_and_delay_is_found(guess):
     assert SECOND_ORDER[0] in out.not_identifiable["plant.valve_bandwidth"]
 
 
+def test_a_delay_is_found_although_one_recording_hardly_moves_the_spool(guess):
+    """A hysteresis has a least width while it is fitted, which is large against the small spool displacement."""
+    delay, bandwidth, step, period = 1e-3, 363.0, 4e-8, 1e-3
+    time = period * np.arange(10_000)
+    rich = 2e-4 * np.sin(2.0 * np.pi * 3.0 * time) + 1e-5 * np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 2500), 4)
+    slow = 2e-6 * np.exp(0.3 * time) * np.sin(2.0 * np.pi * 0.5 * time)
+    recordings = {}
+    for name, command in (("rich", rich), ("slow", slow)):
+        decay = math.exp(-bandwidth * period)
+        spool = scipy.signal.lfilter([0.0, 0.0, 1.0 - decay], [1.0, -decay], command)
+        recordings[name] = Trajectory(time, {"valve_command_m": command, "spool_m": step * np.round(spool / step)})
+    out = identify_rig(recordings, guess)
+    assert out.estimates[DELAY].value == pytest.approx(delay, rel=0.01)
+    assert out.estimates["plant.valve_bandwidth"].value == pytest.approx(bandwidth, rel=0.01)
+
+
 @pytest.mark.long
 def test_a_load_cell_that_reads_too_much_is_found(rich, guess):
     louder = Trajectory(rich.time_s, {**rich.signals, "force_n": 1.05 * rich["force_n"] + 50.0})
