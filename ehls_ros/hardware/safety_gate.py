@@ -217,6 +217,11 @@ class Gate:
         return self.state in DRIVING
 
     @property
+    def in_full(self) -> bool:
+        """Whether commands reach the actuator unchanged, neither blended in nor held."""
+        return self.driving and self.state != HOLDING and self._blend >= 1.0
+
+    @property
     def owner(self) -> str | None:
         """Sender whose commands are accepted; None: the first to send."""
         return self._commands.owner

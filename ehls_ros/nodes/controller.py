@@ -239,8 +239,8 @@ class ControllerNode(ControlNode):
         """Read the messages on the hand-over, and return whether the next cycle may be answered."""
         handover, topics = self.handover, self.topics
         while (message := topics.driver.take()) is not None:
-            _, first, driving, sender, _ = message
-            handover.announce(first, sender, driving=driving, now=time.perf_counter())
+            _, first, driving, in_full, sender, _ = message
+            handover.announce(first, sender, driving=driving, in_full=in_full, now=time.perf_counter())
         if handover.follows:
             self._take_other_commands()
         if handover.may_answer:
@@ -288,6 +288,9 @@ class ControllerNode(ControlNode):
             answer.command = self.controller.follow(
                 inputs.measured, inputs.reference, inputs.friction, given, ready.elapsed, outlook
             )
+        if not self.handover.in_full:
+            # Adaptation would take the part of the command that the valve receives for the valve's gain.
+            self.companions.interrupt()
         answer.snapshot, answer.fallback = (ready.stamp_ns, ready.cycle, *ready.measured), fallback
         driver = self.handover.driver_of(ready.cycle)
         self._send(to_valve=not driver or driver == self.sender)

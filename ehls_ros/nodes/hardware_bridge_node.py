@@ -238,7 +238,7 @@ class HardwareBridgeNode(PlantNode):
             self.device.write(self.calibration.command(spool), self.sequence)
         except WorkFailed as error:
             self.failure = str(error)
-        self.announcements.publish_driving(self.gate.driving)
+        self.announcements.publish_driving(driving=self.gate.driving, in_full=self.gate.in_full)
 
     def figures(self) -> dict[str, Any]:
         """Return figures for diagnostics."""

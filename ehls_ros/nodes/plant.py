@@ -131,22 +131,30 @@ class DriverAnnouncements:
         self._driver = Notice(node, Driver, DRIVER.name, HANDOVER_DEPTH)
         self._driving = Notice(node, Bool, DRIVING.name, 1)
         self._is_driving: bool | None = None
+        self._in_full = False
 
     def publish_driver(self) -> None:
         """Publish the driver that the hand-over has decided on."""
         now, handover = self._node.get_clock().now(), self._handover
-        values = handover.drives_from, bool(self._is_driving), handover.announced or "", self._node.sender
-        message = Driver(cycle=values[0], driving=values[1], sender=values[2], plant=values[3])
+        values = handover.drives_from, bool(self._is_driving), self._in_full, handover.announced or "", self._node.sender
+        message = Driver(cycle=values[0], driving=values[1], in_full=values[2], sender=values[3], plant=values[4])
         message.header.stamp = now.to_msg()
         self._driver.publish(message, (now.nanoseconds, *values))
 
-    def publish_driving(self, driving: bool) -> None:
-        """Publish a change in whether commands reach the valve, since controllers in an open loop would wind up."""
+    def publish_driving(self, *, driving: bool, in_full: bool) -> None:
+        """Publish a change in whether commands reach the valve, since controllers in an open loop would wind up.
+
+        Args:
+            driving: whether they reach it.
+            in_full: whether they reach it unchanged.
+        """
+        if (driving, in_full) == (self._is_driving, self._in_full):
+            return
         if driving != self._is_driving:
-            self._is_driving = driving
             self._driving.publish(Bool(data=driving), driving)
-            if self._handover.announced is not None:
-                self.publish_driver()
+        self._is_driving, self._in_full = driving, in_full
+        if self._handover.announced is not None:
+            self.publish_driver()
 
     def destroy(self) -> None:
         """Close the topics."""

@@ -203,7 +203,8 @@ class PlantSimNode(PlantNode):
 
     def _publish_driving(self) -> None:
         """Publish whether the controllers drive the valve; before the first command they do, unless a trip holds the gate."""
-        self.announcements.publish_driving(self.gate.driving or not (self.enabled or self.gate.causes))
+        before = not (self.enabled or self.gate.causes)
+        self.announcements.publish_driving(driving=self.gate.driving or before, in_full=self.gate.in_full or before)
 
     def _snapshot(self) -> None:
         self.publish(self.cycle, self.simulator.measure(next(self.noise)).tolist())

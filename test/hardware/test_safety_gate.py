@@ -38,8 +38,12 @@ def test_enabling_blends_the_command_in_without_a_bump():
     bench = Bench(enable_time=0.1)
     bench.turn(4e-3)
     assert bench.gate.enable() is None
-    written = bench.turns(100, 4e-3)
+    written = bench.turns(99, 4e-3)
+    assert bench.gate.driving
+    assert not bench.gate.in_full
+    written += bench.turns(1, 4e-3)
     assert written == pytest.approx([4e-3 * k / 100 for k in range(1, 101)], rel=1e-9)
+    assert bench.gate.in_full
     assert bench.gate.state == "active"
     assert bench.turn(4e-3) == 4e-3
 
