@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from benchmarks.emulated import EmulatedDevice
 from ehls_ros.control.controllers.base import reading_std
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.commissioning import conduct
+from ehls_ros.experiments.commissioning import first_run as first_run_module
 from ehls_ros.experiments.commissioning.conduct import STEPS, commission
-from ehls_ros.experiments.commissioning.first_run import first_run
+from ehls_ros.experiments.commissioning.first_run import first_run, law_tuned
 from ehls_ros.experiments.commissioning.measuring import at_rest, coupling, motion, nudge
 from ehls_ros.experiments.commissioning.session import Session, Stopped
 from ehls_ros.experiments.commissioning.step import Contradiction, Known
@@ -161,6 +163,12 @@ def test_the_first_run_begins_small_and_the_force_follows():
         reached.append(math.hypot(sine, cosine))
     largest = min(RIG.limits.force, RIG.plant.supply_pressure * RIG.plant.piston_area)
     assert reached == pytest.approx([0.05 * largest, 0.15 * largest, 0.4 * largest], rel=0.02)
+
+
+def test_a_law_that_is_lost_in_simulation_does_not_get_the_valve(monkeypatch):
+    monkeypatch.setattr(first_run_module, "tune", lambda *_, **__: SimpleNamespace(lost=True))
+    with pytest.raises(Contradiction, match=r"no numbers of fasmc_predictive hold the force .* `ehls tune`"):
+        law_tuned(session(), connected(), silent)
 
 
 def test_a_first_run_without_a_wired_force_names_the_channels():

@@ -15,10 +15,11 @@ from ehls_ros.cli.results import writable
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.experiments.files import config_folder
+from ehls_ros.experiments.graph_check import bridge_at
 from ehls_ros.experiments.loop import sampled, simulator_of
 from ehls_ros.experiments.spec import Spec, check_spec, load_rig, spec_from_mapping
 from ehls_ros.hardware.backends.udp import bound_socket, codec
-from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
+from ehls_ros.hardware.bridge_file import Bridge
 from ehls_ros.hardware.emulator import Emulator
 from ehls_ros.hardware.emulator_loop import Delays, Run, run_lockstep, run_realtime
 from ehls_ros.hardware.faults import FAULTS
@@ -139,10 +140,9 @@ def _run(options: Namespace, emulator: Emulator, target: Target, wire: Wire, del
 
 
 def _bridge(options: Namespace) -> Bridge:
-    path = options.bridge or config_folder() / "bridge_udp.yaml"
-    bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
+    bridge = bridge_at(options.bridge)
     if bridge.backend != "udp":
-        raise BadInput(f"name is {bridge.backend!r}", f"{path}: backend", "udp, the protocol of the emulator")
+        raise BadInput(f"name is {bridge.backend!r}", f"{options.bridge}: backend", "udp, the protocol of the emulator")
     return bridge
 
 

@@ -38,8 +38,15 @@ OFF = 0.3
 
 
 def law_tuned(session: Session, known: Known, progress: Update) -> Outcome:
-    """Tune the law in simulation, with the standard errors found as its uncertainty."""
+    """Tune the law in simulation, with the standard errors found as its uncertainty.
+
+    Raises:
+        Contradiction: in simulation, no numbers hold the force.
+    """
     found = tune(task_of(known.rig, LAW, usual(known.rig, session.period)), wanted=known.wanted, progress=progress)
+    if found.lost:
+        remedy = "numbers that fit the rig, for which the report shows those found, or `ehls tune` with another law"
+        raise Contradiction(f"in simulation, no numbers of {LAW} hold the force of the rig as found", "rig file", remedy)
     chosen, limit = found.chosen, found.causal_limit
     beside = f", {chosen.error / limit:.1f} times the causal limit" if limit > 0.0 else ""
     margins = f"{chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
