@@ -91,6 +91,8 @@ def gain(now: RigFit, noisy: Sequence[Stack], doubtful: int = 0) -> Array:
         return np.empty((0, 0))
     _, lost, information = _equations(now, noisy)
     lost[:doubtful] = lost[:, :doubtful] = 0.0
+    # What is left of a limited matrix may be beyond the limits again.
+    lost = _limited(lost, information)
     return np.asarray(np.linalg.solve(information - lost, information), dtype=np.float64)
 
 
