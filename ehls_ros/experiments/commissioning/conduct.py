@@ -41,8 +41,8 @@ STEPS = (
     Step(
         "coupling",
         "Coupling",
-        "The force follows a slow sine of 40 % of the largest for 20 s. Connect the rod first to the actuator under test, and"
-        " let that hold its position.",
+        "The force follows a slow sine of 40 % of the largest for 20 s, up to three times. Connect the rod first to the"
+        " actuator under test, and let that hold its position.",
         coupling,
     ),
     Step(TUNE, "Law tuned", "Nothing moves: the law is tuned in simulation, which takes about a minute.", law_tuned),

@@ -67,8 +67,15 @@ MOTION, HARMONICS, LOWEST = 20.0, 24, 0.15
 ROOM_PART, SPEED_PART = 0.4, 0.4
 """Largest travel of that motion over the room to the nearer end, and largest velocity over the loader's."""
 
-DITHER, HELD = 0.01, 6
-"""Random part of the command over its largest value, and number of cycles for which it is held; it shows valve and oil."""
+MOTION_FORCE = 0.3
+"""Largest force that a motion needs over the rig's largest: mass and friction are not known yet, and the oil swings."""
+
+POSITION_LOOP = 0.1
+"""Bandwidth of the position loop over the oil's natural frequency, of whose damping nothing is known yet."""
+
+DITHER, DITHER_FORCE, HELD = 0.01, 0.1, 6
+"""Random part of the command over its largest value, its force over the rig's largest above which it is smaller, and number of
+cycles for which it is held; it shows valve and oil."""
 
 CREEP, CREEP_FREQUENCY, CREEP_PARTS = 20.0, 0.5, (2e-3, 0.1)
 """Slow motion: duration [s], frequency of its sine [Hz], and velocity at first and at last over the loader's. Only slow motion
@@ -76,6 +83,9 @@ shows how friction changes from sticking to sliding."""
 
 PRESSING, PRESS_PART, PRESS_FREQUENCY = 20.0, 0.4, 0.1
 """Slow sine of the force against the actuator under test: duration [s], amplitude over the largest force, frequency [Hz]."""
+
+PRESSINGS, PRESSED = 3, 0.5
+"""Most such recordings, and least range of the force over the wanted one at which no further one follows."""
 
 PRESS_BANDWIDTH, PRESS_OPENING = 10.0, 0.3
 """Bandwidth of the force loop with a coupling as stiff as the oil [1/s]; largest opening over the largest spool command."""
@@ -245,9 +255,19 @@ def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     unit = multi_sine.sample(times, multi_sine.Parameters(1.0, LOWEST, HARMONICS))
     speed = SPEED_PART * _speed(rig)
     scale = min(ROOM_PART * room_of(rig) / np.max(np.abs(unit[:, 0])), speed / np.max(np.abs(unit[:, 1])))
+    scale *= _allowed(rig, scale * unit)
     random = np.random.default_rng(0)
     dither = np.repeat(random.choice([-1.0, 1.0], len(times) // HELD + 1), HELD)[: len(times)]
-    return _following(session, rig, scale * unit, DITHER * rig.limits.spool * dither)
+    # A mass that swings on the oil needs the force of its inertia at that frequency.
+    swing = rig.plant.moving_mass * _oil_frequency(rig) * DITHER * _speed(rig)
+    size = DITHER * min(1.0, DITHER_FORCE * largest_force(rig) / swing)
+    return _following(session, rig, scale * unit, size * rig.limits.spool * dither)
+
+
+def _oil_frequency(rig: Rig) -> float:
+    """Return the natural frequency of the mass on the oil [rad/s]."""
+    plant = rig.plant
+    return math.sqrt(in_python(compression)(plant) * plant.piston_area / plant.moving_mass)
 
 
 def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
@@ -258,7 +278,17 @@ def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     rate = math.log(last / first) / CREEP + 1j * turn
     wave = first / turn * np.exp(rate * times)
     wanted = np.stack([(rate**derivative * wave).imag for derivative in range(3)], axis=1)
-    return _following(session, rig, wanted, np.zeros(len(times)))
+    return _following(session, rig, _allowed(rig, wanted) * wanted, np.zeros(len(times)))
+
+
+def _allowed(rig: Rig, course: Array) -> float:
+    """Return the factor, at most 1, on a course from mid-stroke (cycles, 3) for which its force stays small enough."""
+    plant, friction = rig.plant, rig.friction._asdict()
+    position, velocity, acceleration = course.T
+    viscous = plant.viscous_damping + friction.get("viscous_coefficient", 0.0)
+    moving: Array = plant.moving_mass * acceleration + viscous * velocity + plant.spring_stiffness * position
+    left: float = MOTION_FORCE * largest_force(rig) - friction.get("coulomb_force", 0.0)
+    return min(1.0, max(left, 0.1 * MOTION_FORCE * largest_force(rig)) / float(np.max(np.abs(moving))))
 
 
 def _times(session: Session, duration: float) -> Array:
@@ -282,7 +312,10 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
     limits: Limits = rig.limits
     times = session.period * np.arange(len(course))
     middle = 0.5 * (limits.position[0] + limits.position[1])
-    loop = Controller("pid", tuned_for(pid.Parameters, rig), model_of(rig, session.period))
+    tuning = tuned_for(pid.Parameters, rig)
+    calm = POSITION_LOOP * _oil_frequency(rig)
+    tuning = tuning._replace(proportional=min(tuning.proportional, calm), integral=min(tuning.integral, 0.25 * calm**2))
+    loop = Controller("pid", tuning, model_of(rig, session.period))
     start = [math.nan]
 
     def law(m: Array, cycle: int) -> float:
@@ -292,7 +325,10 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
         blend = min(times[cycle], 1.0)
         wanted = blend * course[cycle]
         wanted[0] += start[0] + (middle - start[0]) * blend
-        return float(loop.step(m, wanted, np.zeros(2)) + blend * added[cycle])
+        unloaded = m.copy()
+        # A command that makes up for the load takes from the oil the damping by leakage and valve.
+        unloaded[sensors.LOAD_PRESSURE] = 0.0
+        return float(loop.step(unloaded, wanted, np.zeros(2)) + blend * added[cycle])
 
     return law
 
@@ -302,9 +338,17 @@ def coupling(session: Session, known: Known, progress: Update) -> Outcome:
     rig = known.rig
     if not {"force", "position"} <= set(session.wired):
         raise Contradiction("force or position is not wired", "bridge file", "channels for both, or the coupling by hand")
-    session.record(None, LOOK)
-    recording = session.record(_pressing(session, rig), PRESSING)
-    stiffness = _stiffness(recording, rig)
+    oil_stiffness = in_python(compression)(rig.plant) * rig.plant.piston_area
+    softer = 1.0
+    for trial in range(PRESSINGS):
+        progress(trial, PRESSINGS)
+        session.record(None, LOOK)
+        recording = session.record(_pressing(session, rig, softer), PRESSING)
+        stiffness = _stiffness(recording, rig)
+        if float(np.ptp(recording["force_n"])) > PRESSED * 2.0 * PRESS_PART * largest_force(rig):
+            break
+        # While friction sticks, its stiffness counts too: the next loop is slow enough.
+        softer = max(1.0 + oil_stiffness / stiffness.value, softer)
     path = f"effects.{COUPLING}.stiffness"
     finding = Finding(path, _given(rig, path), stiffness)
     damping = COUPLING_DAMPING * stiffness.value
@@ -313,13 +357,19 @@ def coupling(session: Session, known: Known, progress: Update) -> Outcome:
     return Outcome(rig._replace(effects=others + told), (finding,), (), {"coupling": recording})
 
 
-def _pressing(session: Session, rig: Rig) -> Callable[[Array, int], float]:
-    """Return a slow sine of the force, by a loop that is stable with any coupling softer than the oil."""
+def _pressing(session: Session, rig: Rig, softer: float) -> Callable[[Array, int], float]:
+    """Return a slow sine of the force.
+
+    Args:
+        session: the session.
+        rig: the rig.
+        softer: stiffness of the oil over that of oil and coupling in series; 1 is stable with any coupling.
+    """
     plant, limit = rig.plant, rig.limits.spool
     amplitude, turn = PRESS_PART * largest_force(rig), 2.0 * math.pi * PRESS_FREQUENCY
     oil_stiffness = in_python(compression)(plant) * plant.piston_area
     # Opening per error of the force.
-    gain = PRESS_BANDWIDTH / oil_stiffness * limit / (in_python(largest_speed)(plant, limit) * plant.valve_gain)
+    gain = softer * PRESS_BANDWIDTH / oil_stiffness * limit / (in_python(largest_speed)(plant, limit) * plant.valve_gain)
     start = [math.nan]
 
     def law(m: Array, cycle: int) -> float:
