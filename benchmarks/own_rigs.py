@@ -29,7 +29,7 @@ from ehls_ros.experiments.commissioning.step import Known, after
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning.loop_margins import margins_of
-from ehls_ros.experiments.tuning.task import Task
+from ehls_ros.experiments.tuning.task import Task, servo_of
 from ehls_ros.experiments.tuning.tune import USUAL, Wanted, causal_limit_of, tune, with_numbers
 from ehls_ros.hardware.calibration import Calibration, Input, Output
 from ehls_ros.physics.rig import Rig, rig_from_mapping
@@ -158,10 +158,9 @@ def drawn(number: int, seed: int, *, perfect: bool = False) -> OwnRig:
         content,
         {"name": "sine", "amplitude": amplitude, "frequency": rate / (2.0 * math.pi)},
         {
-            "name": "position_servo",
+            **servo_of(rig_from_mapping(content, "drawn rig"), servo),
             "moving_mass": mass,
             "supply_pressure": 1.5 * supply,
-            "signal": servo,
         },
         amplitude,
     )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.control.controllers import fasmc_output_feedback
+from ehls_ros.control.disturbances.position_servo import Parameters, steady_gain
 from ehls_ros.control.margins import LoopMargins, pressure_loop_margins
 from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
@@ -16,7 +17,7 @@ from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning import tune as tuning
 from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
-from ehls_ros.experiments.tuning.task import held, task_of
+from ehls_ros.experiments.tuning.task import held, task_of, usual
 from ehls_ros.experiments.tuning.tune import Trial, Wanted, tune
 from ehls_ros.experiments.tuning.uncertainty import LIMIT, uncertain
 from ehls_ros.physics.rig import effects_from_list, rig_to_mapping
@@ -110,6 +111,22 @@ def test_a_small_force_against_a_held_actuator_belongs_to_the_task():
     assert (still.disturbance.signal.name, still.disturbance.signal.parameters.value) == ("constant", 0.0)
     assert still.loader_rig() == spec.loader_rig()
     assert held(task_of(RIG, "fasmc", SHORT).spec) is None
+
+
+def test_the_actuator_under_test_of_a_heavy_rig_does_not_swing_by_itself():
+    heavy = RIG.with_plant(moving_mass=30.0 * RIG.plant.moving_mass, leakage_coefficient=1e-13, spring_stiffness=0.0)
+    rig = heavy.with_friction(viscous_coefficient=500.0)._replace(effects=COUPLING)
+    gain, plant = steady_gain(rig), rig.plant
+    assert gain < 0.1 * Parameters().position_gain
+    # The servo alone, with a stiff valve: its characteristic polynomial is that of Merritt (1967), 6.5.
+    leaking = 4.0 * plant.bulk_modulus * plant.leakage_coefficient / plant.total_volume
+    rubbing = 500.0 / plant.moving_mass
+    stiff = 4.0 * plant.bulk_modulus * plant.piston_area**2 / plant.total_volume / plant.moving_mass
+    for factor, swings in ((1.0, False), (3.0, True)):
+        roots = np.roots([1.0, leaking + rubbing, leaking * rubbing + stiff, factor * gain * stiff])
+        assert bool(np.any(roots.real > 0.0)) == swings
+    assert steady_gain(RIG) == Parameters().position_gain
+    assert usual(rig)["disturbance"]["position_gain"] == pytest.approx(gain, rel=1e-2)
 
 
 @pytest.mark.parametrize(("error", "gain_db", "phase", "factor"), [

@@ -50,6 +50,22 @@ def loader_effects(p: Parameters) -> tuple[EffectUse, ...]:
     return (EffectUse("coupling_stiffness", Coupling(p.stiffness, p.damping)),)
 
 
+STEADY = 0.5
+"""Gain of the servo's loop over that from which it swings on its oil."""
+
+
+def steady_gain(rig: Rig) -> float:
+    """Return the gain of the position loop of a servo like the loader: the usual one, or less if it would swing [1/s].
+
+    Its mass swings on its oil if the gain exceeds the sum of the rates at which leakage and viscous friction damp the motion
+    (Merritt, Hydraulic Control Systems, 1967, 6.5: K_v < 2 ζ ω_h); the servo's command takes away the valve's damping.
+    """
+    plant = rig.plant
+    viscous = plant.viscous_damping + rig.friction._asdict().get("viscous_coefficient", 0.0)
+    damping = 4.0 * plant.bulk_modulus * plant.leakage_coefficient / plant.total_volume + viscous / plant.moving_mass
+    return min(Parameters().position_gain, STEADY * damping)
+
+
 def servo(p: Parameters, rig: Rig, start: float) -> Servo:
     """Return the servo.
 

@@ -19,7 +19,7 @@ from ehls_ros.experiments.loop import sampled
 from ehls_ros.experiments.spec import Spec, Use, company_of
 from ehls_ros.experiments.stepped_run import largest, stepped_run, swing
 from ehls_ros.experiments.tuning.files import EXPERIMENT, experiment_text, parameters_text
-from ehls_ros.experiments.tuning.task import HELD_FREQUENCY, HELD_PART, SERVO, task_of, usual
+from ehls_ros.experiments.tuning.task import HELD_FREQUENCY, HELD_PART, servo_of, task_of, usual
 from ehls_ros.experiments.tuning.tune import tune, with_numbers
 from ehls_ros.progress import Update
 from ehls_ros.trajectory import Trajectory
@@ -94,7 +94,7 @@ def _experiment(known: Known, period: float, amplitude: float, offset: float) ->
         "duration": PERIODS / HELD_FREQUENCY,
         "control_period": period,
         "reference": {"name": "sine", "amplitude": amplitude, "frequency": HELD_FREQUENCY, "offset": offset},
-        "disturbance": {"name": SERVO, "signal": still},
+        "disturbance": servo_of(known.rig, still),
     }
     spec = with_numbers(task_of(known.rig, LAW, content).spec, known.numbers)
     duration = spec.settings._replace(duration=PERIODS / HELD_FREQUENCY)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from ehls_ros.arrays import in_python
 from ehls_ros.control.controllers import CONTROLLERS
+from ehls_ros.control.disturbances.position_servo import steady_gain
 from ehls_ros.control.references import constant, sine
 from ehls_ros.control.rig_scale import largest_speed
 from ehls_ros.errors import BadInput
@@ -115,8 +116,10 @@ def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:
     return {
         **({} if period is None else {"control_period": period}),
         "reference": {"name": "sine", "amplitude": float(f"{amplitude:.3g}"), "frequency": FREQUENCY},
-        "disturbance": {
-            "name": SERVO,
-            "signal": {"name": "sine", "amplitude": float(f"{travel:.3g}"), "frequency": MOTION_FREQUENCY},
-        },
+        "disturbance": servo_of(rig, {"name": "sine", "amplitude": float(f"{travel:.3g}"), "frequency": MOTION_FREQUENCY}),
     }
+
+
+def servo_of(rig: Rig, signal: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the actuator under test as a servo like the loader, which follows a signal and does not swing by itself."""
+    return {"name": SERVO, "position_gain": float(f"{steady_gain(rig):.3g}"), "signal": {**signal}}
