@@ -9,6 +9,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.causes import causes, gain
 from ehls_ros.diagnosis.dependence import depends_on, signals_along
+from ehls_ros.diagnosis.empirical import described, leaves_less
 from ehls_ros.diagnosis.evidence import Evidence, Standard, gather
 from ehls_ros.diagnosis.excitation import excited, mass_observable, sensitivities, sliding
 from ehls_ros.diagnosis.held_out import Assessment
@@ -19,7 +20,7 @@ from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders, with_allowances
 from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult, trace
-from ehls_ros.diagnosis.search import search
+from ehls_ros.diagnosis.search import Place, search
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, Channel, Setup, Stage, setup
 from ehls_ros.diagnosis.starts import Starts, lines_left, main_channel, try_starts
 from ehls_ros.diagnosis.verdict import Finding, Nrmse, decide, not_recorded, stage_result
@@ -80,11 +81,17 @@ def diagnose(
         needed = evidence.standard.excitation_needed
         verdict, unknown = decide(findings, [cause.stage for cause in named], excitation_needed=needed)
         answer = partial_answer(found, starts, progress, seed) if verdict == "unknown" else None
+        term = described(pool, found, unknown) if verdict == "unknown" and unknown is not None else None
+        if term is not None and answer is not None:
+            answer, term = (None, term) if leaves_less(evidence, term, answer) else (answer, None)
     known, best = (full, found_in_full.best) if answer is None else (answer.evidence, answer.found.best)
+    if term is not None:
+        known, with_term = with_allowances(evidence, found._replace(places=(Place(term.best, ()),)))
+        best = with_term.places[0].without
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
     model = extended(rig, best.hypothesis, best.fit.values)
-    names = verdict in NAMING
+    names, more = verdict in NAMING, verdict in NAMING or term is not None
     signals = signals_along(evidence.comparison(), model)
     allowances = allowed_for(known, best.held_out.residuals.values)
     # The remainder that a partial answer counts as noise is not noise.
@@ -98,9 +105,10 @@ def diagnose(
         unknown_stage=unknown,
         depends_on=stages[unknown].depends_on if unknown is not None else (),
         partial=tuple(c.name for c in named) if verdict == "unknown" else (),
-        gain=gain(known, best, noise, seed) if names else None,
+        gain=gain(known, best, noise, seed) if more else None,
+        term=None if term is None else term.term,
         rig=rig,
-        extended=model if names else rig,
+        extended=model if more else rig,
         traces={c: trace(full, c, known.floor[c] * best.held_out.residuals.values[c], signals) for c in evidence.channels},
         sensitivities=sizes,
         not_judged=not_tried,

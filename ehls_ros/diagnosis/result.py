@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.reading import Reading
 from ehls_ros.diagnosis.stages import KINDS, REQUIRED, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
@@ -251,6 +252,36 @@ class BaselineSummary(NamedTuple):
     new: Mapping[Channel, ChannelTrace]
 
 
+class Term(NamedTuple):
+    """A term found in the data, as a table over one signal.
+
+    Attributes:
+        effect: name of the effect that has the table.
+        argument: the signal, by its name in the data contract.
+        magnitude: whether the argument is the signal's magnitude.
+        unit: unit of the values.
+        at: places of the knots in the argument's unit, shape (k,).
+        values: of the table, shape (k,).
+        std: their standard errors, shape (k,).
+        period: period in the argument with which the table repeats; None: it does not, and keeps its edge values.
+        closed: fraction of the removable error that it closes on held-out data.
+        direction: speed within which its sign follows the direction of motion [m/s]; 0: it does not.
+        reading: its shape.
+    """
+
+    effect: str
+    argument: str
+    magnitude: bool
+    unit: str
+    at: Array
+    values: Array
+    std: Array
+    period: Estimate | None
+    closed: float
+    direction: float
+    reading: Reading
+
+
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Result of a diagnosis: errors of a rig's model, their causes, and the gain from correcting them.
@@ -263,9 +294,10 @@ class Diagnosis:
         unknown_stage: the stage with the largest unexplained remainder, if there is one.
         depends_on: the signals on which that remainder depends.
         partial: for ``unknown``, names of the effects that explain a part of it.
-        gain: gain of the extended model, if causes are named.
+        gain: gain of the extended model, if causes are named or a term is found.
+        term: for ``unknown``, the term that describes the error; None if none does.
         rig: the given model.
-        extended: the model with the causes; the given model if there are none.
+        extended: the model with the causes or the term; the given model if there are none.
         traces: residuals, by channel.
         sensitivities: the sizes that would have been detected.
         not_judged: effects that could not be tried, with the reason.
@@ -285,6 +317,7 @@ class Diagnosis:
     depends_on: tuple[str, ...] = ()
     partial: tuple[str, ...] = ()
     gain: Gain | None = None
+    term: Term | None = None
     rig: Rig
     extended: Rig
     traces: Mapping[Channel, ChannelTrace] = field(default_factory=dict)

@@ -87,8 +87,8 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     pool = starts.pool
     evidence = pool.evidence
     progress("causes one by one", 0.35)
-    base = assess(evidence, _afresh(evidence, (), np.empty(0), np.empty(0)) if begin is None else begin)
-    level = _fitted(evidence, pool, starts.extensions(base)) if base.names else _alone(evidence, pool, starts.alone)
+    base = given_model(evidence) if begin is None else assess(evidence, begin)
+    level = fitted(evidence, pool, starts.extensions(base)) if base.names else _alone(evidence, pool, starts.alone)
     progress("causes together", 0.55)
     best, scale = _added(evidence, pool, starts, base, level, progress)
     lenient = evidence.standard.lenient()
@@ -102,11 +102,16 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     return Searched(best, places, tuple(starts.alone), scale, always)
 
 
+def given_model(evidence: Evidence) -> Assessment:
+    """Return the hypothesis without causes."""
+    return assess(evidence, _afresh(evidence, (), np.empty(0), np.empty(0)))
+
+
 def _alone(evidence: Evidence, pool: Pool, screened: Sequence[Fit]) -> list[Assessment]:
     """Fit the most promising single causes."""
     gains = np.array([base_loss(evidence, f) - predicted_loss(f) for f in screened])
     order = [int(i) for i in np.argsort(-gains) if gains[i] > PROMISING][:TRIED_SINGLES]
-    return _fitted(evidence, pool, [newton_start(screened[i]) for i in order], FITTED_SINGLES)
+    return fitted(evidence, pool, [newton_start(screened[i]) for i in order], FITTED_SINGLES)
 
 
 def _added(
@@ -131,7 +136,7 @@ def _added(
         if count == MAX_CAUSES:
             break
         beam = _distinct(ranked)[:BEAM]
-        level = _fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
+        level = fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
         progress("causes together", 0.55 + 0.1 * count)
     return best, scale
 
@@ -156,7 +161,7 @@ def _gain(evidence: Evidence, fit: Fit) -> float:
     return base_loss(evidence, fit) - fit.loss
 
 
-def _fitted(
+def fitted(
     evidence: Evidence, pool: Pool, starts: Sequence[Start], keep: int = FITTED, rival: Assessment | None = None
 ) -> list[Assessment]:
     """Take the first step of every fit, complete the best ones and assess them.
@@ -224,7 +229,7 @@ def _exchanged(
 
     def place_of(best: Assessment, index: int) -> Place:
         without = _without(evidence, pool, best, index, alone.without)
-        return Place(without, tuple(_fitted(evidence, pool, starts.extensions(without), rival=best)))
+        return Place(without, tuple(fitted(evidence, pool, starts.extensions(without), rival=best)))
 
     visited = set[frozenset[tuple[str, int]]]()
     for exchanges in range(MAX_EXCHANGES + 1):
@@ -301,4 +306,4 @@ def _without(evidence: Evidence, pool: Pool, best: Assessment, index: int, nothi
     if not left.hypothesis:
         return nothing
     start = _afresh(evidence, left.hypothesis, left.values, left.steps)
-    return _fitted(evidence, pool, [Start(start._replace(residuals=best.fit.residuals))])[0]
+    return fitted(evidence, pool, [Start(start._replace(residuals=best.fit.residuals))])[0]

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 from ehls_ros import __version__
 from ehls_ros.diagnosis.causes import advice
 from ehls_ros.diagnosis.free_run import FreeRun
+from ehls_ros.diagnosis.reading import Reading
 from ehls_ros.diagnosis.result import (
     Cause,
     ChannelGain,
@@ -18,6 +19,7 @@ from ehls_ros.diagnosis.result import (
     Healthy,
     Sensitivity,
     StageResult,
+    Term,
     Verdict,
 )
 from ehls_ros.diagnosis.stages import Channel, Stage
@@ -131,6 +133,22 @@ class UnknownEntry(NamedTuple):
     evidence: UnknownEvidence
 
 
+class TermEntry(NamedTuple):
+    """A term found in the data, as a table over one signal; attributes as in :class:`ehls_ros.diagnosis.result.Term`."""
+
+    effect: str
+    argument: str
+    magnitude: bool
+    unit: str
+    at: tuple[float, ...]
+    values: tuple[float, ...]
+    std: tuple[float, ...]
+    period: Estimate | None
+    closed: float
+    direction: float
+    reading: Reading
+
+
 class RemainderEntry(NamedTuple):
     """Remaining residual of a stage with all named causes in the model.
 
@@ -225,6 +243,7 @@ class DiagnosisDocument(NamedTuple):
         wall_s: wall time of everything [s].
         baseline: baselines of the judgement; None without baselines.
         corrected: wrong numbers of the rig file that were corrected first, by dotted section and name.
+        term: for ``unknown``, the term that describes the error; None if none does.
     """
 
     verdict: Verdict | Literal["unchanged", "changed"]
@@ -250,6 +269,7 @@ class DiagnosisDocument(NamedTuple):
     wall_s: float
     baseline: BaselineEntry | None
     corrected: Mapping[str, Fitted]
+    term: TermEntry | None
 
 
 def diagnosis_document(
@@ -293,7 +313,16 @@ def diagnosis_document(
         wall_s=wall_s,
         baseline=None if diagnosis.baseline is None else BaselineEntry(*diagnosis.baseline[:5]),
         corrected=diagnosis.corrected,
+        term=None if diagnosis.term is None else _term(diagnosis.term),
     )
+
+
+def _term(term: Term) -> TermEntry:
+    at, values, std = (tuple(array.tolist()) for array in (term.at, term.values, term.std))
+    return TermEntry(
+        term.effect, term.argument, term.magnitude, term.unit, at, values, std, term.period, term.closed, term.direction,
+        term.reading,
+    )  # fmt: skip
 
 
 def _verdict(diagnosis: Diagnosis) -> Verdict | Literal["unchanged", "changed"]:

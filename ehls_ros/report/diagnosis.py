@@ -18,6 +18,8 @@ from ehls_ros.report import page
 from ehls_ros.report.diagnosis_baseline import learnt, old_and_new, since_sentence
 from ehls_ros.report.diagnosis_causes import causes, measured_and_simulated, rivals, shares, unexplained, what_to_do
 from ehls_ros.report.diagnosis_findings import STAGE_NAMES, words
+from ehls_ros.report.diagnosis_term import found_term
+from ehls_ros.report.diagnosis_term import sentence as term_sentence
 from ehls_ros.report.page import MISSING_NUMBER, Entry, LeftOut, Panel, Row, listed, number, signed
 from ehls_ros.report.quantities import change, percent, quantity
 
@@ -43,7 +45,8 @@ SINCE = {
 def answer(found: Diagnosis) -> tuple[str, bool | None]:
     """Return the result in a sentence, and whether all is well; None if the data are insufficient."""
     sentence, good = findings.verdict_sentence(found)
-    return (sentence if found.baseline is None else since_sentence(found)) + findings.corrected(found), good
+    term = "" if found.term is None else f" {term_sentence(found.term)}"
+    return (sentence if found.baseline is None else since_sentence(found)) + term + findings.corrected(found), good
 
 
 def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences = NOTHING, source: str = "") -> None:
@@ -63,6 +66,7 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
         ("Old and new", old_and_new(found)),
         ("Next steps", what_to_do(found)),
         ("Shares and sizes", shares(found)),
+        ("The term found", found_term(found)),
         ("Unexplained", [] if found.names_causes else rest),
         ("Runner-up and caveats" if found.names_causes else "Caveats", [page.bullets(limits)] if limits else []),
         ("Remainder", rest if found.names_causes else []),
@@ -89,7 +93,8 @@ def _stages(found: Diagnosis) -> list[str]:
     if not any(result.judged for result in found.stages.values()):
         return []
     compared = findings.compares(found)
-    extended = {f"with the {'extension' if found.causes else 'partial causes'}": lambda item: percent(item[1].nrmse_after)}
+    added = "extension" if found.causes else "partial causes" if found.term is None else "term found"
+    extended = {f"with the {added}": lambda item: percent(item[1].nrmse_after)}
     columns: dict[str, Callable[[tuple[Stage, StageResult]], str | Entry]] = {
         "stage of the model": lambda item: Entry(STAGE_NAMES[item[0]], findings.COMPARED[item[0]]),
         "residual": lambda item: percent(item[1].nrmse_before),

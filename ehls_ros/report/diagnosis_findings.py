@@ -301,6 +301,8 @@ def _unknown_sentence(found: Diagnosis) -> str:
         return "The simulation is wrong, and no known effect explains how."
     result = found.stages[found.unknown_stage]
     where = STAGE_NAMES[found.unknown_stage]
+    if found.term is not None:
+        return f"The simulation's {where} is wrong by {_size(result)}, and no known effect explains it."
     text = f"The simulation's {where} is wrong by {_size(result)}; the error {depends(found)}, and no known effect explains it"
     nearest = f"; nearest is {listed([words(name).noun for name in found.partial[:IN_A_SENTENCE]])}" if found.partial else ""
     near = concentrated(found, found.unknown_stage)
@@ -587,12 +589,13 @@ def before_name(found: Diagnosis) -> str:
 def after_name(found: Diagnosis) -> str:
     """Return the name of the model with the causes."""
     extended = "extended model" if found.baseline is None else "with the change"
-    return f"{extended if found.causes else 'with effects that explain a part'}, held-out data"
+    part = "with effects that explain a part" if found.term is None else "with the term found"
+    return f"{extended if found.causes else part}, held-out data"
 
 
 def compares(found: Diagnosis) -> bool:
     """Return whether there is a second model to compare with the given one."""
-    return bool(found.causes or found.partial)
+    return bool(found.causes or found.partial or found.term)
 
 
 def largest_first(found: Diagnosis) -> list[Channel]:

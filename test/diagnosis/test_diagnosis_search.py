@@ -355,7 +355,7 @@ def exchanged(monkeypatch, best, alone, dropped=None, sure=lambda hypothesis: le
     """Exchange the causes of a hypothesis; one of two may be dropped, and no other can replace it."""
     monkeypatch.setattr(searching, "accepted", lambda evidence, more, less, scale: sure(more.hypothesis))
     monkeypatch.setattr(searching, "_without", lambda *given: dropped)
-    monkeypatch.setattr(searching, "_fitted", lambda *given, **named: [])
+    monkeypatch.setattr(searching, "fitted", lambda *given, **named: [])
     pool = SimpleNamespace(lead=lambda work, items: [work(item) for item in items])
     starts = SimpleNamespace(extensions=lambda member: [])
     return searching._exchanged(evidence_of({"force": np.zeros(12)}), pool, best, starts, alone, FORCE)

@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, get_type_hints
 
+from ehls_ros.diagnosis.reading import Power, Reading
 from ehls_ros.diagnosis.result import BaselineSummary, ChannelGain, Coverage, Fitted, Gain, Healthy, Sensitivity, StageResult
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments import diagnosis_document as document
@@ -16,8 +17,11 @@ from ehls_ros.reproduction.results import CellResult
 SCHEMA = {
     document.DiagnosisDocument: (
         "verdict summary stages causes remainder depends_on gain next_experiment extended_rig seed version unknown_stage"
-        " partial missing not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s baseline corrected"
+        " partial missing not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s baseline corrected term"
     ),
+    document.TermEntry: "effect argument magnitude unit at values std period closed direction reading",
+    Reading: "amplitude std rise power place",
+    Power: "exponent std symmetry",
     StageResult: ("judged why_not nrmse_before nrmse_after noise_floor exceeds unexplained leaves_much incident depends_on"),
     document.BaselineEntry: "recordings coefficients channels coverage not_compared",
     Fitted: "given fitted spread",

@@ -107,7 +107,7 @@ def test_the_ways_to_fit_an_effect_start_off_the_neutral_values_and_within_range
     effect = EFFECTS.load(name)
     declared = {parameter.name: parameter for parameter in declarations(effect.Parameters)}
     forms = effect.forms(make_rig())
-    assert forms
+    assert bool(forms) != getattr(effect, "LEARNT", False)
     for form in forms:
         assert form.free
         assert not set(form.free) & set(form.fixed)

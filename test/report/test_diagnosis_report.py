@@ -11,7 +11,19 @@ from report_pages import check, numbers, panels, parts, row, rows
 from scipy.integrate import trapezoid
 
 from ehls_ros.diagnosis.free_run import Followed, FreeRun
-from ehls_ros.diagnosis.result import Cause, ChannelGain, ChannelTrace, Diagnosis, Fitted, Gain, Rival, Sensitivity, StageResult
+from ehls_ros.diagnosis.reading import Power, Reading
+from ehls_ros.diagnosis.result import (
+    Cause,
+    ChannelGain,
+    ChannelTrace,
+    Diagnosis,
+    Fitted,
+    Gain,
+    Rival,
+    Sensitivity,
+    StageResult,
+    Term,
+)
 from ehls_ros.diagnosis.stages import SENSED
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION
 from ehls_ros.estimate import Estimate
@@ -36,6 +48,7 @@ from ehls_ros.report.diagnosis_findings import (
     where_to_look,
 )
 from ehls_ros.report.diagnosis_residuals import view_of_cause
+from ehls_ros.report.diagnosis_term import sentence as term_sentence
 
 RIG = load_rig(Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml")
 DEAD_ZONE = {"positive": Estimate(91.2e-6, 0.4e-6, "m"), "negative": Estimate(80.1e-6, 0.5e-6, "m")}
@@ -604,6 +617,49 @@ def test_an_unknown_cause_says_where_to_look(report):
     (_, layout) = next(figure for title, figure in panels(text).items() if title.startswith("Unexplained"))
     assert layout["xaxis"]["title"]["text"] == "spool [µm]"
     check(report(unknown(depends_on=(), partial=())))
+
+
+def with_term(**changes):
+    at, reading = np.linspace(-0.2, 0.2, 16), Reading(240.0, 5.0, power=Power(2.04, 0.05, "odd"))
+    values = -6e3 * at * np.abs(at)
+    term = Term("empirical_force", "velocity_m_s", False, "N", at, values, np.full(16, 5.0), None, 0.993, 0.0, reading)
+    effects = RIG.with_effects((EffectUse("empirical_force", EFFECTS.load("empirical_force").Parameters(value_0=240.0)),))
+    return unknown(term=term._replace(**changes), gain=GAIN, extended=effects, unknown_stage="flow", partial=())
+
+
+def test_a_term_found_in_the_data_is_said_and_shown(report):
+    found = with_term()
+    said, good = answer(found)
+    assert said.endswith(
+        "no known effect explains it. The data show a force that depends on velocity, odd, growing with the power 2.04 ± 0.1,"
+        " up to ±240 N about its middle; it closes 99.3 % of that error on held-out data."
+    )
+    assert good is False
+    text = report(found)
+    (_, layout) = next(figure for title, figure in panels(text).items() if title.startswith("The term found"))
+    assert layout["xaxis"]["title"]["text"] == "velocity [mm/s]"
+    assert layout["yaxis"]["title"]["text"] == "force [N]"
+    assert "Beyond the data it keeps the values at their ends" in shown(text)
+    check(text)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"argument": "position_m", "period": Estimate(7.3e-3, 2e-6, "m"), "direction": 0.01},
+            "turning round with the direction of motion, repeating every 7.3 mm ± 4 µm, with an amplitude of 240 N",
+        ),
+        (
+            {"argument": "time_s", "reading": Reading(240.0, 5.0, rise=-480.0)},
+            "depends on the time, always falling, up to ±240 N",
+        ),
+        ({"argument": "position_m", "reading": Reading(240.0, 5.0, place=0.0123)}, "acting at one place, 12.3 mm"),
+        ({"effect": "empirical_friction", "magnitude": True}, "a change of friction that depends on the magnitude of velocity"),
+    ],
+)
+def test_the_shape_of_a_term_is_put_into_words(changes, words):
+    assert words in term_sentence(with_term(**changes).term)
 
 
 def test_too_little_says_what_to_record(report):

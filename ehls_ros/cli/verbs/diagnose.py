@@ -26,6 +26,7 @@ from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
 from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps
+from ehls_ros.report.diagnosis_term import phrase
 from ehls_ros.report.quantities import likely, percent
 from ehls_ros.trajectory import Trajectory
 
@@ -125,6 +126,8 @@ def _rig_file(found: Diagnosis, rig: Path, source: str) -> str:
         f"{', or ' + ' or '.join(cause.equivalent_to) if cause.equivalent_to else ''}\n"
         for cause in found.causes
     )
+    if found.term is not None:
+        added = f"#   {found.term.effect}: {phrase(found.term)}\n"
     learnt = "" if found.baseline is None else f"# Coefficients fitted to {', '.join(found.baseline.recordings)}.\n"
     end = f"# Added at the end of `effects`:\n{added}" if added else f"# Nothing was added: the verdict is '{found.verdict}'.\n"
     return f"{heading}{learnt}{end}{rig_text(rig_to_mapping(found.extended))}"

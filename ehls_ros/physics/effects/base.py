@@ -49,6 +49,9 @@ separate them, and ``shift`` removes it from the moving mass. A rig has at most 
 An effect whose ``force`` acts between loader and position servo has ``COUPLES = True``: where the servo is simulated
 (:mod:`ehls_ros.physics.servo`), the same force acts on it in the opposite direction.
 
+An effect whose shape is found in the data, such as a table, has ``LEARNT = True`` and no forms
+(:mod:`ehls_ros.diagnosis.empirical`).
+
 ``NEEDS`` names the signals (:data:`ehls_ros.trajectory.SIGNALS`) without which data cannot reveal the effect; by default,
 those of its group.
 """

@@ -1,0 +1,34 @@
+"""A leakage that no named effect explains, as a table over one of the stage's signals."""
+
+from typing import Any
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects._table import looked_up, table_parameters
+from ehls_ros.physics.effects.base import Form, Group, Words
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.plant import XV
+from ehls_ros.physics.rig import Rig
+
+GROUP: Group = "flow"
+EQUATION = "q -> q + table(argument)"
+SOURCE = "Kennedy, O'Hagan, Bayesian calibration of computer models, 2001: a discrepancy of the model, here as a table"
+WORDS = Words(
+    "a leakage found in the data",
+    inspect="look for a seal or a valve that opens with this shape",
+    measure="close the valve, load the piston, and measure its drift over the load",
+    change="keep `empirical_leakage` under `effects` in the rig file until its cause is known",
+)
+LEARNT = True
+
+Parameters = table_parameters(__name__, "m^3/s", "further leakage", 1e-1)
+
+
+@kernel
+def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> float:
+    """Add the leakage."""
+    return value + looked_up(y[XV], t, y, w, p)
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """None: the argument and its range follow from the data (:mod:`ehls_ros.diagnosis.empirical`)."""
+    return ()

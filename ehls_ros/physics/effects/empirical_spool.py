@@ -1,0 +1,33 @@
+"""A command of the spool that no named effect explains, as a table over one of the stage's signals."""
+
+from typing import Any
+
+from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects._table import looked_up, table_parameters
+from ehls_ros.physics.effects.base import Form, Group, Words
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import Rig
+
+GROUP: Group = "valve"
+EQUATION = "u -> u + table(argument)"
+SOURCE = "Kennedy, O'Hagan, Bayesian calibration of computer models, 2001: a discrepancy of the model, here as a table"
+WORDS = Words(
+    "a command error found in the data",
+    inspect="look for an amplifier or a spool that answers with this shape",
+    measure="record the spool while the command rises slowly through its range",
+    change="keep `empirical_spool` under `effects` in the rig file until its cause is known",
+)
+LEARNT = True
+
+Parameters = table_parameters(__name__, "m", "change of the command that the spool follows", 1e-2)
+
+
+@kernel
+def command(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> float:
+    """Change the command."""
+    return value + looked_up(value, t, y, w, p)
+
+
+def forms(rig: Rig) -> tuple[Form, ...]:
+    """None: the argument and its range follow from the data (:mod:`ehls_ros.diagnosis.empirical`)."""
+    return ()
