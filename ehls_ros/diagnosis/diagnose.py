@@ -20,7 +20,7 @@ from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders, with_allowances
 from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Sensitivity, StageResult, trace
-from ehls_ros.diagnosis.search import Place, search
+from ehls_ros.diagnosis.search import search
 from ehls_ros.diagnosis.stages import CHANNELS, STAGES, Channel, Setup, Stage, setup
 from ehls_ros.diagnosis.starts import Starts, lines_left, main_channel, try_starts
 from ehls_ros.diagnosis.verdict import Finding, Nrmse, decide, not_recorded, stage_result
@@ -86,8 +86,8 @@ def diagnose(
             answer, term = (None, term) if leaves_less(evidence, term, answer) else (answer, None)
     known, best = (full, found_in_full.best) if answer is None else (answer.evidence, answer.found.best)
     if term is not None:
-        known, with_term = with_allowances(evidence, found._replace(places=(Place(term.best, ()),)))
-        best = with_term.places[0].without
+        known, with_term = with_allowances(evidence, found._replace(best=term.best, places=()))
+        best = with_term.best
     if answer is not None:
         verdict, named = "partial", causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
     model = extended(rig, best.hypothesis, best.fit.values)

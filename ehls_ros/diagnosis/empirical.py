@@ -26,11 +26,11 @@ from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.partial import PartialAnswer
 from ehls_ros.diagnosis.pool import Pool
 from ehls_ros.diagnosis.reading import read
-from ehls_ros.diagnosis.record import COMMAND, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.result import Term
 from ehls_ros.diagnosis.search import Searched, fitted, given_model, inflations
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
-from ehls_ros.diagnosis.starts import combined
+from ehls_ros.diagnosis.starts import combined, spectral_lines
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects._table import KNOTS, VALUES, WEIGHTS
@@ -39,7 +39,7 @@ from ehls_ros.schema import declarations
 
 PLACES: Mapping[Channel, Mapping[str, tuple[str, ...]]] = {
     "force": {
-        "empirical_force": ("position", "velocity", "pressure", "time"),
+        "empirical_force": ("position", "velocity", "pressure", "load", "time"),
         "empirical_friction": ("position", "speed", "pressure", "time", "temperature"),
     },
     "volume": {
@@ -51,8 +51,8 @@ PLACES: Mapping[Channel, Mapping[str, tuple[str, ...]]] = {
 """Arguments of a term in each channel, by the effect that has the table."""
 
 SIGNAL_OF = {
-    "position": POSITION, "velocity": VELOCITY, "speed": VELOCITY, "pressure": PRESSURE, "spool": SPOOL, "time": "time_s",
-    "temperature": TEMPERATURE,
+    "position": POSITION, "velocity": VELOCITY, "speed": VELOCITY, "pressure": PRESSURE, "spool": SPOOL, "load": LOAD,
+    "time": "time_s", "temperature": TEMPERATURE,
 }  # fmt: skip
 """Signal that a weight multiplies, by the names of the data contract."""
 
@@ -216,6 +216,11 @@ def _along(evidence: Evidence, channel: Channel, alike: Proposal, values: Array,
     if alike.weight == "position":
         waves, share = waves_in(partial(evidence.means, channel), values, target, block % 2 == 0)
         out.append(alike._replace(share=share, low=0.0, high=float(np.ptp(values)) / waves, periodic=True))
+    elif alike.weight == "time":
+        size = float(np.sqrt(np.mean(target**2))) or 1.0
+        for frequency in spectral_lines(target / size, evidence.times[channel], 1):
+            share = _repeating(partial(evidence.means, channel), frequency * values, target, block % 2 == 0)
+            out.append(alike._replace(share=share, low=0.0, high=1.0 / frequency, periodic=True))
     return out
 
 
@@ -224,9 +229,8 @@ def concentrated(means: Array, target: Array, low: float, high: float) -> tuple[
     cell = np.clip(((means - low) / (high - low) * CELLS).astype(np.intp), 0, CELLS - 1)
     count = np.bincount(cell, minlength=CELLS)
     level = np.bincount(cell, target, CELLS) / np.maximum(count, 1)
-    strong = np.flatnonzero(
-        np.abs(level - np.median(level[count > 0])) > 0.5 * np.max(np.abs(level - np.median(level[count > 0])))
-    )
+    level = np.abs(np.where(count > 0, level - np.median(level[count > 0]), 0.0))
+    strong = np.flatnonzero(level > 0.5 * np.max(level))
     first, last = int(strong[0]), int(strong[-1]) + 1
     around = last - first
     first, last = max(first - around - 1, 0), min(last + around + 1, CELLS)
@@ -254,7 +258,7 @@ def candidates_of(proposal: Proposal) -> list[Candidate]:
     per, size = f"per_{proposal.weight}", 1.0 / (proposal.high - proposal.low)
     place = list(WEIGHTS).index(proposal.weight) + len(WEIGHTS) * proposal.periodic
     out = []
-    for knots in (TIME_KNOTS,) if proposal.weight == "time" else FINENESS:
+    for knots in FINENESS if proposal.periodic or proposal.weight != "time" else (TIME_KNOTS,):
         free = (per, *VALUES[:knots]) if proposal.periodic else VALUES[:knots]
         fixed = {"periodic": 1.0} if proposal.periodic else {per: size, "offset": -proposal.low * size}
         fixed |= {"direction": proposal.direction} if proposal.direction else {}
@@ -275,20 +279,38 @@ def candidates_of(proposal: Proposal) -> list[Candidate]:
 
 
 def waves_in(means: Callable[[Array], Array], values: Array, target: Array, even: Mask) -> tuple[float, float]:
-    """Return the number of periods along a signal's range that predicts a remainder best, and the fraction it explains."""
-    angle = 2.0 * math.pi * (values - np.min(values)) / np.ptp(values)
-    best = (WAVES[0], 0.0)
-    for waves in np.arange(*WAVES, WAVE_STEP):
-        columns = [means(wave(k * waves * angle)) for k in range(1, HARMONICS + 1) for wave in (np.sin, np.cos)]
-        basis = np.stack((*columns, np.ones(len(target))), axis=1)
-        left = total = 0.0
-        for train in (even, ~even):
-            solution, *_ = np.linalg.lstsq(basis[train], target[train], rcond=None)
-            left += float(np.sum((target[~train] - basis[~train] @ solution) ** 2))
-            total += float(np.sum(target[~train] ** 2))
-        if 1.0 - left / max(total, 1e-300) > best[1]:
-            best = float(waves), 1.0 - left / total
-    return best
+    """Return the number of periods along a signal's range that predicts a remainder best, and the fraction it explains.
+
+    Args:
+        means: returns the mean of a signal over each window.
+        values: the signal, one value a sample.
+        target: the remainder, shape (windows,).
+        even: the windows in even blocks; each half is predicted from the other.
+    """
+    along = (values - np.min(values)) / np.ptp(values)
+    shares = [(_repeating(means, waves * along, target, even), float(waves)) for waves in np.arange(*WAVES, WAVE_STEP)]
+    share, waves = max(shares)
+    return waves, share
+
+
+def _repeating(means: Callable[[Array], Array], cycles: Array, target: Array, even: Mask) -> float:
+    """Return the fraction of a remainder's held-out variance that a wave and its harmonic explain.
+
+    Args:
+        means: returns the mean of a signal over each window.
+        cycles: number of periods up to each sample.
+        target: the remainder, shape (windows,).
+        even: the windows in even blocks; each half is predicted from the other.
+    """
+    angles = [2.0 * math.pi * harmonic * cycles for harmonic in range(1, HARMONICS + 1)]
+    columns = [means(wave(angle)) for angle in angles for wave in (np.sin, np.cos)]
+    basis = np.stack((*columns, np.ones(len(target))), axis=1)
+    left = total = 0.0
+    for train in (even, ~even):
+        solution, *_ = np.linalg.lstsq(basis[train], target[train], rcond=None)
+        left += float(np.sum((target[~train] - basis[~train] @ solution) ** 2))
+        total += float(np.sum(target[~train] ** 2))
+    return 1.0 - left / total if total > 0.0 else 0.0
 
 
 def _linearised(worker: Worker, candidate: Candidate) -> Fit:

@@ -10,7 +10,7 @@ import types
 from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.plant import PL, TEMPERATURE, V, X
+from ehls_ros.physics.plant import PL, TEMPERATURE, V, X, disturbance_force
 from ehls_ros.schema import quantity
 
 KNOTS = 16
@@ -25,6 +25,7 @@ WEIGHTS = {
     "speed": ("s/m", "magnitude of the velocity", 1e6),
     "pressure": ("1/Pa", "load pressure", 1.0),
     "spool": ("1/m", "spool displacement, at the valve's input the command", 1e9),
+    "load": ("1/N", "force of the disturbance", 1.0),
     "time": ("1/s", "time", 1e4),
     "temperature": ("1/K", "oil temperature", 1e3),
 }
@@ -92,7 +93,8 @@ def looked_up(spool: float, t: float, y: Array, w: Array, p: Any) -> float:
         p: from :func:`table_parameters`.
     """
     u = p.offset + p.per_position * y[X] + p.per_velocity * y[V] + p.per_speed * abs(y[V]) + p.per_pressure * y[PL]
-    u += p.per_spool * spool + p.per_time * t + p.per_temperature * w[TEMPERATURE]
+    u += p.per_spool * spool + p.per_load * disturbance_force(t, w) + p.per_time * t
+    u += p.per_temperature * w[TEMPERATURE]
     last = p.knots - 1.0
     if p.periodic > 0.5:
         s = p.knots * (u - math.floor(u))
