@@ -2,7 +2,7 @@
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.loss import closed, power
+from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.measurement import BEYOND_MEASUREMENT
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import ChannelGain, Diagnosis
@@ -11,7 +11,9 @@ from ehls_ros.trajectory import Trajectory
 
 
 def carried_over(found: Diagnosis, other: Trajectory, name: str, *, seed: int = 0) -> dict[Channel, ChannelGain]:
-    """Return the fraction of another recording's error that the extended model closes, by channel with an error to close.
+    """Return the fraction of another recording's error that the extended model closes, by channel with an error.
+
+    It is negative where the extension makes an error, and -1 where there was none.
 
     Args:
         found: the diagnosis; its extended model is taken as it is.
@@ -30,8 +32,8 @@ def carried_over(found: Diagnosis, other: Trajectory, name: str, *, seed: int = 
     after = evidence.residuals(evidence.comparison(), found.extended)
     out = dict[Channel, ChannelGain]()
     for c in evidence.channels:
-        before, noise = evidence.base.values[c], evidence.noise[c]
-        if power(before) > rules.REMOVABLE * power(noise):
-            removable = power(before) - power(noise)
-            out[c] = ChannelGain(min(closed(before, after.values[c], noise), 1.0), power(noise) / removable)
+        before, then, noise = (power(e) for e in (evidence.base.values[c], after.values[c], evidence.noise[c]))
+        if max(before, then) > rules.REMOVABLE * noise:
+            removable = max(before, then) - noise
+            out[c] = ChannelGain(min((before - then) / removable, 1.0), noise / removable)
     return out

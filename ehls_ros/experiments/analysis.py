@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
+from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.record import successive
@@ -39,6 +41,7 @@ def diagnose_recordings(
     seed: int,
     threads: int | None,
     progress: Update,
+    checks: Mapping[str, Trajectory] = MappingProxyType({}),
 ) -> Diagnosed:
     """Find the errors of a rig's model, or the changes since its baselines, and their consequences.
 
@@ -49,6 +52,7 @@ def diagnose_recordings(
         seed: seed of the noise added to find the noise floor, and of resampling.
         threads: number of hypotheses tried in parallel; None: one per processor.
         progress: called with the steps done, their total and the current activity.
+        checks: other recordings of the rig, to which nothing is fitted: the gain of the extended model on them is found.
 
     Raises:
         BadInput: a recording does not match the rig, or contradicts the rig file.
@@ -58,7 +62,7 @@ def diagnose_recordings(
         progress(round(CORE * STEPS * part), STEPS, doing)
 
     trajectory, name = successive(recordings), ", ".join(recordings)
-    for called, recording in (dict(recordings) | dict(baselines)).items():
+    for called, recording in (dict(recordings) | dict(baselines) | dict(checks)).items():
         check_suits(recording, rig, called)  # before the time-consuming compilation
     with Workers() as workers:
         compile_in_parallel(diagnosis_jobs(rig), workers, lambda done, total: progress(done, total, COMPILING))
@@ -81,7 +85,9 @@ def diagnose_recordings(
             workers=workers,
             progress=lambda doing, part: progress(round(STEPS * (CORE + (1.0 - CORE) * part)), STEPS, doing),
         )
-    return Diagnosed(found, follows)
+    changed = checks if found.extended != found.rig else {}
+    carried = {called: carried_over(found, recording, called, seed=seed) for called, recording in changed.items()}
+    return Diagnosed(found, follows._replace(checks=carried))
 
 
 def identify_whole_rig(recordings: Mapping[str, Trajectory], rig: Rig, *, seed: int, progress: Update) -> RigIdentification:

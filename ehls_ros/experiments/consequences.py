@@ -10,8 +10,9 @@ from typing import NamedTuple, TypeVar
 
 from ehls_ros.diagnosis.free_run import FreeRun, free_run
 from ehls_ros.diagnosis.hypotheses import grown
-from ehls_ros.diagnosis.result import Cause, Diagnosis, Rival
+from ehls_ros.diagnosis.result import Cause, ChannelGain, Diagnosis, Rival
 from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
+from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.compiling import COMPILING, compile_in_parallel, consequences_jobs
 from ehls_ros.experiments.controller_benefit import ControllerBenefit, controller_benefit
@@ -47,12 +48,14 @@ class Consequences(NamedTuple):
         controller: benefit of the extended model to the controller; None unless an effect was named.
         proposal: search for the next experiment; None unless two causes are open.
         remarks: reasons for missing results.
+        checks: gain of the extended model on other recordings, by their names and by channel.
     """
 
     free_run: FreeRun | None
     controller: ControllerBenefit | None
     proposal: Proposal | None
     remarks: tuple[str, ...] = ()
+    checks: Mapping[str, Mapping[Channel, ChannelGain]] = {}
 
     @property
     def next_experiment(self) -> NextExperiment | None:

@@ -244,6 +244,7 @@ class DiagnosisDocument(NamedTuple):
         baseline: baselines of the judgement; None without baselines.
         corrected: wrong numbers of the rig file that were corrected first, by dotted section and name.
         term: for ``unknown``, the term that describes the error; None if none does.
+        checks: gain of the extended model on other recordings, by their names and by channel.
     """
 
     verdict: Verdict | Literal["unchanged", "changed"]
@@ -270,6 +271,7 @@ class DiagnosisDocument(NamedTuple):
     baseline: BaselineEntry | None
     corrected: Mapping[str, Fitted]
     term: TermEntry | None
+    checks: Mapping[str, Mapping[Channel, ChannelGain]]
 
 
 def diagnosis_document(
@@ -314,6 +316,7 @@ def diagnosis_document(
         baseline=None if diagnosis.baseline is None else BaselineEntry(*diagnosis.baseline[:5]),
         corrected=diagnosis.corrected,
         term=None if diagnosis.term is None else _term(diagnosis.term),
+        checks=follows.checks,
     )
 
 

@@ -67,6 +67,7 @@ def write_diagnosis_report(found: Diagnosis, path: Path, follows: Consequences =
         ("Next steps", what_to_do(found)),
         ("Shares and sizes", shares(found)),
         ("The term found", found_term(found)),
+        ("Other recordings", [page.bullets(checked)] if (checked := findings.check_sentences(follows.checks)) else []),
         ("Unexplained", [] if found.names_causes else rest),
         ("Runner-up and caveats" if found.names_causes else "Caveats", [page.bullets(limits)] if limits else []),
         ("Remainder", rest if found.names_causes else []),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis.causes import spring_in_force
-from ehls_ros.diagnosis.result import NAMING, Cause, Diagnosis, Rival, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, ChannelGain, Diagnosis, Rival, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION
@@ -398,6 +398,18 @@ def gain_sentence(found: Diagnosis) -> str:
         f" {percent(gain.noise_floor)}; {percent(gain.closed_fraction)} of the mean square beyond the noise is closed"
         f" (95 % interval {percent(low)} to {percent(high)})."
     )
+
+
+def check_sentences(checks: Mapping[str, Mapping[Channel, ChannelGain]]) -> tuple[str, ...]:
+    """Return a sentence for each recording to which nothing was fitted, with the part of its error that is closed."""
+    out = []
+    for name, gains in checks.items():
+        closes = [f"{percent(g.closed)} in the {STAGE_NAMES[CHANNELS[c]]}" for c, g in gains.items() if g.closed > 0.0]
+        spoils = [STAGE_NAMES[CHANNELS[c]] for c, g in gains.items() if g.closed <= 0.0]
+        said = [f"the extended model closes {listed(closes)}"] if closes else []
+        said += [f"it is worse than the given one in the {listed(spoils)}"] if spoils else []
+        out.append(f"On {name}, to which nothing was fitted, {', and '.join(said) or 'there is no error to close'}.")
+    return tuple(out)
 
 
 # --- parts of the page -------------------------------------------------------------------------

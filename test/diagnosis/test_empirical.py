@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.empirical import Proposal, candidates_of, concentrated, waves_in
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
@@ -16,9 +17,13 @@ RIG_FILE = yaml.safe_load((Path(__file__).parents[2] / "config" / "rig_paper_mea
 RIG = rig_from_mapping(RIG_FILE, "rig_paper_measured.yaml")
 
 
-def diagnosed(seed=11, duration=20.0, **hidden):
-    made = record(RIG_FILE, hidden, "rich", seed=seed, duration=duration)
-    return diagnose(Trajectory(made.time, dict(made.columns)), RIG)
+def recorded(experiment, seed=11, **hidden):
+    made = record(RIG_FILE, hidden, experiment, seed=seed, duration=20.0)
+    return Trajectory(made.time, dict(made.columns))
+
+
+def diagnosed(**hidden):
+    return diagnose(recorded("rich", **hidden), RIG)
 
 
 @pytest.mark.long
@@ -35,6 +40,10 @@ def test_a_drag_that_grows_with_the_square_of_the_speed_is_found_as_such():
     assert found.gain.closed_fraction > 0.9
     assert [use.name for use in found.extended.effects] == ["empirical_force"]
     assert rig_from_mapping(rig_to_mapping(found.extended), "extended").effects == found.extended.effects
+    other = carried_over(found, recorded("random", seed=12, quadratic_drag={"coefficient": 2e4}), "other")
+    assert set(other) == {"force"}
+    assert other["force"].closed > 0.9
+    assert carried_over(found, recorded("random", seed=13), "a healthy one")["force"].closed < -0.9
 
 
 @pytest.mark.long

@@ -18,6 +18,7 @@ SCHEMA = {
     document.DiagnosisDocument: (
         "verdict summary stages causes remainder depends_on gain next_experiment extended_rig seed version unknown_stage"
         " partial missing not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s baseline corrected term"
+        " checks"
     ),
     document.TermEntry: "effect argument magnitude unit at values std period closed direction reading",
     Reading: "amplitude std rise power place",

@@ -643,6 +643,14 @@ def test_a_term_found_in_the_data_is_said_and_shown(report):
     check(text)
 
 
+def test_the_gain_on_other_recordings_is_said(report):
+    checks = {"a.csv": {"volume": ChannelGain(0.914, 0.01), "force": ChannelGain(-0.3, 0.01)}, "b.csv": {}}
+    text = report(with_term(), FOLLOWS._replace(checks=checks))
+    assert "On a.csv, to which nothing was fitted, the extended model closes 91 % in the flow balance, and it is" in shown(text)
+    assert "worse than the given one in the force balance." in shown(text)
+    assert "On b.csv, to which nothing was fitted, there is no error to close." in shown(text)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

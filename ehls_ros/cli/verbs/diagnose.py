@@ -25,7 +25,7 @@ from ehls_ros.progress import duration_text, progress_bar
 from ehls_ros.recording.columns import ColumnMap
 from ehls_ros.recording.load import load, recordings
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
-from ehls_ros.report.diagnosis_findings import fitted, gain_sentence, next_steps
+from ehls_ros.report.diagnosis_findings import check_sentences, fitted, gain_sentence, next_steps
 from ehls_ros.report.diagnosis_term import phrase
 from ehls_ros.report.quantities import likely, percent
 from ehls_ros.trajectory import Trajectory
@@ -49,6 +49,8 @@ def arguments(parser: ArgumentParser) -> None:
     add_rig(parser, "rig file of the simulation")
     about = "recordings of the healthy rig: find the changes since then, whatever errors the rig file has"
     parser.add_argument("--baseline", type=Path, nargs="+", default=[], metavar="OLD", help=about)
+    about = "other recordings of the rig, best with other motion: the part of their error that the extended model closes"
+    parser.add_argument("--check", type=Path, nargs="+", default=[], metavar="OTHER", help=about)
     add_columns(parser)
     add_span(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of noise and resampling (%(default)s)")
@@ -73,9 +75,9 @@ def run(options: Namespace) -> int:
     with progress_bar("diagnosing") as bar:
         bar(0, STEPS, "reading")
         new = {called: _load(data, columns).between(options.begin, options.end, called) for called, data in names.items()}
-        baselines = {str(path): _load(path, columns) for path in options.baseline}
+        baselines, checks = ({str(path): _load(path, columns) for path in paths} for paths in (options.baseline, options.check))
         found, follows = diagnose_recordings(
-            new, rig, baselines=baselines, seed=options.seed, threads=options.threads, progress=bar
+            new, rig, baselines=baselines, seed=options.seed, threads=options.threads, progress=bar, checks=checks
         )
         wall = time.perf_counter() - began
         document = json_document(diagnosis_document(found, follows, answer(found)[0], RIG, wall))
@@ -148,6 +150,8 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
         print(f"  {sentence}")
     if found.gain is not None:
         print(gain_sentence(found))
+    for sentence in check_sentences(follows.checks):
+        print(sentence)
     proposed = follows.next_experiment
     if proposed is not None:
         print(f"next experiment: {proposed.name}, {proposed.purpose}")
