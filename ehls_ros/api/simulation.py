@@ -23,6 +23,7 @@ from ehls_ros.experiments.spec import (
     load_rig,
     spec_from_mapping,
     spec_to_mapping,
+    swinging_actuator,
     undeclared_effects,
 )
 from ehls_ros.experiments.yaml_files import rig_text
@@ -132,7 +133,7 @@ def simulate(
     with progress_bar(made.settings.title, shown=progress, lines=False) as bar:
         trajectory, failure = run_as_far_as_it_goes(made, bar)
     metrics = with_failure(with_causal_limit(evaluate(trajectory), trajectory), failure)
-    metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(made)))
+    metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(made), *swinging_actuator(made)))
     return with_methods(Simulation, trajectory, made.settings.title, metrics=metrics, spec=made)
 
 

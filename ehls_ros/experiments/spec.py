@@ -16,7 +16,7 @@ from ehls_ros.control.companions import COMPANIONS
 from ehls_ros.control.companions.base import Setting
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import Model, model_of
-from ehls_ros.control.disturbances import DISTURBANCES
+from ehls_ros.control.disturbances import DISTURBANCES, position_servo
 from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.control.programme.expansion import programme_of
@@ -462,6 +462,18 @@ def undeclared_effects(spec: Spec, law: str | None = None) -> tuple[str, ...]:
         for effect in getattr(CONTROLLERS.load(name), "KNOWS", ())
         if effect in undeclared
     )
+
+
+def swinging_actuator(spec: Spec) -> tuple[str, ...]:
+    """Return a warning if the simulated actuator under test swings by itself, whatever the controller does."""
+    p = spec.disturbance.parameters
+    if not isinstance(p, position_servo.Parameters):
+        return ()
+    most = position_servo.swinging_gain(spec.rig, p.moving_mass)
+    if p.position_gain <= most:
+        return ()
+    gain = f"its position_gain is {p.position_gain:g} 1/s, and leakage and friction damp up to {most:.3g} 1/s"
+    return (f"the simulated actuator under test swings on its oil by itself: {gain}; set disturbance.position_gain below that",)
 
 
 def ignored_pacing(spec: Spec) -> tuple[str, ...]:

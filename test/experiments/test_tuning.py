@@ -12,7 +12,7 @@ from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import largest_force
 from ehls_ros.experiments.files import configured
-from ehls_ros.experiments.spec import load_rig, spec_from_mapping
+from ehls_ros.experiments.spec import load_rig, spec_from_mapping, swinging_actuator
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning import tune as tuning
 from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
@@ -126,6 +126,12 @@ def test_the_actuator_under_test_of_a_heavy_rig_does_not_swing_by_itself():
         roots = np.roots([1.0, leaking + rubbing, leaking * rubbing + stiff, factor * gain * stiff])
         assert bool(np.any(roots.real > 0.0)) == swings
     assert steady_gain(RIG) == Parameters().position_gain
+    servo = {"name": "position_servo", "moving_mass": plant.moving_mass, "signal": {"name": "constant", "value": 0.0}}
+    content = {"rig": rig_to_mapping(rig), "reference": {"name": "constant", "value": 0.0}, "controller": "fasmc"}
+    for factor, words in ((1.0, ""), (3.0, "actuator under test swings on its oil by itself")):
+        made = {**content, "disturbance": {**servo, "position_gain": factor * gain}}
+        assert words in " ".join(swinging_actuator(spec_from_mapping(made, "test", configured("rig_paper").parent)))
+        assert bool(swinging_actuator(spec_from_mapping(made, "test", configured("rig_paper").parent))) == bool(words)
     assert usual(rig)["disturbance"]["position_gain"] == pytest.approx(gain, rel=1e-2)
 
 

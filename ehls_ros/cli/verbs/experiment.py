@@ -26,7 +26,15 @@ from ehls_ros.experiments.programme_records import STATE, read_state
 from ehls_ros.experiments.real_rig import for_real_rig
 from ehls_ros.experiments.run_failure import NodeFailed, RunFailed, with_failure
 from ehls_ros.experiments.run_folder import RunFolder
-from ehls_ros.experiments.spec import Spec, company_of, for_simulated_rig, ignored_pacing, load_spec, undeclared_effects
+from ehls_ros.experiments.spec import (
+    Spec,
+    company_of,
+    for_simulated_rig,
+    ignored_pacing,
+    load_spec,
+    swinging_actuator,
+    undeclared_effects,
+)
 from ehls_ros.hardware.pace import ADVICE
 from ehls_ros.progress import progress_bar
 from ehls_ros.recording.bag_reader import read_bag
@@ -141,7 +149,8 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
         limited = () if found is None else found.at_bounds
         stops = stops_of(folder.bag, done.trajectory)
         unpaced = ignored_pacing(spec) if options.in_process else ()
-        metrics = metrics._replace(warnings=(*metrics.warnings, *undeclared_effects(spec), *limited, *stops, *unpaced))
+        doubts = (*undeclared_effects(spec), *swinging_actuator(spec), *limited, *stops, *unpaced)
+        metrics = metrics._replace(warnings=(*metrics.warnings, *doubts))
         folder.write_metrics(metrics)
         write_experiment_report(done.trajectory, metrics, folder.report, read_events(folder.bag))
         lines = () if found is None else _write_adapted(found, folder)

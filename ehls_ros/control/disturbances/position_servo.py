@@ -55,15 +55,23 @@ STEADY = 0.5
 
 
 def steady_gain(rig: Rig) -> float:
-    """Return the gain of the position loop of a servo like the loader: the usual one, or less if it would swing [1/s].
+    """Return the gain of the position loop of a servo like the loader: the usual one, or less if it would swing [1/s]."""
+    return min(Parameters().position_gain, STEADY * swinging_gain(rig, rig.plant.moving_mass))
 
-    Its mass swings on its oil if the gain exceeds the sum of the rates at which leakage and viscous friction damp the motion
-    (Merritt, Hydraulic Control Systems, 1967, 6.5: K_v < 2 ζ ω_h); the servo's command takes away the valve's damping.
+
+def swinging_gain(rig: Rig, moving_mass: float) -> float:
+    """Return the gain of the position loop from which a servo's mass swings on its oil [1/s].
+
+    It is the sum of the rates at which leakage and viscous friction damp the motion (Merritt, Hydraulic Control Systems, 1967,
+    6.5: K_v < 2 ζ ω_h); the servo's command takes away the valve's damping.
+
+    Args:
+        rig: the loader's rig, which provides valve, cylinder and friction of the servo.
+        moving_mass: of the servo [kg].
     """
     plant = rig.plant
     viscous = plant.viscous_damping + rig.friction._asdict().get("viscous_coefficient", 0.0)
-    damping = 4.0 * plant.bulk_modulus * plant.leakage_coefficient / plant.total_volume + viscous / plant.moving_mass
-    return min(Parameters().position_gain, STEADY * damping)
+    return 4.0 * plant.bulk_modulus * plant.leakage_coefficient / plant.total_volume + viscous / moving_mass
 
 
 def servo(p: Parameters, rig: Rig, start: float) -> Servo:
