@@ -24,7 +24,9 @@ class EffectsForm:
         self._chosen: list[EffectUse] = []
         self._entries: dict[str, Any] = {}
         with ui.element("div").classes("row-of"):
-            names = {name: name.replace("_", " ") for name in EFFECTS.names()}
+            # A table found in data is not typed in.
+            typed = [name for name in EFFECTS.names() if not getattr(EFFECTS.load(name), "LEARNT", False)]
+            names = {name: name.replace("_", " ") for name in typed}
             self._name = ui.select(names, label="hidden effect", on_change=self._offer, with_input=True)
             self._name.props('dense data-name="effect"').style("flex: 1")
             ui.button("Add", on_click=self._add).props('dense flat data-name="add effect"')
