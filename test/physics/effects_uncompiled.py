@@ -21,6 +21,9 @@ from ehls_ros.schema import declarations
 
 PLANT_STATES = 7
 
+MOST_TURNS = 6
+"""Most parameters that move up or down on their own."""
+
 
 def motion(rig: Rig, cycles: int) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return states and readings of a motion that reverses, loads both ways and moves the position servo."""
@@ -42,13 +45,14 @@ def motion(rig: Rig, cycles: int) -> np.ndarray[Any, np.dtype[np.float64]]:
 def other_values(effect: Any) -> Iterator[dict[str, float]]:
     """Yield settings off the neutral one, all parameters moved at once, each up or down: ever further, last to the bounds.
 
-    Bounds come last since an effect may be so stiff there that it runs for long.
+    Bounds come last since an effect may be so stiff there that it runs for long. Of many parameters, several move alike.
     """
     parameters = list(declarations(effect.Parameters))
+    turns = min(len(parameters), MOST_TURNS)
     for parts in ((0.02, 0.2, 0.6), (1.0,)):
-        for directions, part in itertools.product(itertools.product((True, False), repeat=len(parameters)), parts):
+        for directions, part in itertools.product(itertools.product((True, False), repeat=turns), parts):
             setting = {}
-            for declared, upward in zip(parameters, directions, strict=True):
+            for declared, upward in zip(parameters, itertools.cycle(directions), strict=False):
                 bound = declared.maximum if upward else declared.minimum
                 if bound is None:
                     bound = declared.default + (1.0 if upward else -1.0)
