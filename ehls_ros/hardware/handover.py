@@ -402,7 +402,6 @@ class ControllerHandover:
         may_answer: whether cycles may be answered in this state.
         follows: whether another driver is announced and its commands are read.
         valve_follows: whether commands reach the valve, by the newest announcement.
-        in_full: whether they reach it unchanged.
     """
 
     def __init__(self, sender: str, patience: float) -> None:
@@ -419,20 +418,19 @@ class ControllerHandover:
         self._controllers: set[str] = set()
         self._relays: set[str] = set()
         self._since = 0.0
-        self.valve_follows = self.in_full = True
+        self.valve_follows = True
         self._enter(ControllerState.UNANNOUNCED)
 
-    def announce(self, first: int, sender: str, *, driving: bool, in_full: bool, now: float) -> None:
+    def announce(self, first: int, sender: str, *, driving: bool, now: float) -> None:
         """Process an announcement of the plant.
 
         Args:
             first: first cycle of the driver.
             sender: the driver; empty: none drives.
             driving: whether commands reach the valve.
-            in_full: whether they reach it unchanged.
             now: monotonic time [s].
         """
-        self.valve_follows, self.in_full = driving, in_full
+        self.valve_follows = driving
         if self._announcements and self._announcements[-1] == (first, sender):
             return
         self._announcements.append((first, sender))

@@ -143,6 +143,8 @@ class ControllerNode(ControlNode):
         declare(self, declared, values, live=True)
         self.adjustments = Adjustments(self, self.kind, values_of(self, declared, self.get_name()))
         follow(self, declared, self.adjustments.retune)
+        # A plant without this message passes all commands on unchanged.
+        self.in_full = True
         # Made by `prepare`:
         self.companions: CompanionChain
         self.controller: Controller
@@ -239,8 +241,10 @@ class ControllerNode(ControlNode):
         """Read the messages on the hand-over, and return whether the next cycle may be answered."""
         handover, topics = self.handover, self.topics
         while (message := topics.driver.take()) is not None:
-            _, first, driving, in_full, sender, _ = message
-            handover.announce(first, sender, driving=driving, in_full=in_full, now=time.perf_counter())
+            _, first, driving, sender, _ = message
+            handover.announce(first, sender, driving=driving, now=time.perf_counter())
+        while (flag := topics.in_full.take()) is not None:
+            self.in_full = flag
         if handover.follows:
             self._take_other_commands()
         if handover.may_answer:
@@ -288,7 +292,7 @@ class ControllerNode(ControlNode):
             answer.command = self.controller.follow(
                 inputs.measured, inputs.reference, inputs.friction, given, ready.elapsed, outlook
             )
-        if not self.handover.in_full:
+        if not self.in_full:
             # Adaptation would take the part of the command that the valve receives for the valve's gain.
             self.companions.interrupt()
         answer.snapshot, answer.fallback = (ready.stamp_ns, ready.cycle, *ready.measured), fallback

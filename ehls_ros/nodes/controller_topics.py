@@ -4,17 +4,19 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 from ehls_msgs.msg import ControllerStatus, Driver, FrictionEstimate, LoaderState, ValveCommand
 from ehls_ros.control.cycles import KEPT
 from ehls_ros.experiments.spec import Spec, signal_kind, uses_actuator
+from ehls_ros.nodes.codec import decode_flag
 from ehls_ros.nodes.control import PATIENCE, ControlNode
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter, control_qos, message_class
 from ehls_ros.recording.topics import (
     ACCEPTED_RIG,
     ACTUATOR_TOPICS,
     DRIVER,
+    IN_FULL,
     PROGRAMME_POINT,
     REFERENCE_TOPICS,
     STANDBY_COMMAND,
@@ -68,6 +70,7 @@ class ControllerTopics:
         reference: of the quantity that the law follows.
         friction: friction estimates.
         driver: announcements of the driver.
+        in_full: whether commands reach the valve unchanged.
         other_commands: valve commands of all controllers.
         actuator: command of the actuator under test, ahead of the cycles; None if no companion uses it.
         points: points of the programme, ahead of the cycles; None without a programme or companions.
@@ -101,6 +104,7 @@ class ControllerTopics:
         if on_accepted is not None:
             self._accepted = node.create_subscription(String, ACCEPTED_RIG.name, on_accepted, control_qos(ACCEPTED_RIG.depth))
         self.driver = Inbox(node, Driver, DRIVER.name, owned="loader_state")
+        self.in_full = Inbox(node, Bool, IN_FULL.name, control_qos(IN_FULL.depth), decode_flag)
         self.other_commands = Inbox(node, ValveCommand, "valve_command", owned="")
         self.friction = Inbox(node, FrictionEstimate, "friction_estimate")
         patience = PATIENCE if node.lockstep else 0.0
@@ -132,7 +136,7 @@ class ControllerTopics:
         """Close the topics."""
         for waiter in (*self.arrivals.values(), self.command_arrival):
             waiter.destroy()
-        for inbox in (self.states, self.reference, self.friction, self.driver, self.other_commands):
+        for inbox in (self.states, self.reference, self.friction, self.driver, self.in_full, self.other_commands):
             inbox.destroy()
         for ahead in filter(None, (self.actuator, self.points)):
             ahead.destroy()

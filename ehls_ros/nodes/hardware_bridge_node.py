@@ -134,6 +134,8 @@ class HardwareBridgeNode(PlantNode):
         """Close the valve."""
         self.gate.leave()
         self._write(0.0)
+        # The service thread waits for the end of the loop, and that for the readers of its announcement.
+        self.report_gate()
 
     def once(self) -> None:
         """Take one sample and answer it, or handle its absence."""

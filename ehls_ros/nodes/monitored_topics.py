@@ -66,7 +66,7 @@ class MonitoredTopics:
     def read(self, assembler: CycleAssembler) -> tuple[list[Stretch], int]:
         """Pass all waiting messages to an assembler, and return the complete samples and the number of new snapshots."""
         while (driver := self._drivers.take()) is not None:
-            assembler.add_controller(driver[1], driver[4])
+            assembler.add_controller(driver[1], driver[3])
         snapshots = [
             LoaderSnapshot(message[0], message[1], message[2:-1], info["source_timestamp"])
             for raw, info in _messages(self._states)

@@ -36,7 +36,7 @@ from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos
 from ehls_ros.process import Stopping
-from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, LEAVING, STANDBY_COMMAND
+from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, IN_FULL, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
@@ -130,14 +130,15 @@ class DriverAnnouncements:
         self._handover = handover
         self._driver = Notice(node, Driver, DRIVER.name, HANDOVER_DEPTH)
         self._driving = Notice(node, Bool, DRIVING.name, 1)
+        self._all = Notice(node, Bool, IN_FULL.name, 1)
         self._is_driving: bool | None = None
-        self._in_full = False
+        self._in_full: bool | None = None
 
     def publish_driver(self) -> None:
         """Publish the driver that the hand-over has decided on."""
         now, handover = self._node.get_clock().now(), self._handover
-        values = handover.drives_from, bool(self._is_driving), self._in_full, handover.announced or "", self._node.sender
-        message = Driver(cycle=values[0], driving=values[1], in_full=values[2], sender=values[3], plant=values[4])
+        values = handover.drives_from, bool(self._is_driving), handover.announced or "", self._node.sender
+        message = Driver(cycle=values[0], driving=values[1], sender=values[2], plant=values[3])
         message.header.stamp = now.to_msg()
         self._driver.publish(message, (now.nanoseconds, *values))
 
@@ -148,18 +149,19 @@ class DriverAnnouncements:
             driving: whether they reach it.
             in_full: whether they reach it unchanged.
         """
-        if (driving, in_full) == (self._is_driving, self._in_full):
-            return
+        if in_full != self._in_full:
+            self._in_full = in_full
+            self._all.publish(Bool(data=in_full), in_full)
         if driving != self._is_driving:
+            self._is_driving = driving
             self._driving.publish(Bool(data=driving), driving)
-        self._is_driving, self._in_full = driving, in_full
-        if self._handover.announced is not None:
-            self.publish_driver()
+            if self._handover.announced is not None:
+                self.publish_driver()
 
     def destroy(self) -> None:
         """Close the topics."""
-        self._driver.destroy()
-        self._driving.destroy()
+        for notice in (self._driver, self._driving, self._all):
+            notice.destroy()
 
 
 class PlantNode(ControlNode):
@@ -410,9 +412,13 @@ class PlantNode(ControlNode):
         if not self.lockstep:
             self.gate.set_service_silence(silence)
 
+    def report_gate(self) -> None:
+        """Publish diagnostics if the gate's state has changed."""
+        self._gate_services.report_change()
+
     def _beat(self) -> None:
         super()._beat()
-        self._gate_services.report_change()
+        self.report_gate()
 
     def _on_switch(self, request: SwitchController.Request, response: SwitchController.Response) -> SwitchController.Response:
         try:

@@ -151,6 +151,9 @@ CYCLE_TOPICS = (
 DRIVING = Topic("driving", "std_msgs/msg/Bool", depth=1, transient_local=True)
 """Whether commands reach the valve; published on change."""
 
+IN_FULL = Topic("commands_in_full", "std_msgs/msg/Bool", depth=1, transient_local=True)
+"""Whether commands reach the valve unchanged, neither blended in nor held; published on change, not recorded."""
+
 DRIVER = Topic("driver", "ehls_msgs/msg/Driver", transient_local=True)
 """Controller whose commands the gate passes on; published on change."""
 

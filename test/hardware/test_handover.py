@@ -258,7 +258,7 @@ class Controller:
 
     def announce(self, sender, *, driving=True):
         self.first += 10
-        self.role.announce(self.first, sender, driving=driving, in_full=driving, now=self.now)
+        self.role.announce(self.first, sender, driving=driving, now=self.now)
 
     def overdue(self):
         self.now += PATIENCE
@@ -346,14 +346,14 @@ def test_no_cycle_is_answered_while_a_message_is_awaited(state):
 def test_a_repeated_announcement_changes_the_gates_state_only():
     controller = Controller()
     claiming(controller)
-    controller.role.announce(controller.first, "", driving=False, in_full=False, now=controller.now)
+    controller.role.announce(controller.first, "", driving=False, now=controller.now)
     assert controller.role.state is ControllerState.CLAIMING
     assert not controller.role.valve_follows
 
 
 def test_in_realtime_the_announcement_is_not_awaited():
     role = ControllerHandover(FASMC, 0.0)
-    role.announce(0, "", driving=True, in_full=True, now=100.0)
+    role.announce(0, "", driving=True, now=100.0)
     role.answer(100.0)
     assert role.is_overdue(100.0)
     role.give_up(lambda: False)
