@@ -4,7 +4,7 @@ import math
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+import scipy
 
 from ehls_ros.arrays import Array
 
@@ -91,7 +91,7 @@ def _power(at: Array, values: Array, covariance: Array) -> Power | None:
     symmetry, best = divmod(int(np.argmin(squares)), len(EXPONENTS))
     least, freedoms = float(squares[symmetry, best]), max(len(at) - 3, 1)
     total = float(np.sum(((values - np.mean(values)) / spread) ** 2))
-    if (least > float(chi2.ppf(LIKELY, freedoms)) and least > FITS * total) or best in (0, len(EXPONENTS) - 1):
+    if (least > float(scipy.stats.chi2.ppf(LIKELY, freedoms)) and least > FITS * total) or best in (0, len(EXPONENTS) - 1):
         return None
     near = EXPONENTS[squares[symmetry] <= least + max(1.0, least / freedoms)]
     words: tuple[Literal["odd", "even", ""], ...] = ("odd", "even") if turns else ("",)

@@ -74,7 +74,9 @@ def first_run(session: Session, known: Known, progress: Update) -> Outcome:
         amplitude = part * largest_force(known.rig)
         spec = _experiment(known, session.period, amplitude, float(np.mean(rest["force_n"])))
         loop = _Loop(spec)
-        recording = recordings[f"first_run_{100.0 * part:g}"] = session.record(loop.command, spec.settings.duration)
+        recording = recordings[f"first_run_{100.0 * part:g}"] = session.record(
+            loop.command, spec.settings.duration, presses=True
+        )
         error = recording["force_n"] - loop.wanted[: len(recording), 0]
         error = error[np.isfinite(error)]
         expected = stepped_run(spec._replace(companions=()))

@@ -343,7 +343,7 @@ def coupling(session: Session, known: Known, progress: Update) -> Outcome:
     for trial in range(PRESSINGS):
         progress(trial, PRESSINGS)
         session.record(None, LOOK)
-        recording = session.record(_pressing(session, rig, softer), PRESSING)
+        recording = session.record(_pressing(session, rig, softer), PRESSING, presses=True)
         stiffness = _stiffness(recording, rig)
         if float(np.ptp(recording["force_n"])) > PRESSED * 2.0 * PRESS_PART * largest_force(rig):
             break

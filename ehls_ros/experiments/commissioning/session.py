@@ -87,7 +87,8 @@ class Session:
         chosen = tuned_for(GateParameters, rig)
         # The largest rate of a reading follows from numbers of the rig file, which are not known yet.
         chosen = chosen._replace(trip_level=min(chosen.trip_level, TRIP_LEVEL), enable_time=ENABLE_TIME, on_sensor_jump=WARN)
-        self._gate = Gate(rig, period, within(chosen, bounds_of(rig, period)), self.wired)
+        self._usual = within(chosen, bounds_of(rig, period))
+        self._gate = Gate(rig, period, self._usual, self.wired)
         self._gate.begin()
         self._cycle = 0
 
@@ -96,12 +97,14 @@ class Session:
         channel = self._calibration.inputs[self.wired.index(signal)]
         return math.fabs(channel.scale) * step(channel)
 
-    def record(self, law: Law | None, duration: float) -> Trajectory:
+    def record(self, law: Law | None, duration: float, *, presses: bool = False) -> Trajectory:
         """Drive the rig for a time, return the valve to null, and return the recording.
 
         Args:
             law: the command; None: the valve stays closed.
             duration: plant time [s].
+            presses: whether the piston presses against an actuator that holds: it may move by less than a step of its sensor,
+                as if that were frozen.
 
         Raises:
             Stopped: the gate closed the valve, no samples arrive, or a stop was requested.
@@ -109,6 +112,7 @@ class Session:
         cycles = round(duration / self.period)
         times, rows = np.zeros(cycles), np.full((cycles, len(SENSED) + 1), np.nan)
         first, done, opening = None, 0, 0
+        self._gate.retune(self._usual._replace(on_sensor_frozen=WARN) if presses else self._usual)
         try:
             while done < cycles:
                 reading = self._next(times[:done], rows[:done])
