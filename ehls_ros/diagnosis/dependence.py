@@ -52,7 +52,17 @@ def signals_along(comparison: Comparison, rig: Rig) -> dict[str, Array]:
 
 def explained_fraction(signal: Array, e: Array, even: Mask) -> float:
     """Return the fraction of a residual's held-out variance explained by a piecewise linear function of a signal."""
-    basis = _basis(signal)
+    return explained_by(_basis(signal), e, even)
+
+
+def explained_by(basis: Array, e: Array, even: Mask) -> float:
+    """Return the fraction of a residual's held-out variance explained by a regression on some columns.
+
+    Args:
+        basis: the columns, shape (n, columns).
+        e: the residual, shape (n,).
+        even: the windows in even blocks, shape (n,); each half is predicted from the other.
+    """
     rest, total = 0.0, 0.0
     for train in (even, ~even):
         if not np.any(train) or np.all(train):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import explains, most_explained, share_closed
-from ehls_ros.diagnosis.dependence import explained_fraction, signals_along
+from ehls_ros.diagnosis.dependence import explained_by, explained_fraction, signals_along
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.held_out import Assessment
@@ -84,6 +84,29 @@ DEARER = 4.0
 """Factor by which less of the error must remain with a term than with named causes for it to be offered in their place."""
 
 
+class Waves(NamedTuple):
+    """Waves along a signal's range.
+
+    Attributes:
+        numbers: of periods along it, shape (waves,).
+        columns: each wave, its harmonics and a constant, as means over the windows, shape (waves, windows, columns).
+    """
+
+    numbers: Array
+    columns: Array
+
+    def strongest(self, target: Array, even: Mask) -> tuple[float, float]:
+        """Return the number of periods that predicts a remainder best, and the fraction it explains.
+
+        Args:
+            target: the remainder, shape (windows,).
+            even: the windows in even blocks; each half is predicted from the other.
+        """
+        shares = [explained_by(columns, target, even) for columns in self.columns]
+        best = int(np.argmax(shares))
+        return float(self.numbers[best]), shares[best]
+
+
 class Described(NamedTuple):
     """The named causes with a term beside them.
 
@@ -112,13 +135,14 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     nothing = given_model(evidence)
     bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), found.best)}
     signals = signals_along(evidence.comparison(), evidence.rig)
+    inside = [channel for channel in evidence.channels if CHANNELS[channel] == stage and channel in PLACES]
+    along = {channel: _waves_of(evidence, channel, signals) for channel in inside}
     pairs = list[tuple[Assessment, Assessment]]()
     for base in bases.values():
         proposed = [
             candidate
-            for channel in evidence.channels
-            if CHANNELS[channel] == stage
-            for proposal in proposals(evidence, channel, base.held_out.residuals.values[channel], signals)
+            for channel in inside
+            for proposal in proposals(evidence, channel, base.held_out.residuals.values[channel], signals, along[channel])
             for candidate in candidates_of(proposal)
         ]
         alone = [fit for fit in pool.map(_linearised, proposed) if fit.channels and np.any(fit.jacobian)]
@@ -161,7 +185,17 @@ class Proposal(NamedTuple):
     direction: float = 0.0
 
 
-def proposals(evidence: Evidence, channel: Channel, e: Array, signals: Mapping[str, Array]) -> list[Proposal]:
+def _waves_of(evidence: Evidence, channel: Channel, signals: Mapping[str, Array]) -> Waves | None:
+    """Return the waves along the stroke in a channel's windows; None if no table there depends on the position, or it rests."""
+    asked = any("position" in weights for weights in PLACES[channel].values())
+    if not asked or POSITION not in signals or np.ptp(signals[POSITION]) == 0.0:
+        return None
+    return waves_along(partial(evidence.means, channel), signals[POSITION])
+
+
+def proposals(
+    evidence: Evidence, channel: Channel, e: Array, signals: Mapping[str, Array], waves: Waves | None
+) -> list[Proposal]:
     """Return the tables of a channel whose arguments predict its remainder best.
 
     Args:
@@ -169,18 +203,19 @@ def proposals(evidence: Evidence, channel: Channel, e: Array, signals: Mapping[s
         channel: the channel.
         e: its whitened remainder, shape (n,).
         signals: signals on which it may depend, one value a sample.
+        waves: waves along the stroke; None: a table is not sought to repeat along it.
     """
     limit = float(np.quantile(np.abs(e), TAIL))
     clipped, found = np.clip(e, -limit, limit), list[Proposal]()
     speed = float(np.sqrt(np.mean(signals[VELOCITY] ** 2))) if VELOCITY in signals else 0.0
     direction = np.tanh(evidence.means(channel, signals[VELOCITY]) / (TURNING * speed)) if speed > 0.0 else None
-    for effect, weights in PLACES.get(channel, {}).items():
+    turned = None if direction is None else clipped * direction
+    for effect, weights in PLACES[channel].items():
         for weight in weights:
             if _signal(effect, weight) not in signals:
                 continue
             values = signals[_signal(effect, weight)]
             values = np.abs(values) if weight == "speed" else values
-            turned = None if direction is None else clipped * direction
             # Friction opposes the motion.
             variants = [(0.0, turned if effect == "empirical_friction" else clipped)]
             if effect == "empirical_force" and weight not in ("velocity", "speed"):
@@ -188,12 +223,14 @@ def proposals(evidence: Evidence, channel: Channel, e: Array, signals: Mapping[s
             for turning, target in variants:
                 if target is not None:
                     alike = Proposal(0.0, effect, weight, 0.0, 0.0, direction=turning)
-                    found += _along(evidence, channel, alike, values, target)
+                    found += _along(evidence, channel, alike, values, target, waves if weight == "position" else None)
     likely = sorted((item for item in found if item.share >= rules.DEPENDS), key=lambda item: -item.share)
     return likely[:FITTED_TERMS]
 
 
-def _along(evidence: Evidence, channel: Channel, alike: Proposal, values: Array, target: Array) -> list[Proposal]:
+def _along(
+    evidence: Evidence, channel: Channel, alike: Proposal, values: Array, target: Array, waves: Waves | None
+) -> list[Proposal]:
     """Return tables over a signal: over its range, over a part in which the remainder is concentrated, and a periodic one.
 
     Args:
@@ -202,24 +239,26 @@ def _along(evidence: Evidence, channel: Channel, alike: Proposal, values: Array,
         alike: effect, weight and direction.
         values: the signal, one value a sample.
         target: the remainder to predict, shape (windows,).
+        waves: waves along the signal; None: a table is not sought to repeat along it.
     """
     means, block = evidence.means(channel, values), evidence.block[channel]
+    even = block % 2 == 0
     low, high = _covered(means, block)
     if not high > low:
         return []
-    share = explained_fraction(means, target, block % 2 == 0)
+    share = explained_fraction(means, target, even)
     alike = alike._replace(reach=(float(np.min(values)), float(np.max(values))))
     out = [alike._replace(share=share, low=low, high=high)]
     part = concentrated(means, target, low, high)
     if part is not None and alike.weight != "time":
         out.append(alike._replace(share=max(share, rules.DEPENDS), low=part[0], high=part[1]))
-    if alike.weight == "position":
-        waves, share = waves_in(partial(evidence.means, channel), values, target, block % 2 == 0)
-        out.append(alike._replace(share=share, low=0.0, high=float(np.ptp(values)) / waves, periodic=True))
+    if waves is not None:
+        number, share = waves.strongest(target, even)
+        out.append(alike._replace(share=share, low=0.0, high=float(np.ptp(values)) / number, periodic=True))
     elif alike.weight == "time":
         size = float(np.sqrt(np.mean(target**2))) or 1.0
         for frequency in spectral_lines(target / size, evidence.times[channel], 1):
-            share = _repeating(partial(evidence.means, channel), frequency * values, target, block % 2 == 0)
+            share = explained_by(_repeating(partial(evidence.means, channel), frequency * values), target, even)
             out.append(alike._replace(share=share, low=0.0, high=1.0 / frequency, periodic=True))
     return out
 
@@ -247,9 +286,10 @@ def _signal(effect: str, weight: str) -> str:
 
 def _covered(means: Array, block: NDArray[np.intp]) -> tuple[float, float]:
     """Return the range of a signal that so many blocks reach that the rest tells its ends when one is left out."""
-    ends = np.array([(np.min(means[block == b]), np.max(means[block == b])) for b in np.unique(block)])
-    reached = min(REACHED, len(ends)) - 1
-    return float(np.sort(ends[:, 0])[reached]), float(np.sort(-ends[:, 1])[reached]) * -1.0
+    members = [means[block == b] for b in np.unique(block)]
+    lows, highs = (np.sort([end(part) for part in members]) for end in (np.min, np.max))
+    reached = min(REACHED, len(members))
+    return float(lows[reached - 1]), float(highs[-reached])
 
 
 def candidates_of(proposal: Proposal) -> list[Candidate]:
@@ -278,39 +318,27 @@ def candidates_of(proposal: Proposal) -> list[Candidate]:
     return out
 
 
-def waves_in(means: Callable[[Array], Array], values: Array, target: Array, even: Mask) -> tuple[float, float]:
-    """Return the number of periods along a signal's range that predicts a remainder best, and the fraction it explains.
+def waves_along(means: Callable[[Array], Array], values: Array) -> Waves:
+    """Return the waves that are looked for along a signal's range.
 
     Args:
         means: returns the mean of a signal over each window.
         values: the signal, one value a sample.
-        target: the remainder, shape (windows,).
-        even: the windows in even blocks; each half is predicted from the other.
     """
-    along = (values - np.min(values)) / np.ptp(values)
-    shares = [(_repeating(means, waves * along, target, even), float(waves)) for waves in np.arange(*WAVES, WAVE_STEP)]
-    share, waves = max(shares)
-    return waves, share
+    along, numbers = (values - np.min(values)) / np.ptp(values), np.arange(*WAVES, WAVE_STEP)
+    return Waves(numbers, np.stack([_repeating(means, number * along) for number in numbers]))
 
 
-def _repeating(means: Callable[[Array], Array], cycles: Array, target: Array, even: Mask) -> float:
-    """Return the fraction of a remainder's held-out variance that a wave and its harmonic explain.
+def _repeating(means: Callable[[Array], Array], cycles: Array) -> Array:
+    """Return a wave, its harmonics and a constant, as means over the windows, shape (windows, columns).
 
     Args:
         means: returns the mean of a signal over each window.
         cycles: number of periods up to each sample.
-        target: the remainder, shape (windows,).
-        even: the windows in even blocks; each half is predicted from the other.
     """
     angles = [2.0 * math.pi * harmonic * cycles for harmonic in range(1, HARMONICS + 1)]
     columns = [means(wave(angle)) for angle in angles for wave in (np.sin, np.cos)]
-    basis = np.stack((*columns, np.ones(len(target))), axis=1)
-    left = total = 0.0
-    for train in (even, ~even):
-        solution, *_ = np.linalg.lstsq(basis[train], target[train], rcond=None)
-        left += float(np.sum((target[~train] - basis[~train] @ solution) ** 2))
-        total += float(np.sum(target[~train] ** 2))
-    return 1.0 - left / total if total > 0.0 else 0.0
+    return np.stack((*columns, np.ones(len(columns[0]))), axis=1)
 
 
 def _linearised(worker: Worker, candidate: Candidate) -> Fit:

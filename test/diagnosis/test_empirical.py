@@ -8,7 +8,7 @@ import yaml
 
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.empirical import Proposal, candidates_of, concentrated, waves_in
+from ehls_ros.diagnosis.empirical import Proposal, candidates_of, concentrated, waves_along
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -73,7 +73,7 @@ def test_the_part_of_a_range_that_holds_a_remainder_is_found():
 def test_the_period_that_predicts_a_remainder_is_found():
     values = 0.065 * np.sin(np.linspace(0.0, 40.0, 3000))
     target, even = np.sin(2.0 * np.pi * values / 8.1e-3 + 0.4), np.arange(3000) // 100 % 2 == 0
-    waves, share = waves_in(lambda signal: signal, values, target, even)
+    waves, share = waves_along(lambda signal: signal, values).strongest(target, even)
     assert float(np.ptp(values)) / waves == pytest.approx(8.1e-3, rel=0.01)
     assert share > 0.9
 
