@@ -10,7 +10,9 @@ import types
 from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.physics.effects.base import Form
 from ehls_ros.physics.plant import PL, TEMPERATURE, V, X, disturbance_force
+from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 KNOTS = 16
@@ -30,6 +32,10 @@ WEIGHTS = {
     "temperature": ("1/K", "oil temperature", 1e3),
 }
 """Unit, meaning and largest size of the weight of each signal in the argument."""
+
+
+DISCREPANCY = "Kennedy, O'Hagan, Bayesian calibration of computer models, 2001: a discrepancy of the model, here as a table"
+"""Source of the effects with a table."""
 
 
 def table_parameters(module: str, unit: str, meaning: str, largest: float) -> Any:
@@ -63,6 +69,11 @@ def table_parameters(module: str, unit: str, meaning: str, largest: float) -> An
         "knots": float(KNOTS),
     }
     return types.new_class("Parameters", (NamedTuple,), exec_body=lambda namespace: namespace.update(body))
+
+
+def no_forms(rig: Rig) -> tuple[Form, ...]:
+    """Return no form: the argument and its range follow from the data (:mod:`ehls_ros.diagnosis.empirical`)."""
+    return ()
 
 
 @kernel

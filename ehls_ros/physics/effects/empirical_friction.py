@@ -4,15 +4,14 @@ from typing import Any
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._friction import shifted_level
-from ehls_ros.physics.effects._table import looked_up, table_parameters
-from ehls_ros.physics.effects.base import Form, Group, Words
+from ehls_ros.physics.effects._table import DISCREPANCY, looked_up, no_forms, table_parameters
+from ehls_ros.physics.effects.base import Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import XV
-from ehls_ros.physics.rig import Rig
 
 GROUP: Group = "friction"
 EQUATION = "s -> s + table(argument), at least 1 N"
-SOURCE = "Kennedy, O'Hagan, Bayesian calibration of computer models, 2001: a discrepancy of the model, here as a table"
+SOURCE = DISCREPANCY
 WORDS = Words(
     "a friction found in the data",
     inspect="look for a wear, a fit or a seal that gives a friction of this shape",
@@ -20,6 +19,7 @@ WORDS = Words(
     change="keep `empirical_friction` under `effects` in the rig file until its cause is known",
 )
 LEARNT = True
+forms = no_forms
 
 Parameters = table_parameters(__name__, "N", "change of the Stribeck level", 1e5)
 
@@ -28,8 +28,3 @@ Parameters = table_parameters(__name__, "N", "change of the Stribeck level", 1e5
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> float:
     """Shift the level."""
     return shifted_level(value, looked_up(y[XV], t, y, w, p))
-
-
-def forms(rig: Rig) -> tuple[Form, ...]:
-    """None: the argument and its range follow from the data (:mod:`ehls_ros.diagnosis.empirical`)."""
-    return ()

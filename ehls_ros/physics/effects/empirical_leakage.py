@@ -3,15 +3,14 @@
 from typing import Any
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._table import looked_up, table_parameters
-from ehls_ros.physics.effects.base import Form, Group, Words
+from ehls_ros.physics.effects._table import DISCREPANCY, looked_up, no_forms, table_parameters
+from ehls_ros.physics.effects.base import Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import XV
-from ehls_ros.physics.rig import Rig
 
 GROUP: Group = "flow"
 EQUATION = "q -> q + table(argument)"
-SOURCE = "Kennedy, O'Hagan, Bayesian calibration of computer models, 2001: a discrepancy of the model, here as a table"
+SOURCE = DISCREPANCY
 WORDS = Words(
     "a leakage found in the data",
     inspect="look for a seal or a valve that opens with this shape",
@@ -19,6 +18,7 @@ WORDS = Words(
     change="keep `empirical_leakage` under `effects` in the rig file until its cause is known",
 )
 LEARNT = True
+forms = no_forms
 
 Parameters = table_parameters(__name__, "m^3/s", "further leakage", 1e-1)
 
@@ -27,8 +27,3 @@ Parameters = table_parameters(__name__, "m^3/s", "further leakage", 1e-1)
 def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> float:
     """Add the leakage."""
     return value + looked_up(y[XV], t, y, w, p)
-
-
-def forms(rig: Rig) -> tuple[Form, ...]:
-    """None: the argument and its range follow from the data (:mod:`ehls_ros.diagnosis.empirical`)."""
-    return ()

@@ -3,14 +3,13 @@
 from typing import Any
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._table import looked_up, table_parameters
-from ehls_ros.physics.effects.base import Form, Group, Words
+from ehls_ros.physics.effects._table import DISCREPANCY, looked_up, no_forms, table_parameters
+from ehls_ros.physics.effects.base import Group, Words
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.rig import Rig
 
 GROUP: Group = "flow"
 EQUATION = "xv,eff = xv + table(argument)"
-SOURCE = "Kennedy, O'Hagan, Bayesian calibration of computer models, 2001: a discrepancy of the model, here as a table"
+SOURCE = DISCREPANCY
 WORDS = Words(
     "a metering of the valve found in the data",
     inspect="look for a wear or a shape of the metering edges that gives an opening of this shape",
@@ -18,6 +17,7 @@ WORDS = Words(
     change="keep `empirical_opening` under `effects` in the rig file until its cause is known",
 )
 LEARNT = True
+forms = no_forms
 
 Parameters = table_parameters(__name__, "m", "change of the effective opening", 1e-2)
 
@@ -26,8 +26,3 @@ Parameters = table_parameters(__name__, "m", "change of the effective opening", 
 def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> float:
     """Change the opening."""
     return value + looked_up(value, t, y, w, p)
-
-
-def forms(rig: Rig) -> tuple[Form, ...]:
-    """None: the argument and its range follow from the data (:mod:`ehls_ros.diagnosis.empirical`)."""
-    return ()

@@ -3,14 +3,13 @@
 from typing import Any
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.effects._table import looked_up, table_parameters
-from ehls_ros.physics.effects.base import Form, Group, Words
+from ehls_ros.physics.effects._table import DISCREPANCY, looked_up, no_forms, table_parameters
+from ehls_ros.physics.effects.base import Group, Words
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.rig import Rig
 
 GROUP: Group = "valve"
 EQUATION = "u -> u + table(argument)"
-SOURCE = "Kennedy, O'Hagan, Bayesian calibration of computer models, 2001: a discrepancy of the model, here as a table"
+SOURCE = DISCREPANCY
 WORDS = Words(
     "a command error found in the data",
     inspect="look for an amplifier or a spool that answers with this shape",
@@ -18,6 +17,7 @@ WORDS = Words(
     change="keep `empirical_spool` under `effects` in the rig file until its cause is known",
 )
 LEARNT = True
+forms = no_forms
 
 Parameters = table_parameters(__name__, "m", "change of the command that the spool follows", 1e-2)
 
@@ -26,8 +26,3 @@ Parameters = table_parameters(__name__, "m", "change of the command that the spo
 def command(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> float:
     """Change the command."""
     return value + looked_up(value, t, y, w, p)
-
-
-def forms(rig: Rig) -> tuple[Form, ...]:
-    """None: the argument and its range follow from the data (:mod:`ehls_ros.diagnosis.empirical`)."""
-    return ()
