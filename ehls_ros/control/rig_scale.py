@@ -76,6 +76,16 @@ def compression(plant: Plant) -> float:
     return 4.0 * plant.piston_area * plant.bulk_modulus / plant.total_volume
 
 
+def oil_frequency(plant: Plant) -> float:
+    """Return the natural frequency of the moving mass on the oil with the valve shut [rad/s]."""
+    return math.sqrt(in_python(compression)(plant) * plant.piston_area / plant.moving_mass)
+
+
+def viscous_friction(rig: Rig) -> float:
+    """Return the viscous friction of load and piston together [N s/m]; a friction model may have none."""
+    return rig.plant.viscous_damping + float(rig.friction._asdict().get("viscous_coefficient", 0.0))
+
+
 @kernel
 def largest_speed(plant: Plant, spool: float) -> float:
     """Return the speed of the unloaded piston at a spool displacement [m/s]."""

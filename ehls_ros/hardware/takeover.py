@@ -25,7 +25,7 @@ gets there within some :data:`CLOSING` periods.
 import math
 
 from ehls_ros.arrays import in_python
-from ehls_ros.control.rig_scale import compression, largest_speed
+from ehls_ros.control.rig_scale import compression, largest_speed, oil_frequency
 from ehls_ros.physics.rig import Rig
 
 LAG_MARGIN = 5.0
@@ -71,8 +71,7 @@ class TakeOver:
         plant, limits = rig.plant, rig.limits
         speed = plant.valve_gain * in_python(largest_speed)(plant, 1.0)
         compress = in_python(compression)(plant)
-        column = math.sqrt(compress * plant.piston_area / plant.moving_mass)
-        rate = min(1.0 / (LAG_MARGIN * (1.0 / plant.valve_bandwidth + 2.0 * period)), column / COLUMN_MARGIN)
+        rate = min(1.0 / (LAG_MARGIN * (1.0 / plant.valve_bandwidth + 2.0 * period)), oil_frequency(plant) / COLUMN_MARGIN)
         self.opening = min(LARGEST_SPEED * limits.velocity / (math.sqrt(2.0) * speed), limits.spool)
         self._position_gain = rate / speed
         self._pressure_gain = rate / (compress * speed)

@@ -10,7 +10,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.control.disturbances.base import DISPLACEMENT, ROW, VELOCITY
 from ehls_ros.control.references.base import SampledReference
-from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING
+from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, viscous_friction
 from ehls_ros.physics.effects.coupling_stiffness import Parameters as Coupling
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import EffectUse, Rig
@@ -70,8 +70,7 @@ def swinging_gain(rig: Rig, moving_mass: float) -> float:
         moving_mass: of the servo [kg].
     """
     plant = rig.plant
-    viscous = plant.viscous_damping + rig.friction._asdict().get("viscous_coefficient", 0.0)
-    return 4.0 * plant.bulk_modulus * plant.leakage_coefficient / plant.total_volume + viscous / moving_mass
+    return 4.0 * plant.bulk_modulus * plant.leakage_coefficient / plant.total_volume + viscous_friction(rig) / moving_mass
 
 
 def servo(p: Parameters, rig: Rig, start: float) -> Servo:

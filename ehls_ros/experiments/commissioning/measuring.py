@@ -14,7 +14,7 @@ from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import pid
 from ehls_ros.control.controllers.base import model_of, saturate
 from ehls_ros.control.references import multi_sine
-from ehls_ros.control.rig_scale import compression, largest_speed, tuned_for
+from ehls_ros.control.rig_scale import compression, largest_speed, oil_frequency, tuned_for, viscous_friction
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.analysis import identify_whole_rig
 from ehls_ros.experiments.catalogue import largest_force, room_of
@@ -259,15 +259,9 @@ def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     random = np.random.default_rng(0)
     dither = np.repeat(random.choice([-1.0, 1.0], len(times) // HELD + 1), HELD)[: len(times)]
     # A mass that swings on the oil needs the force of its inertia at that frequency.
-    swing = rig.plant.moving_mass * _oil_frequency(rig) * DITHER * _speed(rig)
+    swing = rig.plant.moving_mass * oil_frequency(rig.plant) * DITHER * _speed(rig)
     size = DITHER * min(1.0, DITHER_FORCE * largest_force(rig) / swing)
     return _following(session, rig, scale * unit, size * rig.limits.spool * dither)
-
-
-def _oil_frequency(rig: Rig) -> float:
-    """Return the natural frequency of the mass on the oil [rad/s]."""
-    plant = rig.plant
-    return math.sqrt(in_python(compression)(plant) * plant.piston_area / plant.moving_mass)
 
 
 def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
@@ -283,12 +277,11 @@ def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
 
 def _allowed(rig: Rig, course: Array) -> float:
     """Return the factor, at most 1, on a course from mid-stroke (cycles, 3) for which its force stays small enough."""
-    plant, friction = rig.plant, rig.friction._asdict()
+    plant, most = rig.plant, MOTION_FORCE * largest_force(rig)
     position, velocity, acceleration = course.T
-    viscous = plant.viscous_damping + friction.get("viscous_coefficient", 0.0)
-    moving: Array = plant.moving_mass * acceleration + viscous * velocity + plant.spring_stiffness * position
-    left: float = MOTION_FORCE * largest_force(rig) - friction.get("coulomb_force", 0.0)
-    return min(1.0, max(left, 0.1 * MOTION_FORCE * largest_force(rig)) / float(np.max(np.abs(moving))))
+    moving: Array = plant.moving_mass * acceleration + viscous_friction(rig) * velocity + plant.spring_stiffness * position
+    left: float = most - rig.friction._asdict().get("coulomb_force", 0.0)
+    return min(1.0, max(left, 0.1 * most) / float(np.max(np.abs(moving))))
 
 
 def _times(session: Session, duration: float) -> Array:
@@ -313,7 +306,7 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
     times = session.period * np.arange(len(course))
     middle = 0.5 * (limits.position[0] + limits.position[1])
     tuning = tuned_for(pid.Parameters, rig)
-    calm = POSITION_LOOP * _oil_frequency(rig)
+    calm = POSITION_LOOP * oil_frequency(rig.plant)
     tuning = tuning._replace(proportional=min(tuning.proportional, calm), integral=min(tuning.integral, 0.25 * calm**2))
     loop = Controller("pid", tuning, model_of(rig, session.period))
     start = [math.nan]
