@@ -27,7 +27,7 @@ from ehls_ros.diagnosis.partial import PartialAnswer
 from ehls_ros.diagnosis.pool import Pool
 from ehls_ros.diagnosis.reading import read
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
-from ehls_ros.diagnosis.result import Term
+from ehls_ros.diagnosis.result import Term, argument_unit
 from ehls_ros.diagnosis.search import Searched, fitted, given_model, inflations
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.diagnosis.starts import combined, spectral_lines
@@ -356,12 +356,14 @@ def _term(evidence: Evidence, more: Assessment, less: Assessment) -> Term:
     knots = round(used["knots"])
     places = np.arange(knots) / (knots if periodic else knots - 1)
     table = slice(len(candidate.free) - knots, None)
-    period = Estimate(1.0 / size, math.sqrt(max(covariance[0, 0], 0.0)) / size**2, "") if periodic else None
+    argument = _signal(candidate.name, weight)
+    error = math.sqrt(max(covariance[0, 0], 0.0)) / size**2
+    period = Estimate(1.0 / size, error, argument_unit(argument)) if periodic else None
     values, std = more.fit.values[part][table], np.sqrt(np.maximum(np.diag(covariance)[table], 0.0))
     at = (places - used["offset"]) / size
     return Term(
         effect=candidate.name,
-        argument=_signal(candidate.name, weight),
+        argument=argument,
         magnitude=weight == "speed",
         unit=candidate.units[-1],
         at=at,

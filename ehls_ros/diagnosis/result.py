@@ -10,6 +10,7 @@ from ehls_ros.diagnosis.reading import Reading
 from ehls_ros.diagnosis.stages import KINDS, REQUIRED, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
+from ehls_ros.trajectory import SIGNALS
 
 Verdict = Literal["consistent", "effect", "partial", "unknown", "insufficient"]
 
@@ -250,6 +251,11 @@ class BaselineSummary(NamedTuple):
     not_compared: tuple[Channel, ...]
     old: Mapping[Channel, ChannelTrace]
     new: Mapping[Channel, ChannelTrace]
+
+
+def argument_unit(argument: str) -> str:
+    """Return the unit of a term's argument, by its name in the data contract."""
+    return "s" if argument == "time_s" else SIGNALS[argument].unit
 
 
 class Term(NamedTuple):

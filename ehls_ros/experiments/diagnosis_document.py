@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple
 from ehls_ros import __version__
 from ehls_ros.diagnosis.causes import advice
 from ehls_ros.diagnosis.free_run import FreeRun
-from ehls_ros.diagnosis.reading import Reading
 from ehls_ros.diagnosis.result import (
     Cause,
     ChannelGain,
@@ -133,22 +132,6 @@ class UnknownEntry(NamedTuple):
     evidence: UnknownEvidence
 
 
-class TermEntry(NamedTuple):
-    """A term found in the data, as a table over one signal; attributes as in :class:`ehls_ros.diagnosis.result.Term`."""
-
-    effect: str
-    argument: str
-    magnitude: bool
-    unit: str
-    at: tuple[float, ...]
-    values: tuple[float, ...]
-    std: tuple[float, ...]
-    period: Estimate | None
-    closed: float
-    direction: float
-    reading: Reading
-
-
 class RemainderEntry(NamedTuple):
     """Remaining residual of a stage with all named causes in the model.
 
@@ -270,7 +253,7 @@ class DiagnosisDocument(NamedTuple):
     wall_s: float
     baseline: BaselineEntry | None
     corrected: Mapping[str, Fitted]
-    term: TermEntry | None
+    term: Term | None
     checks: Mapping[str, Mapping[Channel, ChannelGain]]
 
 
@@ -315,17 +298,9 @@ def diagnosis_document(
         wall_s=wall_s,
         baseline=None if diagnosis.baseline is None else BaselineEntry(*diagnosis.baseline[:5]),
         corrected=diagnosis.corrected,
-        term=None if diagnosis.term is None else _term(diagnosis.term),
+        term=diagnosis.term,
         checks=follows.checks,
     )
-
-
-def _term(term: Term) -> TermEntry:
-    at, values, std = (tuple(array.tolist()) for array in (term.at, term.values, term.std))
-    return TermEntry(
-        term.effect, term.argument, term.magnitude, term.unit, at, values, std, term.period, term.closed, term.direction,
-        term.reading,
-    )  # fmt: skip
 
 
 def _verdict(diagnosis: Diagnosis) -> Verdict | Literal["unchanged", "changed"]:

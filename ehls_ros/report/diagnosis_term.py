@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from ehls_ros.diagnosis.result import Diagnosis, Term
+from ehls_ros.diagnosis.result import Diagnosis, Term, argument_unit
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
 from ehls_ros.report.page import Panel, Row, plane
 from ehls_ros.report.plot import BLUE, SKY, Axis, line, region
 from ehls_ros.report.quantities import percent, quantity, shown_signal, unit_for, value
-from ehls_ros.trajectory import SIGNALS
 
 NOUNS = {
     "empirical_force": "a force",
@@ -23,11 +22,6 @@ SPREAD = 2.0
 """Standard errors shown around the table."""
 
 
-def unit_of(term: Term) -> str:
-    """Return the unit of a term's argument."""
-    return "s" if term.argument == "time_s" else SIGNALS[term.argument].unit
-
-
 def phrase(term: Term) -> str:
     """Describe a term within a sentence: its place, its argument and its shape."""
     of = "the time" if term.argument == "time_s" else quantity(term.argument)
@@ -35,14 +29,14 @@ def phrase(term: Term) -> str:
     size, reading = f"up to ±{value(term.reading.amplitude, term.unit, 2)} about its middle", term.reading
     shapes = ["turning round with the direction of motion"] if term.direction > 0.0 else []
     if term.period is not None:
-        period = f"{value(term.period.value, unit_of(term), 4)} ± {value(2.0 * term.period.std, unit_of(term), 1)}"
+        period = f"{value(term.period.value, term.period.unit, 4)} ± {value(2.0 * term.period.std, term.period.unit, 1)}"
         shapes.append(f"repeating every {period}")
         size = f"with an amplitude of {value(reading.amplitude, term.unit, 2)}"
     elif reading.power is not None:
         symmetry = f"{reading.power.symmetry}, " if reading.power.symmetry else ""
         shapes.append(f"{symmetry}growing with the power {reading.power.exponent:.2f} ± {2.0 * reading.power.std:.1g}")
     elif reading.place is not None:
-        shapes.append(f"acting at one place, {value(reading.place, unit_of(term))}")
+        shapes.append(f"acting at one place, {value(reading.place, argument_unit(term.argument))}")
     elif reading.rise is not None:
         shapes.append("always rising" if reading.rise > 0.0 else "always falling")
     return ", ".join([noun, *shapes, size])

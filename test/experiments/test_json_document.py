@@ -6,7 +6,17 @@ from dataclasses import dataclass
 from typing import NamedTuple, get_type_hints
 
 from ehls_ros.diagnosis.reading import Power, Reading
-from ehls_ros.diagnosis.result import BaselineSummary, ChannelGain, Coverage, Fitted, Gain, Healthy, Sensitivity, StageResult
+from ehls_ros.diagnosis.result import (
+    BaselineSummary,
+    ChannelGain,
+    Coverage,
+    Fitted,
+    Gain,
+    Healthy,
+    Sensitivity,
+    StageResult,
+    Term,
+)
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments import diagnosis_document as document
 from ehls_ros.experiments.controller_benefit import BenefitCase, ControllerBenefit, Steady
@@ -20,7 +30,7 @@ SCHEMA = {
         " partial missing not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s baseline corrected term"
         " checks"
     ),
-    document.TermEntry: "effect argument magnitude unit at values std period closed direction reading",
+    Term: "effect argument magnitude unit at values std period closed direction reading",
     Reading: "amplitude std rise power place",
     Power: "exponent std symmetry",
     StageResult: ("judged why_not nrmse_before nrmse_after noise_floor exceeds unexplained leaves_much incident depends_on"),
