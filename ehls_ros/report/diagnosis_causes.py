@@ -127,6 +127,9 @@ def unexplained(found: Diagnosis) -> list[str]:
     if found.verdict not in ("partial", "unknown") or found.unknown_stage is None:
         return []
     blocks = [page.figures(remaining(found, views_of_rest(found)), columns=2)]
+    if found.term is not None:
+        blocks.append(page.paragraph("This is left beside the term found."))
+        return blocks
     if found.depends_on:
         signals = listed([quantity(signal) for signal in found.depends_on])
         text = (

@@ -65,6 +65,13 @@ for (const figure of figures) {
   Plotly.newPlot(figure, data, layout, options);
 }
 
+// plotly places the legend of a figure that gets wider by the margin of the narrower one; drawn again, it is right.
+let settling;
+addEventListener('resize', () => {
+  clearTimeout(settling);
+  settling = setTimeout(() => figures.forEach(figure => Plotly.redraw(figure)), 400);
+});
+
 // A zoom in time of one figure is a zoom of all.
 const overTime = figures.filter(figure => figure.classList.contains('over-time'));
 const wholeRun = overTime.length ? [...overTime[0].layout.xaxis.range] : [];

@@ -111,3 +111,24 @@ def test_nothing_is_wider_than_the_screen_or_covers_anything(shown, width):
     assert tab.evaluate(COVERED) == []
     assert tab.complaints == []
     assert {address.split(":")[0] for address in tab.requested} <= {"file", "data", "blob", "about"}
+
+
+LOW_LEGENDS = """
+figures.filter(figure => {
+  const [legend, plot] = ['.legend', '.nsewdrag'].map(part => figure.querySelector(part)?.getBoundingClientRect());
+  return legend && figure._fullLayout.legend.y >= 1 && legend.bottom > plot.top + 1 && legend.top < plot.bottom;
+}).length
+"""
+RELAID = "figures.every(figure => figure._fullLayout.width > 1000 || figure.clientWidth < 1000)"
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_no_legend_lies_on_its_plot_once_the_window_is_wider(shown):
+    tab, address = shown
+    tab.resize(710, 900)
+    tab.go("about:blank")
+    tab.go(address)
+    tab.until(f"location.protocol === 'file:' && document.readyState === 'complete' && {DRAWN}")
+    assert tab.evaluate(LOW_LEGENDS) == 0
+    tab.resize(1366, 900)
+    tab.until(f"{RELAID} && ({LOW_LEGENDS.strip()}) === 0", 20.0)

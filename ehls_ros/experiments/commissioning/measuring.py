@@ -91,8 +91,8 @@ PRESS_BANDWIDTH, PRESS_OPENING = 10.0, 0.3
 """Bandwidth of the force loop with a coupling as stiff as the oil [1/s]; largest opening over the largest spool command."""
 
 ACTUATOR = 0.15
-"""Relative error of the stiffness found, as the actuator under test yields where it holds its position: a position servo without
-integral part by up to a fifth of the travel."""
+"""Relative error of the stiffness found, as the actuator under test yields where it holds its position: a position servo
+without integral part by up to a fifth of the travel."""
 
 BLOCKS, SLIDING, CORRELATED = 400, 0.6, 20.0
 """Number of blocks over which force and position are averaged; velocity over the largest from which a block counts as sliding;
