@@ -5,6 +5,7 @@ instead. A second rig runs beside the first in a separate namespace (``namespace
 its nodes are named ``rig2/...``. In lockstep it also needs a separate ``clock:=/rig2/clock``.
 """
 
+import atexit
 import tempfile
 from pathlib import Path
 
@@ -147,9 +148,10 @@ def nodes(context: LaunchContext) -> list[Node]:
 
 
 def _temporary(text: str) -> str:
-    """Return the path of a file with a text, which outlives this process."""
+    """Return the path of a file with a text for the nodes' processes; it is removed when the launch ends."""
     with tempfile.NamedTemporaryFile("w", prefix="ehls_", suffix=".yaml", delete=False) as file:
         file.write(text)
+    atexit.register(Path(file.name).unlink, missing_ok=True)
     return file.name
 
 
