@@ -18,7 +18,7 @@ from ehls_ros.diagnosis.hypotheses import Hypothesis, extended
 from ehls_ros.diagnosis.loss import loss, power, rms
 from ehls_ros.diagnosis.measurement import measurement
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
-from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.samples import Mask
 
 DIRECTION, ACCELERATION, PRESSURE_RATE = "direction", "acceleration_m_s2", "load_pressure_rate_pa_s"
@@ -51,6 +51,11 @@ It is up to 0.45 for other seeds of a random programme, 0.8 and more for another
 
 OFFSET = "offset"
 """Name of a channel's constant error, which is due to a sensor and not to a coefficient."""
+
+OUTSIDE = "nearly all of the recording lies outside the baselines' range: add a healthy recording of its programme"
+NOT_LEARNT = "no baseline has its signals: add a healthy recording that has them"
+HIDDEN = "the variation that the baselines permit there hides any change: add a healthy recording of its programme"
+"""Reasons why a recorded stage cannot be judged against baselines."""
 
 Signals = Mapping[str, Array]
 """Mean of each signal over a channel's usable windows, by name, shape (windows,)."""
@@ -265,7 +270,10 @@ class HealthyVariation(Standard):
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
         """Return the evidence judged by a given expectation."""
         near = {c: np.isfinite(healthy.variance) for c, healthy in expected.items()}
+        reasons = {CHANNELS[c]: OUTSIDE if c in expected else NOT_LEARNT for c in evidence.channels}
         allowances, evidence = {}, part_of(evidence, near)
+        reasons |= {CHANNELS[c]: HIDDEN for c in evidence.channels}
+        evidence = replace(evidence, setup=evidence.setup._replace(why_not={**reasons, **evidence.setup.why_not}))
         measured = measurement(evidence)
         for c in evidence.channels:
             size, healthy = self.channels[c].terms.size, expected[c]

@@ -113,13 +113,13 @@ def stage_result(
         finding: its remainders and excitation.
         nrmse: rms residuals of its channels.
         depends_on: returns the signals on which a channel's remaining residual depends; called only if something remains.
-        why_not: why the stage cannot be compared although its signals are there; empty if signals are missing.
+        why_not: why the stage cannot be judged although its signals are there; empty if signals or motion are missing.
     """
     items = finding.remainders
     if not items:
         return StageResult(judged=False, why_not=why_not or f"needs {NEEDED_SIGNALS[stage]}")
     if not finding.excited:
-        return StageResult(judged=False, why_not=NEEDED_MOTION[stage])
+        return StageResult(judged=False, why_not=why_not or NEEDED_MOTION[stage])
     worst = nrmse[max(items, key=lambda item: item.before / max(item.noise, 1e-12)).channel]
     remaining = max(items, key=lambda item: item.excess)
     return StageResult(

@@ -10,7 +10,7 @@ import pytest
 from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.excitation import mass_observable
-from ehls_ros.diagnosis.healthy_variation import describe, learn_healthy_variation
+from ehls_ros.diagnosis.healthy_variation import NOT_LEARNT, OUTSIDE, describe, learn_healthy_variation
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.baseline import diagnose_against
@@ -75,6 +75,22 @@ def test_what_changed_is_named_with_its_size(run, healthy, wrong_rig):
     assert [use.name for use in found.extended.effects] == ["coulomb_shift"]
 
 
+def evidence(made, rig):
+    record = prepare(Trajectory(made.time, made.columns), rig, "test")
+    return gather(record, rig, stages.setup(record, rig), 0)
+
+
+def test_a_stage_that_the_baselines_do_not_cover_says_so(recorded, rig):
+    variation = learn_healthy_variation(
+        [describe(evidence(recorded({}, "random", seed=1, duration=SECONDS, columns=COLUMNS), rig))]
+    )
+    judged = variation.judged(
+        evidence(recorded({}, "paper_sine", seed=2, duration=SECONDS, columns=(*COLUMNS, "spool_m")), rig)
+    )
+    assert judged.channels == ()
+    assert dict(judged.setup.why_not) == {"force_balance": OUTSIDE, "flow": NOT_LEARNT}
+
+
 @pytest.mark.parametrize(
     ("hidden", "use", "neutral"),
     [
@@ -86,13 +102,11 @@ def test_what_changed_is_named_with_its_size(run, healthy, wrong_rig):
 def test_allowances_take_no_share_of_a_change(recorded, rig, hidden, use, neutral):
     """All coefficients larger by one factor change a residual by itself: allowed freely, that halves any change."""
 
-    def evidence(effects, seed):
-        made = recorded(effects, "rich", seed=seed, duration=SECONDS, columns=(*COLUMNS, "spool_m"))
-        record = prepare(Trajectory(made.time, made.columns), rig, "test")
-        return gather(record, rig, stages.setup(record, rig), 0)
-
-    variation = learn_healthy_variation([describe(evidence({}, 1))])
-    judged = variation.judged(evidence(hidden, 3))
+    columns = (*COLUMNS, "spool_m")
+    variation = learn_healthy_variation(
+        [describe(evidence(recorded({}, "rich", seed=1, duration=SECONDS, columns=columns), rig))]
+    )
+    judged = variation.judged(evidence(recorded(hidden, "rich", seed=3, duration=SECONDS, columns=columns), rig))
     name, parameter, true = use
     sizes = np.linspace(0.5, 1.5, 11)
     losses = []
