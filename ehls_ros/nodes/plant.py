@@ -35,6 +35,7 @@ from ehls_ros.nodes.loop import WAIT
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos
+from ehls_ros.physics.rig import check_one_pressure
 from ehls_ros.process import Stopping
 from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, IN_FULL, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
@@ -191,6 +192,7 @@ class PlantNode(ControlNode):
         self.was_driving = False
         self.period = self.spec.settings.control_period
         rig, self.sensed = self.spec.rig, self.measured()
+        check_one_pressure(rig, "a loader_state", "rig")
         sound = Gate(rig, self.period, None, self.sensed, bounds=self.gate_bounds).parameters
         changed = tuned_for(GateParameters, rig, self.gate_defaults)._asdict()
         defaults = {**sound._asdict(), **{name: changed[name] for name in self.gate_defaults}}

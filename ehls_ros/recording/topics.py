@@ -66,6 +66,11 @@ LOADER_STATE = _cycle_topic(
         "oil_temperature": "oil_temperature_k",
     },
 )
+READINGS: Mapping[str, str] = MappingProxyType(
+    {**LOADER_STATE.signals, "pressure_a": "pressure_a_pa", "pressure_b": "pressure_b_pa"}
+)
+"""Signals of recordings by the readings of a rig, including those that only a cylinder of two chambers has."""
+
 FORCE_REFERENCE = _force_topic("force_reference")
 POSITION_REFERENCE = _position_topic("position_reference")
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
