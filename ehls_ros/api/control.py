@@ -55,7 +55,8 @@ class SteppedController:
         law, model = CONTROLLERS.load(spec.controller.name), model_of(spec.controller_rig, self.period)
         self.needs = law.NEEDS
         where = spec.settings.title
-        self._law = Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, where))
+        known = spec.controller_rig.cylinder.model, spec.controller_rig.valve.model
+        self._law = Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, where), *known)
         uses = spec.compensation
         self._friction = (
             FrictionEstimator(uses.name, spec.controller_rig, self.period, uses.parameters) if self._law.uses_friction else None

@@ -70,7 +70,7 @@ class Structure(NamedTuple):
     """Common properties of the runs in the lanes of one block.
 
     Attributes:
-        members: names of cylinder, valve, friction model, controller, observer, and the observer's friction model.
+        members: names of cylinder, valve, friction model, controller, its cylinder and valve, observer, and its friction model.
         effects: the effects in the plant's equations.
         sizes: sizes of all parts of the loop.
         timing: periods and steps.
@@ -78,7 +78,7 @@ class Structure(NamedTuple):
         known: types of the numbers, as returned by :func:`_kinds`.
     """
 
-    members: tuple[str, str, str, str, str, str]
+    members: tuple[str, ...]
     effects: Effects
     sizes: Sizes
     timing: Timing
@@ -189,6 +189,8 @@ def _lane(index: int, spec: Spec, check: bool) -> _Lane | None:
             plant.rig.valve.model,
             plant.rig.friction_model,
             spec.controller.name,
+            believed.cylinder.model,
+            believed.valve.model,
             spec.compensation.name,
             believed.friction_model,
         ),
@@ -368,12 +370,14 @@ def loop_kernel(structure: Structure) -> Callable[..., int]:
 
 def _loop(structure: Structure) -> ModuleType:
     """Return the module of a structure's loop."""
-    cylinder, valve, friction, law, observer, believed = structure.members
+    cylinder, valve, friction, law, known_cylinder, known_valve, observer, believed = structure.members
     members = {
         "cylinder": CYLINDERS.load(cylinder),
         "valve": VALVES.load(valve),
         "friction": FRICTION_MODELS.load(friction),
         "law": CONTROLLERS.load(law),
+        "known_cylinder": CYLINDERS.load(known_cylinder),
+        "known_valve": VALVES.load(known_valve),
         "observer": OBSERVERS.load(observer),
         "believed": FRICTION_MODELS.load(believed),
     }

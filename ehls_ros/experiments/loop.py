@@ -23,6 +23,7 @@ from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW
 from ehls_ros.control.estimate_bounds import bounds_of
+from ehls_ros.control.local_plant import step_on
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.programme.motion import point_signals
@@ -90,9 +91,9 @@ class _Loop(NamedTuple):
     run: Callable[..., int]
 
 
-def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
-    """Build the loop of a compiled plant, a controller, and an observer with its friction model."""
-    sense, cycle, update, step = plant.sense, plant.cycle, observer.updater(believed), law.step
+def build(plant: Any, law: Any, cylinder: Any, valve: Any, observer: Any, believed: Any) -> _Loop:
+    """Build the loop of a compiled plant, a controller for a cylinder and valve, and an observer with its friction model."""
+    sense, cycle, update, step = plant.sense, plant.cycle, observer.updater(believed), step_on(law, cylinder, valve)
 
     @kernel
     def run(first: int, constants: Constants, state: State, control: Control, given: Given, record: Array) -> int:
@@ -127,6 +128,8 @@ def loop_kernel(spec: Spec) -> ModuleType:
     members = {
         "plant": plant_kernel(parts_of(spec.loader_rig()), coupled=spec.servo() is not None),
         "law": CONTROLLERS.load(spec.controller.name),
+        "cylinder": spec.controller_rig.cylinder.law,
+        "valve": spec.controller_rig.valve.law,
         "observer": OBSERVERS.load(spec.compensation.name),
         "believed": spec.controller_rig.friction_law,
     }

@@ -14,6 +14,7 @@ from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.controllers.base import STATUS_SIZE, Model
 from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
 from ehls_ros.control.disturbances.base import ROW as DISTURBED
+from ehls_ros.control.local_plant import step_on
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.observers.rig_model import Motion
 from ehls_ros.physics import sensors, simulator
@@ -189,7 +190,16 @@ class _Loop(NamedTuple):
 
 
 def build(
-    cylinder: Any, valve: Any, friction: Any, law: Any, observer: Any, believed: Any, chains: Chains, **numbers_of: int
+    cylinder: Any,
+    valve: Any,
+    friction: Any,
+    law: Any,
+    known_cylinder: Any,
+    known_valve: Any,
+    observer: Any,
+    believed: Any,
+    chains: Chains,
+    **numbers_of: int,
 ) -> _Loop:
     """Build the loop of a block of lanes.
 
@@ -198,6 +208,8 @@ def build(
         valve: module of its valve.
         friction: module of the plant's friction model.
         law: module of the controller.
+        known_cylinder: module of the cylinder that the law is to know.
+        known_valve: module of the valve that it is to know.
         observer: module of the friction observer.
         believed: module of the observer's friction model.
         chains: hooks of the plant's effects; none may delay the command.
@@ -207,7 +219,7 @@ def build(
     rows = loop_rows(sizes)
     size, modes, SIGNALS = sizes.plant, sizes.modes, sizes.signals
     plant = simulator.build(cylinder, valve, friction, sizes.elements, sizes.states, chains)
-    sense, step = plant.sense, law.step
+    sense, step = plant.sense, step_on(law, known_cylinder, known_valve)
     observe = _observation(observer, believed, rows, sizes)
 
     states, inputs_of, effects_of = column(size), column(sizes.inputs), column(sizes.parameters)

@@ -8,12 +8,14 @@ The pressure at the valve's port P falls by ``supply_resistance`` per flow with 
 """
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel, kernel_no_refcount
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import sensors
 from ehls_ros.physics.cylinder.base import OilRates
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, Chains, Coefficients, Oil, V, X, relations
 from ehls_ros.physics.rig import CHAMBER_SENSED, EffectiveRig
 from ehls_ros.schema import quantity
@@ -76,8 +78,10 @@ def check_stroke(p: Parameters, ends: tuple[float, float], where: str) -> None:
 
 
 def derived(p: Parameters) -> dict[str, Any]:
-    """Return the area to which the load pressure refers, the mean of both, and the volume at position 0."""
-    return {"piston_area": 0.5 * (p.area_a + p.area_b), "total_volume": p.volume_a + p.volume_b}
+    """Return the area to which the load pressure refers, the mean of both, and the volume of an equally stiff double rod."""
+    area = 0.5 * (p.area_a + p.area_b)
+    stiffness = p.area_a**2 / p.volume_a + p.area_b**2 / p.volume_b
+    return {"piston_area": area, "total_volume": 4.0 * area**2 / stiffness}
 
 
 def at_rest(p: Parameters, plant: Any) -> tuple[float, ...]:
@@ -104,7 +108,7 @@ def volume(at_zero: float, area: float, x: float) -> float:
     return max(at_zero + area * x, LEAST_VOLUME * at_zero)
 
 
-volume_of = kernel(volume)
+volume_of = kernel(volume, python=volume)
 
 
 @kernel
@@ -123,6 +127,64 @@ def pressure_rate(
         oil: bulk modulus of the rig [Pa].
     """
     return inflow / (volume / modulus + compliance) if cavity > 0.0 else inflow * oil / at_zero
+
+
+def equivalent(valve: Any) -> Callable[..., tuple[Plant, float, float]]:
+    """Build the double rod that the cylinder is at the present readings.
+
+    For edges of one gain, or of gains in the ratio of the areas, a single rod moves steadily as a double rod of the mean area
+    with an additional constant force, (A_A - A_B)(ps + pT)/2: the pressure drop of both edges of a side is proportional to
+    A_A ps - A_B pT - F or to A_B ps - A_A pT + F. Without readings of the chambers, their pressures are those of such a motion.
+    """
+    gains, drop_ratio = valve.gains, valve.drop_ratio
+
+    @kernel
+    def local(m: Array, least: float, plant: Plant, p: Parameters, v: Any) -> tuple[Plant, float, float]:
+        x = m[sensors.POSITION] if math.isfinite(m[sensors.POSITION]) else 0.0
+        mean = m[sensors.LOAD_PRESSURE] if math.isfinite(m[sensors.LOAD_PRESSURE]) else 0.0
+        supply = m[sensors.SUPPLY_PRESSURE] if math.isfinite(m[sensors.SUPPLY_PRESSURE]) else plant.supply_pressure
+        side = -1.0 if m[sensors.SPOOL] < 0.0 else 1.0
+        area, tank, modulus = plant.piston_area, p.tank_pressure, plant.bulk_modulus
+        offset = 0.5 * (p.area_a - p.area_b) * (plant.supply_pressure + tank)
+        # The pressures at the ports of A and B for this side.
+        port_a, port_b = (supply, tank) if side > 0.0 else (tank, supply)
+        largest = side * (p.area_a * port_a - p.area_b * port_b)
+        drop = max(largest / area - side * mean, least * plant.supply_pressure)
+        ratio_a, ratio_b = drop_ratio(side, p.area_a, p.area_b, v)
+        factor = area * drop / (p.area_a * ratio_a + p.area_b * ratio_b)
+        drop_a, drop_b = factor * ratio_a, factor * ratio_b
+        if m.size > sensors.PRESSURE_B and math.isfinite(m[sensors.PRESSURE_A]) and math.isfinite(m[sensors.PRESSURE_B]):
+            floor = least * plant.supply_pressure
+            drop_a = max(side * (port_a - m[sensors.PRESSURE_A]), floor)
+            drop_b = max(side * (m[sensors.PRESSURE_B] - port_b), floor)
+        flow_a, flow_b = gains(side, drop_a, drop_b, v, plant)
+        soft_a = volume_of(p.volume_a, p.area_a, x) + modulus * p.hose_compliance_a
+        soft_b = volume_of(p.volume_b, -p.area_b, x) + modulus * p.hose_compliance_b
+        part_a, part_b = p.area_a / soft_a, p.area_b / soft_b
+        stiffness = p.area_a * part_a + p.area_b * part_b
+        # QL per opening that raises the force of the double rod as fast, and Cd of (1) for it.
+        flow = area * (part_a * flow_a - part_b * flow_b) / stiffness
+        discharge = flow * math.sqrt(plant.oil_density / drop) / plant.valve_area_gradient
+        local_plant = Plant(
+            plant.supply_pressure - tank,
+            plant.oil_density,
+            modulus,
+            discharge,
+            plant.valve_area_gradient,
+            plant.leakage_coefficient * area * (part_a + part_b) / stiffness,
+            4.0 * area * area / stiffness,
+            plant.moving_mass,
+            area,
+            plant.arm_length,
+            plant.spring_stiffness,
+            plant.viscous_damping,
+            plant.valve_bandwidth,
+            plant.valve_gain,
+            plant.gravity - offset / plant.moving_mass,
+        )
+        return local_plant, (largest - side * offset) / area, offset
+
+    return local
 
 
 def build(valve: Any, chains: Chains, first: int) -> Oil:

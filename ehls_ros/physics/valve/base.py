@@ -10,7 +10,10 @@ The other functions are compiled. A file has one or both of
   one (:func:`ehls_ros.physics.equations.load_flow`);
 * ``chamber_flows(opening, supply, a, b, tank, p, plant)``, the flows into chamber A, into chamber B and from the supply
   [m^3/s] at pressures of P, A, B and T [Pa]; and ``slope(p, plant, flow)``, called from Python: the largest change of the
-  flow through an edge per pressure [m^3/(s Pa)] while the valve passes a flow [m^3/s].
+  flow through an edge per pressure [m^3/(s Pa)] while the valve passes a flow [m^3/s]; ``gains(side, drop_a, drop_b, p,
+  plant)``, the flows into A and B per opening [m^2/s], for an opening with the sign ``side`` and pressure drops between A or B
+  and the port that it is connected with [Pa]; and ``drop_ratio(side, speed_a, speed_b, p)``, the pressure drops of both up to
+  a common factor, where A takes in a flow that is proportional to ``speed_a``, and B gives off ``speed_b``;
 
 and
 
@@ -26,7 +29,7 @@ from ehls_ros.arrays import Array
 
 
 class Valve(Protocol):
-    """The attributes of a valve's file; ``load_flow``, ``chamber_flows`` and ``slope`` are optional."""
+    """The attributes of a valve's file; ``load_flow``, all flows are optional."""
 
     EQUATION: str
     SOURCE: str

@@ -84,6 +84,21 @@ def chamber_flows(
 
 
 @kernel
+def gains(side: float, drop_a: float, drop_b: float, p: Parameters, plant: Plant) -> tuple[float, float]:
+    """Return the flows into A and B per opening [m^2/s], without overlap and rounding."""
+    gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(2.0 / plant.oil_density)
+    of_a, of_b = (p.gain_pa, p.gain_bt) if side > 0.0 else (p.gain_at, p.gain_pb)
+    return gain * of_a * math.sqrt(drop_a), -gain * of_b * math.sqrt(drop_b)
+
+
+@kernel
+def drop_ratio(side: float, speed_a: float, speed_b: float, p: Parameters) -> tuple[float, float]:
+    """Return the pressure drops between A or B and their ports, up to a common factor."""
+    of_a, of_b = (p.gain_pa, p.gain_bt) if side > 0.0 else (p.gain_at, p.gain_pb)
+    return (speed_a / of_a) ** 2, (speed_b / of_b) ** 2
+
+
+@kernel
 def _passed(u: float, rounding: float, mode: float) -> float:
     """Return a positive value once a sharp edge has opened or closed, against its mode."""
     return -mode * u if rounding < SHARP else -1.0
