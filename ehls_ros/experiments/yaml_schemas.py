@@ -56,7 +56,7 @@ def schema_text(kind: str) -> str:
 
 
 def _rig() -> Schema:
-    models = {"friction": FRICTION_MODELS, "cylinder": CYLINDERS, "valve": VALVES}
+    models: dict[str, Family[Any]] = {"friction": FRICTION_MODELS, "cylinder": CYLINDERS, "valve": VALVES}
     of_models = {section: _of_models(family) for section, family in models.items()}
     sections = {"plant": object_of(Plant, ()), **of_models, "limits": object_of(Limits, ())}
     for (section, key), (low, high) in RANGES.items():
