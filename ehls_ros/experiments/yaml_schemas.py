@@ -22,7 +22,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.parameters import Limits, Plant, Sensor
 from ehls_ros.physics.plausibility import RANGES
-from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED
+from ehls_ros.physics.rig import EVERY_SENSED
 from ehls_ros.physics.valve import VALVES
 from ehls_ros.recording.columns import BASE, CYLINDER, ELEMENT_SIGNALS, ROTARY, TABLES, TIME, Column, Cylinder, Rotary
 from ehls_ros.schema import notes
@@ -65,7 +65,7 @@ def _rig() -> Schema:
         {
             **sections,
             "effects": _effects(),
-            "sensors": _by_signal(Sensor, (*SENSED, *CHAMBER_SENSED)),
+            "sensors": _by_signal(Sensor, EVERY_SENSED),
             "standard_errors": {"type": "object", "additionalProperties": {"type": "number", "minimum": 0.0}},
         },
         ("friction",),
@@ -117,7 +117,7 @@ def _campaign() -> Schema:
 
 
 def _bridge() -> Schema:
-    parts = {"backend": _member_of(BACKENDS), "channels": _by_signal(Input), "command": schema_of(Output)}
+    parts = {"backend": _member_of(BACKENDS), "channels": _by_signal(Input, EVERY_SENSED), "command": schema_of(Output)}
     return mapping_of(parts, tuple(parts))
 
 
@@ -173,7 +173,7 @@ def _entry() -> Schema:
     return {"anyOf": [repeat, *made]}
 
 
-def _by_signal(kind: type, signals: Sequence[str] = SENSED) -> Schema:
+def _by_signal(kind: type, signals: Sequence[str]) -> Schema:
     one = {"anyOf": [schema_of(kind), {"type": "null"}]}
     return {"anyOf": [mapping_of(dict.fromkeys(signals, one)), {"type": "null"}]}
 

@@ -62,6 +62,9 @@ SENSED = ("position", "velocity", "load_pressure", "spool_position", "force", "s
 CHAMBER_SENSED = ("pressure_a", "pressure_b")
 """The signals after :data:`SENSED` of a rig whose cylinder has two chambers."""
 
+EVERY_SENSED = SENSED + CHAMBER_SENSED
+"""The signals of such a rig, in order."""
+
 
 class Rig(NamedTuple):
     """A complete rig.

@@ -191,6 +191,8 @@ FORCE = Topic("force", "std_msgs/msg/Float64")
 WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped")
 LOAD_PRESSURE = Topic("load_pressure", "sensor_msgs/msg/FluidPressure")
 SUPPLY_PRESSURE = Topic("supply_pressure", "sensor_msgs/msg/FluidPressure")
+PRESSURE_A = Topic("pressure_a", "sensor_msgs/msg/FluidPressure")
+PRESSURE_B = Topic("pressure_b", "sensor_msgs/msg/FluidPressure")
 OIL_TEMPERATURE = Topic("oil_temperature", "sensor_msgs/msg/Temperature")
 JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState")
 
@@ -200,6 +202,8 @@ TELEMETRY_TOPICS = (
     WRENCH,
     LOAD_PRESSURE,
     SUPPLY_PRESSURE,
+    PRESSURE_A,
+    PRESSURE_B,
     OIL_TEMPERATURE,
     JOINT_STATES,
     DIAGNOSTICS,
