@@ -377,6 +377,11 @@ def check_effects(rig: Rig, where: str) -> None:
             if not acts_on_chambers(EFFECTS.load(use.name)):
                 what = f"effect {use.name!r} acts on a load pressure, which cylinder {rig.cylinder.model} does not have"
                 raise BadInput(what, where, "effects on the oil that act on a chamber, or cylinder: {model: double_rod}")
+            neutral = EFFECTS.load(use.name).Parameters()
+            for key in getattr(EFFECTS.load(use.name), "NOT_IN_CHAMBERS", ()):
+                if (value := getattr(use.parameters, key)) != getattr(neutral, key):
+                    what = f"{key} of effect {use.name!r} is {value:g}, which no chamber of cylinder {rig.cylinder.model} has"
+                    raise BadInput(what, where, f"{key}: {getattr(neutral, key):g}, or cylinder: {{model: double_rod}}")
     for use in rig.effects:
         shifted = getattr(EFFECTS.load(use.name), "SHIFTS", ())
         if shifted and not set(shifted) & set(rig.friction._fields):

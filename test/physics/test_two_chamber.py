@@ -218,7 +218,8 @@ def test_a_rig_file_is_read_as_written(rig_of):
     [
         ({"plant": {"piston_area": 1e-3}}, "key 'piston_area' is given"),
         ({"valve": {"model": "load_flow"}}, "load_flow has no flow for cylinder two_chamber"),
-        ({"effects": [{"name": "turbulent_leakage"}]}, "'turbulent_leakage' acts on a load pressure"),
+        ({"effects": [{"name": "supply_pressure_droop"}]}, "'supply_pressure_droop' acts on a load pressure"),
+        ({"effects": [{"name": "entrained_air", "load": 0.01}]}, "load of effect 'entrained_air' is 0.01"),
         ({"cylinder": {"area_b": 1e-6}}, "area_a is 0.002 and area_b 1e-06"),
         ({"cylinder": {"model": "three_chamber"}}, "three_chamber"),
     ],
@@ -235,3 +236,31 @@ def test_a_chamber_smaller_than_the_stroke_is_refused(rig_of):
     rig = rig_of(FREE).with_cylinder(volume_b=2.9e-4)
     with pytest.raises(BadInput, match=r"volume_b is 0\.00029 m\^3, and the chamber has .* left at position 0\.3 m"):
         check_rig(rig, "rig")
+
+
+def test_a_leak_to_outside_is_the_effect_or_the_coefficient(rig_data):
+    """Each chamber's own: the effect adds to the coefficients of the rig file."""
+    data = FREE.mapping(rig_data, "gms")
+    leaking = rig_from_mapping({**data, "effects": [{"name": "external_leakage", "first": 2e-12, "each": 1e-12}]}, "rig")
+    own = rig_from_mapping({**data, "cylinder": {**data["cylinder"], "leakage_a": 3e-12, "leakage_b": 1e-12}}, "rig")
+    assert leaking.effective().cylinder == own.effective().cylinder
+
+
+def test_air_softens_the_chamber_of_low_pressure(rig_data):
+    """A closed chamber is compressed as oil and air (Merritt, ch. 2): V (dp/β + x (p0/p)^(1/n) dp/(n p)) = A dx."""
+    air, n = 0.02, 1.4
+    data = {**CLOSED.mapping(rig_data, "gms"), "effects": [{"name": "entrained_air", "chambers": air}]}
+    data["cylinder"] |= {"area_b": 1e-4, "volume_b": 1.0}
+    simulator = Simulator(rig_from_mapping(data, "rig"))
+    turned, force = 10.0 * np.arange(400) * PERIOD, 3e3
+    inputs = np.column_stack([np.zeros(400), force * np.sin(turned), 10.0 * force * np.cos(turned)])
+    states = run(simulator, inputs)
+    a, (x, pressure) = CLOSED.areas[0], (states[:, X], states[:, A])
+
+    def filled(p):
+        absolute = 101325.0 + p
+        return np.exp(-p / CLOSED.beta_e + air * (101325.0 / absolute) ** (1.0 / n))
+
+    volume = CLOSED.volumes[0] + a * x
+    assert np.ptp(pressure) > 1e6
+    np.testing.assert_allclose(volume / volume[0], filled(pressure) / filled(pressure[0]), rtol=1e-9)

@@ -80,8 +80,8 @@ def check_stroke(p: Parameters, ends: tuple[float, float], where: str) -> None:
 def derived(p: Parameters) -> dict[str, Any]:
     """Return the area to which the load pressure refers, the mean of both, and the volume of an equally stiff double rod."""
     area = 0.5 * (p.area_a + p.area_b)
-    stiffness = p.area_a**2 / p.volume_a + p.area_b**2 / p.volume_b
-    return {"piston_area": area, "total_volume": 4.0 * area**2 / stiffness}
+    stiffness = p.area_a * p.area_a / p.volume_a + p.area_b * p.area_b / p.volume_b
+    return {"piston_area": area, "total_volume": 4.0 * area * area / stiffness}
 
 
 def at_rest(p: Parameters, plant: Any) -> tuple[float, ...]:

@@ -34,6 +34,8 @@ hook                 value, and the argument after it
 ``piston_leakage``   leakage from chamber A to B past the piston [m^3/s]; the difference of their pressures [Pa]
 ===================  ===========================================================================================
 
+``NOT_IN_CHAMBERS`` names those of its parameters that have no meaning there; they must be neutral.
+
 Arguments: ``t`` time [s]; ``y`` the plant's state and ``w`` its inputs (indices in :mod:`ehls_ros.physics.plant`); ``z`` the
 effect's own states; ``p`` its ``Parameters``; ``plant`` the effective rig's :class:`~ehls_ros.physics.parameters.Plant`. A
 hook depends only on its arguments and changes none of them. A diagnosis compiles the hooks of all effects together, so a
