@@ -126,7 +126,9 @@ def pressure_rate(
         compliance: that of its hose [m^3/Pa].
         oil: bulk modulus of the rig [Pa].
     """
-    return inflow / (volume / modulus + compliance) if cavity > 0.0 else inflow * oil / at_zero
+    # One division in either mode.
+    stored, soft = (modulus, volume + modulus * compliance) if cavity > 0.0 else (oil, at_zero)
+    return inflow * stored / soft
 
 
 def equivalent(valve: Any) -> Callable[..., tuple[Plant, float, float]]:

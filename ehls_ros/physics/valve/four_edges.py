@@ -58,15 +58,21 @@ def slope(p: Parameters, plant: Plant, flow: float) -> float:
 
 
 @kernel
-def opened(u: float, rounding: float) -> float:
-    """Return the effective opening of an edge [m] at a displacement u beyond its overlap [m]."""
-    return 0.5 * (u + math.sqrt(u * u + rounding * rounding))
+def edge_flow(gain: float, u: float, rounding: float, drop: float, transition: float) -> float:
+    """Return the flow through an edge [m^3/s].
 
-
-@kernel
-def root(drop: float, transition: float) -> float:
-    """Return the signed root of a pressure drop, proportional to it below the transition [Pa^0.5]."""
-    return drop / math.sqrt(math.sqrt(drop * drop + transition * transition))
+    Args:
+        gain: flow per opening and root of the pressure drop [m^2/(s Pa^0.5)].
+        u: displacement beyond the overlap [m].
+        rounding: rounding of the edge [m].
+        drop: pressure drop [Pa].
+        transition: pressure drop below which the flow is laminar [Pa].
+    """
+    if rounding <= 0.0 and u <= 0.0:
+        # A sharp edge is closed: spares the roots of half the edges. The product is a dual where the drop is one.
+        return 0.0 * drop
+    area = 0.5 * (u + math.sqrt(u * u + rounding * rounding)) if rounding > 0.0 else u
+    return gain * area * drop / math.sqrt(math.sqrt(drop * drop + transition * transition))
 
 
 @kernel
@@ -76,10 +82,10 @@ def chamber_flows(
     """Return the flows into chamber A, into chamber B, and from the supply [m^3/s]."""
     gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(2.0 / plant.oil_density)
     transition = p.transition_pressure
-    pa = gain * p.gain_pa * opened(opening - p.overlap_pa, p.rounding_pa) * root(supply - a, transition)
-    at = gain * p.gain_at * opened(-opening - p.overlap_at, p.rounding_at) * root(a - tank, transition)
-    pb = gain * p.gain_pb * opened(-opening - p.overlap_pb, p.rounding_pb) * root(supply - b, transition)
-    bt = gain * p.gain_bt * opened(opening - p.overlap_bt, p.rounding_bt) * root(b - tank, transition)
+    pa = edge_flow(gain * p.gain_pa, opening - p.overlap_pa, p.rounding_pa, supply - a, transition)
+    at = edge_flow(gain * p.gain_at, -opening - p.overlap_at, p.rounding_at, a - tank, transition)
+    pb = edge_flow(gain * p.gain_pb, -opening - p.overlap_pb, p.rounding_pb, supply - b, transition)
+    bt = edge_flow(gain * p.gain_bt, opening - p.overlap_bt, p.rounding_bt, b - tank, transition)
     return pa - at, pb - bt, pa + pb
 
 
