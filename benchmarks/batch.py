@@ -31,15 +31,18 @@ from ehls_ros.arrays import Array, kernel_no_refcount
 from ehls_ros.experiments.batch import run_batch
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import Spec, load_rig, load_spec
+from ehls_ros.physics.cylinder import double_rod
 from ehls_ros.physics.friction import gms
 from ehls_ros.physics.integration import WORK_ROWS
 from ehls_ros.physics.integration_step import LONGEST_STEP
 from ehls_ros.physics.lane_memory import LANES, Rows, column, flat, numbers, numbers_in
 from ehls_ros.physics.lanes import LaneRows, lanes_integrator
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import FD, FD_RATE, FRICTION, INPUTS, START, Chains, Coefficients, U, system
+from ehls_ros.physics.plant import FD, FD_RATE, FRICTION, INPUTS, START, Coefficients, U, system
 from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.servo import NO_EFFECTS
 from ehls_ros.physics.simulator import ORDER
+from ehls_ros.physics.valve import load_flow
 
 ELEMENTS = 3
 SIZE, MODES = FRICTION + ELEMENTS, 1 + ELEMENTS
@@ -129,23 +132,13 @@ class Lanes:
 
 def _lanes_kernel(rows: LaneRows, inputs: int, known: int) -> Callable[..., None]:
     """Return the compiled run of a block."""
-
-    @kernel_no_refcount
-    def same(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant) -> float:
-        return value
-
-    @kernel_no_refcount
-    def none(value: float, t: float, y: Array, w: Array, z: Array, p: Array, plant: Plant, dz: Array) -> None:
-        return
-
-    hooks: dict[str, Any] = dict.fromkeys(Chains._fields, same) | {"received": None, "jump": None, "rates": none}
-    evaluate, switch = system(gms, ELEMENTS, Chains(**hooks))
+    evaluate, switch = system(double_rod, load_flow, gms, ELEMENTS, NO_EFFECTS)
     inputs_of, nothing = column(INPUTS), column(0)
 
     @kernel_no_refcount
     def coefficients(block: Array, like: Known, lane: int) -> Coefficients:
         c, w = numbers(like, block, known, lane), inputs_of(block, inputs, lane)
-        return Coefficients(c.plant, c.friction, w, nothing(block, inputs, lane), w[U])
+        return Coefficients(c.plant, c.friction, w, nothing(block, inputs, lane), w[U], (), ())
 
     advance = lanes_integrator(evaluate, switch, coefficients, rows, SIZE, MODES, order=ORDER)
 

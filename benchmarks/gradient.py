@@ -73,9 +73,9 @@ class Plain(NamedTuple):
     run: Callable[..., int]
 
 
-def build(friction: Any, elements: int, states: int, chains: Chains) -> Plain:
+def build(cylinder: Any, valve: Any, friction: Any, elements: int, states: int, chains: Chains) -> Plain:
     """Build one run with floats."""
-    plant = simulator.build(friction, elements, states, chains)
+    plant = simulator.build(cylinder, valve, friction, elements, states, chains)
     advance, sense = plant.advance, plant.sense
 
     @kernel

@@ -63,20 +63,20 @@ class Equations(NamedTuple):
     switch: Callable[..., None]
 
 
-def build(friction: Any, elements: int, states: int, chains: Chains) -> Equations:
+def build(cylinder: Any, valve: Any, friction: Any, elements: int, states: int, chains: Chains) -> Equations:
     """Build a plant's equations for other solvers; arguments as those of :func:`ehls_ros.physics.simulator.build`."""
-    plant = simulator.build(friction, elements, states, chains)
+    plant = simulator.build(cylinder, valve, friction, elements, states, chains)
     evaluate, switch = plant.evaluate, plant.switch
 
     @kernel_no_refcount
     def evaluated(t: float, y: Array, constants: Constants, state: State, rate: Array) -> float:
-        c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, state.inputs[U])
+        c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, state.inputs[U], (), ())
         value: float = evaluate(t, y, state.mode, c, rate)
         return value
 
     @kernel_no_refcount
     def switched(t: float, y: Array, constants: Constants, state: State) -> None:
-        c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, state.inputs[U])
+        c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, state.inputs[U], (), ())
         switch(t, y, state.mode, c)
 
     return Equations(evaluated, switched)

@@ -19,18 +19,18 @@ from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured_names
 from ehls_ros.experiments.spec import Spec, check_spec, company_of, spec_from_mapping
-from ehls_ros.physics.rig import SENSED, Rig, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.sensors import VELOCITY
 from ehls_ros.physics.simulator import Simulator
-from ehls_ros.recording.topics import CONTROLLER_STATUS, LOADER_STATE
-from ehls_ros.trajectory import SIGNALS
+from ehls_ros.recording.topics import CONTROLLER_STATUS, READINGS
+from ehls_ros.trajectory import READABLE
 
 EXPECTED = "a rig or an experiment: an object, a mapping, a file's path, or the name of one that comes with the package"
 
 DEFAULT_LAW = "fasmc_predictive"
 """Law of a controller that is made from a rig alone: it takes delay, coupling and noise from the rig file."""
 
-UNITS: Mapping[str, str] = MappingProxyType({name: SIGNALS[LOADER_STATE.signals[name]].unit for name in SENSED})
+UNITS: Mapping[str, str] = MappingProxyType({name: READABLE[signal].unit for name, signal in READINGS.items()})
 """Units of the readings, by name."""
 
 
@@ -55,12 +55,14 @@ class SteppedController:
         law, model = CONTROLLERS.load(spec.controller.name), model_of(spec.controller_rig, self.period)
         self.needs = law.NEEDS
         where = spec.settings.title
-        self._law = Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, where))
+        known = spec.controller_rig.cylinder.model, spec.controller_rig.valve.model
+        self._law = Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, where), *known)
         uses = spec.compensation
         self._friction = (
             FrictionEstimator(uses.name, spec.controller_rig, self.period, uses.parameters) if self._law.uses_friction else None
         )
-        self._measured, self._wanted, self._no_friction = np.full(len(SENSED), np.nan), np.zeros(3), np.zeros(2)
+        self._places = {name: place for place, name in enumerate(spec.controller_rig.sensed)}
+        self._measured, self._wanted, self._no_friction = np.full(len(self._places), np.nan), np.zeros(3), np.zeros(2)
         self.cycle = 0
 
     def step(self, measured: Mapping[str, float], reference: float | Sequence[float], *, elapsed: int = 1) -> float:
@@ -78,9 +80,9 @@ class SteppedController:
         readings = self._measured
         readings[:] = math.nan
         for name, value in measured.items():
-            if name not in UNITS:
-                raise BadInput(f"the reading {name!r} is unknown", "measured", one_of(name, list(UNITS)))
-            readings[_PLACES[name]] = value
+            if name not in self._places:
+                raise BadInput(f"the reading {name!r} is unknown", "measured", one_of(name, list(self._places)))
+            readings[self._places[name]] = value
         if missing := [f"{name} [{UNITS[name]}]" for name in self.needs if name not in measured]:
             expected = f"the readings that {self.spec.controller.name} needs"
             raise BadInput(f"{', '.join(missing)} missing", "measured", expected)
@@ -146,8 +148,8 @@ class SteppedPlant:
         return self.measured
 
     def _read(self) -> dict[str, float]:
-        readings = self._simulator.measure(self._random.standard_normal(len(SENSED)))
-        return dict(zip(SENSED, readings.tolist(), strict=True))
+        readings = self._simulator.measure(self._random.standard_normal(len(self.rig.sensed)))
+        return dict(zip(self.rig.sensed, readings.tolist(), strict=True))
 
     @property
     def time(self) -> float:
@@ -157,7 +159,7 @@ class SteppedPlant:
     @property
     def truth(self) -> dict[str, float]:
         """True values of the readings at the present time."""
-        return dict(zip(SENSED, self._simulator.truth.tolist(), strict=True))
+        return dict(zip(self.rig.sensed, self._simulator.truth.tolist(), strict=True))
 
     @property
     def trouble(self) -> str:
@@ -171,9 +173,6 @@ def _fill(row: Array, given: float | Sequence[float], where: str) -> None:
     if len(values) > row.size:
         raise BadInput(f"it has {len(values)} values", where, f"1 to {row.size}")
     row[: len(values)], row[len(values) :] = values, 0.0
-
-
-_PLACES = {name: place for place, name in enumerate(SENSED)}
 
 
 def controller(

@@ -13,9 +13,12 @@ from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, ControllerLaw, Model
+from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, Model
+from ehls_ros.control.local_plant import law_on
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.composition import compiled
+from ehls_ros.physics.cylinder import CYLINDERS
+from ehls_ros.physics.valve import VALVES
 
 BUMP_TIME = 0.02
 """Time constant of the transition of the command from the old tuning or controller to the new one [s]."""
@@ -24,18 +27,19 @@ ADAPTATION_LIMITS = adaptation.adaptation_limits(adaptation.Parameters())
 """Bounds and rate of the model's transition to an accepted rig, equal to those of adaptation."""
 
 
-def controller_kernel(name: str) -> ModuleType:
-    """Return a module with the compiled law of one controller as ``step``, and its ``follow`` if it has one."""
+def controller_kernel(name: str, cylinder: str = "double_rod", valve: str = "load_flow") -> ModuleType:
+    """Return a module with the compiled law of one controller as ``step``, and its ``follow`` if it has one.
+
+    Args:
+        name: file name of the controller.
+        cylinder: that of the cylinder that it is to know.
+        valve: that of its valve.
+    """
     law = CONTROLLERS.load(name)
     entries = {"step": "m, r, f, p, model, memory, status"}
     if hasattr(law, "follow"):
         entries["follow"] = "command, own, memory"
-    return compiled(law_itself, entries, {"law": law})
-
-
-def law_itself(law: ControllerLaw) -> ControllerLaw:
-    """Return a controller's file unchanged, as its functions need no building."""
-    return law
+    return compiled(law_on, entries, {"law": law, "cylinder": CYLINDERS.load(cylinder), "valve": VALVES.load(valve)})
 
 
 class Outlook(NamedTuple):
@@ -66,7 +70,15 @@ class Controller:
         status: status of the law after the last step, by the indices of ``controllers.base``.
     """
 
-    def __init__(self, name: str, parameters: Any, model: Model, companions: CompanionChain | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        parameters: Any,
+        model: Model,
+        companions: CompanionChain | None = None,
+        cylinder: str = "double_rod",
+        valve: str = "load_flow",
+    ) -> None:
         """Prepare the law and its companions, compiling or loading their code.
 
         Args:
@@ -74,9 +86,11 @@ class Controller:
             parameters: tuning of the controller.
             model: the controller's model of the rig.
             companions: companions of the controller; None for none.
+            cylinder: file name of the model's cylinder.
+            valve: that of its valve.
         """
         self._law = CONTROLLERS.load(name)
-        entries = controller_kernel(name)
+        entries = controller_kernel(name, cylinder, valve)
         self._step = entries.step
         self._follow: Callable[[float, float, Array], float] | None = getattr(entries, "follow", None)
         self.parameters = parameters
@@ -155,7 +169,7 @@ class Controller:
         """Return the spool command [m] for one cycle.
 
         Args:
-            measured: readings in the order of ``SENSED``, shape (7,).
+            measured: readings in the order of ``SENSED``, shape (7,), or more for a rig that has more.
             reference: value that the law follows, with first and second derivative, shape (3,).
             friction: force of the elements and viscous force, shape (2,) or longer.
             elapsed: cycles since the last step; more than 1 after unanswered cycles.

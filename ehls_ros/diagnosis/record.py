@@ -12,7 +12,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import Rig, check_one_pressure
 from ehls_ros.samples import Mask, filled, inliers, noise, noise_between_moves
 from ehls_ros.trajectory import Own, Trajectory
 
@@ -132,6 +132,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     Raises:
         BadInput: time does not increase, too much of a signal is bad, or recording and rig contradict each other.
     """
+    check_one_pressure(rig, "a model along a recording", name)
     time = np.asarray(trajectory.time_s, dtype=np.float64)
     if len(time) < rules.MIN_SAMPLES:
         raise BadInput(f"there are {len(time)} samples", name, f"at least {rules.MIN_SAMPLES}")

@@ -39,17 +39,19 @@ from ehls_ros.experiments.loop import (
     run_in_process,
     trajectory_of,
 )
-from ehls_ros.experiments.loop_lanes import SIGNALS, Known, LoopRows, Sizes, Timing, build, loop_rows
+from ehls_ros.experiments.loop_lanes import Known, LoopRows, Sizes, Timing, build, loop_rows
 from ehls_ros.experiments.run_failure import Implausible
 from ehls_ros.experiments.spec import Spec, Use, check_spec
 from ehls_ros.physics.composition import Effects, compiled, is_compiled
+from ehls_ros.physics.cylinder import CYLINDERS
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.integration import WORK_ROWS
 from ehls_ros.physics.lane_memory import LANES, flat, numbers_in
 from ehls_ros.physics.plausibility import possible_range
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.sensors import FORCE
 from ehls_ros.physics.simulator import Simulated
+from ehls_ros.physics.valve import VALVES
 from ehls_ros.recording.topics import REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
@@ -63,15 +65,12 @@ STRETCH = 400
 """Number of cycles after which a block's records are copied out, a divisor of :data:`~ehls_ros.experiments.loop.CHUNK`; they
 fit into a processor's cache."""
 
-BRIEF = (SENSED.index("force"), len(SENSED))
-"""Columns of a record that are kept for a brief run: force and command."""
-
 
 class Structure(NamedTuple):
     """Common properties of the runs in the lanes of one block.
 
     Attributes:
-        members: names of friction model, controller, observer, and the observer's friction model.
+        members: names of cylinder, valve, friction model, controller, its cylinder and valve, observer, and its friction model.
         effects: the effects in the plant's equations.
         sizes: sizes of all parts of the loop.
         timing: periods and steps.
@@ -79,7 +78,7 @@ class Structure(NamedTuple):
         known: types of the numbers, as returned by :func:`_kinds`.
     """
 
-    members: tuple[str, str, str, str]
+    members: tuple[str, ...]
     effects: Effects
     sizes: Sizes
     timing: Timing
@@ -175,6 +174,8 @@ def _lane(index: int, spec: Spec, check: bool) -> _Lane | None:
     known = Known(
         constants.plant,
         constants.friction,
+        constants.cylinder,
+        constants.valve,
         control.friction,
         control.compensation,
         control.tuning,
@@ -183,10 +184,22 @@ def _lane(index: int, spec: Spec, check: bool) -> _Lane | None:
     )
     believed = spec.controller_rig
     structure = Structure(
-        (plant.rig.friction_model, spec.controller.name, spec.compensation.name, believed.friction_model),
+        (
+            plant.rig.cylinder.model,
+            plant.rig.valve.model,
+            plant.rig.friction_model,
+            spec.controller.name,
+            believed.cylinder.model,
+            believed.valve.model,
+            spec.compensation.name,
+            believed.friction_model,
+        ),
         effects,
         Sizes(
             **plant.parts.numbers,
+            oil=plant.rig.cylinder.law.STATES,
+            oil_modes=plant.rig.cylinder.law.MODES + plant.rig.valve.law.MODES,
+            signals=plant.state.truth.size,
             inputs=plant.state.inputs.size,
             parameters=constants.effects.size,
             delays=plant.state.sensors.past.shape[1],
@@ -249,8 +262,9 @@ class _Inputs:
         noisy = (any(sensor.noise_std > 0.0 for sensor in lane.plant.rig.sensors.values()) for lane in lanes)
         seeds = (lane.spec.settings.seed for lane in lanes)
         self._random = [np.random.default_rng(seed) if noise else None for seed, noise in zip(seeds, noisy, strict=True)]
-        self._given = np.zeros((LANES, min(cycles, STRETCH), SIGNALS + FOLLOWED + DISTURBED))
-        self._given[:, :, SIGNALS : SIGNALS + FOLLOWED] = np.nan
+        self._signals = signals = lanes[0].structure.sizes.signals
+        self._given = np.zeros((LANES, min(cycles, STRETCH), signals + FOLLOWED + DISTURBED))
+        self._given[:, :, signals : signals + FOLLOWED] = np.nan
 
     def given(self, now: slice, source: list[int]) -> Array:
         """Return the inputs of the loop in some cycles: noise, reference, disturbance; shape (LANES, n, numbers).
@@ -259,12 +273,12 @@ class _Inputs:
             now: the cycles, which follow those of the previous call.
             source: the run whose numbers each lane uses.
         """
-        given = self._given[:, : now.stop - now.start]
+        given, signals = self._given[:, : now.stop - now.start], self._signals
         for run in set(source):
             if (random := self._random[run]) is not None:
-                given[run, :, :SIGNALS] = random.standard_normal((given.shape[1], SIGNALS))
-            given[run, :, SIGNALS : SIGNALS + FORESEEN] = self.wanted[run][now]
-            given[run, :, SIGNALS + FOLLOWED :] = self.disturbance[run][now]
+                given[run, :, :signals] = random.standard_normal((given.shape[1], signals))
+            given[run, :, signals : signals + FORESEEN] = self.wanted[run][now]
+            given[run, :, signals + FOLLOWED :] = self.disturbance[run][now]
         for lane, run in enumerate(source):
             if lane != run:
                 given[lane] = given[run]
@@ -276,7 +290,8 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
     structure = lanes[0].structure
     sizes, timing, cycles = structure.sizes, structure.timing, structure.cycles
     rows = loop_rows(sizes)
-    columns = Columns.of(rows.status - rows.estimate)
+    columns = Columns.of(rows.status - rows.estimate, sizes.signals)
+    force_and_command = (FORCE, columns.command)
     block = np.zeros((rows.end, LANES))
     for place in range(LANES):
         # Spare places repeat the first run.
@@ -284,7 +299,7 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
     memory = block.reshape(-1)
     inputs = _Inputs(lanes, cycles)
     record = np.empty((LANES, min(cycles, STRETCH), columns.status.stop))
-    kept = np.empty((len(lanes), cycles, len(BRIEF) if brief else columns.status.stop))
+    kept = np.empty((len(lanes), cycles, len(force_and_command) if brief else columns.status.stop))
     work, forces_work = np.empty((WORK_ROWS, rows.plant.rate - rows.plant.y)), np.empty((WORK_ROWS, sizes.forces))
     lost: dict[int, Implausible] = {}
     ends = [cycles] * len(lanes)
@@ -294,14 +309,14 @@ def _run_block(run: Callable[..., int], lanes: list[_Lane], brief: bool) -> list
         now = slice(first, min(first + STRETCH, cycles))
         run(first, timing, memory, lanes[0].known, inputs.given(now, source), record, work, forces_work)
         latest = record[:, : now.stop - first]
-        kept[:, now] = latest[: len(lanes), :, BRIEF] if brief else latest[: len(lanes)]
+        kept[:, now] = latest[: len(lanes), :, force_and_command] if brief else latest[: len(lanes)]
         # As in a separate run, the true states are checked at intervals.
         suspect = _suspects(block, rows, hidden=now.stop % CHUNK == 0 or now.stop == cycles)
         if not suspect.any():
             continue
         for place in {place for place in source if suspect[place]}:
             spec = lanes[place].spec
-            found = impossible(latest[place], block[rows.truth : rows.truth + SIGNALS, place], spec.rig.limits)
+            found = impossible(latest[place], block[rows.truth : rows.truth + sizes.signals, place], spec.rig.limits)
             if found is not None:
                 lost[place], ends[place] = ended(spec, first, found), first + found.row + 1
         left = next((place for place in source if place not in lost), None)
@@ -327,8 +342,10 @@ def _suspects(block: Array, rows: LoopRows, *, hidden: bool) -> NDArray[np.bool_
     """Return which lanes have implausible readings or, with ``hidden``, implausible true values at the last cycle."""
     suspect: NDArray[np.bool_] = block[rows.impossible] > 0.0
     if hidden:
-        away = np.abs(block[rows.truth : rows.truth + SIGNALS] - block[rows.middle : rows.middle + SIGNALS])
-        suspect |= ~(away <= block[rows.farthest : rows.farthest + SIGNALS]).all(axis=0)
+        # Truth and measured follow each other in a block.
+        signals = rows.measured - rows.truth
+        away = np.abs(block[rows.truth : rows.truth + signals] - block[rows.middle : rows.middle + signals])
+        suspect |= ~(away <= block[rows.farthest : rows.farthest + signals]).all(axis=0)
     return suspect
 
 
@@ -353,10 +370,14 @@ def loop_kernel(structure: Structure) -> Callable[..., int]:
 
 def _loop(structure: Structure) -> ModuleType:
     """Return the module of a structure's loop."""
-    friction, law, observer, believed = structure.members
+    cylinder, valve, friction, law, known_cylinder, known_valve, observer, believed = structure.members
     members = {
+        "cylinder": CYLINDERS.load(cylinder),
+        "valve": VALVES.load(valve),
         "friction": FRICTION_MODELS.load(friction),
         "law": CONTROLLERS.load(law),
+        "known_cylinder": CYLINDERS.load(known_cylinder),
+        "known_valve": VALVES.load(known_valve),
         "observer": OBSERVERS.load(observer),
         "believed": FRICTION_MODELS.load(believed),
     }
@@ -368,7 +389,7 @@ def _fill(numbers: Array, rows: LoopRows, lane: _Lane) -> None:
     """Write the initial values of a run to its place."""
     state, control = lane.plant.state, lane.control
     sensors, observed = state.sensors, control.observed
-    middle, farthest = possible_range(lane.spec.rig.limits, SIGNALS + 1)
+    middle, farthest = possible_range(lane.spec.rig.limits, lane.structure.sizes.signals + 1)
     for row, values in (
         (rows.plant.y, state.y),
         (rows.plant.mode, state.mode),

@@ -9,9 +9,11 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.limits import CausalLimit, causal_limit, flow_pressure
+from ehls_ros.control.local_plant import double_rod_of
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.metrics import Metrics, evaluate_controlled
 from ehls_ros.experiments.spec import Spec, spec_from_mapping
+from ehls_ros.physics.rig import Rig
 from ehls_ros.recording.topics import DISTURBANCE
 from ehls_ros.trajectory import Trajectory
 
@@ -102,11 +104,13 @@ def limit_under(spec: Spec, disturbance: Array, spool: Array, load_pressure: Arr
         spool: spool displacement, NaN where not measured, shape (n,) [m].
         load_pressure: likewise [Pa].
     """
+    rig, offset = double_rod_of(spec.loader_rig())
+    pressure = load_pressure - offset / rig.plant.piston_area
     limit = causal_limit(
-        spec.loader_rig(),
+        rig,
         spec.settings.control_period,
         disturbance,
-        flow_pressure=_flow_pressure(spec, spool, load_pressure),
+        flow_pressure=_flow_pressure(rig, spool, pressure),
         velocity_read="velocity" in CONTROLLERS.load(spec.controller.name).NEEDS,
     )
     if not math.isfinite(limit.largest):
@@ -114,9 +118,9 @@ def limit_under(spec: Spec, disturbance: Array, spool: Array, load_pressure: Arr
     return LimitOfRun(limit)
 
 
-def _flow_pressure(spec: Spec, spool: Array, pressure: Array) -> float:
+def _flow_pressure(rig: Rig, spool: Array, pressure: Array) -> float:
     """Return the valve's mean flow-pressure coefficient over the last half; 0, its value at null, if not measured."""
     half = len(spool) // 2
     spool, pressure = spool[half:], pressure[half:]
     known = np.isfinite(spool) & np.isfinite(pressure)
-    return flow_pressure(spool[known], pressure[known], spec.rig.effective().plant) if np.any(known) else 0.0
+    return flow_pressure(spool[known], pressure[known], rig.effective().plant) if np.any(known) else 0.0

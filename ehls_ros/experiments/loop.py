@@ -23,6 +23,7 @@ from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW
 from ehls_ros.control.estimate_bounds import bounds_of
+from ehls_ros.control.local_plant import step_on
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.programme.motion import point_signals
@@ -37,10 +38,10 @@ from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.parameters import Limits
 from ehls_ros.physics.plant import TEMPERATURE
 from ehls_ros.physics.plausibility import Exceedance, implausible
-from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.sensors import VELOCITY
 from ehls_ros.physics.simulator import Constants, Simulated, Simulator, State, at_rest, parts_of, plant_kernel
-from ehls_ros.recording.topics import ACTUATOR_TOPICS, CONTROLLER_STATUS, DISTURBANCE, LOADER_STATE, REFERENCE_TOPICS
+from ehls_ros.recording.topics import ACTUATOR_TOPICS, CONTROLLER_STATUS, DISTURBANCE, READINGS, REFERENCE_TOPICS
 from ehls_ros.trajectory import Trajectory
 
 CHUNK = 2000
@@ -90,9 +91,9 @@ class _Loop(NamedTuple):
     run: Callable[..., int]
 
 
-def build(plant: Any, law: Any, observer: Any, believed: Any) -> _Loop:
-    """Build the loop of a compiled plant, a controller, and an observer with its friction model."""
-    sense, cycle, update, step = plant.sense, plant.cycle, observer.updater(believed), law.step
+def build(plant: Any, law: Any, cylinder: Any, valve: Any, observer: Any, believed: Any) -> _Loop:
+    """Build the loop of a compiled plant, a controller for a cylinder and valve, and an observer with its friction model."""
+    sense, cycle, update, step = plant.sense, plant.cycle, observer.updater(believed), step_on(law, cylinder, valve)
 
     @kernel
     def run(first: int, constants: Constants, state: State, control: Control, given: Given, record: Array) -> int:
@@ -127,6 +128,8 @@ def loop_kernel(spec: Spec) -> ModuleType:
     members = {
         "plant": plant_kernel(parts_of(spec.loader_rig()), coupled=spec.servo() is not None),
         "law": CONTROLLERS.load(spec.controller.name),
+        "cylinder": spec.controller_rig.cylinder.law,
+        "valve": spec.controller_rig.valve.law,
         "observer": OBSERVERS.load(spec.compensation.name),
         "believed": spec.controller_rig.friction_law,
     }
@@ -186,11 +189,11 @@ class Columns(NamedTuple):
     status: slice
 
     @classmethod
-    def of(cls, estimate_size: int) -> "Columns":
-        """Return the columns for a friction estimate of the given size."""
-        estimate = len(SENSED) + 1
+    def of(cls, estimate_size: int, signals: int) -> "Columns":
+        """Return the columns for a friction estimate of the given size and a number of sensed signals."""
+        estimate = signals + 1
         status = estimate + estimate_size
-        return cls(slice(0, len(SENSED)), len(SENSED), slice(estimate, status), slice(status, status + STATUS_SIZE))
+        return cls(slice(0, signals), signals, slice(estimate, status), slice(status, status + STATUS_SIZE))
 
 
 def control_of(spec: Spec) -> Control:
@@ -216,7 +219,7 @@ def impossible(record: Array, truth: Array, limits: Limits) -> Exceedance | None
         truth: true values of the sensed signals in the last cycle; a sensor may hide impossible values.
         limits: the rig's limits.
     """
-    lost = implausible(record[:, : len(SENSED) + 1], limits)
+    lost = implausible(record[:, : truth.size + 1], limits)
     hidden = implausible(truth[np.newaxis], limits)
     return hidden._replace(row=len(record) - 1) if lost is None and hidden is not None else lost
 
@@ -255,7 +258,7 @@ class ClosedLoop:
         learnt_files.recall(self.company, spec)
         self.company.prepare()
         self._run_compiled = loop_kernel(spec).run
-        self.columns = Columns.of(self._control.observed.estimate.size)
+        self.columns = Columns.of(self._control.observed.estimate.size, self._plant.state.truth.size)
         self.dense = 0
         nothing = np.empty((0, self.columns.status.stop))
         self._run(0, nothing, np.empty((0, FOLLOWED)), np.empty((0, ROW)), np.random.default_rng())
@@ -336,7 +339,7 @@ class ClosedLoop:
             raise NotKept(str(error)) from None
 
     def _run(self, first: int, record: Array, reference: Array, disturbance: Array, random: Generator) -> None:
-        given = Given(random.standard_normal((len(record), len(SENSED))), reference, disturbance)
+        given = Given(random.standard_normal((len(record), self._plant.state.truth.size)), reference, disturbance)
         self.dense += self._run_compiled(first, self._plant.constants, self._plant.state, self._control, given, record)
 
 
@@ -442,7 +445,7 @@ def trajectory_of(
         first: number of the first cycle.
     """
     signals: dict[str, Array] = {}
-    signals.update(zip(LOADER_STATE.signals.values(), record[:, columns.measured].T, strict=True))
+    signals.update(zip((READINGS[name] for name in spec.rig.sensed), record[:, columns.measured].T, strict=True))
     signals["valve_command_m"] = record[:, columns.command]
     signals["friction_fallback"] = np.zeros(len(record))
     estimate = record[:, columns.estimate]

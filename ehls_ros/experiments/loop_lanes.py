@@ -14,6 +14,7 @@ from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.controllers.base import STATUS_SIZE, Model
 from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
 from ehls_ros.control.disturbances.base import ROW as DISTURBED
+from ehls_ros.control.local_plant import step_on
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.observers.rig_model import Motion
 from ehls_ros.physics import sensors, simulator
@@ -22,11 +23,9 @@ from ehls_ros.physics.lane_memory import LANES, Rows, column, numbers, stack
 from ehls_ros.physics.lanes import LaneRows, lanes_integrator
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import FRICTION, TEMPERATURE, Chains, Coefficients, U, hold
-from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import SensorState
 from ehls_ros.physics.simulator import Constants, State
 
-SIGNALS = len(SENSED)
 SENSOR_COLUMNS = 6
 
 
@@ -36,6 +35,7 @@ class Known(NamedTuple):
     Attributes:
         plant: the effective rig's coefficients.
         friction: its friction parameters.
+        cylinder, valve: those of its cylinder and valve; () if they have none.
         believed: friction parameters of the observer.
         compensation: the observer's parameters.
         tuning: the controller's parameters.
@@ -45,6 +45,8 @@ class Known(NamedTuple):
 
     plant: Plant
     friction: Any
+    cylinder: Any
+    valve: Any
     believed: Any
     compensation: Any
     tuning: Any
@@ -119,6 +121,9 @@ class Sizes(NamedTuple):
     Attributes:
         elements: number of the plant's friction forces.
         states: number of its effects' states.
+        oil: number of its cylinder's states.
+        oil_modes: number of the modes of its cylinder and valve.
+        signals: number of its sensed signals.
         inputs: number of its inputs.
         parameters: number of its effects' parameters.
         delays: columns of the sensors' past.
@@ -129,6 +134,9 @@ class Sizes(NamedTuple):
 
     elements: int
     states: int
+    oil: int
+    oil_modes: int
+    signals: int
     inputs: int
     parameters: int
     delays: int
@@ -136,29 +144,39 @@ class Sizes(NamedTuple):
     memory: int
     known: int
 
+    @property
+    def plant(self) -> int:
+        """Number of the plant's states."""
+        return FRICTION + self.elements + self.oil + self.states
+
+    @property
+    def modes(self) -> int:
+        """Number of the plant's modes."""
+        return self.oil_modes + self.elements
+
 
 def loop_rows(sizes: Sizes) -> LoopRows:
     """Return the rows of a block of lanes."""
     rows = Rows()
     return LoopRows(
-        plant=LaneRows.of(rows, FRICTION + sizes.elements + sizes.states, 1 + sizes.elements),
+        plant=LaneRows.of(rows, sizes.plant, sizes.modes),
         elements=LaneRows.of(rows, sizes.forces, sizes.forces),
         inputs=rows.take(sizes.inputs),
         effects=rows.take(sizes.parameters),
-        table=rows.take(SIGNALS * SENSOR_COLUMNS),
-        lagged=rows.take(SIGNALS),
-        past=rows.take(SIGNALS * sizes.delays),
-        truth=rows.take(SIGNALS),
-        measured=rows.take(SIGNALS),
+        table=rows.take(sizes.signals * SENSOR_COLUMNS),
+        lagged=rows.take(sizes.signals),
+        past=rows.take(sizes.signals * sizes.delays),
+        truth=rows.take(sizes.signals),
+        measured=rows.take(sizes.signals),
         command=rows.take(),
         estimate=rows.take(ELEMENTS + 2 * sizes.forces),
         status=rows.take(STATUS_SIZE),
         last=rows.take(2),
         motion=rows.take(3),
         memory=rows.take(sizes.memory),
-        given=rows.take(SIGNALS + FOLLOWED + DISTURBED),
-        middle=rows.take(SIGNALS + 1),
-        farthest=rows.take(SIGNALS + 1),
+        given=rows.take(sizes.signals + FOLLOWED + DISTURBED),
+        middle=rows.take(sizes.signals + 1),
+        farthest=rows.take(sizes.signals + 1),
         impossible=rows.take(),
         known=rows.take(sizes.known),
         end=rows.count,
@@ -171,12 +189,27 @@ class _Loop(NamedTuple):
     run: Callable[..., int]
 
 
-def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains, **numbers_of: int) -> _Loop:
+def build(
+    cylinder: Any,
+    valve: Any,
+    friction: Any,
+    law: Any,
+    known_cylinder: Any,
+    known_valve: Any,
+    observer: Any,
+    believed: Any,
+    chains: Chains,
+    **numbers_of: int,
+) -> _Loop:
     """Build the loop of a block of lanes.
 
     Args:
+        cylinder: module of the plant's cylinder.
+        valve: module of its valve.
         friction: module of the plant's friction model.
         law: module of the controller.
+        known_cylinder: module of the cylinder that the law is to know.
+        known_valve: module of the valve that it is to know.
         observer: module of the friction observer.
         believed: module of the observer's friction model.
         chains: hooks of the plant's effects; none may delay the command.
@@ -184,9 +217,9 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
     """
     sizes = Sizes(**numbers_of)
     rows = loop_rows(sizes)
-    size, modes = FRICTION + sizes.elements + sizes.states, 1 + sizes.elements
-    plant = simulator.build(friction, sizes.elements, sizes.states, chains)
-    sense, step = plant.sense, law.step
+    size, modes, SIGNALS = sizes.plant, sizes.modes, sizes.signals
+    plant = simulator.build(cylinder, valve, friction, sizes.elements, sizes.states, chains)
+    sense, step = plant.sense, step_on(law, known_cylinder, known_valve)
     observe = _observation(observer, believed, rows, sizes)
 
     states, inputs_of, effects_of = column(size), column(sizes.inputs), column(sizes.parameters)
@@ -202,7 +235,8 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
     def coefficients(block: Array, like: Known, lane: int) -> Coefficients:
         known = numbers(like, block, KNOWN, lane)
         w = inputs_of(block, INPUTS, lane)
-        return Coefficients(known.plant, known.friction, w, effects_of(block, EFFECTS, lane), w[U])
+        effects = effects_of(block, EFFECTS, lane)
+        return Coefficients(known.plant, known.friction, w, effects, w[U], known.cylinder, known.valve)
 
     integrate = lanes_integrator(plant.evaluate, plant.switch, coefficients, rows.plant, size, modes, order=simulator.ORDER)
 
@@ -210,7 +244,9 @@ def build(friction: Any, law: Any, observer: Any, believed: Any, chains: Chains,
     def read_sensors(k: int, block: Array, like: Known, timing: Timing) -> None:
         for lane in range(LANES):
             c, y = coefficients(block, like, lane), states(block, rows.plant.y, lane)
-            constants = Constants(c.plant, c.friction, c.effects, timing.period, timing.step, timing.steps, 0.0, ())
+            constants = Constants(
+                c.plant, c.friction, c.effects, timing.period, timing.step, timing.steps, 0.0, c.cylinder, c.valve, ()
+            )
             lagged, past = signals(block, rows.lagged, lane), past_of(block, rows.past, lane)
             kept = SensorState(table_of(block, rows.table, lane), lagged, past)
             truth, measured = signals(block, rows.truth, lane), signals(block, rows.measured, lane)

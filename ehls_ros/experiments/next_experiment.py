@@ -60,7 +60,7 @@ from ehls_ros.experiments.separation import (
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import TEMPERATURE, X
-from ehls_ros.physics.rig import SENSED, Rig, rig_to_mapping
+from ehls_ros.physics.rig import SENSED, Rig, check_one_pressure, rig_to_mapping
 from ehls_ros.physics.sensors import FORCE, LOAD_PRESSURE, POSITION, SPOOL, VELOCITY
 from ehls_ros.physics.simulator import Constants, Simulated, State, plant_kernel
 
@@ -374,6 +374,8 @@ def next_experiment(
         BadInput: an unknown signal, a noise below 0, a limit or standard deviation that is not above 0.
     """
     _check(signals, noise or {}, {"duration_limit": duration_limit, "parameter_std": parameter_std})
+    for name, rig in candidates.items():
+        check_one_pressure(rig, "a next experiment", name)
     if len(candidates) < 2:
         return Proposal(None, f"{len(candidates)} candidate: there is nothing to separate", ())
     names = tuple(candidates)

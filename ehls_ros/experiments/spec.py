@@ -32,6 +32,7 @@ from ehls_ros.physics.rig import (
     Rig,
     check_effect_count,
     check_known,
+    check_one_pressure,
     effects_from_list,
     rig_from_mapping,
     rig_to_mapping,
@@ -433,6 +434,8 @@ def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tunin
 def _check_companions(spec: Spec, where: str, setting: Setting) -> None:
     """Reject companions that are incompatible with the controller or the rig."""
     law = str(getattr(setting.law, "__name__", "")).rpartition(".")[2]
+    if spec.companions:
+        check_one_pressure(spec.controller_rig, f"the companion {spec.companions[0].name}", f"{where}: controller's rig")
     for use in spec.companions:
         with _placed(f"{where}: {use.name} beside {law}"):
             COMPANIONS.load(use.name).check(use.parameters, setting)

@@ -16,7 +16,6 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.experiments.loop import sampled, simulator_of
 from ehls_ros.experiments.spec import Spec, company_of
-from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.sensors import FORCE, VELOCITY
 from ehls_ros.physics.simulator import Simulator
 
@@ -31,7 +30,7 @@ class Cycles(NamedTuple):
         error: true force less the reference wanted [N], shape (n,); infinite from an impossible state of the rig on, and the
             others NaN.
         command: command that the valve received [m], shape (n,).
-        truth: true values of the readings in the order of ``SENSED``, shape (n, signals).
+        truth: true values of the readings in the order of the rig's ``sensed``, shape (n, signals).
         disturbance: force [N], force rate [N/s], displacement [m] and velocity [m/s] of the actuator under test, shape (n, 4).
     """
 
@@ -80,12 +79,13 @@ def stepped_run(spec: Spec, added: Array | None = None, plant: Simulator | None 
     rows = disturbing.rows(0, cycles).tolist()
     model = model_of(spec.controller_rig, period)
     company = company_of(spec, model, spec.settings.title)
-    law = Controller(spec.controller.name, spec.controller.parameters, model, company)
+    known = spec.controller_rig.cylinder.model, spec.controller_rig.valve.model
+    law = Controller(spec.controller.name, spec.controller.parameters, model, company, *known)
     uses = spec.compensation
     observer = FrictionEstimator(uses.name, spec.controller_rig, period, uses.parameters) if law.uses_friction else None
-    noise = np.random.default_rng(spec.settings.seed).standard_normal((cycles, len(SENSED)))
+    noise = np.random.default_rng(spec.settings.seed).standard_normal((cycles, plant.truth.size))
     error, command = np.empty(cycles), np.zeros(cycles) if added is None else added.copy()
-    truth, disturbance = np.empty((cycles, len(SENSED))), np.empty((cycles, len(plant.acting)))
+    truth, disturbance = np.empty((cycles, plant.truth.size)), np.empty((cycles, len(plant.acting)))
     friction = np.zeros(2)
     for cycle in range(cycles):
         measured = plant.measure(noise[cycle])

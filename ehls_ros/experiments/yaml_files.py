@@ -13,9 +13,11 @@ from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.experiments.spec import Settings
 from ehls_ros.families import Family
+from ehls_ros.physics.cylinder import CYLINDERS
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.parameters import Limits, Plant, Sensor
+from ehls_ros.physics.valve import VALVES
 from ehls_ros.schema import notes
 
 Remarks = Mapping[str, Any]
@@ -85,6 +87,11 @@ def _of_rig(rig: Mapping[str, Any], more: Mapping[str, Mapping[str, str]]) -> Re
             for law in FRICTION_MODELS.usable().values()
             for key, unit in _units(law.Parameters).items()
             if key in friction
+        },
+        **{
+            section: _units(family.load(rig[section].get("model", default)).Parameters)
+            for section, family, default in (("cylinder", CYLINDERS, "double_rod"), ("valve", VALVES, "load_flow"))
+            if section in rig
         },
         "limits": _units(Limits),
     }

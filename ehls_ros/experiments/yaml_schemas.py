@@ -1,7 +1,7 @@
 """JSON Schemas of all kinds of YAML files, from the declarations used to check these files."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ehls_ros.control.programme.blocks import BLOCKS
@@ -16,12 +16,14 @@ from ehls_ros.families import Family
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.calibration import Input, Output
 from ehls_ros.json_schema import Schema, mapping_of, object_of, schema_of
+from ehls_ros.physics.cylinder import CYLINDERS
 from ehls_ros.physics.data_sheet import DataSheet
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.parameters import Limits, Plant, Sensor
 from ehls_ros.physics.plausibility import RANGES
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import EVERY_SENSED
+from ehls_ros.physics.valve import VALVES
 from ehls_ros.recording.columns import BASE, CYLINDER, ELEMENT_SIGNALS, ROTARY, TABLES, TIME, Column, Cylinder, Rotary
 from ehls_ros.schema import notes
 from ehls_ros.trajectory import READABLE
@@ -54,21 +56,27 @@ def schema_text(kind: str) -> str:
 
 
 def _rig() -> Schema:
-    laws = FRICTION_MODELS.usable().values()
-    keys = {key: schema for law in laws for key, schema in object_of(law.Parameters)["properties"].items()}
-    friction = mapping_of({"model": {"enum": list(FRICTION_MODELS.names())}, **keys})
-    sections = {"plant": object_of(Plant, ()), "friction": friction, "limits": object_of(Limits, ())}
+    models: dict[str, Family[Any]] = {"friction": FRICTION_MODELS, "cylinder": CYLINDERS, "valve": VALVES}
+    of_models = {section: _of_models(family) for section, family in models.items()}
+    sections = {"plant": object_of(Plant, ()), **of_models, "limits": object_of(Limits, ())}
     for (section, key), (low, high) in RANGES.items():
         sections[section]["properties"][key] |= {"minimum": low, "maximum": high}
     return mapping_of(
         {
             **sections,
             "effects": _effects(),
-            "sensors": _by_signal(Sensor),
+            "sensors": _by_signal(Sensor, EVERY_SENSED),
             "standard_errors": {"type": "object", "additionalProperties": {"type": "number", "minimum": 0.0}},
         },
         ("friction",),
     )
+
+
+def _of_models(family: Family[Any]) -> Schema:
+    """Return the schema of a section that names a model, with the keys of all of them."""
+    laws = family.usable().values()
+    keys = {key: schema for law in laws for key, schema in object_of(law.Parameters)["properties"].items()}
+    return mapping_of({"model": {"enum": list(family.names())}, **keys})
 
 
 def _effects() -> Schema:
@@ -109,7 +117,7 @@ def _campaign() -> Schema:
 
 
 def _bridge() -> Schema:
-    parts = {"backend": _member_of(BACKENDS), "channels": _by_signal(Input), "command": schema_of(Output)}
+    parts = {"backend": _member_of(BACKENDS), "channels": _by_signal(Input, EVERY_SENSED), "command": schema_of(Output)}
     return mapping_of(parts, tuple(parts))
 
 
@@ -165,9 +173,9 @@ def _entry() -> Schema:
     return {"anyOf": [repeat, *made]}
 
 
-def _by_signal(kind: type) -> Schema:
+def _by_signal(kind: type, signals: Sequence[str]) -> Schema:
     one = {"anyOf": [schema_of(kind), {"type": "null"}]}
-    return {"anyOf": [mapping_of(dict.fromkeys(SENSED, one)), {"type": "null"}]}
+    return {"anyOf": [mapping_of(dict.fromkeys(signals, one)), {"type": "null"}]}
 
 
 def _member_of(family: Family[Any]) -> Schema:

@@ -7,7 +7,7 @@ from ehls_ros.errors import BadInput, one_of
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.backends.base import Device
 from ehls_ros.hardware.calibration import Calibration, Input, Output, check_channel
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import EVERY_SENSED
 from ehls_ros.schema import parse
 
 SECTIONS = ("backend", "channels", "command")
@@ -66,8 +66,8 @@ def _inputs(data: Mapping[str, Any], where: str) -> dict[str, Input]:
     inputs: dict[str, Input] = {}
     taken: dict[int, str] = {}
     for signal, values in data.items():
-        if signal not in SENSED:
-            raise BadInput(f"signal {signal!r} is unknown", where, one_of(signal, SENSED))
+        if signal not in EVERY_SENSED:
+            raise BadInput(f"signal {signal!r} is unknown", where, one_of(signal, EVERY_SENSED))
         place = f"{where}: {signal}"
         if not isinstance(values, Mapping):
             raise BadInput(f"{signal} is {values!r}", where, f"a mapping of {', '.join(Input._fields)}")
@@ -77,5 +77,5 @@ def _inputs(data: Mapping[str, Any], where: str) -> dict[str, Input]:
         if other != signal:
             raise BadInput(f"channel is {inputs[signal].channel}, already used by {other}", place, "a separate channel")
     if not inputs:
-        raise BadInput("no signal is wired", where, f"at least one of {', '.join(SENSED)}")
+        raise BadInput("no signal is wired", where, f"at least one of {', '.join(EVERY_SENSED)}")
     return inputs

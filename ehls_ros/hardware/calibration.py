@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.errors import BadInput
 from ehls_ros.hardware.backends.base import Channel, Wiring, permitted
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import EVERY_SENSED, SENSED
 from ehls_ros.schema import quantity, text
 
 
@@ -57,7 +57,8 @@ class Calibration:
     """Converts raw values to signals and the spool command to a raw value.
 
     Attributes:
-        wiring: the channels, for a backend; inputs in the order of ``SENSED``.
+        sensed: signals of a sample; those of both chambers are among them if one of them has a channel.
+        wiring: the channels, for a backend; inputs in the order of ``sensed``.
         wired: the signals that have a channel, in the same order.
         inputs: their channels.
         output: the valve channel.
@@ -67,15 +68,16 @@ class Calibration:
         """Take checked channels.
 
         Args:
-            inputs: channels by signal of ``SENSED``; a signal left out is not wired and reads NaN.
+            inputs: channels by signal of ``EVERY_SENSED``; a signal left out is not wired and reads NaN.
             output: the valve channel.
         """
-        self.wired = tuple(signal for signal in SENSED if signal in inputs)
+        self.sensed = SENSED if set(inputs) <= set(SENSED) else EVERY_SENSED
+        self.wired = tuple(signal for signal in self.sensed if signal in inputs)
         self.inputs = tuple(inputs[signal] for signal in self.wired)
         self.output = output
         channels = tuple(Channel(used.channel, used.range) for used in self.inputs)
         self.wiring = Wiring(channels, Channel(output.channel, output.range), output.offset)
-        self._rows = tuple(SENSED.index(signal) for signal in self.wired)
+        self._rows = tuple(self.sensed.index(signal) for signal in self.wired)
         self._lines = tuple((used.scale, used.offset) for used in self.inputs)
         # The largest code is one step below the upper end of the range.
         self._rails = tuple((used.range[0] + 0.5 * step(used), used.range[1] - 1.5 * step(used)) for used in self.inputs)
@@ -87,9 +89,9 @@ class Calibration:
             values: raw values in the order of the wiring's inputs.
 
         Returns:
-            The signals in the order of ``SENSED`` [SI]; NaN where a signal is not wired.
+            The signals in the order of ``sensed`` [SI]; NaN where a signal is not wired.
         """
-        signals = [math.nan] * len(SENSED)
+        signals = [math.nan] * len(self.sensed)
         for row, value, (scale, offset) in zip(self._rows, values, self._lines, strict=True):
             signals[row] = scale * (value - offset)
         return tuple(signals)

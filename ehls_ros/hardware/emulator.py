@@ -12,7 +12,7 @@ from ehls_ros.hardware.packet import Status
 from ehls_ros.hardware.truth_log import TruthLog
 from ehls_ros.physics import sensors
 from ehls_ros.physics.plant import V, X
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import EVERY_SENSED
 
 BLOCK = 1024
 """Number of cycles per computed block of noise and disturbance."""
@@ -82,10 +82,10 @@ class Emulator:
         self._simulator = simulator
         self._disturbance = disturbance
         self._calibration = calibration
-        self._wired = np.array([SENSED.index(signal) for signal in calibration.wired])
+        self._wired = np.array([EVERY_SENSED.index(signal) for signal in calibration.wired])
         self._values = [0.0] * (1 + max(used.channel for used in calibration.inputs))
         self._random = np.random.default_rng(seed)
-        self._noise = np.empty((0, len(SENSED)))
+        self._noise = np.empty((0, simulator.truth.size))
         self._drawn = 0
         self._null = converted(calibration.output.offset, calibration.output)
         self._disturbed = 0
@@ -109,7 +109,7 @@ class Emulator:
     def sense(self) -> tuple[float, ...]:
         """Return the raw values of the current cycle by channel number; a channel without a sensor reads 0."""
         if self._drawn == len(self._noise):
-            self._noise, self._drawn = self._random.standard_normal((BLOCK, len(SENSED))), 0
+            self._noise, self._drawn = self._random.standard_normal((BLOCK, self._simulator.truth.size)), 0
         signals = self._simulator.measure(self._noise[self._drawn])[self._wired].tolist()
         self._drawn += 1
         self.faults.spoil(signals)

@@ -57,7 +57,7 @@ from ehls_ros.identification.rig_stages import (
     without_signals,
 )
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.rig import Rig, check_known
+from ehls_ros.physics.rig import Rig, check_known, check_one_pressure
 from ehls_ros.trajectory import Trajectory
 
 CONTRADICTS = 20.0
@@ -110,6 +110,7 @@ def identify_rig(
         BadInput: there is no recording, or none that can be one of such a rig.
     """
     began = clock.perf_counter()
+    check_one_pressure(rig, "an identification of the whole rig", "rig")
     progress("reading the recordings", 0, STEPS)
     records, remarks = _records(recordings, rig)
     names = tuple(record.name for record in records)

@@ -165,7 +165,8 @@ class ControllerNode(ControlNode):
             self.get_logger().warning(warning)
         self.companions = company_of(self.spec, model, self.get_name(), self.law, tuning)
         learnt_files.recall(self.companions, self.spec)
-        self.controller = Controller(self.law, tuning, model, self.companions)
+        known = self.spec.controller_rig.cylinder.model, self.spec.controller_rig.valve.model
+        self.controller = Controller(self.law, tuning, model, self.companions, *known)
         self.signal = sampled(self.spec.reference, period)
         self.static_friction = FrictionEstimator("stribeck", self.spec.controller_rig, period)
         self.cycles = Cycles(friction=self.kind.FRICTION, patience=self.friction_patience)

@@ -18,7 +18,8 @@ from ehls_ros.nodes.diagnostics import ERROR, OK, WARN
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.running import run_node
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics import sensors
+from ehls_ros.physics.rig import CHAMBER_SENSED
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import quantity, text
 
@@ -91,7 +92,14 @@ class HardwareBridgeNode(PlantNode):
         path = Path(chosen) if chosen else config_folder() / "bridge_udp.yaml"
         self.bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
         self.calibration = self.bridge.calibration
-        return self.calibration.wired
+        rig, wired = self.spec.rig, self.calibration.wired
+        self.areas: tuple[float, float] | None = None
+        both = rig.cylinder.law.CHAMBERS and set(CHAMBER_SENSED) <= set(wired)
+        if not both or "load_pressure" in wired:
+            return wired
+        # Known from the chambers instead.
+        self.areas = rig.cylinder.parameters.area_a, rig.cylinder.parameters.area_b
+        return (*wired, "load_pressure")
 
     def prepare(self) -> None:
         """Open the device and the topics."""
@@ -223,7 +231,12 @@ class HardwareBridgeNode(PlantNode):
         signals = self.calibration.signals(reading.values)
         if self.saturated:
             # A saturated converter gives no valid reading.
-            signals = tuple(math.nan if name in self.saturated else value for name, value in zip(SENSED, signals, strict=True))
+            named = zip(self.calibration.sensed, signals, strict=True)
+            signals = tuple(math.nan if name in self.saturated else value for name, value in named)
+        if self.areas is not None:
+            force = self.areas[0] * signals[sensors.PRESSURE_A] - self.areas[1] * signals[sensors.PRESSURE_B]
+            place = sensors.LOAD_PRESSURE
+            signals = (*signals[:place], force / (0.5 * sum(self.areas)), *signals[place + 1 :])
         self.samples.take(reading.sequence, reading.time_ns, free_running_time(), reading.session)
         # In lockstep the device waits for this computer.
         lag = 0.0 if self.lockstep else self.samples.lag

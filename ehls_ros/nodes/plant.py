@@ -35,6 +35,7 @@ from ehls_ros.nodes.loop import WAIT
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos
+from ehls_ros.physics.rig import SENSED
 from ehls_ros.process import Stopping
 from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, IN_FULL, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
@@ -191,12 +192,14 @@ class PlantNode(ControlNode):
         self.was_driving = False
         self.period = self.spec.settings.control_period
         rig, self.sensed = self.spec.rig, self.measured()
-        sound = Gate(rig, self.period, None, self.sensed, bounds=self.gate_bounds).parameters
+        # The gate watches the signals of a loader_state.
+        watched = tuple(signal for signal in SENSED if signal in self.sensed)
+        sound = Gate(rig, self.period, None, watched, bounds=self.gate_bounds).parameters
         changed = tuned_for(GateParameters, rig, self.gate_defaults)._asdict()
         defaults = {**sound._asdict(), **{name: changed[name] for name in self.gate_defaults}}
         declare(self, GateParameters, defaults, live=True)
         self.awaited: tuple[str, ...] = ()
-        self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), self.sensed, bounds=self.gate_bounds)
+        self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), watched, bounds=self.gate_bounds)
         self._gate_services = GateServices(self, self.gate, self.refusal)
         self._ending = self.create_timer(0.0, self._leave, autostart=False, clock=self.steady)
         # Made by `open_topics`:
@@ -238,7 +241,7 @@ class PlantNode(ControlNode):
         return answered.wait(ASK_AGAIN) and future.result().current_state.id == State.PRIMARY_STATE_ACTIVE
 
     def measured(self) -> Collection[str]:
-        """Return the signals of ``SENSED`` that the rig measures; called once, by the constructor."""
+        """Return the signals that the rig measures; called once, by the constructor."""
         raise NotImplementedError
 
     def open_topics(self) -> None:
@@ -297,7 +300,7 @@ class PlantNode(ControlNode):
 
         Args:
             cycle: its number.
-            signals: readings in the order of ``SENSED``.
+            signals: readings in the order of ``SENSED``, and those of both chambers if the rig has them.
             sample: further arguments of :meth:`Gate.sense`.
         """
         self._decide_driver(cycle)
@@ -305,12 +308,13 @@ class PlantNode(ControlNode):
             self.references[message[1]] = message[2]
         if len(self.references) > KEPT:
             self.references = {k: force for k, force in self.references.items() if k >= cycle}
-        self.gate.sense(cycle, signals, self.references.pop(cycle, math.nan), **sample)
+        in_snapshot = signals[: len(SENSED)]
+        self.gate.sense(cycle, in_snapshot, self.references.pop(cycle, math.nan), **sample)
         stamp_ns = self._stamp_of(cycle)
         statistics = self.statistics
         statistics.opened = statistics.requested = time.perf_counter()
         self.handover.standby.cycle = cycle
-        self.state.send(stamp_ns, cycle, *signals)
+        self.state.send(stamp_ns, cycle, *in_snapshot)
         if self.clock is not None and cycle % (CLOCK_CYCLES if self.links is None else CLOCK_CYCLES_COMPOSED) == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
         snapshot = self.snapshot
@@ -326,7 +330,7 @@ class PlantNode(ControlNode):
             self.statistics.requested = time.perf_counter()
             self._decide_driver(cycle + (self.answered >= cycle))
             if self.commands.volatile or self.state.has_volatile_reader():
-                self.state.send(self.snapshot.stamp_ns, cycle, *self.snapshot.signals)
+                self.state.send(self.snapshot.stamp_ns, cycle, *self.snapshot.signals[: len(SENSED)])
 
     def publish_telemetry(self) -> None:
         """Publish telemetry of the cycle if due; called after the answer, so that the answer is not delayed."""

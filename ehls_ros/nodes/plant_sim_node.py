@@ -21,7 +21,6 @@ from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.running import run_node
 from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics.plant import V, X
-from ehls_ros.physics.rig import SENSED
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.recording.topics import DISTURBANCE, SERVO_REFERENCE
 from ehls_ros.schema import quantity
@@ -73,12 +72,12 @@ class PlantSimNode(PlantNode):
 
     def measured(self) -> Collection[str]:
         """Return all signals."""
-        return SENSED
+        return self.spec.rig.sensed
 
     def prepare(self) -> None:
         """Compile the plant and open the topics."""
         self.simulator = simulator_of(self.spec)
-        self.noise = _noise(self.spec.settings.seed)
+        self.noise = _noise(self.spec.settings.seed, self.simulator.truth.size)
         self.cycle = self.dense_steps = 0
         self.enabled = False
         self.time = SimulatedClock(self.period, time.perf_counter())
@@ -226,12 +225,12 @@ class PlantSimNode(PlantNode):
         return level, message, figures
 
 
-def _noise(seed: int) -> Iterator[Array]:
+def _noise(seed: int, signals: int) -> Iterator[Array]:
     """Yield standard normal numbers for one cycle after another, shape (signals,)."""
     random = np.random.default_rng(seed)
     while True:
         # The same numbers as from one draw per cycle, in far fewer calls.
-        yield from random.standard_normal((NOISE_CYCLES, len(SENSED)))
+        yield from random.standard_normal((NOISE_CYCLES, signals))
 
 
 def main() -> NoReturn:

@@ -14,8 +14,18 @@ from std_msgs.msg import Float64, Header
 from ehls_ros.nodes.codec import NANOSECONDS, Template
 from ehls_ros.nodes.frames import JOINT, loader_frame
 from ehls_ros.nodes.transport import links_of, message_class
-from ehls_ros.physics.rig import SENSED
-from ehls_ros.recording.topics import FORCE, JOINT_STATES, LOAD_PRESSURE, OIL_TEMPERATURE, SUPPLY_PRESSURE, WRENCH, Topic
+from ehls_ros.physics.rig import EVERY_SENSED
+from ehls_ros.recording.topics import (
+    FORCE,
+    JOINT_STATES,
+    LOAD_PRESSURE,
+    OIL_TEMPERATURE,
+    PRESSURE_A,
+    PRESSURE_B,
+    SUPPLY_PRESSURE,
+    WRENCH,
+    Topic,
+)
 
 ZERO_CELSIUS = 273.15
 """0 °C [K]."""
@@ -25,9 +35,11 @@ MESSAGES: tuple[tuple[Topic, str, float, Callable[[Header, float], Any]], ...] =
     (WRENCH, "force", 0.0, lambda header, value: WrenchStamped(header=header, wrench=Wrench(force=Vector3(x=value)))),
     (LOAD_PRESSURE, "load_pressure", 0.0, lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
     (SUPPLY_PRESSURE, "supply_pressure", 0.0, lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
+    (PRESSURE_A, "pressure_a", 0.0, lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
+    (PRESSURE_B, "pressure_b", 0.0, lambda header, value: FluidPressure(header=header, fluid_pressure=value)),
     (OIL_TEMPERATURE, "oil_temperature", ZERO_CELSIUS, lambda header, value: Temperature(header=header, temperature=value)),
 )
-"""Telemetry topics, each with its signal of ``SENSED``, the offset subtracted from it and the message constructor."""
+"""Telemetry topics, each with its signal, the offset subtracted from it and the message constructor."""
 
 MARK = 1234.5678
 """Placeholder for the value in an example message."""
@@ -54,14 +66,14 @@ class Telemetry:
         Args:
             node: owner.
             rate: rate of each topic [Hz]; 0: none.
-            measured: the signals of ``SENSED`` that the rig measures.
+            measured: the signals that the rig measures.
         """
         self._node = node
         self._links = links_of(node)
         header = Header(frame_id=loader_frame(node.get_namespace()))
         self._single = [
             _Signal(
-                SENSED.index(signal),
+                EVERY_SENSED.index(signal),
                 zero,
                 Template(serialize_message(make(header, MARK)), [MARK], stamped=topic is not FORCE),
                 node.create_publisher(message_class(topic.type), topic.name, 10),
@@ -81,7 +93,7 @@ class Telemetry:
         Args:
             time_s: plant time [s].
             stamp_ns: its stamp [ns].
-            measured: readings in the order of ``SENSED``; NaN if not available.
+            measured: readings in the order of ``EVERY_SENSED``; NaN if not available.
         """
         if time_s < self._next:
             return
@@ -91,7 +103,7 @@ class Telemetry:
             if not math.isnan(value) and publisher.get_subscription_count():
                 self._publish(publisher, template, stamp_ns, [value - zero])
         if self._joints.get_subscription_count():
-            readings = {field: measured[SENSED.index(signal)] for field, signal in JOINT_SIGNALS.items()}
+            readings = {field: measured[EVERY_SENSED.index(signal)] for field, signal in JOINT_SIGNALS.items()}
             known = {field: value for field, value in readings.items() if not math.isnan(value)}
             template = self._joint_templates.get(tuple(known)) or self._joint_template(tuple(known))
             self._publish(self._joints, template, stamp_ns, list(known.values()))

@@ -32,7 +32,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.duals import joined
 from ehls_ros.inlining import IS_PLAIN, faster_compilation, skip_scipy_check
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import HOOKS
+from ehls_ros.physics.effects.base import CHAMBER_HOOKS, HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.kernel_cache import PREFIX, is_sealed, make_private, sealed, store_source
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
@@ -198,7 +198,7 @@ def effects_of(rig: Rig | EffectiveRig) -> Effects:
 
 def effects_in_kernel(rig: Rig | EffectiveRig) -> tuple[EffectUse, ...]:
     """Return a rig's effects that have hooks; the others only shift parameters."""
-    return tuple(use for use in rig.effects if any(hasattr(EFFECTS.load(use.name), hook) for hook in HOOKS))
+    return tuple(use for use in rig.effects if any(hasattr(EFFECTS.load(use.name), hook) for hook in (*HOOKS, *CHAMBER_HOOKS)))
 
 
 def rig_elements(rig: Rig | EffectiveRig) -> int:
@@ -262,7 +262,7 @@ def _import(member: Any, name: str) -> str:
 def _chains(effects: Effects) -> list[str]:
     """Return the source lines that chain the hooks of the effects."""
     lines, rates, jumps, states, first = list[str](), list[str](), list[str](), 0, 0
-    chains: dict[str, list[str]] = {hook: [] for hook in (*HOOKS, "joint_force", "coupling_force")}
+    chains: dict[str, list[str]] = {hook: [] for hook in (*HOOKS, "joint_force", "coupling_force", *CHAMBER_HOOKS)}
     needed = 0
     for index, name in enumerate(effects.names):
         effect = EFFECTS.load(name)
@@ -277,6 +277,9 @@ def _chains(effects: Effects) -> list[str]:
         for hook in HOOKS:
             if hasattr(effect, hook):
                 chains[hook] += [*flag, f"{indent}value = effect_{index}.{hook}(value, {view})"]
+        for hook in CHAMBER_HOOKS:
+            if hasattr(effect, hook):
+                chains[hook] += [*flag, f"{indent}value = effect_{index}.{hook}(value, pressure, {view})"]
         if hasattr(effect, "PISTON"):
             chains["joint_force"] += [*flag, f"{indent}value = effect_{index}.force(value, {view})"]
         if getattr(effect, "COUPLES", False):
@@ -292,7 +295,8 @@ def _chains(effects: Effects) -> list[str]:
         first += count
     at_rest = [f"    for i in range({states}):", "        dz[i] = 0.0"] if effects.switched else []
     for hook, calls in chains.items():
-        lines += ["@kernel_no_refcount", f"def {hook}(value, t, y, w, z, p, plant):", *calls, "    return value"]
+        arguments = "value, pressure, t" if hook in CHAMBER_HOOKS else "value, t"
+        lines += ["@kernel_no_refcount", f"def {hook}({arguments}, y, w, z, p, plant):", *calls, "    return value"]
     lines += ["@kernel_no_refcount", "def jump(t, w, p):", "    value = inf", *jumps, "    return value"]
     lines += ["@kernel_no_refcount", "def rates(value, t, y, w, z, p, plant, dz):", *at_rest, *rates[:needed], "    return"]
     unused = () if jumps else ("received", "jump")

@@ -84,6 +84,28 @@ class DataSheet(NamedTuple):
     dead_volume: Annotated[
         Figure, quantity("cm^3", "oil in hoses, manifold and dead ends of both sides together", minimum=0.0, maximum=1e6)
     ] = None
+    cylinder: Annotated[
+        Literal["double_rod", "two_chamber"],
+        text(
+            "model of the cylinder, double_rod: one pressure on the mean area, for diagnosis and identification too; "
+            "two_chamber: a pressure on each area, for simulation and control"
+        ),
+    ] = "double_rod"
+    hose_a: Annotated[
+        Figure, quantity("cm^3", "oil in hose, manifold and dead end of the side without rod, A", minimum=0.0, maximum=1e6)
+    ] = None
+    hose_b: Annotated[
+        Figure, quantity("cm^3", "oil in hose, manifold and dead end of the rod side, B", minimum=0.0, maximum=1e6)
+    ] = None
+    flow_pa: Annotated[
+        Figure, quantity("l/min", "rated flow from P to A, if it differs from rated_flow", minimum=1e-2, maximum=1e5)
+    ] = None
+    flow_at: Annotated[Figure, quantity("l/min", "rated flow from A to T, likewise", minimum=1e-2, maximum=1e5)] = None
+    flow_pb: Annotated[Figure, quantity("l/min", "rated flow from P to B, likewise", minimum=1e-2, maximum=1e5)] = None
+    flow_bt: Annotated[Figure, quantity("l/min", "rated flow from B to T, likewise", minimum=1e-2, maximum=1e5)] = None
+    tank_pressure: Annotated[
+        Figure, quantity("bar", "pressure at the valve's port T", minimum=0.0, maximum=1e3, typical=0.0)
+    ] = None
     oil_density: Annotated[
         Figure, quantity("kg/m^3", "density of the oil (oil: at 15 °C)", minimum=300.0, maximum=3e3, typical=860.0)
     ] = None
@@ -111,6 +133,9 @@ class DataSheet(NamedTuple):
         Figure, quantity("N", "rms noise of the load cell's reading, or its resolution / 3.5", minimum=0.0, maximum=1e6)
     ] = None
 
+
+OF_CHAMBERS = ("hose_a", "hose_b", "flow_pa", "flow_at", "flow_pb", "flow_bt", "tank_pressure")
+"""Figures that only a cylinder of two chambers has."""
 
 NOISES: Mapping[str, str] = {"position": "position_noise", "load_pressure": "pressure_noise", "force": "force_noise"}
 """Figure with the noise of each sensor."""
@@ -143,8 +168,14 @@ def mean_area(bore: float, rod: float, rods: str) -> float:
         rod: rod diameter [m].
         rods: ``two`` or ``one``.
     """
+    a, b = areas(bore, rod, rods)
+    return 0.5 * (a + b)
+
+
+def areas(bore: float, rod: float, rods: str) -> tuple[float, float]:
+    """Return the piston areas in the chambers A and B [m^2]; arguments as of :func:`mean_area`."""
     whole, ring = 0.25 * math.pi * bore**2, 0.25 * math.pi * (bore**2 - rod**2)
-    return ring if rods == "two" else 0.5 * (whole + ring)
+    return (ring, ring) if rods == "two" else (whole, ring)
 
 
 def area_gradient(flow: float, drop: float, opening: float, discharge_coefficient: float, oil_density: float) -> float:
@@ -209,6 +240,10 @@ def sheet_from_mapping(data: Any, where: str) -> DataSheet:
     if sheet.rod >= sheet.bore:
         what = f"rod is {sheet.rod:g} mm, bore is {sheet.bore:g} mm"
         raise BadInput(what, where, "a rod thinner than the bore; are they swapped?")
+    if sheet.cylinder == "double_rod":
+        for name in OF_CHAMBERS:
+            if getattr(sheet, name) is not None:
+                raise BadInput(f"{name} is {getattr(sheet, name):g}", where, f"no {name}, or cylinder: two_chamber")
     return sheet
 
 
@@ -243,11 +278,51 @@ def rig_values(sheet: DataSheet) -> dict[str, dict[str, Source]]:
         damping = Source(COUPLING_DAMPING * stiffness.value, "assumed", f"{1e3 * COUPLING_DAMPING:g} ms times the stiffness")
         effects |= {"coupling_stiffness.stiffness": stiffness, "coupling_stiffness.damping": damping}
     friction = _friction(sheet, pressure * area, fastest)
-    return {"plant": plant, "friction": friction, "effects": effects, "sensors": sensors, "limits": limits}
+    rest = {"friction": friction, "effects": effects, "sensors": sensors, "limits": limits}
+    if sheet.cylinder == "double_rod":
+        return {"plant": plant, **rest}
+    cylinder = _chambers(sheet)
+    a, b = cylinder["area_a"].value, cylinder["area_b"].value
+    limits["force"] = Source(pressure * a, "computed", "supply_pressure · area_a")
+    limits["load_pressure"] = Source(pressure * a / area, "computed", "limits.force over the mean area")
+    out = math.sqrt(2.0 * pressure * a / (a**3 + b**3))
+    limits["velocity"] = Source(
+        opened * out / math.sqrt(value["oil_density"]), "computed", "outward at full opening without load, equal edges"
+    )
+    kept = {key: source for key, source in plant.items() if key not in ("piston_area", "total_volume")}
+    return {"plant": kept, "cylinder": cylinder, "valve": _edges(sheet), **rest}
+
+
+def _chambers(sheet: DataSheet) -> dict[str, Source]:
+    """Return the values of a cylinder of two chambers."""
+    stroke, found = sheet.stroke * size("mm"), dict[str, Source]()
+    for side, area in zip("ab", areas(sheet.bore * size("mm"), sheet.rod * size("mm"), sheet.rods), strict=True):
+        basis = "π/4 bore²" if side == "a" and sheet.rods == "one" else "π/4 (bore² - rod²)"
+        found[f"area_{side}"] = Source(area, "computed", basis)
+        half, hose = 0.5 * area * stroke, getattr(sheet, f"hose_{side}")
+        volume = Source(2.0 * half, "assumed", f"area_{side} · stroke; measure hose and manifold")
+        if hose is not None:
+            volume = Source(half + hose * size("cm^3"), "computed", f"area_{side} · stroke / 2 + hose_{side}")
+        elif sheet.dead_volume is not None:
+            own = 0.5 * sheet.dead_volume * size("cm^3")
+            volume = Source(half + own, "computed", f"area_{side} · stroke / 2 + dead_volume / 2")
+        found[f"volume_{side}"] = volume
+    return {**found, "tank_pressure": _figure(sheet, "tank_pressure", "a gauge at port T")}
+
+
+def _edges(sheet: DataSheet) -> dict[str, Source]:
+    """Return the gains of the four metering edges, relative to ``rated_flow``."""
+    given = {edge: getattr(sheet, f"flow_{edge}") for edge in ("pa", "at", "pb", "bt")}
+    return {
+        f"gain_{edge}": Source(1.0, "assumed", "all edges pass rated_flow")
+        if flow is None
+        else Source(flow / sheet.rated_flow, "computed", f"flow_{edge} / rated_flow")
+        for edge, flow in given.items()
+    }
 
 
 def _plant(sheet: DataSheet) -> dict[str, Source]:
-    fitted = "`ehls identify --whole-rig` measures it"
+    fitted = "`ehls identify --whole-rig` measures it" if sheet.cylinder == "double_rod" else "a measurement replaces it"
     pressure, density = _figure(sheet, "supply_pressure"), _figure(sheet, "oil_density", "the oil's data sheet")
     travel = _figure(sheet, "spool_travel").value
     area = mean_area(sheet.bore * size("mm"), sheet.rod * size("mm"), sheet.rods)

@@ -79,16 +79,14 @@ def rates(rig: Rig, servo: Servo | None = None) -> Iterator[Rate]:
     piston = effective.piston_mass()
     mass = min(p.moving_mass, piston) if piston > 0.0 else p.moving_mass
     on_mass = f"on {mass:g} kg"
-    oil = 4.0 * p.bulk_modulus / p.total_volume
     # The piston's largest velocity limits the flow; the spool's limit may allow far more.
     gradient = p.discharge_coefficient * p.valve_area_gradient * math.sqrt(p.supply_pressure / p.oil_density)
     flow = min(gradient * p.valve_gain * limits.spool, p.piston_area * limits.velocity)
     yield Rate("valve", p.valve_bandwidth, DECAY, ("valve_bandwidth",))
-    column = math.sqrt(oil * p.piston_area**2 / mass)
-    yield Rate("oil column", column, OSCILLATION, ("bulk_modulus", "piston_area", "total_volume"), on_mass)
-    yield Rate("leakage", oil * p.leakage_coefficient, DECAY, ("leakage_coefficient", "bulk_modulus", "total_volume"))
-    orifice = 0.5 * oil * flow / p.supply_pressure
-    yield Rate("valve's flow", orifice, DECAY, ("supply_pressure", "bulk_modulus", "total_volume"), f"at {flow:g} m^3/s")
+    oil = effective.cylinder.law.oil_rates(effective, flow)
+    yield Rate("oil column", math.sqrt(oil.column / mass), OSCILLATION, oil.keys, on_mass)
+    yield Rate("leakage", oil.leakage, DECAY, ("leakage_coefficient", *oil.keys))
+    yield Rate("valve's flow", oil.orifice, DECAY, ("supply_pressure", *oil.keys), f"at {flow:g} m^3/s")
     if math.isfinite(stiffness := law.stiffness(f)):
         springs = tuple(key for key, unit in units_of(type(f)).items() if unit == "N/m")
         yield Rate("presliding friction", math.sqrt(stiffness / mass), OSCILLATION, springs, on_mass)

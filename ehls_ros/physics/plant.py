@@ -1,13 +1,15 @@
 """The plant: equations (1)-(4) and a friction model, as one hybrid system for the integrator.
 
 State ``y``: position and velocity of the moving mass (the piston's, unless an effect separates load and piston), load
-pressure, spool displacement (x1..x4 of (24)), then the forces of the friction model, then the states of the effects.
+pressure, spool displacement (x1..x4 of (24)), then the forces of the friction model, then the states of the cylinder, then
+those of the effects. Where the pressures of both chambers are states of the cylinder, the load pressure is no state: every
+evaluation of the equations writes it to ``y``, as the driving force over ``piston_area``.
 
-Modes: sign of the valve opening, then those of the friction model.
+Modes: those of the valve, of the cylinder, and of the friction model; each cylinder and valve starts with modes of 1.
 
-:func:`relations` builds the equations with the effects' hooks; :func:`system` builds the simulator's plant from these
-and a friction model. All functions are inlined, so unused effects cost nothing. The models that run along a recording
-(:mod:`ehls_ros.physics.imposed_motion`) use the same relations.
+:func:`relations` builds the equations with the effects' hooks; :func:`system` builds the simulator's plant from these,
+a cylinder, a valve and a friction model. All functions are inlined, so unused effects cost nothing. The models that run along a
+recording (:mod:`ehls_ros.physics.imposed_motion`) use the same relations.
 """
 
 import math
@@ -15,7 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel, kernel_no_refcount
-from ehls_ros.physics.equations import applied_force, load_flow, load_pressure_rate, spool_rate
+from ehls_ros.physics.equations import applied_force, load_flow, spool_rate
 from ehls_ros.physics.parameters import Plant
 
 X, V, PL, XV, FRICTION = 0, 1, 2, 3, 4
@@ -52,6 +54,8 @@ class Coefficients(NamedTuple):
         effects: ``p`` of the chains: the parameters of all effects in one array, or
             :class:`~ehls_ros.physics.composition.Switched`.
         command: spool command that has arrived at the valve [m].
+        cylinder: ``Parameters`` of the cylinder; () if it has none.
+        valve: ``Parameters`` of the valve; () if it has none.
     """
 
     plant: Plant
@@ -59,6 +63,8 @@ class Coefficients(NamedTuple):
     inputs: Array
     effects: Any
     command: float
+    cylinder: Any
+    valve: Any
 
 
 @kernel
@@ -124,6 +130,7 @@ class Chains(NamedTuple):
         jump: ``jump(t, w, p)``, the time of the next jump of ``received`` after t [s]; None if no effect delays the command.
         joint_force: ``force`` of only those effects that can separate the load from the piston.
         coupling_force: ``force`` of only those effects that couple the loader to the position servo.
+        chamber_modulus, piston_leakage: the hooks on a chamber, which have a pressure as their second argument.
         rates: ``rates(command, t, y, w, z, p, plant, dz)`` writes the rates of the effects' states.
     """
 
@@ -140,6 +147,8 @@ class Chains(NamedTuple):
     piston_velocity: Callable[..., float]
     joint_force: Callable[..., float]
     coupling_force: Callable[..., float]
+    chamber_modulus: Callable[..., float]
+    piston_leakage: Callable[..., float]
     rates: Callable[..., None]
 
 
@@ -164,8 +173,23 @@ class Relations(NamedTuple):
     effect_rates: Callable[..., None]
 
 
-def relations(chains: Chains) -> Relations:
-    """Build the equations with the effects of ``chains``."""
+class Oil(NamedTuple):
+    """Volume balance of a cylinder with its valve, as compiled functions of ``t, y, z, c`` as in :class:`Relations`.
+
+    Attributes:
+        evaluate: ``evaluate(t, y, z, mode, c, rate)`` writes the rates of the load pressure or of the chambers, and returns
+            the event function of valve and cylinder; ``mode`` begins with their modes.
+        switch: ``switch(t, y, z, mode, c)`` changes these modes at the event.
+        sense: ``sense(t, y, z, c, truth)`` writes the true values of force and pressures.
+    """
+
+    evaluate: Callable[..., float]
+    switch: Callable[..., None]
+    sense: Callable[..., None]
+
+
+def relations(chains: Chains, flow: Callable[..., float] = load_flow) -> Relations:
+    """Build the equations with the effects of ``chains``, and the load flow of a valve."""
     command, opening, supply_pressure = chains.command, chains.opening, chains.supply_pressure
     bulk_modulus, leakage = chains.bulk_modulus, chains.leakage
     force, rates = chains.force, chains.rates
@@ -179,10 +203,10 @@ def relations(chains: Chains) -> Relations:
         orifice: float, direction: float, t: float, y: Array, z: Array, c: Coefficients
     ) -> tuple[float, float, float, float]:
         supply = supply_pressure(c.plant.supply_pressure, t, y, c.inputs, z, c.effects, c.plant)
-        flow = load_flow(orifice, direction, y[PL], supply, c.plant)  # (1)
+        through = flow(orifice, direction, y[PL], supply, c.plant)  # (1)
         leak = leakage(0.0, t, y, c.inputs, z, c.effects, c.plant)
         modulus = bulk_modulus(c.plant.bulk_modulus, t, y, c.inputs, z, c.effects, c.plant)
-        return flow, leak, modulus, supply
+        return through, leak, modulus, supply
 
     @kernel_no_refcount
     def spool(t: float, y: Array, z: Array, c: Coefficients) -> float:
@@ -255,10 +279,24 @@ def motion(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
     return evaluate, switch
 
 
-def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., float], Callable[..., None]]:
+def first_effect(cylinder: Any, elements: int) -> int:
+    """Return the index of the effects' first state in ``y``.
+
+    Args:
+        cylinder: module of the cylinder.
+        elements: number of the friction model's forces.
+    """
+    return FRICTION + elements + int(cylinder.STATES)
+
+
+def system(
+    cylinder: Any, valve: Any, friction: Any, elements: int, chains: Chains
+) -> tuple[Callable[..., float], Callable[..., None]]:
     """Build the simulator's plant.
 
     Args:
+        cylinder: module of the cylinder.
+        valve: module of the valve.
         friction: module of the friction model.
         elements: number of the model's forces.
         chains: hooks of the effects.
@@ -266,35 +304,32 @@ def system(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., 
     Returns:
         ``evaluate`` and ``switch`` for :mod:`ehls_ros.physics.integration`.
     """
-    end = FRICTION + elements
-    effective_opening, volume, spool, extra, effect_rates = relations(chains)
+    end, oil_modes = first_effect(cylinder, elements), valve.MODES + cylinder.MODES
+    equations = relations(chains)
+    spool, extra, effect_rates = equations.spool, equations.extra, equations.effect_rates
     move, reverse = motion(friction, elements, chains)
-    piston_velocity = chains.piston_velocity
+    balance_oil, switch_oil, _ = cylinder.build(valve, chains, FRICTION + elements)
 
     @kernel_no_refcount
     def evaluate(t: float, y: Array, mode: Array, c: Coefficients, rate: Array) -> float:
         """Write dy/dt of (24) with the effects applied.
 
         Returns:
-            Event function: positive once the opening has changed sign or a friction mode must change.
+            Event function: positive once a mode of valve, cylinder or friction must change.
         """
-        plant, z = c.plant, y[end:]
-        orifice = effective_opening(t, y, z, c)
-        flow, leak, modulus, _ = volume(orifice, mode[0], t, y, z, c)
-        piston = piston_velocity(y[V], t, y, c.inputs, z, c.effects, plant)
-        rate[PL] = load_pressure_rate(flow, piston, y[PL], leak, modulus, plant)  # (2)
+        z = y[end:]
+        passed = balance_oil(t, y, z, mode, c, rate)  # (1), (2)
         rate[XV] = spool(t, y, z, c)  # (4)
-        changed = move(extra(t, y, z, c), t, y, z, mode[1:], c, rate)  # (3), (6), (8)
+        changed = move(extra(t, y, z, c), t, y, z, mode[oil_modes:], c, rate)  # (3), (6), (8)
         effect_rates(t, y, z, c, rate[end:])
-        return max(-mode[0] * orifice, changed)
+        return max(passed, changed)
 
     @kernel_no_refcount
     def switch(t: float, y: Array, mode: Array, c: Coefficients) -> None:
         """Change the modes at an event."""
         z = y[end:]
-        if -mode[0] * effective_opening(t, y, z, c) > 0.0:
-            mode[0] = -mode[0]
-        reverse(extra(t, y, z, c), t, y, z, mode[1:], c)
+        switch_oil(t, y, z, mode, c)
+        reverse(extra(t, y, z, c), t, y, z, mode[oil_modes:], c)
 
     return evaluate, switch
 

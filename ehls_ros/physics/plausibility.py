@@ -16,7 +16,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.parameters import Limits
-from ehls_ros.physics.rig import SENSED, Rig, check_friction_effects
+from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED, Rig, check_effects
 from ehls_ros.schema import declarations
 from ehls_ros.units import QUANTITIES, UNITS, size
 
@@ -40,6 +40,10 @@ RANGES: dict[tuple[str, str], tuple[float, float]] = {
     ("plant", "spring_stiffness"): (0.0, 1e10),
     ("plant", "viscous_damping"): (0.0, 1e7),
     ("plant", "valve_bandwidth"): (0.1, 1e5),
+    ("cylinder", "area_a"): (1e-6, 1.0),
+    ("cylinder", "area_b"): (1e-6, 1.0),
+    ("cylinder", "volume_a"): (1e-8, 1.0),
+    ("cylinder", "volume_b"): (1e-8, 1.0),
     ("friction", "stribeck_velocity"): (1e-6, 1.0),
     ("friction", "stribeck_exponent"): (0.01, 4.0),
     ("friction", "viscous_coefficient"): (0.0, 1e7),
@@ -157,6 +161,7 @@ SCALES: dict[str, Callable[[Rig], float]] = {
     "force": lambda rig: max(rig.limits.force, largest_force(rig)),
     "supply_pressure": lambda rig: rig.plant.supply_pressure,
     "oil_temperature": lambda rig: 450.0,
+    **dict.fromkeys(CHAMBER_SENSED, lambda rig: max(rig.limits.load_pressure, rig.plant.supply_pressure)),
 }
 """Largest value of each signal, the bound on noise, resolution and bias of its sensor."""
 
@@ -174,9 +179,14 @@ def check_rig(rig: Rig, where: str) -> None:
     Raises:
         BadInput: the first implausible parameter or relation, or an effect without a coefficient to act on.
     """
+    # Those of the plant may follow from the cylinder's.
+    for section, use in (("cylinder", rig.cylinder), ("valve", rig.valve)):
+        if use.parameters:
+            check_ranges(use.parameters, section, f"{where}: {section}")
     for section in ("plant", "friction", "limits"):
         check_ranges(getattr(rig, section), section, f"{where}: {section}")
-    check_friction_effects(rig, f"{where}: effects")
+    rig.cylinder.law.check_stroke(rig.cylinder.parameters, rig.limits.position, f"{where}: cylinder")
+    check_effects(rig, f"{where}: effects")
     for relation in RELATIONS:
         value = relation.value(rig)
         if not relation.low <= value <= relation.high:

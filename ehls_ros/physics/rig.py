@@ -7,11 +7,15 @@ from typing import Any, NamedTuple, get_type_hints
 
 from ehls_ros.arrays import in_python
 from ehls_ros.errors import BadInput, one_of
+from ehls_ros.families import Family
+from ehls_ros.physics.cylinder import CYLINDERS
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import acts_on_chambers
 from ehls_ros.physics.equations import piston_mass
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel
 from ehls_ros.physics.parameters import Limits, Plant, Sensor
+from ehls_ros.physics.valve import VALVES
 from ehls_ros.schema import missing_key, notes, parse
 
 
@@ -28,8 +32,38 @@ class EffectUse(NamedTuple):
         return 0.0 if share is None else float(share(self.parameters))
 
 
+class CylinderUse(NamedTuple):
+    """The cylinder of a rig with its parameters; () if it has none beyond those of ``plant``."""
+
+    model: str = "double_rod"
+    parameters: Any = ()
+
+    @property
+    def law(self) -> Any:
+        """The cylinder's module."""
+        return CYLINDERS.load(self.model)
+
+
+class ValveUse(NamedTuple):
+    """The valve of a rig with its parameters; () if it has none beyond those of ``plant``."""
+
+    model: str = "load_flow"
+    parameters: Any = ()
+
+    @property
+    def law(self) -> Any:
+        """The valve's module."""
+        return VALVES.load(self.model)
+
+
 SENSED = ("position", "velocity", "load_pressure", "spool_position", "force", "supply_pressure", "oil_temperature")
-"""The signals of a loader_state, in order."""
+"""The signals that every rig has, in the order of a loader_state."""
+
+CHAMBER_SENSED = ("pressure_a", "pressure_b")
+"""The signals after :data:`SENSED` of a rig whose cylinder has two chambers."""
+
+EVERY_SENSED = SENSED + CHAMBER_SENSED
+"""The signals of such a rig, in order."""
 
 
 class Rig(NamedTuple):
@@ -42,6 +76,7 @@ class Rig(NamedTuple):
         effects: effects beyond the paper's model; empty for the paper's rig.
         sensors: sensors by signal; a missing one is perfect.
         limits: limits of the rig.
+        cylinder, valve: cylinder and valve.
         other_friction: keys of the rig file that belong to other friction models, kept for a change of model.
         standard_errors: standard errors of coefficients by dotted path, such as ``plant.bulk_modulus``, in their units.
     """
@@ -52,6 +87,8 @@ class Rig(NamedTuple):
     effects: tuple[EffectUse, ...]
     sensors: Mapping[str, Sensor]
     limits: Limits
+    cylinder: CylinderUse = CylinderUse()
+    valve: ValveUse = ValveUse()
     other_friction: Mapping[str, Any] = {}
     standard_errors: Mapping[str, float] = {}
 
@@ -72,10 +109,24 @@ class Rig(NamedTuple):
         """Return the rig with the shifts of its effects applied to its parameters."""
         rig = self
         for use in self.effects:
-            shift = getattr(EFFECTS.load(use.name), "shift", None)
-            if shift is not None:
-                rig = shift(rig, use.parameters)
-        return EffectiveRig(rig.plant, rig.friction_model, rig.friction, rig.effects, rig.sensors, rig.limits)
+            for name in ("shift", "shift_chambers") if self.cylinder.law.CHAMBERS else ("shift",):
+                shift = getattr(EFFECTS.load(use.name), name, None)
+                if shift is not None:
+                    rig = shift(rig, use.parameters)
+        if derived := self.cylinder.law.derived(rig.cylinder.parameters):
+            rig = rig.with_plant(**derived)
+        return EffectiveRig(
+            rig.plant, rig.friction_model, rig.friction, rig.effects, rig.sensors, rig.limits, rig.cylinder, rig.valve
+        )
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """The signals of its loader_state, in order."""
+        return SENSED + tuple(self.cylinder.law.SENSED)
+
+    def with_cylinder(self, **values: Any) -> "Rig":
+        """Return the rig with other parameters of its cylinder."""
+        return self._replace(cylinder=self.cylinder._replace(parameters=self.cylinder.parameters._replace(**values)))
 
     def quiet(self) -> "Rig":
         """Return the rig with sensors free of noise and quantisation."""
@@ -113,11 +164,18 @@ class EffectiveRig(NamedTuple):
     effects: tuple[EffectUse, ...]
     sensors: Mapping[str, Sensor]
     limits: Limits
+    cylinder: CylinderUse
+    valve: ValveUse
 
     @property
     def friction_law(self) -> FrictionModel:
         """The module of the friction model."""
         return FRICTION_MODELS.load(self.friction_model)
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """The signals of its loader_state, in order."""
+        return SENSED + tuple(self.cylinder.law.SENSED)
 
     def friction_level(self, velocity: float) -> float:
         """Return the friction of steady sliding [N], see :meth:`Rig.friction_level`."""
@@ -142,7 +200,7 @@ ABSENT: Mapping[type, Mapping[str, Any]] = {
 }
 """Placeholders of keys missing in a rig file."""
 
-SECTIONS = ("plant", "friction", "effects", "sensors", "limits", "standard_errors")
+SECTIONS = ("plant", "friction", "cylinder", "valve", "effects", "sensors", "limits", "standard_errors")
 
 MAX_EFFECTS = 64
 """Most effects of a rig, including those of an experiment; the compile time of its equations grows more than linearly."""
@@ -171,7 +229,7 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
             raise BadInput(f"section {section!r} is unknown", where, one_of(section, SECTIONS))
     if "friction" not in data:
         raise BadInput("section 'friction' is missing", where, "a mapping of its keys")
-    for section in ("plant", "friction", "limits"):
+    for section in ("plant", "friction", "cylinder", "valve", "limits"):
         if not isinstance(data.get(section, {}), Mapping):
             raise BadInput(f"section '{section}' is {data[section]!r}", where, "a mapping of its keys")
     model, friction, others = _friction_from_mapping(data["friction"], f"{where}: friction")
@@ -179,17 +237,48 @@ def rig_from_mapping(data: Any, where: str) -> Rig:
     if "position" in data.get("limits", {}) and not limits.position[0] < limits.position[1]:
         expected = "two finite numbers [min, max] with min < max [m]"
         raise BadInput(f"position is {list(limits.position)}", f"{where}: limits", expected)
+    cylinder = CylinderUse(*_member(CYLINDERS, CylinderUse().model, data.get("cylinder", {}), f"{where}: cylinder"))
+    valve = ValveUse(*_member(VALVES, cylinder.law.DEFAULT_VALVE, data.get("valve", {}), f"{where}: valve"))
+    if not hasattr(valve.law, cylinder.law.FLOW):
+        usable = ", ".join(name for name in VALVES.names() if hasattr(VALVES.load(name), cylinder.law.FLOW))
+        raise BadInput(
+            f"the valve {valve.model} has no flow for cylinder {cylinder.model}", f"{where}: valve", f"model: {usable}"
+        )
     rig = Rig(
-        plant=parse(Plant, data.get("plant", {}), f"{where}: plant", ABSENT[Plant]),
+        plant=_plant_from_mapping(data.get("plant", {}), cylinder, f"{where}: plant"),
         friction_model=model,
         friction=friction,
         effects=effects_from_list([] if data.get("effects") is None else data["effects"], f"{where}: effects"),
-        sensors=_sensors_from_mapping({} if data.get("sensors") is None else data["sensors"], f"{where}: sensors"),
+        sensors=_sensors_from_mapping(
+            {} if data.get("sensors") is None else data["sensors"], SENSED + tuple(cylinder.law.SENSED), f"{where}: sensors"
+        ),
         limits=limits,
+        cylinder=cylinder,
+        valve=valve,
         other_friction=others,
     )
-    check_friction_effects(rig, f"{where}: effects")
+    check_effects(rig, f"{where}: effects")
     return rig._replace(standard_errors=_errors_from_mapping(data.get("standard_errors"), rig, f"{where}: standard_errors"))
+
+
+def _member(family: Family[Any], default: str, data: Mapping[str, Any], where: str) -> tuple[str, Any]:
+    """Return the name and the parameters of a cylinder or a valve; () if it has no keys."""
+    name = data.get("model", default)
+    law = family.load(name, f"{where}: model")
+    parameters = parse(law.Parameters, {key: value for key, value in data.items() if key != "model"}, where)
+    law.check(parameters, where)
+    return name, parameters or ()
+
+
+def _plant_from_mapping(data: Mapping[str, Any], cylinder: CylinderUse, where: str) -> Plant:
+    """Check the plant section; keys that follow from those of the cylinder are refused."""
+    derived = cylinder.law.derived(cylinder.parameters)
+    for key in derived:
+        if key in data:
+            raise BadInput(
+                f"key '{key}' is given", where, f"no such key, as it follows from those of cylinder {cylinder.model}"
+            )
+    return parse(Plant, {**data, **derived}, where, ABSENT[Plant])
 
 
 def unknown_keys(rig: Rig) -> tuple[str, ...]:
@@ -256,16 +345,43 @@ def _keys_of(models: tuple[str, ...]) -> dict[str, Any]:
     return {key: NamedTuple("Key", [(key, hint)]) for key, hint in hints.items()}
 
 
-def check_friction_effects(rig: Rig, where: str) -> None:
-    """Check that a rig's effects are compatible with its friction model.
+def check_one_pressure(rig: Rig, task: str, where: str) -> None:
+    """Check that a rig's cylinder has a load pressure as its only state, for a task that has no other volume balance.
+
+    Args:
+        rig: the rig.
+        task: the task, for error messages.
+        where: the file or recording, for error messages.
+
+    Raises:
+        BadInput: the pressures of both chambers are states.
+    """
+    if rig.cylinder.law.CHAMBERS:
+        expected = f"model: double_rod, the only cylinder for which there is {task}"
+        raise BadInput(f"the rig's cylinder is {rig.cylinder.model}", f"{where}: cylinder", expected)
+
+
+def check_effects(rig: Rig, where: str) -> None:
+    """Check that a rig's effects are compatible with its cylinder and its friction model.
 
     Args:
         rig: the rig.
         where: file and section of the effects, for error messages.
 
     Raises:
-        BadInput: the model has none of the coefficients that an effect shifts, or the shifted values contradict each other.
+        BadInput: the model has none of the coefficients that an effect shifts, the shifted values contradict each other, or
+            an effect acts on the load pressure of a cylinder that has chambers.
     """
+    if rig.cylinder.law.CHAMBERS:
+        for use in rig.effects:
+            if not acts_on_chambers(EFFECTS.load(use.name)):
+                what = f"effect {use.name!r} acts on a load pressure, which cylinder {rig.cylinder.model} does not have"
+                raise BadInput(what, where, "effects on the oil that act on a chamber, or cylinder: {model: double_rod}")
+            neutral = EFFECTS.load(use.name).Parameters()
+            for key in getattr(EFFECTS.load(use.name), "NOT_IN_CHAMBERS", ()):
+                if (value := getattr(use.parameters, key)) != getattr(neutral, key):
+                    what = f"{key} of effect {use.name!r} is {value:g}, which no chamber of cylinder {rig.cylinder.model} has"
+                    raise BadInput(what, where, f"{key}: {getattr(neutral, key):g}, or cylinder: {{model: double_rod}}")
     for use in rig.effects:
         shifted = getattr(EFFECTS.load(use.name), "SHIFTS", ())
         if shifted and not set(shifted) & set(rig.friction._fields):
@@ -316,12 +432,12 @@ def check_effect_count(count: int, where: str) -> None:
         raise BadInput(f"{count} effects", where, f"at most {MAX_EFFECTS}, those of rig and experiment together")
 
 
-def _sensors_from_mapping(data: Any, where: str) -> dict[str, Sensor]:
+def _sensors_from_mapping(data: Any, signals: tuple[str, ...], where: str) -> dict[str, Sensor]:
     if not isinstance(data, Mapping):
         raise BadInput(f"sensors is {data!r}", where, "a mapping signal: {noise_std, resolution, ...}")
     for signal in data:
-        if signal not in SENSED:
-            raise BadInput(f"signal {signal!r} is unknown", where, one_of(signal, SENSED))
+        if signal not in signals:
+            raise BadInput(f"signal {signal!r} is unknown", where, one_of(signal, signals))
         if not isinstance(data[signal], Mapping | None):
             raise BadInput(f"{signal} is {data[signal]!r}", where, f"a mapping of {', '.join(Sensor._fields)}")
     return {signal: parse(Sensor, values or {}, f"{where}: {signal}") for signal, values in data.items()}
@@ -345,8 +461,10 @@ def has_number(rig: Rig, path: str) -> bool:
     names: dict[str, Collection[str]] = {
         "plant": Plant._fields,
         "friction": (*rig.friction._fields, *rig.other_friction),
+        "cylinder": rig.cylinder.law.Parameters._fields,
+        "valve": rig.valve.law.Parameters._fields,
         "effects": next((use.parameters._fields for use in rig.effects if use.name == owner), ()),
-        "sensors": Sensor._fields if owner in SENSED else (),
+        "sensors": Sensor._fields if owner in rig.sensed else (),
     }
     return (key if section in ("effects", "sensors") else name) in names.get(section, ())
 
@@ -367,12 +485,17 @@ def rig_to_mapping(rig: Rig) -> dict[str, Any]:
         values = plain(getattr(rig, section))
         return {key: value for key, value in values.items() if f"{section}.{key}" not in unknown}
 
-    unknown = unknown_keys(rig)
+    def member(use: CylinderUse | ValveUse, default: str) -> dict[str, Any] | None:
+        return {"model": use.model, **plain(use.parameters)} if use.parameters or use.model != default else None
+
+    unknown = {*unknown_keys(rig), *(f"plant.{key}" for key in rig.cylinder.law.derived(rig.cylinder.parameters))}
+    oil = {"cylinder": member(rig.cylinder, CylinderUse().model), "valve": member(rig.valve, rig.cylinder.law.DEFAULT_VALVE)}
     derived = _derived(rig.friction_law, rig.other_friction)
     friction = {key: value for key, value in rig.friction._asdict().items() if derived.get(key) != value}
     return {
         "plant": known("plant"),
         "friction": {"model": rig.friction_model, **listed(friction), **listed(rig.other_friction)},
+        **{section: values for section, values in oil.items() if values is not None},
         "effects": [{"name": use.name, **plain(use.parameters)} for use in rig.effects],
         "sensors": {signal: plain(sensor) for signal, sensor in rig.sensors.items()},
         "limits": known("limits"),

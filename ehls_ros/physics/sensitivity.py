@@ -25,15 +25,15 @@ from ehls_ros.physics import sensors, simulator
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.plant import PL, TEMPERATURE, XV, Chains, V, X, hold
-from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
+from ehls_ros.physics.plant import FRICTION, PL, TEMPERATURE, XV, Chains, V, X, hold
+from ehls_ros.physics.rig import EffectiveRig, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Constants, Simulated, State, at_rest, parts_of
 
 MAX_AT_ONCE = 22
 """Most coefficients in one run; more are divided among several. Both a run and a coefficient have a fixed cost."""
 
 STARTS = {"start.position": X, "start.velocity": V, "start.load_pressure": PL, "start.spool": XV}
-"""Initial states that can be chosen, with their indices in the state."""
+"""Initial states that can be chosen, with their indices in the state; no load pressure if a cylinder has chambers."""
 
 WHERE = "sensitivities"
 
@@ -62,7 +62,7 @@ class Sensitivities(NamedTuple):
     """A trajectory and its derivatives.
 
     Attributes:
-        readings: noise-free readings at the start of each cycle, in the order of ``SENSED``, shape (n, signals).
+        readings: noise-free readings at the start of each cycle, in the order of the rig's ``sensed``, shape (n, signals).
         derivatives: derivatives of the readings by the coefficients, each in its unit, shape (n, signals, coefficients).
         dense: number of integration steps with more events than were located, normally 0; derivatives may be wrong there.
     """
@@ -112,8 +112,9 @@ def sensitivities(
 
 def _check(path: str, rig: Rig, start: Mapping[str, float], coefficients: Sequence[str]) -> None:
     """Reject a path that is unknown or given twice."""
-    possible = (*_numbers(rig), *STARTS)
-    if path not in possible or (path in start and path not in STARTS):
+    starts = [name for name, place in STARTS.items() if place != PL or not rig.cylinder.law.CHAMBERS]
+    possible = (*_numbers(rig), *starts)
+    if path not in possible or (path in start and path not in starts):
         raise BadInput(f"coefficient {path!r} is unknown", WHERE, one_of(path, possible))
     if list(coefficients).count(path) > 1:
         raise BadInput(f"coefficient {path!r} is given twice", WHERE, "each coefficient once")
@@ -121,21 +122,26 @@ def _check(path: str, rig: Rig, start: Mapping[str, float], coefficients: Sequen
 
 def _numbers(rig: Rig) -> dict[str, float]:
     """Return all numbers of a rig by their paths."""
-    parts: dict[str, Any] = {"plant": rig.plant, "friction": rig.friction}
+    derived = rig.cylinder.law.derived(rig.cylinder.parameters)
+    oil = {"cylinder": rig.cylinder.parameters, "valve": rig.valve.parameters}
+    parts: dict[str, Any] = {"plant": rig.plant, "friction": rig.friction, **{k: p for k, p in oil.items() if p}}
     parts |= {f"effects.{use.name}": use.parameters for use in rig.effects}
-    parts |= {f"sensors.{signal}": rig.sensors.get(signal, Sensor()) for signal in SENSED}
+    parts |= {f"sensors.{signal}": rig.sensors.get(signal, Sensor()) for signal in rig.sensed}
     out = dict[str, float]()
     for section, parameters in parts.items():
         for name, value in parameters._asdict().items():
             values = {f"_{i + 1}": v for i, v in enumerate(value)} if isinstance(value, tuple) else {"": value}
             out |= {f"{section}.{name}{entry}": v for entry, v in values.items()}
-    return out
+    return {path: value for path, value in out.items() if path.removeprefix("plant.") not in derived}
 
 
 def _varied(rig: Rig, coefficients: Sequence[str]) -> Rig:
     """Return a rig whose chosen coefficients are duals."""
 
     def part(section: str, parameters: Any) -> Any:
+        if not parameters:
+            return parameters
+
         def number(name: str, value: Any) -> Any:
             if isinstance(value, tuple):
                 return tuple(number(f"{name}_{i + 1}", v) for i, v in enumerate(value))
@@ -147,8 +153,10 @@ def _varied(rig: Rig, coefficients: Sequence[str]) -> Rig:
     return rig._replace(
         plant=part("plant", rig.plant),
         friction=part("friction", rig.friction),
+        cylinder=rig.cylinder._replace(parameters=part("cylinder", rig.cylinder.parameters)),
+        valve=rig.valve._replace(parameters=part("valve", rig.valve.parameters)),
         effects=tuple(use._replace(parameters=part(f"effects.{use.name}", use.parameters)) for use in rig.effects),
-        sensors={signal: part(f"sensors.{signal}", rig.sensors.get(signal, Sensor())) for signal in SENSED},
+        sensors={signal: part(f"sensors.{signal}", rig.sensors.get(signal, Sensor())) for signal in rig.sensed},
     )
 
 
@@ -174,16 +182,20 @@ class Given(NamedTuple):
     """Constants of a run; duals as rows, shape (…, width).
 
     Attributes:
-        plant, friction: the parameters, which provide the names.
-        plant_rows, friction_rows, effect_rows: the parameters as duals.
+        plant, friction, cylinder, valve: the parameters, which provide the names; () for a part without any.
+        plant_rows, friction_rows, cylinder_rows, valve_rows, effect_rows: the parameters as duals.
         sensors: table of the sensors.
         period, step, steps: those of :class:`~ehls_ros.physics.simulator.Constants`.
     """
 
     plant: Any
     friction: Any
+    cylinder: Any
+    valve: Any
     plant_rows: Array
     friction_rows: Array
+    cylinder_rows: Array
+    valve_rows: Array
     effect_rows: Array
     sensors: Array
     period: float
@@ -242,7 +254,7 @@ class Prepared(NamedTuple):
     def readings(self) -> Array:
         """Return the readings and their derivatives after the run, shape (n, signals, 1 + coefficients)."""
         found = self.out[:, :, : 1 + self.chosen].copy()
-        for column, signal in enumerate(SENSED):
+        for column, signal in enumerate(self.sensors):
             # The kernel's sensors hold no duals: a reading is gain · (sensed value) + bias.
             sensor = self.sensors[signal]
             seen = (found[:, column, 0] - value_of(sensor.bias)) / value_of(sensor.gain)
@@ -270,6 +282,10 @@ def prepared(
         plain.state.y[STARTS[path]] = value
     width = width_of(len(coefficients))
     state = _start(plain.state, width)
+    pressures = varied.cylinder.law.at_rest(varied.cylinder.parameters, varied.plant)
+    for place, value in enumerate(pressures, FRICTION + parts.numbers["elements"]):
+        for lane, tangent in tangents_of(value).items():
+            state.y[place, 1 + lane] = tangent
     for lane, path in enumerate(coefficients):
         if path in STARTS:
             state.y[STARTS[path], 1 + lane] = 1.0
@@ -280,7 +296,7 @@ def prepared(
         _given(varied, plain, width),
         state,
         rows,
-        np.zeros((len(rows), len(SENSED), width)),
+        np.zeros((len(rows), len(varied.sensed), width)),
         varied.sensors,
         len(coefficients),
         (rig.friction_model, *parts.effects.names),
@@ -290,9 +306,23 @@ def prepared(
 def _given(varied: EffectiveRig, plain: Simulated, width: int) -> Given:
     c = plain.constants
     effects = [value for use in varied.effects if use.name in plain.parts.effects.names for value in use.parameters]
-    plant, friction = record_rows(varied.plant, width), record_rows(varied.friction, width)
-    table = plain.state.sensors.table
-    return Given(c.plant, c.friction, plant, friction, rows_of(effects, width), table, c.period, c.step, c.steps)
+    parts = (varied.plant, varied.friction, varied.cylinder.parameters, varied.valve.parameters)
+    plant, friction, cylinder, valve = (record_rows(part, width) for part in parts)
+    return Given(
+        plant=c.plant,
+        friction=c.friction,
+        cylinder=c.cylinder,
+        valve=c.valve,
+        plant_rows=plant,
+        friction_rows=friction,
+        cylinder_rows=cylinder,
+        valve_rows=valve,
+        effect_rows=rows_of(effects, width),
+        sensors=plain.state.sensors.table,
+        period=c.period,
+        step=c.step,
+        steps=c.steps,
+    )
 
 
 def _start(state: State, width: int) -> Start:
@@ -312,17 +342,34 @@ class Compiled(NamedTuple):
     run: Callable[..., int]
 
 
-def build(friction: Any, elements: int, states: int, chains: Chains, width: int) -> Compiled:
+def _duals_of(member: Any, width: int) -> Callable[..., Any]:
+    """Build the function that returns the parameters of a cylinder or valve as duals; () without parameters."""
+
+    @kernel
+    def none(rows: Array, like: Any) -> Any:
+        return like
+
+    @kernel
+    def duals(rows: Array, like: Any) -> Any:
+        return dual_record(rows, width, like)
+
+    return duals if member.Parameters._fields else none
+
+
+def build(cylinder: Any, valve: Any, friction: Any, elements: int, states: int, chains: Chains, width: int) -> Compiled:
     """Build a plant's run with derivatives.
 
     Args:
+        cylinder: module of the cylinder.
+        valve: module of the valve.
         friction: module of the friction model.
         elements: number of the model's forces.
         states: number of the effects' states.
         chains: hooks of the effects.
         width: width of a dual.
     """
-    plant = simulator.build(friction, elements, states, chains)
+    plant = simulator.build(cylinder, valve, friction, elements, states, chains)
+    cylinder_of, valve_of = _duals_of(cylinder, width), _duals_of(valve, width)
     advance, sense = plant.advance, plant.sense
 
     @kernel
@@ -335,6 +382,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains, width: int)
             constant(given.step, width),
             given.steps,
             0.0,
+            cylinder_of(given.cylinder_rows, given.cylinder),
+            valve_of(given.valve_rows, given.valve),
             (),
         )
         seen = sensors.SensorState(given.sensors, dual_array(start.lagged, width), dual_array(start.past, width))

@@ -1,21 +1,22 @@
 """Sensor models: lag, delay, gain, bias, noise and resolution, applied in this order."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.parameters import Plant, Sensor
-from ehls_ros.physics.plant import PL, XV, V, X
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.parameters import Sensor
+from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED
 
-POSITION, VELOCITY, LOAD_PRESSURE, SPOOL, FORCE, SUPPLY_PRESSURE, OIL_TEMPERATURE = range(len(SENSED))
-"""Index of each signal in a measurement, in the order of a loader_state."""
+POSITION, VELOCITY, LOAD_PRESSURE, SPOOL, FORCE, SUPPLY_PRESSURE, OIL_TEMPERATURE, PRESSURE_A, PRESSURE_B = range(
+    len(SENSED) + len(CHAMBER_SENSED)
+)
+"""Index of each signal in a measurement, in the order of a loader_state; only a cylinder of two chambers has the last two."""
 
 
 class SensorState(NamedTuple):
-    """Parameters and state of the sensors, one row per signal of :data:`SENSED`.
+    """Parameters and state of the sensors, one row per signal.
 
     Attributes:
         table: columns smoothing factor of the lag, delay [cycles], gain, bias, noise_std, resolution.
@@ -28,43 +29,24 @@ class SensorState(NamedTuple):
     past: Array
 
 
-def prepare(sensors: Mapping[str, Sensor], period: float) -> SensorState:
+def prepare(sensors: Mapping[str, Sensor], period: float, signals: Sequence[str] = SENSED) -> SensorState:
     """Prepare sensors for :func:`measure`.
 
     Args:
         sensors: sensors by signal; a missing one is perfect.
         period: sampling period [s].
+        signals: the signals, in order.
 
     Returns:
         State of the sensors before the first sample.
     """
-    table = np.zeros((len(SENSED), 6))
-    for row, signal in enumerate(SENSED):
+    table = np.zeros((len(signals), 6))
+    for row, signal in enumerate(signals):
         sensor = sensors.get(signal, Sensor())
         smoothing = 1.0 - np.exp(-sensor.bandwidth * period) if sensor.bandwidth > 0.0 else 1.0
         table[row] = smoothing, sensor.delay / period, sensor.gain, sensor.bias, sensor.noise_std, sensor.resolution
     longest = int(np.ceil(table[:, 1].max()))
-    return SensorState(table, np.zeros(len(SENSED)), np.zeros((len(SENSED), longest + 2 if longest > 0 else 1)))
-
-
-@kernel
-def true_signals(y: Array, temperature: float, supply: float, plant: Plant, truth: Array) -> None:
-    """Write the true values of the sensed signals.
-
-    Args:
-        y: state of the plant.
-        temperature: oil temperature [K].
-        supply: supply pressure at the valve [Pa].
-        plant: the rig's coefficients.
-        truth: output, shape (signals,).
-    """
-    truth[POSITION] = y[X]
-    truth[VELOCITY] = y[V]
-    truth[LOAD_PRESSURE] = y[PL]
-    truth[SPOOL] = y[XV]
-    truth[FORCE] = plant.piston_area * y[PL]
-    truth[SUPPLY_PRESSURE] = supply
-    truth[OIL_TEMPERATURE] = temperature
+    return SensorState(table, np.zeros(len(signals)), np.zeros((len(signals), longest + 2 if longest > 0 else 1)))
 
 
 @kernel

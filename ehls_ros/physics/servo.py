@@ -11,9 +11,12 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel, kernel_no_refcount
+from ehls_ros.physics.cylinder import double_rod
+from ehls_ros.physics.effects.base import CHAMBER_HOOKS
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.plant import FD, FRICTION, Chains, Coefficients, V, X, follow_servo, system
+from ehls_ros.physics.plant import FD, Chains, Coefficients, V, X, first_effect, follow_servo, system
 from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.valve import load_flow
 
 
 class Servo(NamedTuple):
@@ -50,7 +53,7 @@ class CoupledCoefficients(NamedTuple):
     """The loader's :class:`~ehls_ros.physics.plant.Coefficients`, with the servo's.
 
     Attributes:
-        plant, friction, inputs, effects, command: the loader's.
+        plant, friction, inputs, effects, command, cylinder, valve: the loader's.
         servo: coefficients of the servo; its disturbance force is the coupling force on the loader.
     """
 
@@ -59,6 +62,8 @@ class CoupledCoefficients(NamedTuple):
     inputs: Array
     effects: Any
     command: float
+    cylinder: Any
+    valve: Any
     servo: Coefficients
 
 
@@ -69,11 +74,23 @@ def _unchanged(value: Any, t: float, y: Array, w: Array, z: Array, p: Any, plant
 
 
 @kernel_no_refcount
+def _unchanged_in_chamber(value: Any, pressure: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> Any:
+    """Return the model's value unchanged, in place of a hook on a chamber."""
+    return value
+
+
+@kernel_no_refcount
 def _no_rates(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant, dz: Array) -> None:
     """Write nothing, as there are no states."""
 
 
-_HOOKS: dict[str, Any] = dict.fromkeys(Chains._fields, _unchanged) | {"received": None, "jump": None, "rates": _no_rates}
+_HOOKS: dict[str, Any] = {
+    **dict.fromkeys(Chains._fields, _unchanged),
+    **dict.fromkeys(CHAMBER_HOOKS, _unchanged_in_chamber),
+    "received": None,
+    "jump": None,
+    "rates": _no_rates,
+}
 
 NO_EFFECTS = Chains(**_HOOKS)
 """The hooks of a plant without effects."""
@@ -103,11 +120,13 @@ def servo_command(
 
 
 def coupled_system(
-    friction: Any, elements: int, states: int, chains: Chains
+    cylinder: Any, valve: Any, friction: Any, elements: int, states: int, chains: Chains
 ) -> tuple[Callable[..., float], Callable[..., None]]:
-    """Build the loader's plant coupled to a servo with the same friction model.
+    """Build the loader's plant coupled to a servo with the same friction model; the servo has a double rod.
 
     Args:
+        cylinder: module of the loader's cylinder.
+        valve: module of its valve.
         friction: module of the friction model.
         elements: number of the model's forces.
         states: number of the effects' states.
@@ -117,10 +136,10 @@ def coupled_system(
         ``evaluate`` and ``switch`` for :mod:`ehls_ros.physics.integration`; their coefficients are
         :class:`CoupledCoefficients`, whose inputs they write to.
     """
-    end = FRICTION + elements
-    size, modes = end + states, 1 + elements
-    evaluate_loader, switch_loader = system(friction, elements, chains)
-    evaluate_servo, switch_servo = system(friction, elements, NO_EFFECTS)
+    end = first_effect(cylinder, elements)
+    size, modes = end + states, valve.MODES + cylinder.MODES + elements
+    evaluate_loader, switch_loader = system(cylinder, valve, friction, elements, chains)
+    evaluate_servo, switch_servo = system(double_rod, load_flow, friction, elements, NO_EFFECTS)
     coupling_force = chains.coupling_force
 
     @kernel_no_refcount

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ehls_ros.arrays import Array, contiguous, direct, kernel_no_refcount
+from ehls_ros.arrays import Array, contiguous, direct, kernel, kernel_no_refcount
 from ehls_ros.physics import sensors
 from ehls_ros.physics.composition import Effects, compiled, effects_of, rig_elements
 from ehls_ros.physics.effects import EFFECTS
@@ -24,17 +24,19 @@ from ehls_ros.physics.plant import (
     PERIOD,
     PL,
     TEMPERATURE,
+    XV,
     Chains,
     Coefficients,
     U,
     V,
     X,
     cycle_stepper,
+    first_effect,
     hold,
     system,
 )
 from ehls_ros.physics.plausibility import implausible
-from ehls_ros.physics.rig import SENSED, EffectiveRig, Rig
+from ehls_ros.physics.rig import EffectiveRig, Rig
 from ehls_ros.physics.servo import CoupledCoefficients, Servo, ServoConstants, coupled_system, servo_command
 
 ORDER: Literal[2, 4, 5] = 5
@@ -55,6 +57,7 @@ class Constants(NamedTuple):
         step: integration step [s].
         steps: integration steps per period.
         warming: rate of the oil temperature [K/s].
+        cylinder, valve: parameters of cylinder and valve; () if they have none.
         servo: :class:`~ehls_ros.physics.servo.ServoConstants` of the simulated position servo; () without one.
     """
 
@@ -65,6 +68,8 @@ class Constants(NamedTuple):
     step: float
     steps: int
     warming: float
+    cylinder: Any = ()
+    valve: Any = ()
     servo: Any = ()
 
 
@@ -112,29 +117,34 @@ class Compiled(NamedTuple):
     cycle: Callable[..., int]
 
 
-def build(friction: Any, elements: int, states: int, chains: Chains, most_events: int = MAX_EVENTS) -> Compiled:
-    """Build a plant from a friction model and effects.
+def build(
+    cylinder: Any, valve: Any, friction: Any, elements: int, states: int, chains: Chains, most_events: int = MAX_EVENTS
+) -> Compiled:
+    """Build a plant from a cylinder, a valve, a friction model and effects.
 
     Args:
+        cylinder: module of the cylinder.
+        valve: module of the valve.
         friction: module of the friction model.
         elements: number of the model's forces.
         states: number of the effects' states.
         chains: hooks of the effects.
         most_events: see :func:`~ehls_ros.physics.integration.integrator`.
     """
-    end = FRICTION + elements
-    evaluate, switch = system(friction, elements, chains)
+    end = first_effect(cylinder, elements)
+    evaluate, switch = system(cylinder, valve, friction, elements, chains)
     run = integrator(evaluate, switch, size=end + states, most_events=most_events, order=ORDER)
 
     @kernel_no_refcount
     def run_held(t: float, y: Array, mode: Array, c: Any, command: float, step: float, steps: int, work: Array) -> int:
-        return run(t, y, mode, Coefficients(c.plant, c.friction, c.inputs, c.effects, command), step, steps, work)
+        held = Coefficients(c.plant, c.friction, c.inputs, c.effects, command, c.cylinder, c.valve)
+        return run(t, y, mode, held, step, steps, work)
 
     step_cycle = cycle_stepper(run_held, chains, end)
 
     @kernel_no_refcount
     def advance(cycle: int, constants: Constants, state: State) -> int:
-        c = Coefficients(constants.plant, constants.friction, state.inputs, constants.effects, 0.0)
+        c = coefficients(constants, state.inputs)
         t = cycle * constants.period
         return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
@@ -143,19 +153,27 @@ def build(friction: Any, elements: int, states: int, chains: Chains, most_events
         hold(state.inputs, number * constants.period, command, row[0], row[1], row[2], row[3])
         return advance(number, constants, state)
 
-    return Compiled(evaluate, switch, advance, sensing(chains, end), cycle)
+    return Compiled(evaluate, switch, advance, sensing(cylinder, valve, elements, chains), cycle)
 
 
-def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> Compiled:
+@kernel
+def coefficients(constants: Constants, inputs: Array) -> Coefficients:
+    """Return the coefficients of the equations, without a command."""
+    return Coefficients(
+        constants.plant, constants.friction, inputs, constants.effects, 0.0, constants.cylinder, constants.valve
+    )
+
+
+def build_coupled(cylinder: Any, valve: Any, friction: Any, elements: int, states: int, chains: Chains) -> Compiled:
     """Build the loader's plant coupled to a position servo; the arguments are those of :func:`build`."""
-    end = FRICTION + elements
+    end = first_effect(cylinder, elements)
     size = end + states
-    evaluate, switch = coupled_system(friction, elements, states, chains)
-    run = integrator(evaluate, switch, size=size + end, order=ORDER)
+    evaluate, switch = coupled_system(cylinder, valve, friction, elements, states, chains)
+    run = integrator(evaluate, switch, size=size + FRICTION + elements, order=ORDER)
 
     @kernel_no_refcount
     def run_held(t: float, y: Array, mode: Array, c: Any, command: float, step: float, steps: int, work: Array) -> int:
-        held = CoupledCoefficients(c.plant, c.friction, c.inputs, c.effects, command, c.servo)
+        held = CoupledCoefficients(c.plant, c.friction, c.inputs, c.effects, command, c.cylinder, c.valve, c.servo)
         return run(t, y, mode, held, step, steps, work)
 
     step_cycle = cycle_stepper(run_held, chains, end)
@@ -163,8 +181,17 @@ def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> 
     @kernel_no_refcount
     def advance(cycle: int, constants: Constants, state: State) -> int:
         given, own = constants.servo, state.inputs[-INPUTS:]
-        servo = Coefficients(given.plant, given.friction, own, (), own[U])
-        c = CoupledCoefficients(constants.plant, constants.friction, state.inputs[:-INPUTS], constants.effects, 0.0, servo)
+        servo = Coefficients(given.plant, given.friction, own, (), own[U], (), ())
+        c = CoupledCoefficients(
+            constants.plant,
+            constants.friction,
+            state.inputs[:-INPUTS],
+            constants.effects,
+            0.0,
+            constants.cylinder,
+            constants.valve,
+            servo,
+        )
         t = cycle * constants.period
         return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
@@ -177,24 +204,27 @@ def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> 
         hold(state.inputs[:-INPUTS], number * constants.period, command, row[0], row[1], x, v)
         return advance(number, constants, state)
 
-    return Compiled(evaluate, switch, advance, sensing(chains, end), cycle)
+    return Compiled(evaluate, switch, advance, sensing(cylinder, valve, elements, chains), cycle)
 
 
-def sensing(chains: Chains, end: int) -> Callable[..., None]:
+def sensing(cylinder: Any, valve: Any, elements: int, chains: Chains) -> Callable[..., None]:
     """Build the function that reads the sensors.
 
     Args:
+        cylinder: module of the cylinder.
+        valve: module of the valve.
+        elements: number of the friction model's forces.
         chains: hooks of the effects.
-        end: index of the effects' first state in ``y``.
     """
-    supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
+    end, piston_position, piston_velocity = first_effect(cylinder, elements), chains.piston_position, chains.piston_velocity
+    sense_oil = cylinder.build(valve, chains, FRICTION + elements).sense
 
     @kernel_no_refcount
     def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
         t, plant, p = cycle * constants.period, constants.plant, constants.effects
         y, w, truth, z = state.y, state.inputs, state.truth, state.y[end:]
-        supply = supply_pressure(plant.supply_pressure, t, y, w, z, p, plant)
-        sensors.true_signals(y, w[TEMPERATURE], supply, plant, truth)
+        sense_oil(t, y, z, coefficients(constants, w), truth)
+        truth[sensors.SPOOL], truth[sensors.OIL_TEMPERATURE] = y[XV], w[TEMPERATURE]
         truth[sensors.POSITION] = piston_position(y[X], t, y, w, z, p, plant)
         truth[sensors.VELOCITY] = piston_velocity(y[V], t, y, w, z, p, plant)
         sensors.measure(cycle, truth, noise, state.sensors, state.measured)
@@ -218,7 +248,8 @@ def parts_of(rig: Rig | EffectiveRig) -> PlantParts:
     """Return the parts from which a rig's plant is compiled."""
     effects = effects_of(rig)
     model = FRICTION_MODELS.load(rig.friction_model)
-    return PlantParts({"friction": model}, {"elements": rig_elements(rig), "states": effects.states}, effects)
+    members = {"cylinder": rig.cylinder.law, "valve": rig.valve.law, "friction": model}
+    return PlantParts(members, {"elements": rig_elements(rig), "states": effects.states}, effects)
 
 
 def plant_kernel(parts: PlantParts, *, coupled: bool = False) -> ModuleType:
@@ -290,32 +321,37 @@ def at_rest(
         period / steps,
         steps,
         float(warming),
+        effective.cylinder.parameters,
+        effective.valve.parameters,
     )
-    y = np.zeros(FRICTION + elements + states)
+    cylinder = effective.cylinder.law
+    own = cylinder.at_rest(effective.cylinder.parameters, effective.plant)
+    y = np.concatenate([np.zeros(FRICTION + elements), own, np.zeros(states)])
+    modes = effective.valve.law.MODES + cylinder.MODES
     state = State(
         y=y,
-        mode=np.zeros(1 + elements),
+        mode=np.concatenate([np.ones(modes), np.zeros(elements)]),
         inputs=np.zeros(INPUTS + earlier_commands(effective, period)),
         work=np.empty((WORK_ROWS, y.size)),
-        sensors=sensors.prepare(effective.sensors, period),
-        truth=np.zeros(len(SENSED)),
-        measured=np.zeros(len(SENSED)),
+        sensors=sensors.prepare(effective.sensors, period, effective.sensed),
+        truth=np.zeros(len(effective.sensed)),
+        measured=np.zeros(len(effective.sensed)),
     )
-    state.y[X], state.mode[0] = position, 1.0
+    state.y[X] = position
     state.inputs[PERIOD], state.inputs[TEMPERATURE] = period, temperature
     if servo is None:
         return Simulated(effective, parts, constants, state)
-    own = ServoConstants(servo.rig.plant, servo.rig.friction, servo.gain, servo.rig.limits.spool)
+    coupled = ServoConstants(servo.rig.plant, servo.rig.friction, servo.gain, servo.rig.limits.spool)
     beside = np.zeros(FRICTION + elements)
     beside[X] = servo.start
     both = np.concatenate([state.y, beside])
     state = state._replace(
         y=both,
-        mode=np.concatenate([state.mode, state.mode]),
+        mode=np.concatenate([state.mode, np.ones(1), np.zeros(elements)]),
         inputs=np.concatenate([state.inputs, np.zeros(INPUTS)]),
         work=np.empty((WORK_ROWS, both.size)),
     )
-    return Simulated(effective, parts, constants._replace(servo=own), state)
+    return Simulated(effective, parts, constants._replace(servo=coupled), state)
 
 
 class Simulator:
@@ -330,7 +366,7 @@ class Simulator:
         servo: state of the simulated position servo, in the same order; empty if there is none.
         mode: modes of the plant, then those of the servo.
         inputs: inputs of the plant, then those of the servo.
-        truth: true values at the last sample, in the order of ``SENSED``.
+        truth: true values at the last sample, in the order of the rig's ``sensed``.
         acting: disturbance of the last period, as the arguments of :meth:`advance`; the actual motion of a simulated servo.
         cycle: number of control periods completed.
     """
@@ -351,16 +387,17 @@ class Simulator:
         plant = plant_kernel(parts, coupled=servo is not None)
         self._plant = plant
         self.period = self.constants.period
-        size = FRICTION + parts.numbers["elements"] + parts.numbers["states"]
+        size = first_effect(parts.members["cylinder"], parts.numbers["elements"]) + parts.numbers["states"]
         self.y, self.servo = self.state.y[:size], self.state.y[size:]
         self.mode, self.inputs, self.truth = self.state.mode, self.state.inputs, self.state.truth
         self.cycle = 0
         self.acting = np.zeros(4)
         # Compile now rather than in the first cycle.
         trial = at_rest(rig, period, step, servo=servo).state
-        self._sense = direct(plant.sense, 0, self.constants, trial, np.zeros(len(SENSED)))
+        noise = np.zeros(self.truth.size)
+        self._sense = direct(plant.sense, 0, self.constants, trial, noise)
         self._cycle = direct(plant.cycle, 0, self.constants, trial, 0.0, self.acting)
-        self._sense(0, self.constants, trial, np.zeros(len(SENSED)))
+        self._sense(0, self.constants, trial, noise)
         self._cycle(0, self.constants._replace(steps=0), trial, 0.0, np.zeros(4))
 
     def measure(self, noise: Array) -> Array:
@@ -370,7 +407,7 @@ class Simulator:
             noise: standard normal numbers, shape (signals,).
 
         Returns:
-            The readings in the order of ``SENSED``; every call reuses the same array.
+            The readings in the order of the rig's ``sensed``; every call reuses the same array.
         """
         self._sense(self.cycle, self.constants, self.state, contiguous(noise))
         return self.state.measured

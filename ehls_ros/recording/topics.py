@@ -66,6 +66,11 @@ LOADER_STATE = _cycle_topic(
         "oil_temperature": "oil_temperature_k",
     },
 )
+READINGS: Mapping[str, str] = MappingProxyType(
+    {**LOADER_STATE.signals, "pressure_a": "pressure_a_pa", "pressure_b": "pressure_b_pa"}
+)
+"""Signals of recordings by the readings of a rig, including those that only a cylinder of two chambers has."""
+
 FORCE_REFERENCE = _force_topic("force_reference")
 POSITION_REFERENCE = _position_topic("position_reference")
 REFERENCE_TOPICS: Mapping[str, Topic] = MappingProxyType({"force": FORCE_REFERENCE, "position": POSITION_REFERENCE})
@@ -186,6 +191,8 @@ FORCE = Topic("force", "std_msgs/msg/Float64")
 WRENCH = Topic("wrench", "geometry_msgs/msg/WrenchStamped")
 LOAD_PRESSURE = Topic("load_pressure", "sensor_msgs/msg/FluidPressure")
 SUPPLY_PRESSURE = Topic("supply_pressure", "sensor_msgs/msg/FluidPressure")
+PRESSURE_A = Topic("pressure_a", "sensor_msgs/msg/FluidPressure")
+PRESSURE_B = Topic("pressure_b", "sensor_msgs/msg/FluidPressure")
 OIL_TEMPERATURE = Topic("oil_temperature", "sensor_msgs/msg/Temperature")
 JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState")
 
@@ -195,6 +202,8 @@ TELEMETRY_TOPICS = (
     WRENCH,
     LOAD_PRESSURE,
     SUPPLY_PRESSURE,
+    PRESSURE_A,
+    PRESSURE_B,
     OIL_TEMPERATURE,
     JOINT_STATES,
     DIAGNOSTICS,

@@ -75,7 +75,7 @@ def questions(rig, answers):
 
 def test_questions_on_a_terminal(tmp_path):
     first = ["63\n", "36\n", "both\n", "two\n", "200\n", "3000 psi\n", "38\n", "70 bar\n"]
-    code, shown = questions(tmp_path / "rig.yaml", [*first, *20 * ["\n"]])
+    code, shown = questions(tmp_path / "rig.yaml", [*first, *28 * ["\n"]])
     assert code == 0, shown
     assert "'both' is not valid" in shown
     assert "piston diameter" in shown
@@ -89,3 +89,15 @@ def test_who_gives_up_leaves_nothing(key, code, tmp_path):
     found, shown = questions(tmp_path / "rig.yaml", ["63\n", "36\n", key])
     assert found == code, shown
     assert not list(tmp_path.iterdir())
+
+
+def test_a_single_rod_of_two_chambers(tmp_path, capsys):
+    answers, rig = tmp_path / "answers.yaml", tmp_path / "rig.yaml"
+    answers.write_text(
+        "{bore: 63, rod: 45, rods: one, stroke: 400, supply_pressure: 210 bar, rated_flow: 40, rated_drop: 70 bar,"
+        " cylinder: two_chamber, hose_a: 250, flow_pb: 20}"
+    )
+    assert main(["new-rig", "--from", str(answers), "--out", str(rig)]) == 0
+    made = load_rig(rig)
+    assert (made.cylinder.model, made.valve.model, made.valve.parameters.gain_pb) == ("two_chamber", "four_edges", 0.5)
+    assert "π/4 (bore² - rod²)" in rig.read_text(encoding="utf-8")

@@ -123,3 +123,34 @@ def test_the_needed_answers_are_few():
 def test_every_figure_may_have_another_unit():
     units = {note.unit for note in notes(DataSheet).values() if note.unit}
     assert [in_unit(f"2 {unit}", unit) for unit in units] == [2.0] * len(units)
+
+
+SINGLE_ROD = {
+    "bore": 63, "rod": 45, "rods": "one", "stroke": 400, "supply_pressure": "210 bar", "rated_flow": 40, "rated_drop": "70 bar",
+    "cylinder": "two_chamber", "hose_a": 250, "hose_b": 200, "flow_pb": 20, "flow_bt": 22, "tank_pressure": "3 bar",
+}  # fmt: skip
+
+
+def test_a_single_rod_has_areas_volumes_and_edges_of_its_own():
+    values = rig_values(sheet_from_mapping(SINGLE_ROD, "answers"))
+    found = {key: source.value for key, source in {**values["cylinder"], **values["valve"]}.items()}
+    a, ring = 0.25 * math.pi * 0.063**2, 0.25 * math.pi * (0.063**2 - 0.045**2)
+    assert found == pytest.approx(
+        {
+            "area_a": a,
+            "area_b": ring,
+            "volume_a": 0.2 * a + 250e-6,
+            "volume_b": 0.2 * ring + 200e-6,
+            "tank_pressure": 3e5,
+            "gain_pa": 1.0,
+            "gain_at": 1.0,
+            "gain_pb": 0.5,
+            "gain_bt": 0.55,
+        }
+    )
+    assert {"piston_area", "total_volume"}.isdisjoint(values["plant"])
+
+
+def test_figures_of_chambers_are_refused_with_one_pressure():
+    with pytest.raises(BadInput, match="hose_a is 250; expected no hose_a, or cylinder: two_chamber"):
+        sheet_from_mapping({**SINGLE_ROD, "cylinder": "double_rod"}, "answers")

@@ -157,9 +157,9 @@ def test_a_rig_file_holds_an_effect(name, make_rig):
     assert rig_from_mapping(json.loads(json.dumps(written)), "rig") == rig
 
 
-def once(friction, elements, states, chains):
+def once(cylinder, valve, friction, elements, states, chains):
     """Build one evaluation of the equations."""
-    evaluate, _ = system(friction, elements, chains)
+    evaluate, _ = system(cylinder, valve, friction, elements, chains)
 
     @kernel
     def rates(t, y, mode, c, rate):
@@ -186,7 +186,8 @@ def test_all_effects_compile_together_and_neutral_change_nothing(make_rig):
             y = np.concatenate([start, np.zeros(part.numbers["states"])])
             rate, mode = np.empty(y.size), np.array([np.sign(start[3]), 0.0, 1.0, -1.0])
             given = [values.copy() for values in (y, inputs, parameters)]
-            event = module.rates(0.5, y, mode, Coefficients(rig.plant, rig.friction, inputs, parameters, inputs[U]), rate)
+            c = Coefficients(rig.plant, rig.friction, inputs, parameters, inputs[U], (), ())
+            event = module.rates(0.5, y, mode, c, rate)
             answers.append([event, *rate[:7]])
             assert np.all(np.isfinite(rate))
             for values, before in zip((y, inputs, parameters), given, strict=True):

@@ -16,6 +16,7 @@ from tiers import tiered
 
 from ehls_ros.arrays import kernel_no_refcount
 from ehls_ros.physics.composition import compiled, effects_with, rig_elements
+from ehls_ros.physics.cylinder import double_rod
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import HOOKS, Peak, Quantile, Share
 from ehls_ros.physics.friction import FRICTION_MODELS
@@ -42,6 +43,7 @@ from ehls_ros.physics.plant import (
 )
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.physics.simulator import earlier_commands
+from ehls_ros.physics.valve import load_flow
 from ehls_ros.schema import declarations
 
 STEP, SAMPLES = 2.5e-6, 20_001
@@ -64,7 +66,7 @@ so slipping elements follow a wrong level for a sample: C 200 N/s(v) 2.5 µs = 1
 def build(friction, elements, states, chains):
     """Build a simulator that also records unmeasured quantities."""
     end = FRICTION + elements
-    evaluate_inlined, switch_inlined = system(friction, elements, chains)
+    evaluate_inlined, switch_inlined = system(double_rod, load_flow, friction, elements, chains)
     equations = relations(chains)
     extra, volume, balance = equations.extra, equations.volume, balance_with(friction, chains)
     effective_opening = equations.effective_opening
@@ -83,7 +85,7 @@ def build(friction, elements, states, chains):
 
     @kernel_no_refcount
     def run_held(t, y, mode, c, command, step, steps, work):
-        return run(t, y, mode, Coefficients(c.plant, c.friction, c.inputs, c.effects, command), step, steps, work)
+        return run(t, y, mode, Coefficients(c.plant, c.friction, c.inputs, c.effects, command, (), ()), step, steps, work)
 
     step_cycle = cycle_stepper(run_held, chains, end)
 
@@ -131,7 +133,7 @@ def simulated(rig):
     mode[0] = 1.0
     joint = [use.name for use in rig.effects if use.piston_share > 0.0]
     out = np.zeros((SAMPLES, 12))
-    c = Coefficients(effective.plant, effective.friction, w, ALL.parameters(rig.effects), 0.0)
+    c = Coefficients(effective.plant, effective.friction, w, ALL.parameters(rig.effects), 0.0, (), ())
     piston = ALL.piston_state(joint[0]) if joint else -1
     dense = module.record(c, given, STEP, y, mode, np.empty((WORK_ROWS, y.size)), piston, out)
     assert np.all(np.isfinite(out))

@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from reference_single_rod import SingleRodConstants
 
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.cylinder import two_chamber
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.integration_step import LONGEST_STEP, check_step
 from ehls_ros.physics.parameters import Limits, Plant
@@ -21,6 +23,7 @@ from ehls_ros.physics.plausibility import (
 )
 from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.physics.simulator import Simulator
+from ehls_ros.schema import notes
 
 ROOT = Path(__file__).parents[2]
 RIGS = [*sorted((ROOT / "config").glob("rig_*.yaml")), *sorted((ROOT / "examples").rglob("rig*.yaml"))]
@@ -36,10 +39,17 @@ def test_the_rigs_that_come_along_are_rigs(path):
 
 def test_ranges_name_what_there_is_and_hold_the_papers_rig_well_inside(make_rig):
     rig = make_rig()
-    kinds = {"plant": Plant, "friction": type(rig.friction), "limits": Limits}
+    kinds = {"plant": Plant, "friction": type(rig.friction), "cylinder": two_chamber.Parameters, "limits": Limits}
     for (section, key), (low, high) in RANGES.items():
         assert key in kinds[section]._fields
-        assert low * 1.5 < getattr(getattr(rig, section), key) < high / 1.5
+        usual = notes(kinds[section])[key].typical if section == "cylinder" else getattr(getattr(rig, section), key)
+        assert low * 1.5 < usual < high / 1.5
+
+
+def test_areas_in_mm2_are_named(rig_data):
+    rig = rig_from_mapping(SingleRodConstants(areas=(2000.0, 1000.0), volumes=(1e-3, 1e-3)).mapping(rig_data, "gms"), "rig")
+    with pytest.raises(BadInput, match=r"area_a is 2000 m\^2; expected .*2000 mm\^2 is 0\.002 m\^2"):
+        check_rig(rig, "rig")
 
 
 @pytest.mark.parametrize("model", FRICTION_MODELS.names())

@@ -133,6 +133,11 @@ def _content(values: Mapping[str, Mapping[str, Source]]) -> dict[str, Any]:
     return {
         "plant": plain["plant"],
         "friction": {"model": DEFAULT_FRICTION, **plain["friction"]},
+        **{
+            section: {"model": model, **plain[section]}
+            for section, model in (("cylinder", "two_chamber"), ("valve", "four_edges"))
+            if section in plain
+        },
         "effects": _effects(plain["effects"]),
         "sensors": {name: {"noise_std": noise} for name, noise in plain["sensors"].items()},
         "limits": plain["limits"],

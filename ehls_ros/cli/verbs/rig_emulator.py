@@ -82,6 +82,9 @@ def run(options: Namespace) -> int:
     seed = spec.settings.seed if options.seed is None else options.seed
     period = spec.settings.control_period
     impairments = _impairments(options)
+    if unknown := [signal for signal in bridge.calibration.wired if signal not in spec.rig.sensed]:
+        expected = f"channels of {', '.join(spec.rig.sensed)}, which cylinder {spec.rig.cylinder.model} has"
+        raise BadInput(f"{unknown[0]} has a channel", f"{options.bridge or 'bridge file'}: channels", expected)
     if options.log is not None:
         writable(options.log.parent, options.log.name)
     parameters = bridge.parameters

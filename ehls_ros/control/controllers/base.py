@@ -12,7 +12,7 @@ A file has these members:
 
 The arguments of ``step`` are:
 
-* ``m``: measurement in the order of :data:`ehls_ros.physics.rig.SENSED`.
+* ``m``: measurement in the order of :data:`ehls_ros.physics.rig.SENSED`; further readings of a rig may follow.
 * ``r``: row of :data:`ROW` numbers.
 * ``f``: friction of the elements and viscous friction [N].
 * ``p``: its parameters.
@@ -122,6 +122,8 @@ class Model(NamedTuple):
         noise: noise of the sensors.
         command_delay: delay of the command to the valve [s].
         coupling_stiffness, coupling_damping: those of the coupling to the actuator under test [N/m, N s/m].
+        cylinder, valve: parameters of cylinder and valve; () if they have none. Where a cylinder has chambers, a law is given
+            the ``plant`` of :mod:`ehls_ros.control.local_plant`.
     """
 
     plant: Plant
@@ -132,6 +134,8 @@ class Model(NamedTuple):
     command_delay: float = 0.0
     coupling_stiffness: float = 0.0
     coupling_damping: float = 0.0
+    cylinder: Any = ()
+    valve: Any = ()
 
 
 class ControllerLaw(Protocol):
@@ -172,6 +176,8 @@ def model_of(rig: Rig, period: float) -> Model:
         0.0 if delay is None else delay.delay,
         0.0 if coupling is None else coupling.stiffness,
         0.0 if coupling is None else coupling.damping,
+        rig.cylinder.parameters,
+        rig.valve.parameters,
     )
 
 

@@ -13,7 +13,7 @@ from ehls_ros.control.references.base import SampledReference
 from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, viscous_friction
 from ehls_ros.physics.effects.coupling_stiffness import Parameters as Coupling
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.rig import EffectUse, Rig
+from ehls_ros.physics.rig import EffectUse, Rig, check_one_pressure
 from ehls_ros.physics.servo import Servo
 from ehls_ros.schema import quantity
 
@@ -81,6 +81,7 @@ def servo(p: Parameters, rig: Rig, start: float) -> Servo:
         rig: the loader's rig, which provides valve, cylinder and friction of the servo.
         start: initial position [m].
     """
+    check_one_pressure(rig, "a position servo like the loader", "rig")
     plant = servo_plant(rig.plant, p.moving_mass, p.supply_pressure)
     return Servo(rig._replace(plant=plant, effects=(), sensors={}), p.position_gain, start)
 

@@ -150,7 +150,7 @@ class Session:
 
     def _sense(self, reading: Reading) -> tuple[float, ...]:
         saturated = self._calibration.saturated(reading.values)
-        signals = self._calibration.signals(reading.values)
+        signals = self._calibration.signals(reading.values)[: len(SENSED)]
         signals = tuple(np.nan if name in saturated else value for name, value in zip(SENSED, signals, strict=True))
         self._gate.sense(self._cycle, signals, at_null=reading.at_null)
         return signals

@@ -23,6 +23,19 @@ hook                value
 ``piston_velocity`` velocity of the piston, if it differs from the mass's [m/s]
 ==================  =====================================================================
 
+Where the pressures of both chambers are states, as in a single rod, the hooks ``supply_pressure``, ``bulk_modulus`` and
+``leakage`` are not called. An effect that has one of them acts on such a cylinder by ``shift_chambers(rig, parameters)``, which
+returns the rig with other parameters in addition to ``shift``, or by a hook on a chamber, or is refused:
+
+===================  ===========================================================================================
+hook                 value, and the argument after it
+===================  ===========================================================================================
+``chamber_modulus``  bulk modulus in a chamber [Pa]; its pressure [Pa]
+``piston_leakage``   leakage from chamber A to B past the piston [m^3/s]; the difference of their pressures [Pa]
+===================  ===========================================================================================
+
+``NOT_IN_CHAMBERS`` names those of its parameters that have no meaning there; they must be neutral.
+
 Arguments: ``t`` time [s]; ``y`` the plant's state and ``w`` its inputs (indices in :mod:`ehls_ros.physics.plant`); ``z`` the
 effect's own states; ``p`` its ``Parameters``; ``plant`` the effective rig's :class:`~ehls_ros.physics.parameters.Plant`. A
 hook depends only on its arguments and changes none of them. A diagnosis compiles the hooks of all effects together, so a
@@ -75,6 +88,12 @@ HOOKS = (
     "piston_velocity",
 )
 """The points in the model where an effect can act."""
+
+CHAMBER_HOOKS = ("chamber_modulus", "piston_leakage")
+"""Those of a cylinder whose chambers' pressures are states; a pressure is their second argument."""
+
+LOAD_PRESSURE_HOOKS = ("supply_pressure", "bulk_modulus", "leakage")
+"""Those that such a cylinder does not have."""
 
 Group = Literal["valve", "flow", "friction", "mechanics", "sensors", "environment"]
 """Part of the rig that an effect changes; a heading in lists of effects."""
@@ -147,3 +166,9 @@ class Effect(Protocol):
 
     def forms(self, rig: "Rig") -> tuple[Form, ...]:
         """Return the ways to fit the effect to a rig's data, each with a free parameter; none if the effect cannot act."""
+
+
+def acts_on_chambers(effect: Any) -> bool:
+    """Return whether an effect can act on a cylinder whose chambers' pressures are states."""
+    own = any(hasattr(effect, hook) for hook in (*CHAMBER_HOOKS, "shift_chambers"))
+    return own or not any(hasattr(effect, hook) for hook in LOAD_PRESSURE_HOOKS)

@@ -26,6 +26,8 @@ WORDS = Words(
 ATMOSPHERE = 101325.0
 """Atmospheric pressure p0, at which gauges read zero [Pa]."""
 
+NOT_IN_CHAMBERS = ("load",)
+
 POLYTROPIC = 1.4
 """Polytropic exponent n of compression too fast for heat exchange."""
 
@@ -50,6 +52,14 @@ def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Parame
     first, second = chamber_pressures(y, plant)
     air = p.chambers * 0.5 * (compliance(first) + compliance(second)) + p.load * compliance(abs(y[PL]))
     return value / (1.0 + value * air)
+
+
+@kernel
+def chamber_modulus(
+    value: float, pressure: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant
+) -> float:
+    """Add the compliance of the air in a chamber to that of the oil in it."""
+    return value / (1.0 + value * p.chambers * compliance(pressure))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

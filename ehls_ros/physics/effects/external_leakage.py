@@ -35,6 +35,12 @@ def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
     return value + 0.5 * ((p.first + p.each) * first - (p.second + p.each) * second)
 
 
+def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the leakages added to those of its chambers."""
+    own, p = rig.cylinder.parameters, parameters
+    return rig.with_cylinder(leakage_a=own.leakage_a + p.first + p.each, leakage_b=own.leakage_b + p.second + p.each)
+
+
 def forms(rig: Rig) -> tuple[Form, ...]:
     """Leakage of the first chamber, the second, or both."""
     return Form({"first": ()}), Form({"second": ()}), Form({"each": ()})

@@ -33,10 +33,24 @@ class Parameters(NamedTuple):
 
 
 @kernel
+def orifice_flow(pressure: float, p: Parameters) -> float:
+    """Return the flow at a pressure difference [m^3/s]."""
+    scale = math.sqrt(math.hypot(pressure, p.transition))
+    return p.coefficient * pressure / scale if scale > 0.0 else 0.0
+
+
+@kernel
 def leakage(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add the orifice flow."""
-    scale = math.sqrt(math.hypot(y[PL], p.transition))
-    return value + (p.coefficient * y[PL] / scale if scale > 0.0 else 0.0)
+    return value + orifice_flow(y[PL], p)
+
+
+@kernel
+def piston_leakage(
+    value: float, difference: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant
+) -> float:
+    """Add the orifice flow from chamber A to B."""
+    return value + orifice_flow(difference, p)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

@@ -202,7 +202,7 @@ def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[.
             set_sample(k, a, y, w)
             if a.fresh[k]:
                 y[FRICTION:] = 0.0
-            t, c = a.motion.time[k], Coefficients(a.plant, a.friction, w, a.effects, w[U])
+            t, c = a.motion.time[k], Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
             write_row(t, y, y[FRICTION:], c, out[k])
             if a.steps:
                 write_slopes(k, a, slope)

@@ -124,7 +124,9 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
             if a.fresh[k]:
                 z[:] = 0.0
                 mode[:] = 0.0
-                level, applied = balance(inputs.extra[k], t, y, z, Coefficients(a.plant, a.friction, w, a.effects, w[U]))
+                level, applied = balance(
+                    inputs.extra[k], t, y, z, Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
+                )
                 begin(inputs.balance[stretch], level, a.friction, forces)
                 stretch += 1
                 if y[V] != 0.0:
@@ -143,7 +145,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
             steps = max(a.steps, FINE) if steep else a.steps
             step = a.period / steps
             for n in range(1, steps + 1):
-                c = Coefficients(a.plant, a.friction, w, a.effects, w[U])
+                c = Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
                 v, then = y[V], t + n * step
                 if states:
                     advance_effects(then - step, y, measured.mode, Imposed(c, slope), step, 1, measured.work)
@@ -153,7 +155,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
                     for i in range(FRICTION):
                         y[i] += step * slope[i]
                 extra = inputs.extra[k] + (inputs.extra[k + 1] - inputs.extra[k]) * (n / steps)
-                c = Coefficients(a.plant, a.friction, w, a.effects, w[U])
+                c = Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
                 level_then, applied_then = balance(extra, then, y, z, c)
                 level_rate, applied_rate = (level_then - level) / step, (applied_then - applied) / step
                 interval = Interval(a.friction, v, slope[V], level, level_rate, applied, applied_rate)

@@ -153,7 +153,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
             set_sample(k, a, sample, w)
             write_slopes(k, a, slope)
             t = m.time[k]
-            given = Coefficients(a.plant, a.friction, w, a.effects, w[U])
+            given = Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
             c = Interval(given, slope, t, sample[X], sample[V], piston)
             y[PL], y[XV] = sample[PL], sample[XV]
             if a.fresh[k]:

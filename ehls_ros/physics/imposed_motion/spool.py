@@ -43,7 +43,7 @@ def build(states: int, chains: Chains) -> Body:
 
     @kernel_no_refcount
     def stepped(t: float, y: Array, mode: Array, c: _Interval, arrived: float, step: float, steps: int, work: Array) -> int:
-        given = Imposed(Coefficients(c.plant, c.friction, c.inputs, c.effects, arrived), c.slope)
+        given = Imposed(Coefficients(c.plant, c.friction, c.inputs, c.effects, arrived, (), ()), c.slope)
         return integrate(t, y, mode, given, step, steps, work)
 
     @kernel_no_refcount

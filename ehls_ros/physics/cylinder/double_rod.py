@@ -1,0 +1,74 @@
+"""Double-rod cylinder of the paper: one state for both chambers, the load pressure."""
+
+from typing import Any, NamedTuple
+
+from ehls_ros.arrays import Array, kernel_no_refcount
+from ehls_ros.physics import sensors
+from ehls_ros.physics.cylinder.base import OilRates
+from ehls_ros.physics.equations import load_pressure_rate
+from ehls_ros.physics.plant import PL, Chains, Coefficients, Oil, V, relations
+from ehls_ros.physics.rig import EffectiveRig
+
+EQUATION = "QL = Ac ẋ + Vt/(4 βe) ṗL + Ctc pL (2)"
+SOURCE = "Kang et al. 2018, equation (2)"
+STATES = MODES = 0
+SENSED: tuple[str, ...] = ()
+FLOW = DEFAULT_VALVE = "load_flow"
+CHAMBERS = False
+
+
+class Parameters(NamedTuple):
+    """No keys beyond those of ``plant``."""
+
+
+def check(p: Parameters, where: str) -> None:
+    """Accept every cylinder."""
+
+
+def check_stroke(p: Parameters, ends: tuple[float, float], where: str) -> None:
+    """Accept every stroke: (2) has one volume."""
+
+
+def derived(p: Parameters) -> dict[str, Any]:
+    """Return no keys: area and volume are those of ``plant``."""
+    return {}
+
+
+def at_rest(p: Parameters, plant: Any) -> tuple[float, ...]:
+    """Return no states: the load pressure at rest is zero."""
+    return ()
+
+
+def oil_rates(rig: EffectiveRig, flow: float) -> OilRates:
+    """Return the rates of (2), with the flow gain of (1) at the supply pressure."""
+    p = rig.plant
+    oil = 4.0 * p.bulk_modulus / p.total_volume
+    column, leakage = oil * p.piston_area**2, oil * p.leakage_coefficient
+    return OilRates(column, leakage, 0.5 * oil * flow / p.supply_pressure, ("bulk_modulus", "piston_area", "total_volume"))
+
+
+def build(valve: Any, chains: Chains, first: int) -> Oil:
+    """Build the volume balance (2) with the flow of a valve."""
+    equations = relations(chains, valve.load_flow)
+    effective_opening, volume, piston_velocity = equations.effective_opening, equations.volume, chains.piston_velocity
+    valve_event, valve_switch, supply_pressure = valve.event, valve.switch, chains.supply_pressure
+
+    @kernel_no_refcount
+    def evaluate(t: float, y: Array, z: Array, mode: Array, c: Coefficients, rate: Array) -> float:
+        orifice = effective_opening(t, y, z, c)
+        flow, leak, modulus, _ = volume(orifice, mode[0], t, y, z, c)
+        piston = piston_velocity(y[V], t, y, c.inputs, z, c.effects, c.plant)
+        rate[PL] = load_pressure_rate(flow, piston, y[PL], leak, modulus, c.plant)  # (2)
+        return valve_event(orifice, mode, c.valve)
+
+    @kernel_no_refcount
+    def switch(t: float, y: Array, z: Array, mode: Array, c: Coefficients) -> None:
+        valve_switch(effective_opening(t, y, z, c), mode, c.valve)
+
+    @kernel_no_refcount
+    def sense(t: float, y: Array, z: Array, c: Coefficients, truth: Array) -> None:
+        supply = supply_pressure(c.plant.supply_pressure, t, y, c.inputs, z, c.effects, c.plant)
+        truth[sensors.LOAD_PRESSURE], truth[sensors.FORCE] = y[PL], c.plant.piston_area * y[PL]
+        truth[sensors.SUPPLY_PRESSURE] = supply
+
+    return Oil(evaluate, switch, sense)
