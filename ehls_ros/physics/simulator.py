@@ -180,8 +180,8 @@ def build_coupled(friction: Any, elements: int, states: int, chains: Chains) -> 
     return Compiled(evaluate, switch, advance, sensing(chains, end), cycle)
 
 
-def sensing(chains: Chains, end: int) -> Callable[..., None]:
-    """Build the function that reads the sensors.
+def observing(chains: Chains, end: int) -> Callable[..., None]:
+    """Build the function ``observe(t, constants, state)`` that writes the true values of the sensed signals to ``state.truth``.
 
     Args:
         chains: hooks of the effects.
@@ -190,14 +190,25 @@ def sensing(chains: Chains, end: int) -> Callable[..., None]:
     supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
 
     @kernel_no_refcount
-    def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
-        t, plant, p = cycle * constants.period, constants.plant, constants.effects
+    def observe(t: float, constants: Constants, state: State) -> None:
+        plant, p = constants.plant, constants.effects
         y, w, truth, z = state.y, state.inputs, state.truth, state.y[end:]
         supply = supply_pressure(plant.supply_pressure, t, y, w, z, p, plant)
         sensors.true_signals(y, w[TEMPERATURE], supply, plant, truth)
         truth[sensors.POSITION] = piston_position(y[X], t, y, w, z, p, plant)
         truth[sensors.VELOCITY] = piston_velocity(y[V], t, y, w, z, p, plant)
-        sensors.measure(cycle, truth, noise, state.sensors, state.measured)
+
+    return observe
+
+
+def sensing(chains: Chains, end: int) -> Callable[..., None]:
+    """Build the function that reads the sensors; the arguments are those of :func:`observing`."""
+    observe = observing(chains, end)
+
+    @kernel_no_refcount
+    def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
+        observe(cycle * constants.period, constants, state)
+        sensors.measure(cycle, state.truth, noise, state.sensors, state.measured)
 
     return sense
 
