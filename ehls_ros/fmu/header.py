@@ -18,12 +18,14 @@ def header(model: Model, token: str) -> str:
     visible = len(block.variables)
     saved = visible + len(block.memory)
     variables = block.variables
+    outputs = [index for index, variable in enumerate(variables) if variable.causality == "output"]
     numbers: dict[str, int] = {
         "VISIBLE": visible,
         "SAVED": saved,
         "VISIBLE_AND_MEMORY": saved,
         "BLOCK": max(block.size, saved + 1),
-        "FIRST_OUTPUT": next(i for i, variable in enumerate(variables) if variable.causality == "output"),
+        "FIRST_OUTPUT": outputs[0],
+        "AFTER_OUTPUTS": outputs[-1] + 1,
         "HAS_RATES": int(model.event is not None),
         "MODEL_NUMBER": int(token.strip("{}").replace("-", "")[:7], 16),
     }

@@ -102,13 +102,17 @@ class Block:
         return len(self.variables) + len(self.memory) + self.scratch
 
     def add(self, variables: Iterable[Variable]) -> int:
-        """Append variables and return the index of the first."""
+        """Append variables and return the index of the first; none may follow memory or scratch."""
+        if self.memory or self.scratch:
+            raise AssertionError("variables after memory or scratch")
         first = len(self.variables)
         self.variables += variables
         return first
 
     def remember(self, values: Iterable[float]) -> int:
-        """Append numbers of the memory with their initial values, and return the index of the first."""
+        """Append initial values of the memory and return the index of the first; none may follow scratch."""
+        if self.scratch:
+            raise AssertionError("memory after scratch")
         first = len(self.variables) + len(self.memory)
         self.memory += map(float, values)
         return first

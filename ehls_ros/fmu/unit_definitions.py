@@ -35,7 +35,7 @@ SYMBOLS: Mapping[str, BaseUnit] = {
 }
 """Symbols that units are made of."""
 
-_FRACTION = re.compile(r"\^\d+/\d")
+_FRACTION = re.compile(r"\^\d+[/.]\d")
 
 _TOKEN = re.compile(r"\s*(?:(?P<symbol>[A-Za-z]+|1)(?:\^(?P<power>-?\d+))?|(?P<mark>[/()]))")
 

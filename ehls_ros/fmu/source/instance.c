@@ -117,7 +117,7 @@ int instance_set(Instance *self, const unsigned int *references, size_t count, c
 }
 
 static int is_finite(Instance *self) {
-    for (int i = FIRST_OUTPUT; i < VISIBLE; i++) {
+    for (int i = FIRST_OUTPUT; i < AFTER_OUTPUTS; i++) {
         if (!(fabs(self->block[i]) <= DBL_MAX)) {
             instance_report(self, "%s became %g at %g s: unsuitable parameters or inputs", NAME[i], self->block[i],
                             self->start_time + self->block[TIME]);
