@@ -4,6 +4,7 @@ import json
 import math
 import os
 import select
+import shutil
 import signal
 import struct
 import subprocess
@@ -42,6 +43,7 @@ class FmuProcess:
             path: the FMU.
         """
         self._path = path
+        self._folder = tempfile.mkdtemp(prefix="ehls_plant_fmu_")
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
         to_read, self._to = os.pipe()
         self._from, to_write = os.pipe()
@@ -54,6 +56,15 @@ class FmuProcess:
             os.close(to_read)
             os.close(to_write)
         self._read = b""
+
+    def open(self) -> Any:
+        """Open the FMU and return its description.
+
+        Raises:
+            WorkFailed: the process died or did not answer in time.
+            BadInput: it refuses the FMU.
+        """
+        return self.line({"path": str(self._path.resolve()), "folder": self._folder})
 
     def line(self, request: Mapping[str, Any]) -> Any:
         """Send a line of JSON and return the answer.
@@ -97,6 +108,8 @@ class FmuProcess:
                 self._process.kill()
                 self._process.wait()
             self._output.close()
+            # A process that was killed cannot remove what it unpacked.
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def _send(self, data: bytes) -> None:
         if self._to < 0:
@@ -181,7 +194,7 @@ class ForeignPlant:
         self._warming, self._temperature = warming, temperature
         self._process = FmuProcess(path)
         try:
-            answer = self._process.line({"path": str(path.resolve())})
+            answer = self._process.open()
             self.version = str(answer["version"])
             variables = {entry["name"]: Described(**entry) for entry in answer["variables"]}
             self._wiring: Wiring = wired(variables, plant_map, str(path), {"initial_position": position})

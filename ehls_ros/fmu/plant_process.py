@@ -6,13 +6,11 @@ preparation, rows of doubles in the steps. A foreign library may crash, hang, or
 
 import json
 import os
-import shutil
+import resource
 import struct
 import sys
-import tempfile
 import zipfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, BinaryIO
 
 from fmpy import extract, read_model_description
@@ -22,6 +20,9 @@ from ehls_ros.process import end_with
 
 LARGEST = 2**31
 """Largest size of an unpacked FMU [bytes]."""
+
+MEMORY = 8 * 2**30
+"""Largest address space of the process [bytes]."""
 
 VERSIONS = ("2.0", "3.0")
 
@@ -103,35 +104,30 @@ class Instance:
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Serve one FMU until the pipe closes."""
-    unpacked = tempfile.mkdtemp(prefix="ehls_plant_fmu_")
+    first = json.loads(requests.readline())
+    # The library may write to its working folder.
+    os.chdir(first["folder"])
     try:
-        first = json.loads(requests.readline())
-        try:
-            described = opened(first["path"], unpacked)
-            variables = [
-                {"name": v.name, "reference": v.valueReference, "causality": v.causality, "unit": unit_of(v), "kind": v.type}
-                for v in described.modelVariables
-                if not getattr(v, "dimensions", None)
-            ]
-            _answer(answers, {"version": described.fmiVersion, "name": described.modelName, "variables": variables})
-            request = json.loads(requests.readline() or "null")
-            if request is None:
-                return
-            instance = Instance(described, unpacked, request)
-            outputs = instance.read()
-        except Refused as error:
-            _answer(answers, {"error": str(error)})
+        described = opened(first["path"], first["folder"])
+        variables = [
+            {"name": v.name, "reference": v.valueReference, "causality": v.causality, "unit": unit_of(v), "kind": v.type}
+            for v in described.modelVariables
+            if not getattr(v, "dimensions", None)
+        ]
+        _answer(answers, {"version": described.fmiVersion, "name": described.modelName, "variables": variables})
+        request = json.loads(requests.readline() or "null")
+        if request is None:
             return
-        except Exception as error:  # noqa: BLE001 - FMPy raises many types
-            _answer(answers, {"error": " ".join(str(error).split()) or type(error).__name__})
-            return
-        _answer(answers, {"outputs": outputs})
-        row, made = struct.Struct(f"{len(request['inputs'])}d"), struct.Struct(f"{len(outputs)}d")
-        while len(data := requests.read(row.size) if row.size else requests.read(1)) == max(row.size, 1):
-            answers.write(made.pack(*instance.step(row.unpack(data) if row.size else ())))
-            answers.flush()
-    finally:
-        shutil.rmtree(unpacked, ignore_errors=True)
+        instance = Instance(described, first["folder"], request)
+        outputs = instance.read()
+    except Exception as error:  # noqa: BLE001 - FMPy raises many types
+        _answer(answers, {"error": " ".join(str(error).split()) or type(error).__name__})
+        return
+    _answer(answers, {"outputs": outputs})
+    row, made = struct.Struct(f"{len(request['inputs'])}d"), struct.Struct(f"{len(outputs)}d")
+    while len(data := requests.read(row.size)) == row.size:
+        answers.write(made.pack(*instance.step(row.unpack(data))))
+        answers.flush()
 
 
 def _answer(answers: BinaryIO, content: Any) -> None:
@@ -143,8 +139,7 @@ def main() -> None:
     """Serve the FMU that the parent names."""
     read, write, parent = map(int, sys.argv[1:])
     end_with(parent)
-    # The library may write to its working folder.
-    os.chdir(Path(tempfile.gettempdir()))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     with os.fdopen(read, "rb") as requests, os.fdopen(write, "wb") as answers:
         serve(requests, answers)
 
