@@ -58,7 +58,7 @@ EVERYWHERE := python_full_version < '3.14' and platform_machine == 'x86_64' and 
 LOCK := uv pip compile --quiet --upgrade --universal --fork-strategy fewest --generate-hashes --no-annotate \
 	--custom-compile-command "make lock"
 FOR_NOBLE := noble ros colcon installer
-FOR_ALL := base campaign docs foxglove installer lint nidaqmx optimisers peers programme
+FOR_ALL := base campaign docs fmu foxglove installer lint nidaqmx optimisers peers programme
 lock:  ## pin the dependency groups of pyproject.toml anew (needs uv)
 	@command -v uv >/dev/null || { echo "lock: no uv found: https://docs.astral.sh/uv" >&2; exit 1; }
 	$(LOCK) --python-version 3.11 $(addprefix --group ,$(FOR_ALL)) -o requirements/lock.txt

@@ -11,7 +11,7 @@ from setuptools import find_packages, setup
 PACKAGE = "ehls_ros"
 ROOT = Path(__file__).resolve().parent
 NODES = [path.stem for path in (ROOT / PACKAGE / "nodes").glob("*_node.py")]
-EXTRAS = ("campaign", "dashboard", "files", "foxglove", "nidaqmx", "optimisers", "peers", "programme", "ros")
+EXTRAS = ("campaign", "dashboard", "files", "fmu", "foxglove", "nidaqmx", "optimisers", "peers", "programme", "ros")
 CONTROLLERS = [path.stem for path in (ROOT / PACKAGE / "control" / "controllers").glob("[!_]*.py") if path.stem != "base"]
 
 
@@ -60,7 +60,7 @@ setup(
     license="Apache-2.0",
     maintainer="ehls_ros maintainers",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={"": ["*.css", "*.js", "*.xml", "py.typed", "msg/*.msg"]},
+    package_data={"": ["*.c", "*.css", "*.def", "*.h", "*.js", "*.png", "*.xml", "license.txt", "py.typed", "msg/*.msg"]},
     include_package_data=False,  # setuptools warns of each folder without Python code that MANIFEST.in names
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

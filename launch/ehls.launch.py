@@ -40,7 +40,9 @@ from ehls_ros.nodes.graph_nodes import (
 from launch import LaunchDescription
 
 ARGUMENTS = {
-    "plant": ("sim", "sim: the simulated rig; bridge: the real one", list(PLANTS)),
+    "plant": ("sim", "sim: the simulated rig; fmu: an FMU in its place; bridge: the real rig", list(PLANTS)),
+    "plant_fmu": ("", "FMU for plant:=fmu", None),
+    "plant_map": ("", "for plant:=fmu: map of the FMU's variables and units; empty: they have the names of the signals", None),
     "bridge": ("", "bridge file for plant:=bridge: DAQ backend, channels, calibration; empty: UDP to this host", None),
     "adapt": ("true", "with plant:=bridge: adapt to wrong numbers of the rig file while it runs", ["true", "false"]),
     "controller": (
@@ -103,6 +105,11 @@ def nodes(context: LaunchContext) -> list[Node]:
     law = chosen["controller"] or spec.controller.name
     if chosen["bridge"] and chosen["plant"] != "bridge":
         raise BadInput(f"bridge is {chosen['bridge']}", "launch argument", "plant:=bridge with it")
+    for name in ("plant_fmu", "plant_map"):
+        if chosen[name] and chosen["plant"] != "fmu":
+            raise BadInput(f"{name} is {chosen[name]}", "launch argument", "plant:=fmu with it")
+    if chosen["plant"] == "fmu" and not chosen["plant_fmu"]:
+        raise BadInput("plant is fmu", "launch argument", "plant_fmu:=FILE with it")
     bridge = bridge_at(Path(chosen["bridge"]) if chosen["bridge"] else None) if chosen["plant"] == "bridge" else None
     checked = with_programme(spec, chosen["programme"])
     check_fit(checked, Graph(law, bridge, lockstep=chosen["timing"] == LOCKSTEP), chosen["spec"] or "sine_fd2")
@@ -142,6 +149,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         own[RECORDER]["programme"] = chosen["programme"]
     if chosen["bridge"]:
         own[plant]["bridge"] = chosen["bridge"]
+    own[plant] |= {name: chosen[name] for name in ("plant_fmu", "plant_map") if chosen[name]}
     given = {name: {**common, **own.get(name, {})} for name in (*names, plant) if name not in left_out}
     processes = processes_of(list(given), compose=chosen["compose"] == "true")
     return [_process(name, given, law + SUFFIX, chosen) for name in processes]

@@ -25,6 +25,7 @@ from ehls_ros.experiments.monitoring.trends import check_limits
 from ehls_ros.experiments.reference_files import load_programme
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.families import Family
+from ehls_ros.fmu.plant_map import PlantMap, map_from_mapping
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.physics.data_sheet import sheet_from_mapping
 from ehls_ros.physics.rig import rig_from_mapping
@@ -192,6 +193,8 @@ def load_yaml(block: Block, folder: Path) -> None:
         spec_from_mapping(data, where, folder)
     elif "blocks" in keys:
         load_programme(folder / block.note)
+    elif keys <= set(PlantMap._fields):
+        map_from_mapping(data, where)
     elif keys <= set(COEFFICIENTS):
         check_limits(data, rig_from_mapping(example, where), where)
     else:

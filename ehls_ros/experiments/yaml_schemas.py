@@ -13,6 +13,7 @@ from ehls_ros.experiments.campaign.variation import Distribution, Range, Values
 from ehls_ros.experiments.spec import Settings
 from ehls_ros.experiments.yaml_files import FAMILIES
 from ehls_ros.families import Family
+from ehls_ros.fmu.plant_map import INPUT_UNITS, OUTPUT_UNITS, Entry
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.calibration import Input, Output
 from ehls_ros.json_schema import Schema, mapping_of, object_of, schema_of
@@ -135,6 +136,17 @@ def _columns() -> Schema:
     return {**whole, "patternProperties": {f"^({'|'.join(ELEMENT_SIGNALS)})_[1-9][0-9]*$": column}}
 
 
+def _plant_map() -> Schema:
+    entry = {"anyOf": [{"type": "string", "description": "name of the FMU's variable"}, schema_of(Entry)]}
+    return mapping_of(
+        {
+            "inputs": mapping_of(dict.fromkeys(INPUT_UNITS, entry)),
+            "outputs": mapping_of(dict.fromkeys(OUTPUT_UNITS, entry)),
+            "parameters": {"type": "object", "additionalProperties": {"type": "number"}},
+        }
+    )
+
+
 def _answers() -> Schema:
     whole = object_of(DataSheet)
     for key, note in notes(DataSheet).items():
@@ -216,5 +228,6 @@ KINDS: Mapping[str, Callable[[], Schema]] = {
     "bridge": _bridge,
     "columns": _columns,
     "answers": _answers,
+    "plant_map": _plant_map,
 }
 """Schema of each kind of file."""

@@ -102,10 +102,14 @@ class Plant(NamedTuple):
     Attributes:
         kind: key of :data:`~ehls_ros.nodes.graph_nodes.PLANTS`.
         bridge: bridge file; None: UDP to this host.
+        fmu: FMU in place of the simulator.
+        plant_map: map of its variables.
     """
 
     kind: str = "sim"
     bridge: Path | None = None
+    fmu: Path | None = None
+    plant_map: Path | None = None
 
     @property
     def node(self) -> str:
@@ -126,7 +130,7 @@ def expected_topics(spec: Spec, plant: Plant) -> list[str]:
         absent.append(PROGRAMME_POINT)
     if not law.FRICTION:
         absent.append(FRICTION_ESTIMATE)
-    if plant.kind != "sim":
+    if plant.kind == "bridge":
         absent.append(DISTURBANCE_TOPIC)
     return [topic.name for topic in CYCLE_TOPICS if topic not in absent]
 
@@ -252,6 +256,10 @@ def node_parameters(spec: Spec, plant: Plant, folder: RunFolder, timing: str, st
     parameters[plant.node]["cycles"] = spec.cycles
     if plant.bridge is not None:
         parameters[plant.node]["bridge"] = str(plant.bridge.resolve())
+    if plant.fmu is not None:
+        parameters[plant.node]["plant_fmu"] = str(plant.fmu.resolve())
+    if plant.plant_map is not None:
+        parameters[plant.node]["plant_map"] = str(plant.plant_map.resolve())
     if PROGRAMME in parameters:
         parameters[PROGRAMME]["folder"] = str(folder.path.resolve())
     parameters[RECORDER] |= {
@@ -418,7 +426,7 @@ class Conductor:
         for node in self._running:
             start = time.perf_counter()
             self._transition(node, Transition.TRANSITION_ACTIVATE)()
-        if self._plant.kind != "sim":
+        if self._plant.kind == "bridge":
             self._enable()
         if self._resume:
             self._resume_programme()

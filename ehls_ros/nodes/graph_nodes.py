@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 LOCKSTEP, REALTIME = TIMINGS = ("lockstep", "realtime")
 """Timing modes."""
 
-PLANTS = {"sim": "plant_sim_node", "bridge": "hardware_bridge_node"}
-"""Plant nodes. With the bridge, the disturbance acts on the rig itself, so there is no disturbance node."""
+PLANTS = {"sim": "plant_sim_node", "fmu": "plant_sim_node", "bridge": "hardware_bridge_node"}
+"""Plant nodes. An FMU stands in place of the simulator. With the bridge, the disturbance acts on the rig itself, so there is
+no disturbance node."""
 
 RECORDER, MONITOR = "recorder_node", "monitor_node"
 
@@ -39,7 +40,7 @@ PLUS = "+"
 INPUTS = (REFERENCE, DISTURBANCE, ESTIMATOR)
 """Nodes that provide a controller's inputs and can share its process, in order of activation; the controller's comes next."""
 
-HOSTS = tuple(PLANTS.values())
+HOSTS = tuple(dict.fromkeys(PLANTS.values()))
 """Nodes whose loop runs the others of a shared process; one of them is required, and is activated last."""
 
 
@@ -73,7 +74,7 @@ def nodes_of(
     needed = {
         RECORDER: record,
         PROGRAMME if programme else reference_node(spec): True,
-        DISTURBANCE: plant == "sim",
+        DISTURBANCE: plant != "bridge",
         ESTIMATOR: estimate or CONTROLLERS.load(law).FRICTION,
         law + SUFFIX: True,
         MONITOR: monitor,

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, NoReturn
 
@@ -9,7 +10,9 @@ import numpy as np
 
 from ehls_msgs.msg import Disturbance
 from ehls_ros.arrays import Array
+from ehls_ros.experiments.fmu_plant import fmu_plant
 from ehls_ros.experiments.loop import simulator_of
+from ehls_ros.fmu.foreign_plant import ForeignPlant
 from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.hardware.pace import ADVICE
@@ -23,7 +26,7 @@ from ehls_ros.nodes.transport import Inbox, Outbox, Waiter
 from ehls_ros.physics.plant import V, X
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.recording.topics import DISTURBANCE, SERVO_REFERENCE
-from ehls_ros.schema import quantity
+from ehls_ros.schema import quantity, text
 
 BURST = 0.005
 """Simulated time by which a lockstep run may lead its speed [s]: waking up in every cycle would slow down a slow machine."""
@@ -43,6 +46,8 @@ class Parameters(NamedTuple):
         float,
         quantity("1", "in lockstep, largest speed relative to the wall clock; 0: as fast as the machine goes", minimum=0.0),
     ] = 0.0
+    plant_fmu: Annotated[str, text("FMU in place of the simulator; empty: none")] = ""
+    plant_map: Annotated[str, text("map of the FMU's variables; empty: they have the names of the signals")] = ""
 
 
 class PlantSimNode(PlantNode):
@@ -61,7 +66,7 @@ class PlantSimNode(PlantNode):
         self.dense_steps = 0
         self.on_schedule = 0.0
         # Made by `prepare`:
-        self.simulator: Simulator
+        self.simulator: Simulator | ForeignPlant
         self.noise: Iterator[Array]
         self.time: SimulatedClock
         self.disturbances: dict[int, tuple[float, ...]]
@@ -76,7 +81,10 @@ class PlantSimNode(PlantNode):
 
     def prepare(self) -> None:
         """Compile the plant and open the topics."""
-        self.simulator = simulator_of(self.spec)
+        fmu, plant_map = self.text_parameter("plant_fmu"), self.text_parameter("plant_map")
+        self.simulator = (
+            fmu_plant(self.spec, Path(fmu), Path(plant_map) if plant_map else None) if fmu else simulator_of(self.spec)
+        )
         self.noise = _noise(self.spec.settings.seed, self.simulator.truth.size)
         self.cycle = self.dense_steps = 0
         self.enabled = False
@@ -96,6 +104,8 @@ class PlantSimNode(PlantNode):
         self.disturbance.destroy()
         if self.motion is not None:
             self.motion.destroy()
+        if isinstance(self.simulator, ForeignPlant):
+            self.simulator.close()
         super().release()
 
     def start(self) -> None:

@@ -207,8 +207,8 @@ def build_coupled(cylinder: Any, valve: Any, friction: Any, elements: int, state
     return Compiled(evaluate, switch, advance, sensing(cylinder, valve, elements, chains), cycle)
 
 
-def sensing(cylinder: Any, valve: Any, elements: int, chains: Chains) -> Callable[..., None]:
-    """Build the function that reads the sensors.
+def observing(cylinder: Any, valve: Any, elements: int, chains: Chains) -> Callable[..., None]:
+    """Build the function ``observe(t, constants, state)`` that writes the true values of the sensed signals to ``state.truth``.
 
     Args:
         cylinder: module of the cylinder.
@@ -220,14 +220,25 @@ def sensing(cylinder: Any, valve: Any, elements: int, chains: Chains) -> Callabl
     sense_oil = cylinder.build(valve, chains, FRICTION + elements).sense
 
     @kernel_no_refcount
-    def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
-        t, plant, p = cycle * constants.period, constants.plant, constants.effects
+    def observe(t: float, constants: Constants, state: State) -> None:
+        plant, p = constants.plant, constants.effects
         y, w, truth, z = state.y, state.inputs, state.truth, state.y[end:]
         sense_oil(t, y, z, coefficients(constants, w), truth)
         truth[sensors.SPOOL], truth[sensors.OIL_TEMPERATURE] = y[XV], w[TEMPERATURE]
         truth[sensors.POSITION] = piston_position(y[X], t, y, w, z, p, plant)
         truth[sensors.VELOCITY] = piston_velocity(y[V], t, y, w, z, p, plant)
-        sensors.measure(cycle, truth, noise, state.sensors, state.measured)
+
+    return observe
+
+
+def sensing(cylinder: Any, valve: Any, elements: int, chains: Chains) -> Callable[..., None]:
+    """Build the function that reads the sensors; the arguments are those of :func:`observing`."""
+    observe = observing(cylinder, valve, elements, chains)
+
+    @kernel_no_refcount
+    def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
+        observe(cycle * constants.period, constants, state)
+        sensors.measure(cycle, state.truth, noise, state.sensors, state.measured)
 
     return sense
 

@@ -18,6 +18,7 @@ from ehls_ros.experiments import learnt_files
 from ehls_ros.experiments.adaptation_result import Adapted, adapted
 from ehls_ros.experiments.causal_limit import with_causal_limit
 from ehls_ros.experiments.compiling import announce_compiling, graph_jobs, loop_jobs
+from ehls_ros.experiments.fmu_plant import fmu_plant, run_on_fmu
 from ehls_ros.experiments.graph_check import Graph, bridge_at, check_fit
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.loop import run_as_far_as_it_goes
@@ -183,7 +184,10 @@ class _Done(NamedTuple):
 
 def _in_process(spec: Spec, folder: RunFolder, options: Namespace, progress: Callable[[int, int], None]) -> _Done:
     start = time.perf_counter()
-    trajectory, failure = run_as_far_as_it_goes(spec, progress)
+    if options.plant_fmu is None:
+        trajectory, failure = run_as_far_as_it_goes(spec, progress)
+    else:
+        trajectory, failure = run_on_fmu(spec, options.plant_fmu, options.plant_map, progress)
     wall = time.perf_counter() - start
     write_trajectory(folder.bag, trajectory, options.storage)
     return _Done(trajectory, wall, failure)
@@ -201,6 +205,10 @@ def _over_dds(
     with needs_ros("; or --in-process"):
         from ehls_ros.nodes.graph import Plant, run_graph
     plant = Plant(options.plant, options.bridge)
+    if options.plant_fmu is not None:
+        # An unusable FMU is reported here, before any node starts.
+        fmu_plant(spec, options.plant_fmu, options.plant_map).close()
+        plant = Plant("fmu", fmu=options.plant_fmu, plant_map=options.plant_map)
     failure = None
     try:
         wall = run_graph(

@@ -9,7 +9,11 @@ HELP = "Print the JSON Schema of a kind of YAML file, with which editors complet
 
 def arguments(parser: ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("kind", choices=tuple(KINDS), help="the kind of file; answers: those of ehls new-rig --from")
+    parser.add_argument(
+        "kind",
+        choices=tuple(KINDS),
+        help="the kind of file; answers: those of ehls new-rig --from; plant_map: that of --plant-map",
+    )
 
 
 def run(options: Namespace) -> int:
