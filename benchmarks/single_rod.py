@@ -97,10 +97,10 @@ def print_cells(laws: list[str], duration: float) -> None:
 def print_robustness(duration: float) -> None:
     """Print the errors of FASMC where a coefficient of the actual rig is 20 % off."""
     known = single_rod()
-    print("FASMC on sine_fd2, a coefficient of the actual single rod 20 % lower / higher: largest error [N]\n")
-    print(f"nominal: {errors('sine_fd2', 'fasmc', known, known, duration)[0]:.1f}")
+    print("FASMC on constant_fd2, a coefficient of the actual single rod 20 % lower / higher: largest error [N]\n")
+    print(f"nominal: {errors('constant_fd2', 'fasmc', known, known, duration)[0]:.1f}")
     for key, rigs in _off_by(0.2):
-        low, high = (errors("sine_fd2", "fasmc", rig, known, duration)[0] for rig in rigs)
+        low, high = (errors("constant_fd2", "fasmc", rig, known, duration)[0] for rig in rigs)
         print(f"{key}: {low:.1f} / {high:.1f}", flush=True)
 
 

@@ -27,10 +27,11 @@ from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.families import Family
 from ehls_ros.fmu.plant_map import PlantMap, map_from_mapping
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.physics.cylinder import CYLINDERS
 from ehls_ros.physics.data_sheet import sheet_from_mapping
 from ehls_ros.physics.rig import rig_from_mapping
 from ehls_ros.recording.columns import read_columns
-from ehls_ros.schema import declarations
+from ehls_ros.schema import declarations, parse
 
 LIBRARIES = {"docs/how_to/programme.md": "rainflow"}
 """Requirements of a page's snippets that an installation of ROS does not provide."""
@@ -187,6 +188,11 @@ def load_yaml(block: Block, folder: Path) -> None:
         bridge_from_mapping(data, where)
     elif keys <= set(example):
         rig_from_mapping({**example, **data}, where)
+    elif "cylinder" in keys and "bore" not in keys:
+        law = CYLINDERS.load(data["cylinder"]["model"])
+        derived = law.derived(parse(law.Parameters, {k: v for k, v in data["cylinder"].items() if k != "model"}, where))
+        plant = {key: value for key, value in example["plant"].items() if key not in derived}
+        rig_from_mapping({**example, "plant": plant, **data}, where)
     elif "bore" in keys:
         sheet_from_mapping(data, where)
     elif "controller" in keys:

@@ -14,7 +14,7 @@ from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Upcoming
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, Model
-from ehls_ros.control.local_plant import law_on
+from ehls_ros.control.local_plant import law_on, memory_on
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.cylinder import CYLINDERS
@@ -89,7 +89,7 @@ class Controller:
             cylinder: file name of the model's cylinder.
             valve: that of its valve.
         """
-        self._law = CONTROLLERS.load(name)
+        self._law, self._cylinder = CONTROLLERS.load(name), CYLINDERS.load(cylinder)
         entries = controller_kernel(name, cylinder, valve)
         self._step = entries.step
         self._follow: Callable[[float, float, Array], float] | None = getattr(entries, "follow", None)
@@ -120,7 +120,7 @@ class Controller:
 
     def reset(self) -> None:
         """Reset the memory and status of the law, and interrupt the companions; tuning and model are kept."""
-        self._memory: Array = self._law.memory(self.parameters)
+        self._memory: Array = memory_on(self._law, self._cylinder, self.parameters)
         self._bump = 0.0
         self._own = math.nan
         self._previous = None

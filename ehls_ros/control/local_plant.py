@@ -6,6 +6,7 @@ of both chambers. It lacks the constant force that unequal areas add: readings a
 it. So every law works on both cylinders, with the same tuning rule: its defaults are those for the double rod at position 0.
 """
 
+import math
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -44,8 +45,27 @@ def double_rod_of(rig: Rig) -> DoubleRod:
     middle[sensors.LOAD_PRESSURE] = 0.5 * (area_a - area_b) * (supply + tank) / rig.plant.piston_area
     middle[sensors.SUPPLY_PRESSURE] = supply
     equivalent = in_python(cylinder.law.equivalent(plain))
-    plant, _, offset = equivalent(middle, MIN_DROP, rig.plant, cylinder.parameters, valve.parameters)
+    plant, _, offset = equivalent(middle, 0.0, MIN_DROP, rig.plant, cylinder.parameters, valve.parameters)
     return DoubleRod(rig._replace(plant=plant, cylinder=CylinderUse(), valve=ValveUse()), offset)
+
+
+NULL = 1e-12
+"""Spool displacement that a law is given while the spool passes null [m]: only its sign counts."""
+
+LAST = -1
+"""Index of the last command in the memory of a law on such a cylinder, after the law's own."""
+
+
+def memory_on(law: Any, cylinder: Any, parameters: Any) -> Array:
+    """Return a law's memory before the first cycle, for a cylinder.
+
+    Args:
+        law: module of the controller.
+        cylinder: module of the cylinder that the law is to know.
+        parameters: those of the law.
+    """
+    own: Array = law.memory(parameters)
+    return np.append(own, 0.0) if cylinder.CHAMBERS else own
 
 
 def law_on(law: Any, cylinder: Any, valve: Any) -> Any:
@@ -67,10 +87,22 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
         return step
     equivalent, signals, follows_force = cylinder.equivalent(valve), len(SENSED), law.FOLLOWS == "force"
     readings, row = stack(signals), stack(ROW)
+    # A law with a filter foresees the spool itself.
+    crosses = not hasattr(law, "assumptions")
 
     @kernel
     def local_step(m: Array, r: Array, f: Array, p: Any, model: Model, memory: Array, status: Array) -> float:
-        plant, supply, offset = equivalent(m, MIN_DROP, model.plant, model.cylinder, model.valve)
+        seen, wanted = readings(), row()
+        for i in range(signals):
+            seen[i] = m[i]
+        last = memory[memory.size + LAST]
+        if crosses:
+            # While the spool passes null, the gain of the edges that open next counts; it may be several times as large.
+            lag = min(0.5 * model.period * model.plant.valve_bandwidth, 1.0)
+            ahead = m[sensors.SPOOL] + lag * (model.plant.valve_gain * last - m[sensors.SPOOL])
+            if ahead * m[sensors.SPOOL] < 0.0:
+                seen[sensors.SPOOL] = math.copysign(NULL, ahead)
+        plant, supply, offset = equivalent(m, seen[sensors.SPOOL], MIN_DROP, model.plant, model.cylinder, model.valve)
         local = Model(
             plant,
             model.friction,
@@ -83,9 +115,6 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
             model.cylinder,
             model.valve,
         )
-        seen, wanted = readings(), row()
-        for i in range(signals):
-            seen[i] = m[i]
         for i in range(ROW):
             wanted[i] = r[i]
         seen[sensors.LOAD_PRESSURE] -= offset / plant.piston_area
@@ -93,6 +122,8 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
         seen[sensors.SUPPLY_PRESSURE] = supply
         if follows_force:
             wanted[0] -= offset
-        return step(seen, wanted, f, p, local, memory, status)
+        command = step(seen, wanted, f, p, local, memory[: memory.size + LAST], status)
+        memory[memory.size + LAST] = command
+        return command
 
     return local_step

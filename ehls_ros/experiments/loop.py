@@ -23,7 +23,7 @@ from ehls_ros.control.controllers.base import ROW as FOLLOWED
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import ROW
 from ehls_ros.control.estimate_bounds import bounds_of
-from ehls_ros.control.local_plant import step_on
+from ehls_ros.control.local_plant import memory_on, step_on
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.control.programme.motion import point_signals
@@ -206,7 +206,7 @@ def control_of(spec: Spec) -> Control:
         observed=observer.state(believed.friction_law, believed.friction),
         tuning=spec.controller.parameters,
         model=model_of(believed, spec.settings.control_period),
-        memory=law.memory(spec.controller.parameters),
+        memory=memory_on(law, believed.cylinder.law, spec.controller.parameters),
         status=np.zeros(STATUS_SIZE),
     )
 

@@ -65,7 +65,7 @@ def test_equal_areas_are_the_double_rod_of_the_same_volume(spool, pressure):
     chambers = {"pressure_a": 0.5 * (7e6 + pressure), "pressure_b": 0.5 * (7e6 - pressure)}
     for known in ({}, chambers):
         m = readings(load_pressure=pressure, spool=spool, supply=7e6, **known)
-        plant, supply, offset = EQUIVALENT(m, LEAST, rig.plant, rig.cylinder.parameters, rig.valve.parameters)
+        plant, supply, offset = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, rig.cylinder.parameters, rig.valve.parameters)
         assert (supply, offset) == (7e6, 0.0)
         np.testing.assert_allclose(plant, rig.plant, rtol=1e-12)
 
@@ -79,7 +79,7 @@ def test_force_changes_at_the_rate_of_both_chambers(spool, a, b):
     x, velocity, supply = 0.05, 0.1, 6.8e6
     mean = (p.area_a * a - p.area_b * b) / rig.plant.piston_area
     m = readings(position=x, load_pressure=mean, spool=spool, supply=supply, pressure_a=a, pressure_b=b)
-    plant, of_law, offset = EQUIVALENT(m, LEAST, rig.plant, p, v)
+    plant, of_law, offset = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, p, v)
     side = math.copysign(1.0, spool)
     flow = plant.discharge_coefficient * plant.valve_area_gradient * spool
     flow *= math.sqrt((of_law - side * (mean - offset / plant.piston_area)) / plant.oil_density)
@@ -101,7 +101,7 @@ def test_pressures_without_sensors_are_those_of_steady_motion():
     p, v = rig.cylinder.parameters, rig.valve.parameters
     a, b, spool, force = p.area_a, p.area_b, 1e-4, 3e3
     m = readings(load_pressure=force / rig.plant.piston_area, spool=spool, supply=7e6)
-    plant, supply, offset = EQUIVALENT(m, LEAST, rig.plant, p, v)
+    plant, supply, offset = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, p, v)
     root = math.sqrt((supply - (force - offset) / plant.piston_area) / plant.oil_density)
     speed = plant.discharge_coefficient * plant.valve_area_gradient * spool * root / plant.piston_area
     gain = rig.plant.discharge_coefficient * rig.plant.valve_area_gradient * spool * math.sqrt(2.0 / rig.plant.oil_density)
@@ -111,7 +111,7 @@ def test_pressures_without_sensors_are_those_of_steady_motion():
 def test_readings_that_are_unknown_leave_a_plant_of_finite_numbers():
     rig = rig_of(*RATIO_OF_TWO)
     m = np.full(len(SENSED), np.nan)
-    plant, supply, _ = EQUIVALENT(m, LEAST, rig.plant, rig.cylinder.parameters, rig.valve.parameters)
+    plant, supply, _ = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, rig.cylinder.parameters, rig.valve.parameters)
     assert np.all(np.isfinite([*plant, supply]))
 
 

@@ -20,10 +20,10 @@ These functions are called from Python before a run:
 * ``derived(p)`` returns the keys of ``plant`` that follow from those of the cylinder, and are left out of the rig file;
 * ``at_rest(p, plant)`` returns the states of a rig at rest without driving force;
 * ``oil_rates(rig, flow)`` returns the largest natural rates of the oil, see :class:`OilRates`;
-* ``equivalent(valve)``, only with ``CHAMBERS``, returns a compiled ``equivalent(m, least, plant, p, v)``: coefficients of the
-  double rod with the same rate of the driving force at the readings ``m`` (NaN: unknown; those of the chambers may be left
-  out), its supply pressure [Pa], and the constant force by which its driving force is smaller [N]; pressure drops are at least
-  ``least`` of the supply pressure, and ``v`` are the parameters of the valve;
+* ``equivalent(valve)``, only with ``CHAMBERS``, returns a compiled ``equivalent(m, spool, least, plant, p, v)``: coefficients
+  of the double rod with the same rate of the driving force at the readings ``m`` (NaN: unknown; those of the chambers may be
+  left out) on the side of null of ``spool``, its supply pressure [Pa], and the constant force by which its driving force is
+  smaller [N]; pressure drops are at least ``least`` of the supply pressure, and ``v`` are the parameters of the valve;
 * ``build(valve, chains, first)`` returns the compiled functions of the oil, see :class:`~ehls_ros.physics.plant.Oil`;
   ``first`` is the index of its first state in ``y``.
 """

@@ -141,11 +141,11 @@ def equivalent(valve: Any) -> Callable[..., tuple[Plant, float, float]]:
     gains, drop_ratio = valve.gains, valve.drop_ratio
 
     @kernel
-    def local(m: Array, least: float, plant: Plant, p: Parameters, v: Any) -> tuple[Plant, float, float]:
+    def local(m: Array, spool: float, least: float, plant: Plant, p: Parameters, v: Any) -> tuple[Plant, float, float]:
         x = m[sensors.POSITION] if math.isfinite(m[sensors.POSITION]) else 0.0
         mean = m[sensors.LOAD_PRESSURE] if math.isfinite(m[sensors.LOAD_PRESSURE]) else 0.0
         supply = m[sensors.SUPPLY_PRESSURE] if math.isfinite(m[sensors.SUPPLY_PRESSURE]) else plant.supply_pressure
-        side = -1.0 if m[sensors.SPOOL] < 0.0 else 1.0
+        side = -1.0 if spool < 0.0 else 1.0
         area, tank, modulus = plant.piston_area, p.tank_pressure, plant.bulk_modulus
         offset = 0.5 * (p.area_a - p.area_b) * (plant.supply_pressure + tank)
         # The pressures at the ports of A and B for this side.
