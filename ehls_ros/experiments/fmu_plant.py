@@ -73,7 +73,7 @@ def run_on_fmu(
     model = model_of(spec.controller_rig, period)
     law = Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, spec.settings.title))
     observer = FrictionEstimator(spec.compensation.name, spec.controller_rig, period, spec.compensation.parameters)
-    columns = Columns.of(observer.state.estimate.size)
+    columns = Columns.of(observer.state.estimate.size, len(SENSED))
     record = np.empty((cycles, columns.status.stop))
     random, failure, done = np.random.default_rng(spec.settings.seed), None, cycles
     plant = fmu_plant(spec, path, plant_map)

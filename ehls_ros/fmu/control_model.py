@@ -5,6 +5,7 @@ from typing import Any
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, ROW, STATUS_SIZE, model_of
+from ehls_ros.control.local_plant import memory_on
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.fmu.control_kernel import build_law, build_observer
@@ -72,14 +73,16 @@ def law_model(rig: Rig, name: str, period: float, law: str, tuning: Any, observe
         parameters: the observer's parameters.
     """
     module, own = CONTROLLERS.load(law), model_of(rig, period)
-    state, memory = OBSERVERS.load(observer).state(rig.friction_law, rig.friction), module.memory(tuning)
+    state, memory = OBSERVERS.load(observer).state(rig.friction_law, rig.friction), memory_on(module, rig.cylinder.law, tuning)
     block = _clocked(period)
     places = _observer_parameters(block, rig, parameters)
     places["tuning"] = block.add(parameters_of("law", tuning))
     places |= {part: block.add(parameters_of(part, getattr(own, part))) for part in ("plant", "cylinder", "valve")}
     places["limit"] = block.add(_of_model(own))
     places["measured"] = block.add(
-        Variable(signal, "input", "continuous", SIGNAL_UNITS[signal], f"reading: {signal.replace('_', ' ')}", 0.0, -HIGHEST, HIGHEST)
+        Variable(
+            signal, "input", "continuous", SIGNAL_UNITS[signal], f"reading: {signal.replace('_', ' ')}", 0.0, -HIGHEST, HIGHEST
+        )
         for signal in rig.sensed
     )
     places["reference"] = block.add(_reference(module.FOLLOWS))
