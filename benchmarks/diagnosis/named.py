@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
-from itertools import repeat
+from itertools import count, islice, repeat
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -23,38 +23,35 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import ROOT, parser_of
-from benchmarks.diagnosis.cases import rig, rig_file, shown, trajectory_of
+from benchmarks.diagnosis.cases import Case, recording_of, rig, rig_file, shown, trajectory_of
 from ehls_ros.cli.main import main as ehls
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.experiments.json_document import json_document
 from ehls_ros.physics.effects import EFFECTS
-from truth_generator import draw_effect, record
+from truth_generator import draw_effect
 
 KINDS = ("quadratic_drag", "ratchet_cogging", "stick_patch", "line_restriction", "mains_hum")
 """Effects outside the list: a power, a wave and a bump in the force balance, a power in the flow, a wave in the valve."""
 
-FOUND, TRIES = 0.9, 5
-"""Part of the error that a term must close to be written as an effect, and most recordings in which one is sought."""
+FOUND, CLEAR, TRIES = 0.9, 5.0, 5
+"""Part of the error that a term must close, and least visibility of the hidden effect, for an effect to be written from it;
+most recordings in which it is sought."""
 
 PREFIX = "found_"
 """Beginning of the effects' names."""
 
-EXPERIMENT = "rich"
-"""Experiment in which a term is sought."""
 
-
-def drawn(name: str, seed: int, duration: float, experiment: str = "") -> Any:
-    """Draw a visible case of an effect and return its recording."""
+def drawn(name: str, seed: int, duration: float) -> Case:
+    """Draw a visible case of an effect."""
     random = np.random.default_rng([seed, 3])
-    case = shown(random, seed, 0, "outside", duration, lambda: {name: draw_effect(name, random, rig_file())})
-    return record(rig_file(), case.hidden, experiment or case.experiment, seed=case.record_seed, duration=duration)
+    return shown(random, seed, 0, "outside", duration, lambda: {name: draw_effect(name, random, rig_file())})
 
 
 def written(name: str, seed: int, duration: float, folder: Path) -> str:
     """Find the term of an effect and write it into the package of a folder; return the formula, empty if none was found."""
-    for attempt in range(TRIES):
-        recording = drawn(name, seed + attempt, duration, EXPERIMENT)
-        found = diagnose(trajectory_of(recording), rig(), name, threads=1)
+    clear = (case for k in count() if max((case := drawn(name, seed + k, duration)).visibility[name].values()) >= CLEAR)
+    for case in islice(clear, TRIES):
+        found = diagnose(trajectory_of(recording_of(case)), rig(), name, threads=1)
         if found.term is None or found.term.closed < FOUND:
             continue
         result = folder / f"{name}.json"
@@ -72,7 +69,7 @@ def _effect_file(folder: Path, name: str) -> Path:
 
 def named(name: str, seed: int, duration: float) -> dict[str, Any]:
     """Diagnose a fresh case of an effect and return its row; the package is installed."""
-    found = diagnose(trajectory_of(drawn(name, seed, duration)), rig(), name, threads=1)
+    found = diagnose(trajectory_of(recording_of(drawn(name, seed, duration))), rig(), name, threads=1)
     wanted, causes = PREFIX + name, found.causes
     right = bool(causes) and wanted in (causes[0].name, *causes[0].equivalent_to)
     said = " + ".join(f"{cause.name} {cause.probability:.0%}" for cause in causes) or (found.unknown_stage or "")

@@ -5,13 +5,13 @@ size. The found numbers become starting values; with the defaults the effect cha
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import scipy
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.reading import Power, Reading
+from ehls_ros.diagnosis.reading import FITS, LIKELY, Power, Reading
 from ehls_ros.diagnosis.result import Term, argument_unit
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -57,6 +57,12 @@ SIGNIFICANT = 3.0
 
 LEAST_CONSTANT = 0.1
 """Least constant beside a power, over the term's amplitude."""
+
+BESIDE_LINE = (2.0, 3.0, 0.5)
+"""Exponents of a power beside a line; others are too alike."""
+
+SYMMETRIES: tuple[Literal["odd", "even"], ...] = ("odd", "even")
+"""Symmetries of a power about zero."""
 
 PLACES = (0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
 """Quantiles of the argument at which a bump is looked for."""
@@ -204,7 +210,8 @@ def formula_of(term: Term) -> Formula:
     elif term.reading.power is not None:
         formula = _power(term, term.reading.power)
     else:
-        formula = _table(term) if term.reading.place is None else _bump(term, term.reading.place)
+        bump = None if term.reading.place is None else _bump(term, term.reading.place)
+        formula = bump or _power_beside_line(term) or _table(term)
     symbol = ARGUMENTS[term.argument][1]
     formula = formula._replace(equation=formula.equation.replace("{a}", f"|{symbol}|" if term.magnitude else symbol))
     if not term.direction > 0.0:
@@ -257,14 +264,20 @@ def _waves(term: Term, period: Estimate) -> Formula:
     return Formula(tuple(numbers), equation, code, (form,), starts=("Period",) if len(starts) > 1 else ())
 
 
-def _power(term: Term, power: Power) -> Formula:
-    """Return a power of the argument, odd or even, and a constant if there is one."""
+def _power(term: Term, power: Power, *, line: bool = False) -> Formula:
+    """Return a power of the argument, odd or even, and a constant if there is one.
+
+    Args:
+        term: the term.
+        power: the power.
+        line: whether a part in proportion to the argument stands beside it.
+    """
     place, values = _dense(term)
-    scale = float(f"{float(np.max(np.abs(term.at))):.2g}")
+    scale = _scale(term)
     half = round(2.0 * power.exponent) / 2.0
     exponent = half if abs(half - power.exponent) <= 2.0 * power.std else round(power.exponent, 2)
-    shape = np.abs(place / scale) ** exponent * (np.sign(place) if power.symmetry == "odd" else 1.0)
-    size, constant = map(float, _solved([shape, np.ones(DENSE)], values))
+    columns = [_shape(place / scale, exponent, power.symmetry), np.ones(DENSE), *([place / scale] if line else [])]
+    size, constant, *slope = map(float, _solved(columns, values))
     unit, bound = argument_unit(term.argument), LARGEST * abs(size)
     numbers = [
         Number("size", term.unit, f"value at {scale:g} {unit}", -bound, bound, 0.0, size),
@@ -274,6 +287,11 @@ def _power(term: Term, power: Power) -> Formula:
     code, equation = [f"term = p.size * {sign}abs(a / SCALE) ** p.exponent"], f"size |{{a}}/{scale:g} {unit}|^exponent"
     equation = equation.replace("size ", "size sgn({a}) ") if sign else equation
     forms = [{"size": "()"}, {"size": f"({_short(size)},)", "exponent": f"({_short(exponent)},)"}]
+    if line:
+        meaning = f"part in proportion to the argument, at {scale:g} {unit}"
+        numbers.append(Number("linear", term.unit, meaning, -bound, bound, 0.0, slope[0]))
+        code, equation = [*code, "term += p.linear * a / SCALE"], f"{equation} + linear {{a}}/{scale:g} {unit}"
+        forms.append({"size": "()", "linear": "()"})
     if abs(constant) > max(LEAST_CONSTANT * term.reading.amplitude, SIGNIFICANT * term.reading.std):
         numbers.append(Number("constant", term.unit, "constant part", -bound, bound, 0.0, constant))
         code, equation = [*code, "term += p.constant"], f"{equation} + constant"
@@ -282,8 +300,34 @@ def _power(term: Term, power: Power) -> Formula:
     return Formula(tuple(numbers), equation, tuple(code), tuple(forms), constants)
 
 
-def _bump(term: Term, place: float) -> Formula:
-    """Return a bump at one place."""
+def _power_beside_line(term: Term) -> Formula | None:
+    """Return a power beside a part in proportion to the argument, which a named cause may hold; None if none describes it."""
+    if term.argument == "time_s" or not term.at[0] < 0.0 < term.at[-1]:
+        return None
+    a, spread = term.at / _scale(term), np.hypot(term.std, 0.01 * float(np.ptp(term.values)))
+    best, least = None, FITS * float(np.sum(((term.values - np.mean(term.values)) / spread) ** 2))
+    least = max(least, float(scipy.stats.chi2.ppf(LIKELY, max(len(a) - 3, 1))))
+    for exponent in BESIDE_LINE:
+        for symmetry in SYMMETRIES:
+            columns = [_shape(a, exponent, symmetry) / spread, a / spread, 1.0 / spread]
+            left = term.values / spread
+            left = left - np.stack(columns, axis=1) @ _solved(columns, left)
+            if float(left @ left) < least:
+                best, least = Power(exponent, 0.0, symmetry), float(left @ left)
+    return None if best is None else _power(term, best, line=True)
+
+
+def _scale(term: Term) -> float:
+    """Return the largest argument in the data, to two digits."""
+    return float(f"{float(np.max(np.abs(term.at))):.2g}")
+
+
+def _shape(a: Array, exponent: float, symmetry: str) -> Array:
+    return np.abs(a) ** exponent * (np.sign(a) if symmetry == "odd" else 1.0)
+
+
+def _bump(term: Term, place: float) -> Formula | None:
+    """Return a bump at one place; None if the table has no whole one."""
     at, values = _dense(term)
     step = float(term.at[1] - term.at[0])
 
@@ -292,8 +336,10 @@ def _bump(term: Term, place: float) -> Formula:
 
     start = (float(values[np.argmin(np.abs(at - place))] - np.median(values)), place, step, float(np.median(values)))
     lower, upper = (-np.inf, at[0], 0.1 * step, -np.inf), (np.inf, at[-1], float(np.ptp(at)), np.inf)
-    (size, centre, width, _), _ = scipy.optimize.curve_fit(bump, at, values, start, bounds=(lower, upper))
-    size, centre, width = float(size), float(centre), float(width)
+    fitted, _ = scipy.optimize.curve_fit(bump, at, values, start, bounds=(lower, upper))
+    size, centre, width = map(float, fitted[:3])
+    if not at[0] + width < centre < at[-1] - width or np.var(values - bump(at, *fitted)) > FITS * np.var(values):
+        return None
     unit, bound, far = argument_unit(term.argument), LARGEST * abs(size), LARGEST * max(abs(float(end)) for end in at[[0, -1]])
     numbers = (
         Number("size", term.unit, "value at the place", -bound, bound, 0.0, size),

@@ -76,9 +76,18 @@ def rising_friction(speed):
     return 50.0 + 3e3 * speed**1.5
 
 
+def drag_beside_viscous(v):
+    return -4.7e3 * v * np.abs(v) + 560.0 * v
+
+
 # Function, the term found for it, names of the effect's parameters.
 TERMS = {
     "drag": (drag, term("empirical_force", "velocity_m_s", table_of(drag, -0.2, 0.2)), "size exponent"),
+    "drag_beside_viscous": (
+        drag_beside_viscous,
+        term("empirical_force", "velocity_m_s", table_of(drag_beside_viscous, -0.18, 0.19, 8)),
+        "size exponent linear",
+    ),
     "cogging": (
         cogging,
         term("empirical_force", "position_m", table_of(cogging, 0.0, 7e-3, periodic=True), period=7e-3, direction=0.01),
