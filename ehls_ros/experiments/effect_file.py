@@ -4,6 +4,7 @@ The shape of the term decides the formula: waves for one that repeats, a power, 
 size. The found numbers become starting values; with the defaults the effect changes nothing.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
@@ -227,12 +228,16 @@ def _waves(term: Term, period: Estimate) -> Formula:
     """Return a sum of harmonics."""
     place, values = _dense(term)
     angle = 2.0 * np.pi * place / period.value
-    most = max(min(HARMONICS, (len(term.at) - 1) // 2), 1)
+    most = max((len(term.at) - 1) // 2, 1)
     columns = [wave(k * angle) for k in range(1, most + 1) for wave in (np.sin, np.cos)]
     pairs = _solved([*columns, np.ones(DENSE)], values)[: 2 * most].reshape(-1, 2)
     sizes = np.hypot(*pairs.T)
     least = max(LEAST_HARMONIC * float(np.max(sizes)), SIGNIFICANT * float(np.mean(term.std)) * np.sqrt(2.0 / len(term.at)))
-    kept = [k for k in range(1, most + 1) if k == 1 or sizes[k - 1] > least]
+    present = [k for k in range(1, most + 1) if sizes[k - 1] > least] or [1 + int(np.argmax(sizes))]
+    # Without the wave of its length, a table repeats more often.
+    repeats = math.gcd(*present)
+    period, pairs = period._replace(value=period.value / repeats), pairs[repeats - 1 :: repeats]
+    kept = [k // repeats for k in present if k <= HARMONICS * repeats] or [1]
     in_time = term.argument == "time_s"
     scale = period.value if not in_time else 1.0 / period.value
     name, unit, of_period = ("frequency", "Hz", "frequency") if in_time else ("wavelength", period.unit, "length of the wave")
@@ -247,7 +252,7 @@ def _waves(term: Term, period: Estimate) -> Formula:
             sums.append(f"p.{own} * math.{of[wave]}({'' if k == 1 else f'{k}.0 * '}angle)")
             texts.append(f"{own} {of[wave]}({'' if k == 1 else f'{k} '}φ)")
     free = {n.name: "()" for n in numbers}
-    numbers.append(Number(name, unit, of_period, scale / LARGEST, scale * LARGEST, scale, scale))
+    numbers.append(Number(name, unit, of_period, scale / LARGEST, scale * LARGEST, _other(scale), scale))
     starts = [_short(scale)]
     if term.argument == "position_m" and term.effect in TURNING:
         turning = TURNING[term.effect] or term.direction > 0.0
@@ -343,8 +348,8 @@ def _bump(term: Term, place: float) -> Formula | None:
     unit, bound, far = argument_unit(term.argument), LARGEST * abs(size), LARGEST * max(abs(float(end)) for end in at[[0, -1]])
     numbers = (
         Number("size", term.unit, "value at the place", -bound, bound, 0.0, size),
-        Number("place", unit, "place", -far, far, centre, centre),
-        Number("width", unit, "distance from the place at which 1/e is left", width / LARGEST, width * LARGEST, width, width),
+        Number("place", unit, "place", -far, far, 0.0, centre),
+        Number("width", unit, "distance from the place with 1/e of it", width / LARGEST, width * LARGEST, _other(width), width),
     )
     places = f'{_short(centre)}, *(Quantile("{term.argument}", part) for part in {PLACES})'
     widths = f"({', '.join([_short(width)] * (1 + len(PLACES)))})"
@@ -397,6 +402,11 @@ def _dense(term: Term) -> tuple[Array, Array]:
 
 def _solved(columns: list[Array], values: Array) -> Array:
     return np.asarray(np.linalg.lstsq(np.stack(columns, axis=1), values, rcond=None)[0], dtype=np.float64)
+
+
+def _other(scale: float) -> float:
+    """Return a round default that is no start: from neutral values alone no fit starts."""
+    return float(f"{2.0 * scale:.1g}")
 
 
 def _form(form: Mapping[str, str]) -> list[str]:

@@ -5,7 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from docs_snippets import ROOT
+import test_effects as contract
+from rig_runs import PAPER_RIG
 from third_party import install
 
 from ehls_ros.cli.main import BAD_INPUT, DONE, main
@@ -170,10 +171,29 @@ def test_the_defaults_change_nothing(name, effects):
     assert evaluated(effect, given, given.at[3], **neutral) == 0.0
 
 
+@pytest.mark.parametrize("name", TERMS)
+def test_an_effect_keeps_the_contract_of_its_family(name, effects, make_rig):
+    contract.test_an_effect_says_what_it_is(name)
+    contract.test_parameters_are_declared_with_unit_range_help_and_neutral_default(name)
+    contract.test_an_effect_acts_somewhere(name)
+    contract.test_an_effect_needs_signals_that_there_are(name)
+    contract.test_the_ways_to_fit_an_effect_start_off_the_neutral_values_and_within_range(name, make_rig)
+    contract.test_a_rig_file_holds_an_effect(name, make_rig)
+
+
 def test_a_power_and_a_wave_continue_beyond_the_data(effects):
     assert evaluated(effects["drag"], TERMS["drag"][1], 0.4) == pytest.approx(-2e4 * 0.4**2, rel=0.02)
     inside, beyond = (evaluated(effects["cogging"], TERMS["cogging"][1], x) for x in (1e-3, 1e-3 + 9 * 7e-3))
     assert beyond == pytest.approx(inside, rel=1e-6)
+
+
+def test_a_table_over_two_periods_gives_the_wave_of_one():
+    twice = term("empirical_force", "position_m", table_of(cogging, 0.0, 14e-3, periodic=True), period=14e-3)
+    found = {number.name: number.found for number in formula_of(twice).numbers}
+    assert found["wavelength"] == pytest.approx(7e-3)
+    assert found["sine"] == pytest.approx(300.0, rel=0.05)
+    assert found["cosine_2"] == pytest.approx(120.0, rel=0.1)
+    assert len(found) == 5
 
 
 def test_a_stretched_table_has_the_same_values_at_stretched_places(effects):
@@ -184,7 +204,7 @@ def test_a_stretched_table_has_the_same_values_at_stretched_places(effects):
 
 
 def test_the_fits_start_from_the_values_found_and_from_the_data(effects):
-    rig = load_rig(ROOT / "config" / "rig_paper.yaml")
+    rig = load_rig(PAPER_RIG)
     t = np.arange(4000) * 1e-3
     position, command = 0.05 * np.sin(2.0 * np.pi * t), 1e-4 * np.cos(2.0 * np.pi * t)
     record = prepare(Trajectory(t, {"position_m": position, "valve_command_m": command}), rig, "made")
