@@ -130,7 +130,7 @@ def run(folder: Path, seed: int, options: Namespace) -> None:
     environment = {**os.environ, "PYTHONPATH": path}
     test = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "test/physics/test_effects.py", "-k", PREFIX]
     subprocess.run([sys.executable, *test], cwd=ROOT, env=environment, check=True)
-    os.environ["PYTHONPATH"] = path
+    sys.path.insert(0, str(folder))  # which the processes take over
     fresh = [(n, seed + 10_000 + 100 * k + i) for i in range(options.cases) for k, n in enumerate(names)]
     rows = list[dict[str, Any]]()
     # Processes that start with the package installed.
