@@ -223,6 +223,13 @@ def test_a_term_is_read_back_from_the_document():
     assert effect_text("cogging", again, "x") == effect_text("cogging", given, "x")
 
 
+def test_every_attribute_of_a_term_enters_its_effect():
+    # A further one has to be written into the effect, or such a term refused.
+    assert Term._fields == (
+        "effect", "argument", "magnitude", "unit", "at", "values", "std", "period", "closed", "direction", "reading",
+    )  # fmt: skip
+
+
 def document(path, name):
     path.write_text(json.dumps(json_document({"verdict": "unknown", "term": TERMS[name][1]})), encoding="utf-8")
     return str(path)
