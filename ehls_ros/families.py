@@ -49,7 +49,12 @@ class Family(Generic[Member]):
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all members, sorted."""
-        return tuple(sorted(self._own() | offered(self.group).names))
+        return tuple(sorted(self.own_names() | offered(self.group).names))
+
+    def own_names(self) -> set[str]:
+        """Return the names of the project's own members."""
+        found = iter_modules(import_module(self.package).__path__)
+        return {m.name for m in found if m.name != "base" and not m.name.startswith("_")}
 
     def load(self, name: Any, where: str = "configuration") -> Member:
         """Import a member.
@@ -64,7 +69,7 @@ class Family(Generic[Member]):
         # Listing the folder takes longer than most uses of a member.
         if isinstance(name, str) and name in self._loaded:
             return self._loaded[name]
-        if isinstance(name, str) and name in self._own():
+        if isinstance(name, str) and name in self.own_names():
             member: Any = import_module(f"{self.package}.{name}")
         else:
             member = self._from_elsewhere(name, where)
@@ -81,10 +86,6 @@ class Family(Generic[Member]):
             with suppress(BadInput):
                 members[name] = self.load(name)
         return members
-
-    def _own(self) -> set[str]:
-        found = iter_modules(import_module(self.package).__path__)
-        return {m.name for m in found if m.name != "base" and not m.name.startswith("_")}
 
     def _from_elsewhere(self, name: Any, where: str) -> ModuleType:
         points = [point for point in offered(self.group) if point.name == name]

@@ -148,6 +148,11 @@ def effect_of(name: str, given: Sizes) -> tuple[Effect, Sizes]:
     return effect, effect.neutral | given
 
 
+def appears_in(name: str, sizes: Sizes) -> str:
+    """Return the stage whose residual shows an effect."""
+    return "flow" if sizes.get("site") == "ports" else effect_of(name, sizes)[0].stage
+
+
 def _grown(healthy: np.ndarray, effects: Mapping[str, Sizes]) -> np.ndarray:
     """Return the kernel's record of a healthy rig with effects added."""
     p = healthy.copy()
@@ -247,7 +252,7 @@ def record(
         truth["effects"][name] = dict(sizes)
         truth["natural"] |= {} if "form" in sizes else {name: effect.natural(sizes, rig)}
         truth["stages"][name] = effect.stage
-        truth["appears_in"][name] = "flow" if sizes.get("site") == "ports" else effect.stage
+        truth["appears_in"][name] = appears_in(name, sizes)
         truth["near"][name] = list(effect.near)
         if name not in LISTED:
             truth["outside"].append(name)

@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
 from functools import cache, partial
-from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,28 +15,13 @@ import yaml
 from benchmarks.common import MEASURED_RIG, ROOT
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.trajectory import Trajectory
-from truth_generator import FINE, LISTED, OUTSIDE, Day, FormErrors, Measurement, Recording, draw_effect, measured, record
-from truth_generator.visibility import against, background
+from truth_generator import FINE, Day, FormErrors, Measurement, Recording, measured, record
+from truth_generator.cases import EXPERIMENTS, KINDS, MOST_DRAWS, ONE_BODY, SHOWS, Hidden, draw_case, draw_shown, kind_of
 
-KINDS = ("singles", "pairs", "nothing", "outside")
-ORDER = "sopsnsosnspsosnspsop"
-"""Kinds of twenty consecutive cases by their first letters: 45 % singles, 20 % pairs, 15 % nothing, 20 % outside the list."""
-
-EXPERIMENTS = {"rich": 0.45, "random": 0.3, "steps": 0.1, "paper_sine": 0.1, "servo": 0.05}
-"""Probability of each experiment."""
-
-SHOWS = 1.3
-"""Minimum visibility of an effect in the experiment drawn; below it, size and experiment are drawn again."""
-
-MOST_DRAWS = 40
-"""Maximum number of draws of size and experiment for one case."""
-
-ONE_BODY = {"hinge_backlash", "flexible_mode"}
-"""Effects that the truth generator cannot combine."""
-
-
-Hidden = dict[str, dict[str, Any]]
-"""Sizes of hidden effects by name."""
+__all__ = [
+    "EXPERIMENTS", "KINDS", "MOST_DRAWS", "ONE_BODY", "SHOWS", "Case", "Hidden", "healthy_of", "kind_of", "make",
+    "recording_of", "rig", "rig_file", "shown", "sources", "trajectory_of",
+]  # fmt: skip
 
 
 class Case(NamedTuple):
@@ -117,35 +101,10 @@ def sources() -> str:
     return digest.hexdigest()[:10]
 
 
-def kind_of(number: int) -> str:
-    """Return the kind of a case."""
-    return {kind[0]: kind for kind in KINDS}[ORDER[number % len(ORDER)]]
-
-
-def names_of(seed: int, number: int) -> tuple[str, ...]:
-    """Return the effects hidden in a case: all equally often, in an order given by the seed."""
-    kind = kind_of(number)
-    if kind == "nothing":
-        return ()
-    before = sum(kind_of(n) == kind for n in range(number))
-    if kind == "pairs":
-        fair = [pair for pair in combinations(sorted(LISTED), 2) if set(pair) != ONE_BODY]
-        return fair[int(np.random.default_rng([seed, number, 7]).integers(len(fair)))]
-    pool = sorted(LISTED if kind == "singles" else OUTSIDE)
-    turn, place = divmod(before, len(pool))
-    order = np.random.default_rng([seed, turn, KINDS.index(kind)]).permutation(len(pool))
-    return (pool[int(order[place])],)
-
-
 def make(seed: int, number: int, duration: float) -> Case:
     """Draw a case."""
-    rng = np.random.default_rng([seed, number])
-    names = names_of(seed, number)
-
-    def draw() -> Hidden:
-        return {name: draw_effect(name, rng, rig_file()) for name in names}
-
-    return shown(rng, seed, number, kind_of(number), duration, draw)
+    drawn = draw_case(rig_file(), seed, number, duration)
+    return Case(seed, number, kind_of(number), drawn.experiment, drawn.record_seed, duration, *drawn[2:])
 
 
 def shown(rng: np.random.Generator, seed: int, number: int, kind: str, duration: float, draw: Callable[[], Hidden]) -> Case:
@@ -159,22 +118,8 @@ def shown(rng: np.random.Generator, seed: int, number: int, kind: str, duration:
         duration: duration of the recording [s].
         draw: draws the hidden effects.
     """
-    redrawn = 0
-    while True:
-        experiment = str(rng.choice(list(EXPERIMENTS), p=list(EXPERIMENTS.values())))
-        record_seed = int(rng.integers(2**31))
-        hidden = draw()
-        if "coupling_stiffness" in hidden:
-            experiment = "servo"
-        seen: dict[str, dict[str, float]] = {}
-        if hidden:
-            without = background(rig_file(), experiment, seed=record_seed, duration=duration)
-        for name, sizes in hidden.items():
-            alone = record(rig_file(), {name: sizes}, experiment, seed=record_seed, duration=duration, noise=0.0)
-            seen[name] = {stage: round(value, 3) for stage, value in against(without, rig_file(), alone).items()}
-        if all(max(stages.values()) >= SHOWS for stages in seen.values()) or redrawn >= MOST_DRAWS:
-            return Case(seed, number, kind, experiment, record_seed, duration, hidden, seen, redrawn)
-        redrawn += 1
+    drawn = draw_shown(rig_file(), rng, duration, draw)
+    return Case(seed, number, kind, drawn.experiment, drawn.record_seed, duration, *drawn[2:])
 
 
 def recording_of(case: Case) -> Recording:

@@ -5,16 +5,13 @@ hidden one. Lenient: for an effect outside the list, a listed one that the truth
 the effect shows. A true cause named together with an absent one counts as wrong, for either judge.
 """
 
-from itertools import permutations
 from typing import NamedTuple
 
 from benchmarks.common import Quantity
 from benchmarks.diagnosis.cases import SHOWS
 from benchmarks.diagnosis.comparable import quantities
 from benchmarks.rows import Row
-
-CONFIDENT = 0.9
-"""Probability above which a wrong name counts as confident."""
+from truth_generator.scoring import CONFIDENT, matched
 
 NAMED = ("effect", "partial")
 """Verdicts that name causes."""
@@ -57,7 +54,7 @@ def judge(row: Row) -> Judgement:
     classes = [{c["name"], *c["equivalent_to"]} for c in causes]
     names = [c["name"] for c in causes]
     near = {n for names_near in row["near"].values() for n in names_near}
-    true = _matched(names, classes, hidden)
+    true = matched(names, classes, hidden)
     wrong = [c for i, c in enumerate(causes) if i not in true]
     not_there = tuple(c["name"] for c in wrong) if true else ()
     confident = any(c["probability"] > CONFIDENT for c in wrong)
@@ -91,16 +88,6 @@ def judge(row: Row) -> Judgement:
     return Judgement(right, lenient, first, exact, confident, confident_lenient, not_there, worded(row), found, beliefs)
 
 
-def _matched(names: list[str], classes: list[set[str]], hidden: list[str]) -> set[int]:
-    """Return the causes that match hidden effects, one for each: as many as possible, exact names first."""
-    best: tuple[int, int, set[int]] = (0, 0, set())
-    for order in permutations([*range(len(names)), *[-1] * len(hidden)], len(hidden)):
-        true = {i for i, effect in zip(order, hidden, strict=True) if i >= 0 and effect in classes[i]}
-        own = sum(i >= 0 and names[i] == effect for i, effect in zip(order, hidden, strict=True))
-        best = max(best, (len(true), own, true), key=lambda found: found[:2])
-    return best[2]
-
-
 def closed_off(row: Row) -> float | None:
     """Return the deviation of the error fraction explained by the causes from its true share; None if none is named rightly."""
     if not judge(row).first or row.get("share") is None or row["ours"]["gain"] is None:
@@ -126,7 +113,7 @@ def peer_right(row: Row, named: list[str]) -> bool:
     if row["kind"] == "outside":
         return False
     hidden = sorted(row["hidden"])
-    return len(named) == len(hidden) == len(_matched(named, [set(names.split("|")) for names in named], hidden))
+    return len(named) == len(hidden) == len(matched(named, [set(names.split("|")) for names in named], hidden))
 
 
 def below_power(row: Row) -> bool:
@@ -135,7 +122,7 @@ def below_power(row: Row) -> bool:
         return False
     causes = row["ours"]["causes"]
     classes = [{c["name"], *c["equivalent_to"]} for c in causes]
-    if len(_matched([c["name"] for c in causes], classes, list(row["hidden"]))) < len(causes):
+    if len(matched([c["name"] for c in causes], classes, list(row["hidden"]))) < len(causes):
         return False
     missed = [name for name in row["hidden"] if not any(name in names for names in classes)]
     return all(_below(row, name) for name in missed)

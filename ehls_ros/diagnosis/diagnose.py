@@ -4,6 +4,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from functools import cache, partial
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
@@ -16,6 +17,7 @@ from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.measurement import BEYOND_MEASUREMENT, allowed_for
 from ehls_ros.diagnosis.partial import partial_answer
+from ehls_ros.diagnosis.periods import period_left
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import Record, prepare
 from ehls_ros.diagnosis.remainder import Remainder, remainders, with_allowances
@@ -63,7 +65,8 @@ def diagnose(
     if evidence is None or not evidence.channels:
         return _nothing_recorded(record, rig, compared if evidence is None else evidence.setup, seed, began)
     main = main_channel(evidence.channels)
-    tried, not_tried = candidates(record, rig, lines_left(evidence, evidence.base.values[main]))
+    lines = lines_left(evidence, evidence.base.values[main])
+    tried, not_tried = candidates(record, rig, lines, cache(partial(period_left, evidence)))
     if not mass_observable(evidence):
         everything, tried = {c.name for c in tried}, [c for c in tried if not c.parts_mass]
         not_tried |= dict.fromkeys(

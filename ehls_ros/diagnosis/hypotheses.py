@@ -1,6 +1,7 @@
 """Candidate causes of a model's error: every effect, in every form in which it can be fitted."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -12,7 +13,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.record import Record
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import HOOKS, Form, Peak, Quantile, Share
+from ehls_ros.physics.effects.base import HOOKS, Form, Peak, Period, Quantile, Share, Start
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import Declaration, declarations
 
@@ -113,13 +114,25 @@ def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
     return np.concatenate([c.lower for c in hypothesis]), np.concatenate([c.upper for c in hypothesis])
 
 
-def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[Candidate], dict[str, str]]:
+Periods = Callable[[Period], float | None]
+"""Returns a period found in the residual, None if there is none."""
+
+
+def no_period(of: Period) -> float | None:
+    """Return None, where periods are not looked for."""
+    return None
+
+
+def candidates(
+    record: Record, rig: Rig, lines: Sequence[float], periods: Periods = no_period
+) -> tuple[list[Candidate], dict[str, str]]:
     """Return every effect in every form testable with a recording.
 
     Args:
         record: the recording.
         rig: the given model; an effect that it has already is tried as a growth of it, if it can grow.
         lines: frequencies of the strongest lines in the residuals' spectra [Hz].
+        periods: looks for the periods from which forms start.
 
     Returns:
         The candidates, and the reason for each effect that cannot be tried.
@@ -131,7 +144,7 @@ def candidates(record: Record, rig: Rig, lines: Sequence[float]) -> tuple[list[C
         if missing:
             out[name] = f"needs {', '.join(missing)}"
             continue
-        tried = [_candidate(name, number, form, record, lines) for number, form in enumerate(effect.forms(rig))]
+        tried = [_candidate(name, number, form, record, lines, periods) for number, form in enumerate(effect.forms(rig))]
         present = next((use.parameters for use in rig.effects if use.name == name), None)
         if present is not None and not only_shifts(name):
             if any(candidate.separates_load or np.any(candidate.neutral) or candidate.fixed for candidate in tried):
@@ -175,7 +188,9 @@ def _declared(name: str) -> dict[str, Declaration]:
     return {d.name: d for d in declarations(EFFECTS.load(name).Parameters)}
 
 
-def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequence[float]) -> Candidate:
+def _candidate(
+    name: str, number: int, form: Form, record: Record, lines: Sequence[float], periods: Periods = no_period
+) -> Candidate:
     declared = _declared(name)
     free = tuple(form.free)
     count = max([1, *[len(starts) for starts in form.free.values()]])
@@ -187,7 +202,9 @@ def _candidate(name: str, number: int, form: Form, record: Record, lines: Sequen
             raise BadInput(
                 f"{parameter} has {len(starts)} starts", f"effect {name}, form {number}", f"{count}, as many as the others"
             )
-        rows[:, column] = [_start(start, record, lines) for start in starts]
+        rows[:, column] = [_start(start, record, lines, periods) for start in starts]
+    absent = [i for starts in form.free.values() for i, s in enumerate(starts) if isinstance(s, Period) and periods(s) is None]
+    rows = np.delete(rows, absent, axis=0)
     lower = np.array([_finite(declared[p].minimum, -np.inf) for p in free])
     upper = np.array([_finite(declared[p].maximum, np.inf) for p in free])
     for column, parameter in enumerate(free):
@@ -216,11 +233,14 @@ def _finite(value: float | None, otherwise: float) -> float:
     return otherwise if value is None else float(value)
 
 
-def _start(start: float | Share | Quantile | Peak, record: Record, lines: Sequence[float]) -> float:
+def _start(start: Start, record: Record, lines: Sequence[float], periods: Periods) -> float:
     if isinstance(start, Share):
         return start.fraction * float(np.max(np.abs(record.values(start.signal))))
     if isinstance(start, Quantile):
         return float(np.quantile(record.values(start.signal), start.fraction))
     if isinstance(start, Peak):
         return float(lines[min(start.rank, len(lines)) - 1]) if lines else 1.0
+    if isinstance(start, Period):
+        found = periods(start)
+        return math.nan if found is None else found
     return float(start)

@@ -17,7 +17,7 @@ from tiers import tiered
 from ehls_ros.arrays import kernel
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import HOOKS, Group, Peak, Quantile, Share
+from ehls_ros.physics.effects.base import HOOKS, Group, Peak, Period, Quantile, Share
 from ehls_ros.physics.plant import INPUTS, Coefficients, U, system
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.simulator import parts_of
@@ -127,6 +127,8 @@ def test_the_ways_to_fit_an_effect_start_off_the_neutral_values_and_within_range
                         assert 0.0 < fraction < 1.0
                     case Peak(rank):
                         assert rank >= 1
+                    case Period(signal, _):
+                        assert signal in SIGNALS
                     case _:
                         assert declared[key].minimum <= start <= declared[key].maximum
         # From the neutral values alone no fit would start.

@@ -137,7 +137,19 @@ class Peak(NamedTuple):
     rank: int
 
 
-Start = float | Share | Quantile | Peak
+class Period(NamedTuple):
+    """Period of the wave along a signal that predicts the residual best, in the signal's unit; no start if none predicts it.
+
+    Attributes:
+        signal: the signal along which the residual repeats.
+        turning: whether the sign of the wave follows the direction of motion.
+    """
+
+    signal: str
+    turning: bool = False
+
+
+Start = float | Share | Quantile | Peak | Period
 """Starting value of a parameter's fit: a number, or derived from the data; signals as in ``NEEDS``."""
 
 
