@@ -34,8 +34,10 @@ from ehls_ros.hardware import calibration, gate_parameters
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.nodes import controller_of, node_names
 from ehls_ros.physics import parameters as rig
+from ehls_ros.physics.cylinder import CYLINDERS
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
+from ehls_ros.physics.valve import VALVES
 from ehls_ros.recording import columns, topics
 from ehls_ros.schema import Declaration, declarations
 from ehls_ros.trajectory import AS_RIGS_GIVE, SIGNALS
@@ -61,6 +63,8 @@ class Section(NamedTuple):
 
 FAMILIES: Mapping[str, Family[Any]] = {
     "Rig file: friction": FRICTION_MODELS,
+    "Rig file: cylinder": CYLINDERS,
+    "Rig file: valve": VALVES,
     "Controllers": CONTROLLERS,
     "Companions": COMPANIONS,
     "Friction observers": OBSERVERS,
@@ -153,6 +157,8 @@ TOPICS: Mapping[str, str] = {
     "load_pressure": "pressure between the cylinder's ports [Pa]: a difference that may be negative, though `FluidPressure` is "
     "described as absolute",
     "supply_pressure": "supply pressure at the valve [Pa], above the tank's; not absolute either",
+    "pressure_a": "pressure in the chamber that pushes towards +x [Pa], of a cylinder with two chambers; not absolute either",
+    "pressure_b": "pressure in the chamber that pushes towards -x [Pa], likewise",
     "oil_temperature": "oil temperature [°C], as `Temperature` has it; `loader_state` has it in K",
     "joint_states": "joint `loader`: position [m], velocity [m/s], effort [N]; an array is empty where nothing is measured",
     "driver": "which controller the gate obeys, and from which cycle on; published on change; not recorded, as each command "
