@@ -45,7 +45,8 @@ def identifier(stem: str, where: str) -> str:
 
 def token_of(model: Model) -> str:
     """Return the instantiation token: equal for equal models, so that saved states can be exchanged between them."""
-    text = f"{__version__} {model.name} {model.kernel.__name__} {header(model, '{0000000}')}"
+    kernels = " ".join(kernel.__name__ for kernel in model.entries.values())
+    text = f"{__version__} {model.name} {kernels} {header(model, '{0000000}')}"
     return f"{{{uuid.UUID(bytes=hashlib.sha256(text.encode()).digest()[:16])}}}"
 
 

@@ -57,7 +57,7 @@ def observer_model(rig: Rig, name: str, period: float, observer: str, parameters
     kernel = compiled(build_observer, dict.fromkeys(ENTRIES, "block"), members, numbers)
     outputs = [variable.name for variable in block.variables if variable.causality == "output"]
     terminals = {"sensors": ["velocity"], "estimate": outputs}
-    return Model(name, f"Friction observer {observer}", block, kernel, ENTRIES, None, period, terminals)
+    return Model(name, f"Friction observer {observer}", block, dict.fromkeys(ENTRIES, kernel), None, period, terminals)
 
 
 def law_model(rig: Rig, name: str, period: float, law: str, tuning: Any, observer: str, parameters: Any) -> Model:
@@ -104,7 +104,7 @@ def law_model(rig: Rig, name: str, period: float, law: str, tuning: Any, observe
     references = [variable.name for variable in block.variables if variable.name.startswith("reference")]
     terminals: Mapping[str, list[str]] = {"sensors": list(rig.sensed), "reference": references, "valve": ["valve_command"]}
     text = f"Controller {law} with the friction observer {observer}"
-    return Model(name, text, block, kernel, ENTRIES, None, period, terminals)
+    return Model(name, text, block, dict.fromkeys(ENTRIES, kernel), None, period, terminals)
 
 
 def _named(places: Mapping[str, int]) -> dict[str, int]:

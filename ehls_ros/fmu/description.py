@@ -66,7 +66,9 @@ def _interfaces(root: Element, model: Model, version: Version) -> None:
     state = "State" if version == "3.0" else "state"
     common = {"modelIdentifier": model.name, f"canGetAndSetFMU{state}": "true", f"canSerializeFMU{state}": "true"}
     if model.event is not None:
-        SubElement(root, "ModelExchange", common)
+        exchanging = SubElement(root, "ModelExchange", common)
+        if "slopes" in model.entries:
+            exchanging.set(f"providesDirectionalDerivative{'s' if version == '3.0' else ''}", "true")
     stepping = SubElement(root, "CoSimulation", {**common, "canHandleVariableCommunicationStepSize": "true"})
     if version == "3.0":
         stepping.set("fixedInternalStepSize", repr(model.period))

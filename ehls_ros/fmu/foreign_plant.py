@@ -136,10 +136,10 @@ class FmuProcess:
         return WorkFailed(f"{self._path}: the FMU's process ended {cause}{self._said()}")
 
     def _said(self) -> str:
-        """Return the last line that the process printed."""
+        """Return the last lines that the process printed."""
         self._output.seek(0)
         lines = self._output.read().decode(errors="replace").strip().splitlines()
-        return f" ({lines[-1].strip()[:300]})" if lines else ""
+        return f" ({'; '.join(line.strip()[:200] for line in lines[-2:])})" if lines else ""
 
 
 class ForeignPlant:

@@ -27,6 +27,9 @@ def header(model: Model, token: str) -> str:
         "FIRST_OUTPUT": outputs[0],
         "AFTER_OUTPUTS": outputs[-1] + 1,
         "HAS_RATES": int(model.event is not None),
+        "HAS_SLOPES": int("slopes" in model.entries),
+        "SEED": model.seed,
+        "SLOPE": model.slope,
         "MODEL_NUMBER": int(token.strip("{}").replace("-", "")[:7], 16),
     }
     if model.event is not None:

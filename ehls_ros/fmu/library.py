@@ -86,9 +86,9 @@ def shared_library(model: Model, token: str, system: str, where: str) -> bytes:
         folder = Path(name)
         (folder / "model.h").write_text(header(model, token), encoding="utf-8")
         parts = []
-        for entry in model.entries:
+        for entry, kernel in model.entries.items():
             parts.append(folder / f"{entry}.o")
-            parts[-1].write_bytes(object_code(model.kernel, entry, system))
+            parts[-1].write_bytes(object_code(kernel, entry, system))
         target = ("-target", TARGETS[system])
         for file in C_FILES:
             parts.append(folder / f"{file}.o")

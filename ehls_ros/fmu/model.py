@@ -135,21 +135,23 @@ class Model(NamedTuple):
         name: short name.
         description: one sentence.
         block: layout and initial values.
-        kernel: module with the compiled functions named in ``entries``, each of one block.
-        entries: ``start``, ``step`` and, for Model Exchange, ``rates`` and ``change``.
+        entries: modules of the compiled functions of one block, by the functions' names: ``start``, ``step`` and, for Model
+            Exchange, ``rates`` and ``change``; ``slopes`` for directional derivatives.
         event: index of the event indicator; None without Model Exchange.
         period: sample period [s].
         terminals: names of the variables of each terminal, by the terminal's name.
+        seed, slope: indices in the scratch of the seeds and of the derivatives, one for each variable; for ``slopes``.
     """
 
     name: str
     description: str
     block: Block
-    kernel: ModuleType
-    entries: tuple[str, ...]
+    entries: Mapping[str, ModuleType]
     event: int | None
     period: float
     terminals: Mapping[str, Sequence[str]]
+    seed: int = 0
+    slope: int = 0
 
     @property
     def states(self) -> list[int]:

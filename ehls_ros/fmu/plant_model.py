@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from ehls_ros.fmu import plant_slopes
 from ehls_ros.fmu.model import Block, Causality, Model, Variable, constant, parameters_of
 from ehls_ros.fmu.plant_kernel import INPUT_COUNT, build
 from ehls_ros.physics.composition import compiled, effects_in_kernel
@@ -77,17 +78,31 @@ def plant_model(rig: Rig, name: str, period: float = 1e-3, step: float | None = 
     at["lagged"] = block.remember(state.sensors.lagged)
     at["past"] = block.remember(state.sensors.past.ravel())
     at["work"] = block.reserve(state.work.size)
+    places = {f"{name}_at": index for name, index in at.items()}
     numbers = {**parts.numbers, "weights": len(constants.effects), "earlier": earlier, "columns": columns}
     numbers["signals"] = len(rig.sensed)
-    numbers |= {f"{name}_at": index for name, index in at.items()}
-    entries = ("start", "step", "rates", "change")
-    kernel = compiled(build, dict.fromkeys(entries, "block"), parts.members, numbers, parts.effects)
+    names_of = ("start", "step", "rates", "change")
+    kernel = compiled(build, dict.fromkeys(names_of, "block"), parts.members, {**numbers, **places}, parts.effects)
+    entries = dict.fromkeys(names_of if exchange else names_of[:2], kernel)
+    seed = slope = 0
+    if exchange:
+        seed, slope = block.reserve(len(block.variables)), block.reserve(len(block.variables))
+        coefficients = at["effects"] - at["plant"]
+        duals = block.reserve(plant_slopes.scratch_size(state.y.size, coefficients, len(constants.effects), len(rig.sensed)))
+        own = {
+            **parts.numbers,
+            "signals": len(rig.sensed),
+            "weights": len(constants.effects),
+            "seed_at": seed,
+            "slope_at": slope,
+            "duals_at": duals,
+        }
+        entries["slopes"] = compiled(plant_slopes.build, {"slopes": "block"}, parts.members, {**own, **places}, parts.effects)
     return Model(
         name,
         f"Electro-hydraulic load simulator: {rig.friction_model} friction, {_listed(rig)}",
         block,
-        kernel,
-        entries if exchange else entries[:2],
+        entries,
         at["event"] if exchange else None,
         period,
         {
@@ -95,6 +110,8 @@ def plant_model(rig: Rig, name: str, period: float = 1e-3, step: float | None = 
             "sensors": list(rig.sensed),
             "actuator": [variable.name for variable in block.variables if variable.name.startswith("disturbance_")],
         },
+        seed,
+        slope,
     )
 
 

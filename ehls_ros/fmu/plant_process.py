@@ -4,6 +4,7 @@
 preparation, rows of doubles in the steps. A foreign library may crash, hang, or print anything; only this process is affected.
 """
 
+import faulthandler
 import json
 import os
 import resource
@@ -126,7 +127,11 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     _answer(answers, {"outputs": outputs})
     row, made = struct.Struct(f"{len(request['inputs'])}d"), struct.Struct(f"{len(outputs)}d")
     while len(data := requests.read(row.size)) == row.size:
-        answers.write(made.pack(*instance.step(row.unpack(data))))
+        try:
+            outputs = instance.step(row.unpack(data))
+        except Exception as error:  # noqa: BLE001 - FMPy raises many types
+            sys.exit(str(error))  # after the FMU's own message
+        answers.write(made.pack(*outputs))
         answers.flush()
 
 
@@ -139,6 +144,7 @@ def main() -> None:
     """Serve the FMU that the parent names."""
     read, write, parent = map(int, sys.argv[1:])
     end_with(parent)
+    faulthandler.disable()  # FMPy enables it; its report would hide the library's last message
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     with os.fdopen(read, "rb") as requests, os.fdopen(write, "wb") as answers:
         serve(requests, answers)

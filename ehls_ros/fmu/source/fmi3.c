@@ -169,7 +169,8 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t unknowns,
                                         const fmi3ValueReference known[], size_t knowns, const fmi3Float64 seed[],
                                         size_t seeds, fmi3Float64 sensitivity[], size_t sensitivities) {
-    return fmi3Error;
+    DONE(seeds == knowns && sensitivities == unknowns &&
+         instance_slopes((Instance *)c, unknown, unknowns, known, knowns, seed, sensitivity));
 }
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t unknowns,
                                     const fmi3ValueReference known[], size_t knowns, const fmi3Float64 seed[], size_t seeds,

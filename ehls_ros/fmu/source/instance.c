@@ -19,6 +19,10 @@ ENTRY(ehls_rates);
 ENTRY(ehls_change);
 #endif
 
+#if HAS_SLOPES
+ENTRY(ehls_slopes);
+#endif
+
 #define CALL(name, self) call(name, (self)->block)
 
 int format_text(char *text, size_t size, const char *format, va_list arguments);
@@ -168,6 +172,29 @@ int instance_events(Instance *self) {
     }
     self->stale = 1;
     return instance_refresh(self) && is_finite(self);
+#else
+    (void)self;
+    return 0;
+#endif
+}
+
+/* Write the derivatives of some variables in the direction of seeds, at constant modes. */
+int instance_slopes(Instance *self, const unsigned int *unknown, size_t unknowns, const unsigned int *known, size_t knowns,
+                    const double *seed, double *slope) {
+#if HAS_SLOPES
+    if (!self->continuous || !instance_refresh(self)) return 0;
+    memset(self->block + SEED, 0, VISIBLE * sizeof(double));
+    memset(self->block + SLOPE, 0, VISIBLE * sizeof(double));
+    for (size_t i = 0; i < knowns; i++) {
+        if (known[i] >= VISIBLE) return 0;
+        self->block[SEED + known[i]] += seed[i];
+    }
+    if (!CALL(ehls_slopes, self)) return 0;
+    for (size_t i = 0; i < unknowns; i++) {
+        if (unknown[i] >= VISIBLE) return 0;
+        slope[i] = self->block[SLOPE + unknown[i]];
+    }
+    return 1;
 #else
     (void)self;
     return 0;

@@ -44,6 +44,8 @@ int instance_begin(Instance *self);
 int instance_do_step(Instance *self, double now, double step);
 int instance_refresh(Instance *self);
 int instance_events(Instance *self);
+int instance_slopes(Instance *self, const unsigned int *unknown, size_t unknowns, const unsigned int *known, size_t knowns,
+                    const double *seed, double *slope);
 void instance_save(const Instance *self, State *state);
 int instance_restore(Instance *self, const State *state);
 int instance_is_state(const State *state);
