@@ -8,7 +8,8 @@ import yaml
 
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.empirical import Proposal, candidates_of, concentrated, waves_along
+from ehls_ros.diagnosis.empirical import candidate_of
+from ehls_ros.diagnosis.term_proposals import Proposal, concentrated, lag_of, play_of, waves_along
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -78,10 +79,37 @@ def test_the_period_that_predicts_a_remainder_is_found():
     assert share > 0.9
 
 
-def test_a_proposal_is_tried_with_few_and_with_many_knots():
-    few, many = candidates_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 2e6, (-1.5e6, 2.5e6)))
-    assert (len(few.free), len(many.free)) == (8, 16)
+def test_a_whole_fraction_of_a_period_is_preferred():
+    values = 0.065 * np.sin(np.linspace(0.0, 40.0, 3000))
+    angle = 2.0 * np.pi * values / 8.1e-3 + 0.4
+    target, even = np.sin(angle) + 0.1 * np.random.default_rng(1).standard_normal(3000), np.arange(3000) // 100 % 2 == 0
+    waves, _ = waves_along(lambda signal: signal, values).strongest(target, even)
+    assert float(np.ptp(values)) / waves == pytest.approx(8.1e-3, rel=0.01)
+
+
+def test_a_proposal_is_a_table_over_its_range():
+    many = candidate_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 2e6, (-1.5e6, 2.5e6), 16))
+    assert len(many.free) == 16
     use = many.use(np.arange(16.0) * 1e-6)
     assert use.parameters.per_pressure * -1e6 + use.parameters.offset == pytest.approx(0.0, abs=1e-12)
     assert use.parameters.lowest == pytest.approx(-0.5 / 3.0)
     assert use.parameters.highest == pytest.approx(1.0 + 0.5 / 3.0)
+
+
+def test_a_proposal_of_two_signals_with_a_memory_has_them_in_its_parameters():
+    proposal = Proposal(0.5, "empirical_spool", "displacement", -1e-4, 1e-4, (-1e-4, 1e-4), factor="error", factor_reach=2e-5)
+    p = candidate_of(proposal).use(np.zeros(8)).parameters
+    assert p.per_spool == -p.per_error == pytest.approx(1.0 / 2e-4)
+    assert p.times_error == pytest.approx(1.0 / 2e-5)
+    lagged = candidate_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 1e6, (-1e6, 1e6), lag=0.2))
+    assert lagged.free[0] == "memory"
+    assert lagged.starts[0, 0] == pytest.approx(0.2)
+
+
+def test_a_lag_and_a_play_begin_at_zero():
+    step = np.ones(4000)
+    assert lag_of(step, 0.5, 1e-3)[500] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-6)
+    wave = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, 0.0, 50)])
+    assert wave - play_of(wave, 0.4) == pytest.approx(
+        np.clip(np.concatenate([wave[:50], wave[50:] - 0.6 - 0.2 + 0.0]), -0.2, 0.2)
+    )
