@@ -16,7 +16,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import explains, most_explained, share_closed
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.fit import Fit, Start, Worker
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.loss import power
@@ -29,7 +29,7 @@ from ehls_ros.diagnosis.result import Term, argument_unit
 from ehls_ros.diagnosis.search import Searched, fitted, given_model, inflations
 from ehls_ros.diagnosis.stages import CHANNELS, Stage
 from ehls_ros.diagnosis.starts import combined
-from ehls_ros.diagnosis.term_formula import BOUNDS, SIZES, Formula, Table, formulas, shapes_of, value_of
+from ehls_ros.diagnosis.term_formula import SIZES, Formula, Table, formulas, shapes_of, value_of
 from ehls_ros.diagnosis.term_proposals import (
     DISPLACEMENT,
     ERROR,
@@ -44,6 +44,9 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects._table import VALUES
 from ehls_ros.schema import declarations
+
+FITTED_TERMS = 8
+"""Terms beside named causes that are fitted to the end, of all whose argument predicts the remainder."""
 
 PERIOD_RANGE = 0.05
 """Largest relative change of a period from that found first."""
@@ -68,11 +71,13 @@ class Described(NamedTuple):
         best: the hypothesis; the term comes last.
         without: the named causes alone.
         term: the term.
+        rivals: hypotheses with another term that explain as much, by that term's name, best first.
     """
 
     best: Assessment
     without: Assessment
     term: Term
+    rivals: Mapping[str, Assessment]
 
 
 class _Offer(NamedTuple):
@@ -87,6 +92,13 @@ class _Offer(NamedTuple):
     base: Assessment
     more: Assessment
     proposal: Proposal
+
+    @property
+    def name(self) -> str:
+        """Effect, argument and factor of the term."""
+        p = self.proposal
+        factor = f" × {_signal(p.effect, p.factor)}" if p.factor else ""
+        return f"{p.effect} over {_signal(p.effect, p.argument)}{factor}"
 
 
 def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
@@ -103,15 +115,19 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     nothing = given_model(evidence)
     bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), found.best)}
     inside = [asked_in(evidence, channel) for channel in evidence.channels if CHANNELS[channel] == stage and channel in PLACES]
-    linearised, offers = dict[tuple[object, ...], Fit | None](), list[_Offer]()
+    linearised, begun = dict[tuple[object, ...], Fit | None](), list[tuple[Assessment, Proposal, Start]]()
     for base in bases.values():
         proposed = {p.key: p for asked in inside for p in proposals(asked, base.held_out.residuals.values[asked.channel])}
         missing = {key: p for key, p in proposed.items() if key not in linearised}
         linearised.update(zip(missing, pool.map(_linearised, [candidate_of(p) for p in missing.values()]), strict=True))
         pairs = [(p, fit) for key, p in proposed.items() if (fit := linearised[key]) is not None]
-        by_candidate = {id(fit.hypothesis[-1]): p for p, fit in pairs}
-        begun = [combined(evidence, base.fit, fit) for _, fit in pairs]
-        offers += [_Offer(base, more, by_candidate[id(more.hypothesis[-1])]) for more in fitted(evidence, pool, begun)]
+        begun += [(base, p, combined(evidence, base.fit, fit)) for p, fit in pairs]
+    origin = {id(start.fit.hypothesis): (base, p) for base, p, start in begun}
+    offers = [
+        _Offer(base, more, p)
+        for more in fitted(evidence, pool, [start for *_, start in begun], FITTED_TERMS)
+        for base, p in [origin[id(more.hypothesis)]]
+    ]
     if not offers:
         return None
     scale = inflations(evidence, [offer.more for offer in offers])
@@ -122,12 +138,14 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
         (offer for offer in offers if offer.more.score(scale) >= enough),
         key=lambda offer: (len(offer.more.names), not offer.proposal.simple, -offer.more.score(scale)),
     )
-    offer = _as_formula(pool, offer)
+    equal = sorted((o for o in offers if o.more.score(scale) >= enough), key=lambda o: -o.more.score(scale))
+    others = {o.name: o.more for o in equal if o.name != offer.name}
+    offer = _as_formula(pool, offer, nothing)
     scale = inflations(evidence, [offer.more])
     share = share_closed(evidence, offer.more, offer.base)
     if not explains(evidence, offer.more, offer.base, scale) or share < _needed(evidence, found, offer, stage):
         return None
-    return Described(offer.more, offer.base, _term(evidence, offer))
+    return Described(offer.more, offer.base, _term(evidence, offer), others)
 
 
 def _needed(evidence: Evidence, found: Searched, offer: _Offer, stage: Stage) -> float:
@@ -143,8 +161,16 @@ def _needed(evidence: Evidence, found: Searched, offer: _Offer, stage: Stage) ->
     return rules.CLOSED if elsewhere else rules.WORTHWHILE
 
 
-def _as_formula(pool: Pool, offer: _Offer) -> _Offer:
-    """Return a term as the formula of fewest parameters that explains as much as its table; the table if none does."""
+def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:
+    """Return a term as the formula of fewest parameters that explains as much as its table; the table if none does.
+
+    With the right formula, named causes that only made up for the table are not needed.
+
+    Args:
+        pool: the threads.
+        offer: the term as a table.
+        nothing: the hypothesis without causes.
+    """
     evidence, (base, more, proposal) = pool.evidence, offer
     candidate, part = more.hypothesis[-1], parts(more.hypothesis)[-1]
     values, table = more.fit.values[part], slice(len(candidate.free) - proposal.knots, None)
@@ -154,13 +180,19 @@ def _as_formula(pool: Pool, offer: _Offer) -> _Offer:
     known = Table(at, values[table], covariance, proposal.periodic, _signed(proposal))
     memory = {name: value for name, value in zip(candidate.free, values.tolist(), strict=True) if name in MEMORIES}
     fits = pool.map(_linearised, [_of_formula(proposal, scale, memory, formula) for formula in formulas(known)])
-    begun = [combined(evidence, base.fit, fit) for fit in fits if fit is not None]
-    found = [more, *(fitted(evidence, pool, begun) if begun else [])]
+    begun = [
+        combined(evidence, beside.fit, fit)
+        for fit in fits
+        if fit is not None
+        for beside in ((base, nothing) if base.names else (base,))
+    ]
+    found = [more, *(fitted(evidence, pool, begun, len(begun)) if begun else [])]
     inflation = inflations(evidence, found)
     highest = max(j.score(inflation) for j in found)
     enough = highest - max(rules.EQUAL, rules.EQUAL_FRACTION * (highest - base.score(inflation)))
     equal = [j for j in found if j.score(inflation) >= enough]
-    return _Offer(base, min(equal, key=lambda j: (len(j.fit.values), -j.score(inflation))), proposal)
+    best = min(equal, key=lambda j: (len(j.fit.values), -j.score(inflation)))
+    return _Offer(base if len(best.names) > 1 else nothing, best, proposal)
 
 
 class _Scale(NamedTuple):
@@ -222,7 +254,7 @@ def _of_formula(proposal: Proposal, scale: _Scale, memory: Mapping[str, float], 
         formula: parameters of the formula.
     """
     fixed = {**_argument(proposal, scale), **formula.fixed, "knots": 0.0}
-    bounds = {**_memory_bounds(memory), **{name: BOUNDS[name] for name in formula.free if name in BOUNDS}}
+    bounds = {**_memory_bounds(memory), **formula.bounds}
     if "wave_number" in formula.free:
         number = formula.free["wave_number"]
         bounds["wave_number"] = (1.0 - PERIOD_RANGE) * number, (1.0 + PERIOD_RANGE) * number

@@ -314,6 +314,7 @@ class Diagnosis:
         partial: for ``unknown``, names of the effects that explain a part of it.
         gain: gain of the extended model, if causes are named or a term is found.
         term: for ``unknown``, the term that describes the error; None if none does.
+        term_rivals: models with another term that explains the error as well, by that term's name.
         rig: the given model.
         extended: the model with the causes or the term; the given model if there are none.
         traces: residuals, by channel.
@@ -336,6 +337,7 @@ class Diagnosis:
     partial: tuple[str, ...] = ()
     gain: Gain | None = None
     term: Term | None = None
+    term_rivals: Mapping[str, Rig] = field(default_factory=dict)
     rig: Rig
     extended: Rig
     traces: Mapping[Channel, ChannelTrace] = field(default_factory=dict)

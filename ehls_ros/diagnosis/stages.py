@@ -57,7 +57,7 @@ Origin: at twice that, the plays of a hysteresis lag as if by a command delay of
 FRICTION_STEP = 1e-3
 """Longest integration step of a friction model [s]."""
 
-MISREAD, MISREAD_PASSES = ("position", "load_pressure", "force"), 3
+MISREAD, MISREAD_PASSES = ("position", "load_pressure", "force"), 6
 """Sensors to whose readings effects add errors, and passes in which these are found from the readings."""
 
 FASTEST_SHARE = 0.999

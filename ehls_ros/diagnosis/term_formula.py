@@ -52,11 +52,13 @@ class Formula(NamedTuple):
         free: the fitted parameters by name.
         fixed: the other parameters that are not neutral.
         cost: half the squares that it leaves of the table, in units of the table's errors, and the penalty [nat].
+        bounds: ranges of the fitted parameters that are no values of the term.
     """
 
     free: Numbers
     fixed: Numbers = MappingProxyType({})
     cost: float = math.inf
+    bounds: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
 
 REFINED, ROUNDS, TRIED = 14, 30, 3
@@ -71,11 +73,13 @@ EXPONENTS, WIDTHS = (0.5, 1.0, 2.0, 3.0), (0.05, 0.2, 0.6)
 SIZES = ("level", "power", "bump", "step", "beyond", "wave", "wave_2")
 """Parameters of a formula that are values of the term; it is linear in them."""
 
+PLACES = ("power_at", "bump_at", "step_at", "beyond_at")
+"""Parameters of a formula that are places in the argument."""
+
 BOUNDS: Mapping[str, tuple[float, float]] = {
-    "exponent": (0.2, 6.0), "power_at": (-2.0, 2.0), "bump_at": (-2.0, 2.0), "bump_width": (0.005, 3.0),
-    "step_at": (-2.0, 2.0), "step_width": (1e-3, 3.0), "beyond_at": (-2.0, 2.0), "wave_number": (1e-3, 1e3),
+    "exponent": (0.2, 6.0), "bump_width": (0.005, 1.0), "step_width": (1e-3, 3.0), "wave_number": (1e-3, 1e3),
 }  # fmt: skip
-"""Ranges of the parameters that are no values of the term."""
+"""Ranges of the parameters that are neither values of the term nor places, which lie within the table."""
 
 
 def value_of(parameters: Any, u: Array) -> Array:
@@ -129,7 +133,7 @@ def _alone(table: Table) -> Iterator[Formula]:
     peak = float(table.at[int(np.argmax(np.abs(raised)))])
     for width in WIDTHS:
         yield Formula({"bump": size, "bump_at": peak, "bump_width": width * span})
-        if turns and table.signed:
+        if table.signed:
             yield Formula({"step": size, "step_width": width * span})
         steepest = float(table.at[int(np.argmax(np.abs(np.diff(table.values))))])
         yield Formula({"step": size, "step_at": steepest, "step_width": width * span})
@@ -180,7 +184,9 @@ def _fitted(table: Table, whitening: Array, start: Formula) -> Formula:
     """Fit a formula to a table; its cost is half the squares in units of the table's errors, and the penalty."""
     names = tuple(start.free)
     scale = np.array([max(float(np.ptp(table.values)), 1e-300) if name in SIZES else 1.0 for name in names])
-    low, high = np.array([BOUNDS.get(name, (-np.inf, np.inf)) for name in names]).T
+    places = dict.fromkeys(PLACES, (float(table.at[0]), float(table.at[-1])))
+    bounds = {name: range_ for name, range_ in {**BOUNDS, **places}.items() if name in names}
+    low, high = np.array([bounds.get(name, (-np.inf, np.inf)) for name in names]).T
     if table.periodic:
         # The period is known from the recording much better than from the table.
         number, is_number = start.free["wave_number"], np.array([name == "wave_number" for name in names])
@@ -194,7 +200,7 @@ def _fitted(table: Table, whitening: Array, start: Formula) -> Formula:
     x0 = np.clip(np.array([start.free[name] for name in names]), low + inside, high - inside) / scale
     found = scipy.optimize.least_squares(left, x0, bounds=(low / scale, high / scale), max_nfev=ROUNDS)
     cost = float(found.cost) + rules.PENALTY * len(names)
-    return start._replace(free=dict(zip(names, (found.x * scale).tolist(), strict=True)), cost=cost)
+    return start._replace(free=dict(zip(names, (found.x * scale).tolist(), strict=True)), cost=cost, bounds=bounds)
 
 
 def shapes_of(used: Numbers, std: Numbers, zero_and_size: tuple[float, float], units: tuple[str, str]) -> tuple[Shape, ...]:

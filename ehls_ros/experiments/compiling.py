@@ -73,7 +73,7 @@ def consequences_jobs(diagnosis: Diagnosis) -> list[Job]:
     """Return the kernels of the experiments that follow a diagnosis."""
     given, extended = diagnosis.rig, diagnosis.extended
     if not diagnosis.names_causes:
-        return [_plant(given)]
+        return [_plant(given)] if diagnosis.term is None else [_plant(given), _plant(extended)]
     loops = {loop_kernel(spec): spec for spec in runs(given, extended)}
     jobs = [Job(partial(loop_kernel, spec), partial(_loop, spec)) for spec in loops.values()]
     return [*jobs, _plant(given), _plant(extended)]
