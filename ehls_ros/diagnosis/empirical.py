@@ -345,6 +345,7 @@ def _term(evidence: Evidence, offer: _Offer) -> Term:
         argument=argument,
         magnitude=proposal.argument == "speed",
         error=proposal.argument == ERROR,
+        factor_error=proposal.factor == ERROR,
         unit=unit,
         at=at,
         values=shown,

@@ -276,7 +276,7 @@ class Term(NamedTuple):
         formula: the shapes whose sum it is; empty for a table.
         factor: the signal to which it is proportional, by its name in the data contract; empty if there is none.
         factor_reach: magnitude of that signal at which the values hold.
-        error: whether the argument is the command less the signal.
+        error, factor_error: whether the argument, or the factor, is the command less the signal.
         lag: time constant of a first-order lag that is subtracted from the argument; None: there is none.
         play: width of the play in whose gap the argument is taken; None: there is none.
     """
@@ -296,6 +296,7 @@ class Term(NamedTuple):
     factor: str = ""
     factor_reach: float = 1.0
     error: bool = False
+    factor_error: bool = False
     lag: Estimate | None = None
     play: Estimate | None = None
 

@@ -58,7 +58,10 @@ FRICTION_STEP = 1e-3
 """Longest integration step of a friction model [s]."""
 
 MISREAD, MISREAD_PASSES = ("position", "load_pressure", "force"), 6
-"""Sensors to whose readings effects add errors, and passes in which these are found from the readings."""
+"""Sensors to whose readings effects add errors, and most passes in which these are found from the readings."""
+
+MISREAD_LEFT = 1e-5
+"""Change of these errors in a pass, as a fraction of the largest, below which they are found."""
 
 FASTEST_SHARE = 0.999
 """Quantile of the speed for which a stiff friction model is integrated."""
@@ -461,7 +464,9 @@ class Comparison:
                 motion = along.motion._replace(
                     position=along.motion.position - position, pressure=along.motion.pressure - pressure
                 )
-                errors = value_of(run_part("readings", rig, along._replace(motion=motion)))
+                before, errors = errors, value_of(run_part("readings", rig, along._replace(motion=motion)))
+                if np.max(np.abs(errors - before)) <= MISREAD_LEFT * np.max(np.abs(errors)):
+                    break
             return errors
 
         errors: Array = self._keep("misread", (self._moves(rig), rig.plant), compute)

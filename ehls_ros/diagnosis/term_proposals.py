@@ -72,13 +72,13 @@ PLACES: Mapping[Channel, Mapping[str, Place]] = {
     },
     "cell": {
         "empirical_pressure_reading": Place(
-            ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),), {}, ("pressure",)
+            ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),)
         ),
         "empirical_force_reading": Place(
-            ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),), {}, ("pressure",)
+            ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),)
         ),
     },
-    "velocity": {"empirical_position_reading": Place(("position", "pressure", "time"), (), {}, ("position",))},
+    "velocity": {"empirical_position_reading": Place(("position", "pressure", "time"))},
 }
 """Arguments of a term in each channel, by the effect that has it."""
 

@@ -23,6 +23,9 @@ NOUNS = {
 }
 """Noun of each term."""
 
+DISTANCE = "the spool's distance from its command"
+"""Name of the spool's error as an argument or a factor."""
+
 SPREAD = 2.0
 """Standard errors shown around the table."""
 
@@ -30,7 +33,7 @@ SPREAD = 2.0
 def phrase(term: Term) -> str:
     """Describe a term within a sentence: its place, its argument and its shape."""
     noun = f"{NOUNS[term.effect]} that depends on {_argument(term)}"
-    factor = [f"in proportion to {quantity(term.factor)}"] if term.factor else []
+    factor = [f"in proportion to {DISTANCE if term.factor_error else quantity(term.factor)}"] if term.factor else []
     size, reading = f"up to ±{value(term.reading.amplitude, term.unit, 2)} about its middle", term.reading
     shapes = ["turning round with the direction of motion"] if term.direction > 0.0 else []
     if term.period is not None:
@@ -54,7 +57,7 @@ def phrase(term: Term) -> str:
 def _argument(term: Term) -> str:
     of = "the time" if term.argument == "time_s" else quantity(term.argument)
     if term.error:
-        of = "the spool's distance from its command"
+        of = DISTANCE
     elif term.magnitude:
         of = f"the magnitude of {of}"
     if term.lag is not None:
