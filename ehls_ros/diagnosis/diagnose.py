@@ -82,7 +82,7 @@ def diagnose(
         verdict, unknown = decide(findings, [cause.stage for cause in named], excitation_needed=needed)
         answer = partial_answer(found, starts, progress, seed) if verdict == "unknown" else None
         term = described(pool, found, unknown) if verdict == "unknown" and unknown is not None else None
-        if term is not None and answer is not None:
+        if term is not None and answer is not None and not set(answer.found.best.names) <= set(term.without.names):
             answer, term = (None, term) if leaves_less(evidence, term, answer) else (answer, None)
     known, best = (full, found_in_full.best) if answer is None else (answer.evidence, answer.found.best)
     if term is not None:

@@ -7,7 +7,7 @@ are parameters of the effect, so that simulator, controllers and reports use it 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -140,12 +140,25 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     )
     equal = sorted((o for o in offers if o.more.score(scale) >= enough), key=lambda o: -o.more.score(scale))
     others = {o.name: o.more for o in equal if o.name != offer.name}
-    offer = _as_formula(pool, offer, nothing)
+    both, alone = [offer], linearised.get(offer.proposal.key)
+    if offer.base.names and alone is not None:
+        # A named cause beside a table may hold a part of its shape.
+        both += [_Offer(nothing, j, offer.proposal) for j in fitted(evidence, pool, [combined(evidence, nothing.fit, alone)])]
+    offer = _simplest(evidence, [_as_formula(pool, o, nothing) for o in both], nothing)
     scale = inflations(evidence, [offer.more])
     share = share_closed(evidence, offer.more, offer.base)
     if not explains(evidence, offer.more, offer.base, scale) or share < _needed(evidence, found, offer, stage):
         return None
     return Described(offer.more, offer.base, _term(evidence, offer), others)
+
+
+def _simplest(evidence: Evidence, offers: Sequence[_Offer], nothing: Assessment) -> _Offer:
+    """Return the offer with the fewest causes and parameters of those that explain as much."""
+    scale = inflations(evidence, [offer.more for offer in offers])
+    best = max(offer.more.score(scale) for offer in offers)
+    enough = best - max(rules.EQUAL, rules.EQUAL_FRACTION * (best - nothing.score(scale)))
+    equal = (offer for offer in offers if offer.more.score(scale) >= enough)
+    return min(equal, key=lambda o: (len(o.more.names), len(o.more.fit.values), -o.more.score(scale)))
 
 
 def _needed(evidence: Evidence, found: Searched, offer: _Offer, stage: Stage) -> float:

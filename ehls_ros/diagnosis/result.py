@@ -314,7 +314,7 @@ class Diagnosis:
         depends_on: the signals on which that remainder depends.
         partial: for ``unknown``, names of the effects that explain a part of it.
         gain: gain of the extended model, if causes are named or a term is found.
-        term: for ``unknown``, the term that describes the error; None if none does.
+        term: for ``unknown`` and ``partial``, the term that describes what causes leave; None if none does.
         term_rivals: models with another term that explains the error as well, by that term's name.
         rig: the given model.
         extended: the model with the causes or the term; the given model if there are none.

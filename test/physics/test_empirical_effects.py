@@ -9,6 +9,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects._table import KNOTS, VALUES
 from ehls_ros.physics.effects.base import HOOKS
 from ehls_ros.physics.plant import INPUTS, PL, XV, V, X
+from ehls_ros.physics.rig import EffectUse, rig_from_mapping, rig_to_mapping
 
 FORCE = EFFECTS.load("empirical_force")
 VALUE = np.random.default_rng(1).uniform(-200.0, 300.0, KNOTS)
@@ -25,6 +26,13 @@ def force():
         return FORCE.force(0.0, 0.0, y, np.zeros(INPUTS), np.zeros(1), FORCE.Parameters(**given), None)
 
     return at
+
+
+def test_a_rig_file_lists_only_the_parameters_in_use(make_rig):
+    use = EffectUse("empirical_force", FORCE.Parameters(per_velocity=5.0, power=-240.0, exponent=2.0, knots=0.0))
+    written = rig_to_mapping(make_rig().with_effects((use,)))["effects"]
+    assert written == [{"name": "empirical_force", "per_velocity": 5.0, "power": -240.0, "exponent": 2.0, "knots": 0.0}]
+    assert rig_from_mapping(rig_to_mapping(make_rig().with_effects((use,))), "extended").effects == (use,)
 
 
 def test_between_the_knots_a_table_is_linear(force):
