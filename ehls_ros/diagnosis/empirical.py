@@ -415,16 +415,17 @@ def drifts(evidence: Evidence, best: Fit, without: Fit) -> tuple[str, ...]:
     change = {c: best.residuals.values[c] - without.residuals.values[c] for c in evidence.channels}
     main = max(change, key=lambda c: float(np.sum(change[c] ** 2)))
     worker, time, out = Worker(evidence), evidence.record.time, list[str]()
+    ends = float(time[0]), float(time[-1])
     for effect, place in PLACES.get(main, {}).items():
-        if "time" in place.single:
-            ends = float(time[0]), float(time[-1])
-            candidate = candidate_of(Proposal(0.0, effect, "time", *ends, ends, TIME_KNOTS))
+        factors = [factor for argument, factor in place.products if argument == "time"]
+        for factor in ("", *factors) if "time" in place.single else factors:
+            candidate = candidate_of(Proposal(0.0, effect, "time", *ends, ends, TIME_KNOTS, factor=factor))
             fit = worker.linearise((candidate,), candidate.starts[0])
             within_reach = np.concatenate([change[c] for c in fit.channels])
             reached = fit.jacobian @ np.linalg.lstsq(fit.jacobian, within_reach, rcond=None)[0]
             if float(reached @ reached) >= rules.CLOSED * float(sum(np.sum(e * e) for e in change.values())):
                 out.append(effect)
-    return tuple(out)
+    return tuple(dict.fromkeys(out))
 
 
 def leaves_less(evidence: Evidence, term: Described, answer: PartialAnswer) -> bool:

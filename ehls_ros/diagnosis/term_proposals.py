@@ -49,7 +49,7 @@ PLACES: Mapping[Channel, Mapping[str, Place]] = {
     "force": {
         "empirical_force": Place(
             ("position", "velocity", "pressure", "load", "time"),
-            (("position", "velocity"), ("position", "pressure"), ("position", "load")),
+            (("position", "velocity"), ("position", "pressure"), ("position", "load"), ("time", "velocity")),
             {"position": (0.1, 0.5, 2.0), "velocity": (0.005, 0.05)},
             ("position",),
         ),

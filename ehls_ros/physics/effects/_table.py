@@ -37,11 +37,14 @@ WEIGHTS = {
 }
 """Unit, meaning and largest size of the weight of each signal in the argument."""
 
-FACTORS = ("velocity", "pressure", "spool", "error", "load")
-"""Signals to which a term may be proportional; units and sizes as those of :data:`WEIGHTS`."""
+FACTORS = {"velocity": 1e3, "pressure": 1e-4, "spool": 1e6, "error": 1e7, "load": 1.0}
+"""Signals to which a term may be proportional, with the largest size of their weights; units as in :data:`WEIGHTS`."""
 
 ERROR_STEP, MEMORY_STEP = 1e-3, 2.5e-4
 """Longest integration steps of a valve with a term over the spool's error, and of a term with a memory [s]."""
+
+MOST_ARGUMENT = 1e12
+"""Size of an argument from which a run counts as diverged."""
 
 ODD_BUMP = math.sqrt(2.0 * math.e)
 """Factor by which z exp(-z²) has a largest value of 1."""
@@ -75,8 +78,8 @@ def table_parameters(module: str, unit: str, meaning: str, largest: float) -> An
     notes["play"] = number("width of the play in whose gap the argument is taken; 0: none", 0.0, 10.0)
     notes["lowest"] = number("least argument in the data", -10.0, 0.0)
     notes["highest"] = number("largest argument in the data", 1.0, 11.0)
-    for signal in FACTORS:
-        own, name, most = WEIGHTS[signal]
+    for signal, most in FACTORS.items():
+        own, name, _ = WEIGHTS[signal]
         notes[f"times_{signal}"] = quantity(
             own, f"weight of the {name} in the factor; without any, the factor is 1", minimum=-most, maximum=most
         )
@@ -225,6 +228,9 @@ def looked_up(spool: float, t: float, y: Array, w: Array, z: Array, p: Any) -> f
     elif p.play > 0.0:
         u = clamp(u - z[0], -0.5 * p.play, 0.5 * p.play)
     u += p.offset
+    if not abs(u) < MOST_ARGUMENT:
+        # The run diverges.
+        return math.nan
     if p.periodic < 0.5:
         u = min(max(u, p.lowest), p.highest)
     total = formula_value(u, p)
