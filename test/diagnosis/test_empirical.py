@@ -35,7 +35,8 @@ def test_a_drag_that_grows_with_the_square_of_the_speed_is_found_as_such():
     assert (term.effect, term.argument, term.period) == ("empirical_force", "velocity_m_s", None)
     assert term.closed > 0.95
     assert term.reading.power.symmetry == "odd"
-    assert abs(term.reading.power.exponent - 2.0) < 3.0 * term.reading.power.std < 1.5
+    assert term.reading.power.exponent == pytest.approx(2.0, abs=0.05)
+    assert {shape.name for shape in term.formula} <= {"level", "power"}
     fast = np.abs(term.at) > 0.1
     assert term.values[fast] - np.mean(term.values) == pytest.approx(-2e4 * term.at[fast] * np.abs(term.at[fast]), rel=0.25)
     assert found.gain.closed_fraction > 0.9
@@ -55,6 +56,31 @@ def test_a_force_that_repeats_along_the_stroke_has_its_period():
     assert term.period.value == pytest.approx(7.3e-3, rel=1e-3)
     assert term.direction > 0.0
     assert term.closed > 0.8
+
+
+@pytest.mark.long
+def test_what_depends_on_the_changes_of_a_signal_has_its_time_constant():
+    term = diagnosed(swelling_hose={"compliance": 5e-12, "time_constant": 0.5}).term
+    assert (term.effect, term.argument) == ("empirical_leakage", "load_pressure_pa")
+    assert term.lag.value == pytest.approx(0.5, rel=0.05)
+    assert term.closed > 0.95
+
+
+@pytest.mark.long
+def test_an_error_of_a_sensor_is_found_as_one_of_that_sensor():
+    found = diagnosed(pressure_sensor_bow={"deviation": 1.2e5})
+    term = found.term
+    assert (found.unknown_stage, term.effect, term.argument) == ("sensors", "empirical_pressure_reading", "load_pressure_pa")
+    assert term.reading.power.exponent == pytest.approx(2.0, abs=0.1)
+    assert set(found.gain.channels) > {"cell"}
+    assert found.gain.closed_fraction > 0.95
+
+
+@pytest.mark.long
+def test_a_friction_that_follows_the_temperature_is_no_other_than_a_drift_where_that_followed_the_time():
+    (cause,) = diagnosed(temperature_dependent_friction={"coefficient": 0.0276, "warming": -20.0, "time_constant": 31.0}).causes
+    assert cause.name == "temperature_dependent_friction"
+    assert "empirical_force" in cause.equivalent_to
 
 
 @pytest.mark.long
