@@ -680,8 +680,7 @@ def test_the_gain_on_other_recordings_is_said(report):
         ),
         (
             {"factor": "load_pressure_pa", "factor_reach": 2e6},
-            "depends on velocity, in proportion to load pressure, odd, growing with the power 2.04 ± 0.1, up to ±240 N about its"
-            " middle at 20 bar",
+            "in proportion to load pressure, odd, growing with the power 2.04 ± 0.1, up to ±240 N about its middle at 20 bar",
         ),
         ({"lag": Estimate(0.585, 0.003, "s")}, "depends on the changes of velocity faster than 585 ms ± 6 ms"),
         ({"argument": "position_m", "play": Estimate(2e-4, 1e-6, "m")}, "on position by a hysteresis 200 µm ± 2 µm wide"),
