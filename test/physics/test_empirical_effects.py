@@ -131,5 +131,5 @@ def test_without_values_a_table_changes_nothing(name):
     (hook,) = (getattr(effect, n) for n in HOOKS if hasattr(effect, n))
     y = np.zeros(5)
     y[X], y[V], y[PL], y[XV] = 0.01, 0.2, 1e6, 1e-4
-    p = effect.Parameters(per_position=3.0, per_velocity=2.0, per_spool=100.0, times_pressure=1e-6, memory=0.1, direction=0.01)
+    p = effect.Parameters(per_position=3.0, per_velocity=2.0, per_spool=100.0, times_pressure=1e-6, direction=0.01)
     assert hook(12.5, 3.0, y, np.zeros(INPUTS), np.zeros(1), p, None) == 12.5

@@ -53,7 +53,7 @@ DISCREPANCY = "Kennedy, O'Hagan, Bayesian calibration of computer models, 2001: 
 """Source of the effects with a table."""
 
 
-def table_parameters(module: str, unit: str, meaning: str, largest: float) -> Any:
+def table_parameters(module: str, unit: str, meaning: str, largest: float, *, memory: bool = True) -> Any:
     """Return the parameters of an effect with a formula and a table, a named tuple.
 
     Args:
@@ -61,7 +61,9 @@ def table_parameters(module: str, unit: str, meaning: str, largest: float) -> An
         unit: unit of the table's values.
         meaning: of the values.
         largest: largest size of a value.
+        memory: whether the effect has the state of :func:`term_rate`; without it, there is neither lag nor play.
     """
+    longest, widest = (1e3, 10.0) if memory else (0.0, 0.0)
 
     def value(what: str) -> Any:
         return quantity(unit, what, minimum=-largest, maximum=largest)
@@ -74,8 +76,10 @@ def table_parameters(module: str, unit: str, meaning: str, largest: float) -> An
         for signal, (own, name, most) in WEIGHTS.items()
     }
     notes["offset"] = number("offset of the argument", -1e6, 1e6)
-    notes["memory"] = quantity("s", "time constant of the lag subtracted from the argument; 0: none", minimum=0.0, maximum=1e3)
-    notes["play"] = number("width of the play in whose gap the argument is taken; 0: none", 0.0, 10.0)
+    notes["memory"] = quantity(
+        "s", "time constant of the lag subtracted from the argument; 0: none", minimum=0.0, maximum=longest
+    )
+    notes["play"] = number("width of the play in whose gap the argument is taken; 0: none", 0.0, widest)
     notes["lowest"] = number("least argument in the data", -10.0, 0.0)
     notes["highest"] = number("largest argument in the data", 1.0, 11.0)
     for signal, most in FACTORS.items():

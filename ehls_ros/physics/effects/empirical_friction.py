@@ -4,7 +4,7 @@ from typing import Any
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._friction import shifted_level
-from ehls_ros.physics.effects._table import DISCREPANCY, looked_up, no_forms, table_parameters, term_rate, term_step
+from ehls_ros.physics.effects._table import DISCREPANCY, looked_up, no_forms, table_parameters
 from ehls_ros.physics.effects.base import Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import XV
@@ -19,19 +19,13 @@ WORDS = Words(
     change="keep `empirical_friction` under `effects` in the rig file until its cause is known",
 )
 LEARNT = True
-STATES = 1
-forms, longest_step = no_forms, term_step
+forms = no_forms
 
-Parameters = table_parameters(__name__, "N", "change of the Stribeck level", 1e5)
+# A state would be integrated with the friction model, along every recording.
+Parameters = table_parameters(__name__, "N", "change of the Stribeck level", 1e5, memory=False)
 
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> float:
     """Shift the level."""
     return shifted_level(value, looked_up(y[XV], t, y, w, z, p))
-
-
-@kernel
-def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant, dz: Array) -> None:
-    """Write the rate of the term's state."""
-    dz[0] = term_rate(y[XV], t, y, w, z, p)
