@@ -135,6 +135,7 @@ def build(
     built = simulator.build(cylinder, valve, friction, elements, states, chains)
     size, modes = first_effect(cylinder, elements) + states, valve.MODES + cylinder.MODES
     observe = simulator.observing(cylinder, valve, elements, chains)
+    misread = simulator.misreading(cylinder, elements, chains)
     cycle, sense, evaluate, switch = built.cycle, built.sense, built.evaluate, built.switch
     plant_of, friction_of = reader(example(Plant)), reader(example(friction.Parameters, elements))
     cylinder_of, valve_of = reader(example(cylinder.Parameters)), reader(example(valve.Parameters))
@@ -207,9 +208,11 @@ def build(
         state = run_of(b)
         c = now(b, state)
         b[at.event] = evaluate(b[TIME], state.y, state.mode, c, state_of(b, at.rates))
-        observe(b[TIME], constants_of(b), state)
+        constants = constants_of(b)
+        observe(b[TIME], constants, state)
         for i in range(signals):
             state.measured[i] = state.truth[i]
+        misread(b[TIME], constants, state, state.measured)
         return 0
 
     @kernel_no_refcount

@@ -97,6 +97,7 @@ def build(
     built = simulator.build(cylinder, valve, friction, elements, states, chains)
     size = first_effect(cylinder, elements) + states
     evaluate, observe = built.evaluate, simulator.observing(cylinder, valve, elements, chains)
+    misread = simulator.misreading(cylinder, elements, chains)
     likes = example(Plant), example(friction.Parameters, elements), example(cylinder.Parameters), example(valve.Parameters)
     rates_at = duals_at + WIDTH * size
     firsts = [rates_at + WIDTH * size]
@@ -153,11 +154,15 @@ def build(
         b[slope_at + at.event] = b[truth_at + 1]
         readers = SensorState(signals_of(b, at.lagged), signals_of(b, at.lagged), signals_of(b, at.lagged))
         state = State(y, mode, w, signals_of(b, at.lagged), readers, truth, truth)
-        observe(b[TIME], Constants(plant, rubbing, p, 0.0, 0.0, 0, 0.0, chambers, edges, ()), state)
+        constants = Constants(plant, rubbing, p, 0.0, 0.0, 0, 0.0, chambers, edges, ())
+        observe(b[TIME], constants, state)
         for i in range(size):
             b[slope_at + at.rates + i] = b[rates_at + WIDTH * i + 1]
         for i in range(signals):
-            b[slope_at + at.truth + i] = b[slope_at + at.measured + i] = b[truth_at + WIDTH * i + 1]
+            b[slope_at + at.truth + i] = b[truth_at + WIDTH * i + 1]
+        misread(b[TIME], constants, state, truth)
+        for i in range(signals):
+            b[slope_at + at.measured + i] = b[truth_at + WIDTH * i + 1]
         return 0
 
     return Compiled(slopes)

@@ -231,14 +231,40 @@ def observing(cylinder: Any, valve: Any, elements: int, chains: Chains) -> Calla
     return observe
 
 
+def misreading(cylinder: Any, elements: int, chains: Chains) -> Callable[..., None]:
+    """Build the function ``misread(t, constants, state, signals)`` that adds the effects' errors of readings to true signals.
+
+    Args:
+        cylinder: module of the cylinder.
+        elements: number of the friction model's forces.
+        chains: hooks of the effects.
+    """
+    position_reading, pressure_reading, force_reading = chains.position_reading, chains.pressure_reading, chains.force_reading
+    end = first_effect(cylinder, elements)
+
+    @kernel_no_refcount
+    def misread(t: float, constants: Constants, state: State, signals: Array) -> None:
+        y, w, z, p, plant = state.y, state.inputs, state.y[end:], constants.effects, constants.plant
+        signals[sensors.POSITION] = position_reading(signals[sensors.POSITION], t, y, w, z, p, plant)
+        signals[sensors.LOAD_PRESSURE] = pressure_reading(signals[sensors.LOAD_PRESSURE], t, y, w, z, p, plant)
+        signals[sensors.FORCE] = force_reading(signals[sensors.FORCE], t, y, w, z, p, plant)
+
+    return misread
+
+
 def sensing(cylinder: Any, valve: Any, elements: int, chains: Chains) -> Callable[..., None]:
     """Build the function that reads the sensors; the arguments are those of :func:`observing`."""
-    observe = observing(cylinder, valve, elements, chains)
+    observe, misread = observing(cylinder, valve, elements, chains), misreading(cylinder, elements, chains)
 
     @kernel_no_refcount
     def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
-        observe(cycle * constants.period, constants, state)
-        sensors.measure(cycle, state.truth, noise, state.sensors, state.measured)
+        t, truth = cycle * constants.period, state.truth
+        observe(t, constants, state)
+        position, pressure, force = truth[sensors.POSITION], truth[sensors.LOAD_PRESSURE], truth[sensors.FORCE]
+        misread(t, constants, state, truth)
+        sensors.measure(cycle, truth, noise, state.sensors, state.measured)
+        # A wrong reading changes no truth.
+        truth[sensors.POSITION], truth[sensors.LOAD_PRESSURE], truth[sensors.FORCE] = position, pressure, force
 
     return sense
 

@@ -1,4 +1,4 @@
-"""A change of friction that no named effect explains, as a table over one of the stage's signals."""
+"""A change of friction that no named effect explains, as a formula or a table over one of the stage's signals."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import XV
 
 GROUP: Group = "friction"
-EQUATION = "s -> s + table(argument), at least 1 N"
+EQUATION = "s -> s + term(argument), at least 1 N"
 SOURCE = DISCREPANCY
 WORDS = Words(
     "a friction found in the data",
@@ -21,10 +21,11 @@ WORDS = Words(
 LEARNT = True
 forms = no_forms
 
-Parameters = table_parameters(__name__, "N", "change of the Stribeck level", 1e5)
+# A state would be integrated with the friction model, along every recording.
+Parameters = table_parameters(__name__, "N", "change of the Stribeck level", 1e5, memory=False)
 
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Any, plant: Plant) -> float:
     """Shift the level."""
-    return shifted_level(value, looked_up(y[XV], t, y, w, p))
+    return shifted_level(value, looked_up(y[XV], t, y, w, z, p))
