@@ -6,10 +6,10 @@ import numpy as np
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.dependence import explained_by, signals_along
-from ehls_ros.diagnosis.empirical import HARMONICS, TAIL, TURNING, WAVE_STEP, waves_along
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.record import VELOCITY
 from ehls_ros.diagnosis.starts import main_channel
+from ehls_ros.diagnosis.term_proposals import HARMONICS, TAIL, TURNING, WAVE_STEP, waves_along
 from ehls_ros.physics.effects.base import Period
 
 ALIKE = 0.9

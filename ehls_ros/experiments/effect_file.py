@@ -26,12 +26,16 @@ ARGUMENTS = {
 }  # fmt: skip
 """Code and symbol of each signal on which a term may depend."""
 
+ERROR = ("(value - y[XV])", "(u - xv)")
+"""Code and symbol of the command less the spool displacement at the valve's input."""
+
 OWN = {"opening": "spool_m", "command": "valve_command_m"}
 """Signal that a hook receives as its value."""
 
 CHANGES = {
     "force": "F = {}", "friction_level": "s -> s + {}, at least 1 N", "opening": "xv,eff = xv + {}", "leakage": "q -> q + {}",
-    "command": "u -> u + {}",
+    "command": "u -> u + {}", "position_reading": "x read as x + {}", "pressure_reading": "pL read as pL + {}",
+    "force_reading": "F read as F + {}",
 }  # fmt: skip
 """Equation of each hook at which a term acts."""
 
@@ -131,14 +135,19 @@ def term_of(document: object, where: str) -> Term:
             f"no term was found in the data (verdict: {document['verdict']})", where, "a diagnosis that found a term"
         )
     try:
-        reading, period = entry["reading"], entry["period"]
+        reading = entry["reading"]
         power = None if reading["power"] is None else Power(**reading["power"])
         arrays = {key: np.array(entry[key], dtype=np.float64) for key in ("at", "values", "std")}
         shape = Reading(**{**reading, "power": power})
-        return Term(**{**entry, **arrays, "period": None if period is None else Estimate(**period), "reading": shape})
+        estimates = {key: None if entry[key] is None else Estimate(**entry[key]) for key in ("period", "lag", "play")}
+        term = Term(**{**entry, **arrays, **estimates, "reading": shape, "formula": ()})
     except (KeyError, TypeError, ValueError) as error:
         what = f"the term cannot be read ({type(error).__name__}: {error})"
         raise BadInput(what, where, "a diagnosis.json of this version of ehls") from None
+    if term.lag is not None or term.play is not None:
+        expected = f"{term.effect} kept in the rig file, or an effect with a state written by hand (docs/how_to/effect.md)"
+        raise BadInput("the term has a memory, which no formula of one signal has", where, expected)
+    return term
 
 
 def effect_text(name: str, term: Term, source: str) -> str:
@@ -152,12 +161,17 @@ def effect_text(name: str, term: Term, source: str) -> str:
     base: Any = EFFECTS.load(term.effect)
     (hook,) = (hook for hook in HOOKS if hasattr(base, hook))
     formula = formula_of(term)
-    argument = "value" if OWN.get(hook) == term.argument else ARGUMENTS[term.argument][0]
+    argument = _code(hook, term.argument, error=term.error)
     argument = f"abs({argument})" if term.magnitude else argument
+    factor = _code(hook, term.factor, error=term.factor_error) if term.factor else ""
+    times = [f"term *= {factor} / {_short(term.factor_reach)}"] if factor else []
+    symbol = ERROR[1] if term.factor_error else ARGUMENTS[term.factor][1] if term.factor else ""
+    equation = f"({formula.equation}) {symbol}/{term.factor_reach:.4g}" if term.factor else formula.equation
     change = "shifted_level(value, term)" if hook == "friction_level" else "value + term"
     noun = f"{'an' if name[0] in 'aeiou' else 'a'} {name.replace('_', ' ')}"
     found = ", ".join(f"{n.name}: {n.found:.{DIGITS}g}" for n in formula.numbers)
-    needs = [f'NEEDS = ("{term.argument}",)'] if term.argument in NEEDED else []
+    needed = [f'"{signal}",' for signal in NEEDED if signal in (term.argument, term.factor)]
+    needs = [f"NEEDS = ({' '.join(needed) if len(needed) == 1 else ' '.join(needed)[:-1]})"] if needed else []
     lines = [
         f'"""{noun[0].upper()}{noun[1:]}, found by `ehls diagnose` as a table and written as a formula.',
         "",
@@ -166,10 +180,10 @@ def effect_text(name: str, term: Term, source: str) -> str:
         f"    {{name: {name}, {found}}}",
         '"""',
         "",
-        *_imports(hook, argument, formula),
+        *_imports(hook, argument + factor, formula),
         "",
         f'GROUP: Group = "{base.GROUP}"',
-        *_text("EQUATION", CHANGES[hook].format(formula.equation)),
+        *_text("EQUATION", CHANGES[hook].format(equation)),
         *_text("SOURCE", f"{source}: closes {term.closed:.0%} of the error on held-out data"),
         "WORDS = Words(",
         f'    "{noun}",',
@@ -191,7 +205,7 @@ def effect_text(name: str, term: Term, source: str) -> str:
         f"def {hook}(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:",
         '    """Add the term."""',
         f"    a = {argument}",
-        *(f"    {line}" for line in formula.code),
+        *(f"    {line}" for line in (*formula.code, *times)),
         f"    return {change}",
         "",
         "",
@@ -204,6 +218,11 @@ def effect_text(name: str, term: Term, source: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _code(hook: str, signal: str, *, error: bool) -> str:
+    """Return the code of a signal in a hook."""
+    return ERROR[0] if error else "value" if OWN.get(hook) == signal else ARGUMENTS[signal][0]
+
+
 def formula_of(term: Term) -> Formula:
     """Return the formula that the shape of a term calls for."""
     if term.period is not None:
@@ -213,7 +232,7 @@ def formula_of(term: Term) -> Formula:
     else:
         bump = None if term.reading.place is None else _bump(term, term.reading.place)
         formula = bump or _power_beside_line(term) or _table(term)
-    symbol = ARGUMENTS[term.argument][1]
+    symbol = ERROR[1] if term.error else ARGUMENTS[term.argument][1]
     formula = formula._replace(equation=formula.equation.replace("{a}", f"|{symbol}|" if term.magnitude else symbol))
     if not term.direction > 0.0:
         return formula

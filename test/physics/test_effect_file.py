@@ -40,13 +40,13 @@ def table_of(function, first, last, knots=16, *, periodic=False):
     return at, np.linalg.lstsq(hats, function(along), rcond=None)[0]
 
 
-def term(effect, argument, table, *, period=None, direction=0.0, magnitude=False):
+def term(effect, argument, table, *, period=None, direction=0.0, magnitude=False, **more):
     at, values = table
     std = np.full(len(at), 0.005 * np.ptp(values))
     unit = next(d.unit for d in declarations(EFFECTS.load(effect).Parameters) if d.name == "value_0")
     of_period = None if period is None else Estimate(period, 1e-6 * period, "s" if argument == "time_s" else "m")
     reading = read(at, values, np.diag(std**2), periodic=period is not None)
-    return Term(effect, argument, magnitude, unit, at, values, std, of_period, 0.97, direction, reading)
+    return Term(effect, argument, magnitude, unit, at, values, std, of_period, 0.97, direction, reading, **more)
 
 
 def drag(v):
@@ -106,6 +106,16 @@ TERMS = {
         "size exponent",
     ),
     "leak": (leak, term("empirical_leakage", "load_pressure_pa", table_of(leak, -4e5, 6e5, 8)), "size stretch"),
+    "lifting_seal": (
+        patch,
+        term("empirical_force", "position_m", table_of(patch, -0.02, 0.03), factor="load_pressure_pa", factor_reach=2e6),
+        "size place width",
+    ),
+    "slow_spool": (
+        restriction,
+        term("empirical_spool", "spool_m", table_of(restriction, -5e-4, 5e-4), error=True),
+        "size exponent",
+    ),
     "rising_friction": (
         rising_friction,
         term("empirical_friction", "velocity_m_s", table_of(rising_friction, 0.01, 0.2, 8), magnitude=True),
@@ -142,8 +152,10 @@ def evaluated(effect, given, place, /, **changed):
     elif given.argument == "disturbance_force_n":
         w[FD] = place
     else:
-        y[STATE[given.argument]] = place
+        y[STATE[given.argument]] = -place if given.error else place
     value = place if hook == "opening" else value
+    if given.factor:
+        y[STATE[given.factor]] = given.factor_reach
     p = effect.Parameters(**{**found, **changed})
     return getattr(effect, hook).py_func(value, t, y, w, np.zeros(0), p, None) - value
 
@@ -227,7 +239,14 @@ def test_every_attribute_of_a_term_enters_its_effect():
     # A further one has to be written into the effect, or such a term refused.
     assert Term._fields == (
         "effect", "argument", "magnitude", "unit", "at", "values", "std", "period", "closed", "direction", "reading",
+        "formula", "factor", "factor_reach", "error", "factor_error", "lag", "play",
     )  # fmt: skip
+
+
+def test_a_term_with_a_memory_is_refused():
+    given = TERMS["drag"][1]._replace(lag=Estimate(0.1, 0.01, "s"))
+    with pytest.raises(BadInput, match="kept in the rig file"):
+        term_of(json.loads(json.dumps(json_document({"verdict": "unknown", "term": given}))), "here")
 
 
 def document(path, name):
