@@ -8,6 +8,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import mostly_in
+from ehls_ros.diagnosis.empirical import drifts
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.held_out import RESAMPLED, Assessment, probabilities
 from ehls_ros.diagnosis.hypotheses import parts
@@ -64,6 +65,9 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
             probability *= rules.FORM_RIGHT
         probability *= right
         equivalent = _indistinguishable(evidence, best, others, gain, scale) | untried(evidence, best.fit, place.without.fit)
+        if getattr(EFFECTS.load(candidate.name), "NEEDS", ()):
+            # The signal that it needs may have changed only with time.
+            equivalent |= dict.fromkeys(drifts(evidence, best.fit, place.without.fit), ())
         out.append(
             Cause(
                 name=candidate.name,

@@ -85,7 +85,7 @@ def diagnose(
         verdict, unknown = decide(findings, [cause.stage for cause in named], excitation_needed=needed)
         answer = partial_answer(found, starts, progress, seed) if verdict == "unknown" else None
         term = described(pool, found, unknown) if verdict == "unknown" and unknown is not None else None
-        if term is not None and answer is not None:
+        if term is not None and answer is not None and not set(answer.found.best.names) <= set(term.without.names):
             answer, term = (None, term) if leaves_less(evidence, term, answer) else (answer, None)
     known, best = (full, found_in_full.best) if answer is None else (answer.evidence, answer.found.best)
     if term is not None:
@@ -110,6 +110,7 @@ def diagnose(
         partial=tuple(c.name for c in named) if verdict == "unknown" else (),
         gain=gain(known, best, noise, seed) if more else None,
         term=None if term is None else term.term,
+        term_rivals={} if term is None else {n: extended(rig, j.hypothesis, j.fit.values) for n, j in term.rivals.items()},
         rig=rig,
         extended=model if more else rig,
         traces={c: trace(full, c, known.floor[c] * best.held_out.residuals.values[c], signals) for c in evidence.channels},
@@ -121,6 +122,7 @@ def diagnose(
             *remarks_on_baselines(found.always),
             *_incidents(findings),
             *(_deciding_signals(named) if names else ()),
+            *(f"{name} would describe the error as well" for name in (() if term is None else term.rivals)),
         ),
         seed=seed,
         wall_s=time.perf_counter() - began,

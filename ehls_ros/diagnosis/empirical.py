@@ -1,110 +1,67 @@
-"""A term found in the data: where no named cause explains a stage, a table over one of the stage's own signals does.
+"""A term found in the data: where no named cause explains a stage, a formula or a table over the stage's own signals does.
 
-Each place where a term can act has an effect with a table (``ehls_ros/physics/effects/empirical_*.py``). Those whose argument
-predicts the remainder on held-out blocks are fitted beside the named causes, as any other hypothesis; the best is offered if
-it closes a worthwhile part of the remainder on held-out data. Its table is a parameter of the effect, so that simulator,
-controllers and reports use it like any effect.
+Each place where a term can act has an effect for it (``ehls_ros/physics/effects/empirical_*.py``). Tables whose argument
+predicts the remainder on held-out blocks are fitted beside the named causes, as any other hypothesis; the best is offered if it
+closes a worthwhile part of the remainder on held-out data, as a formula where one of few parameters does as well. Its numbers
+are parameters of the effect, so that simulator, controllers and reports use it like any effect.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import explains, most_explained, share_closed
-from ehls_ros.diagnosis.dependence import explained_by, explained_fraction, signals_along
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.fit import Fit, Worker
+from ehls_ros.diagnosis.fit import Fit, Start, Worker
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.partial import PartialAnswer
 from ehls_ros.diagnosis.pool import Pool
-from ehls_ros.diagnosis.reading import read
-from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.reading import Shape, read, read_formula
+from ehls_ros.diagnosis.record import COMMAND
+from ehls_ros.diagnosis.remainder import remainders, with_allowances
 from ehls_ros.diagnosis.result import Term, argument_unit
 from ehls_ros.diagnosis.search import Searched, fitted, given_model, inflations
-from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
-from ehls_ros.diagnosis.starts import combined, spectral_lines
+from ehls_ros.diagnosis.stages import CHANNELS, Stage
+from ehls_ros.diagnosis.starts import combined
+from ehls_ros.diagnosis.term_formula import SIZES, Formula, Table, formulas, shapes_of, value_of
+from ehls_ros.diagnosis.term_proposals import (
+    DISPLACEMENT,
+    ERROR,
+    PLACES,
+    SIGNAL_OF,
+    TIME_KNOTS,
+    Proposal,
+    asked_in,
+    proposals,
+)
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects._table import KNOTS, VALUES, WEIGHTS
-from ehls_ros.samples import Mask
+from ehls_ros.physics.effects._table import VALUES
 from ehls_ros.schema import declarations
 
-PLACES: Mapping[Channel, Mapping[str, tuple[str, ...]]] = {
-    "force": {
-        "empirical_force": ("position", "velocity", "pressure", "load", "time"),
-        "empirical_friction": ("position", "speed", "pressure", "time", "temperature"),
-    },
-    "volume": {
-        "empirical_opening": ("spool", "position", "pressure", "time"),
-        "empirical_leakage": ("pressure", "speed", "position", "time"),
-    },
-    "spool": {"empirical_spool": ("spool", "time")},
-}
-"""Arguments of a term in each channel, by the effect that has the table."""
-
-SIGNAL_OF = {
-    "position": POSITION, "velocity": VELOCITY, "speed": VELOCITY, "pressure": PRESSURE, "spool": SPOOL, "load": LOAD,
-    "time": "time_s", "temperature": TEMPERATURE,
-}  # fmt: skip
-"""Signal that a weight multiplies, by the names of the data contract."""
-
-REACHED = 3
-"""Number of blocks that reach both ends of a table."""
-
-FINENESS, TIME_KNOTS = (8, KNOTS), 6
-"""Numbers of knots that are tried; over time there are few, as held-out blocks are gaps that a table must bridge."""
-
-TURNING = 0.1
-"""Speed within which a force turns round with the motion, over the rms speed."""
-
-CELLS = 48
-"""Parts of a signal's range in which the remainder may be concentrated."""
+FITTED_TERMS = 8
+"""Terms beside named causes that are fitted to the end, of all whose argument predicts the remainder."""
 
 PERIOD_RANGE = 0.05
 """Largest relative change of a period from that found first."""
 
-TAIL = 0.99
-"""Quantile of a remainder at which it is clipped while arguments are chosen."""
+MEMORY_RANGE = 10.0
+"""Largest factor between a time constant, or the width of a play, and that found first."""
 
-FITTED_TERMS = 4
-"""Terms that are fitted, of those whose argument predicts the remainder."""
-
-WAVES, WAVE_STEP, HARMONICS = (2.5, 150.0), 0.25, 2
-"""Least and largest number of periods along the stroke that are looked for, their spacing, and harmonics of each."""
-
-DEARER = 4.0
+DEARER = 1.0 / rules.WORTHWHILE**2
 """Factor by which less of the error must remain with a term than with named causes for it to be offered in their place."""
 
+SHOWN_POINTS, SLOPE_STEP = 41, 1e-4
+"""Points of a formula's picture, and relative step of the difference quotients of its errors."""
 
-class Waves(NamedTuple):
-    """Waves along a signal's range.
-
-    Attributes:
-        numbers: of periods along it, shape (waves,).
-        columns: each wave, its harmonics and a constant, as means over the windows, shape (waves, windows, columns).
-    """
-
-    numbers: Array
-    columns: Array
-
-    def strongest(self, target: Array, even: Mask) -> tuple[float, float]:
-        """Return the number of periods that predicts a remainder best, and the fraction it explains.
-
-        Args:
-            target: the remainder, shape (windows,).
-            even: the windows in even blocks; each half is predicted from the other.
-        """
-        shares = [explained_by(columns, target, even) for columns in self.columns]
-        best = int(np.argmax(shares))
-        return float(self.numbers[best]), shares[best]
+MEMORIES = ("direction", "memory", "play")
+"""Parameters of a term's direction and memory."""
 
 
 class Described(NamedTuple):
@@ -114,11 +71,34 @@ class Described(NamedTuple):
         best: the hypothesis; the term comes last.
         without: the named causes alone.
         term: the term.
+        rivals: hypotheses with another term that explain as much, by that term's name, best first.
     """
 
     best: Assessment
     without: Assessment
     term: Term
+    rivals: Mapping[str, Assessment]
+
+
+class _Offer(NamedTuple):
+    """A term fitted beside named causes.
+
+    Attributes:
+        base: the named causes alone.
+        more: with the term.
+        proposal: the table that the term began as.
+    """
+
+    base: Assessment
+    more: Assessment
+    proposal: Proposal
+
+    @property
+    def name(self) -> str:
+        """Effect, argument and factor of the term."""
+        p = self.proposal
+        factor = f" × {_signal(p.effect, p.factor)}" if p.factor else ""
+        return f"{p.effect} over {_signal(p.effect, p.argument)}{factor}"
 
 
 def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
@@ -134,246 +114,318 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     evidence = pool.evidence
     nothing = given_model(evidence)
     bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), found.best)}
-    signals = signals_along(evidence.comparison(), evidence.rig)
-    inside = [channel for channel in evidence.channels if CHANNELS[channel] == stage and channel in PLACES]
-    along = {channel: _waves_of(evidence, channel, signals) for channel in inside}
-    pairs = list[tuple[Assessment, Assessment]]()
+    inside = [asked_in(evidence, channel) for channel in evidence.channels if CHANNELS[channel] == stage and channel in PLACES]
+    linearised, begun = dict[tuple[object, ...], Fit | None](), list[tuple[Assessment, Proposal, Start]]()
     for base in bases.values():
-        proposed = [
-            candidate
-            for channel in inside
-            for proposal in proposals(evidence, channel, base.held_out.residuals.values[channel], signals, along[channel])
-            for candidate in candidates_of(proposal)
-        ]
-        alone = [fit for fit in pool.map(_linearised, proposed) if fit.channels and np.any(fit.jacobian)]
-        pairs += [(base, more) for more in fitted(evidence, pool, [combined(evidence, base.fit, other) for other in alone])]
-    if not pairs:
+        proposed = {p.key: p for asked in inside for p in proposals(asked, base.held_out.residuals.values[asked.channel])}
+        missing = {key: p for key, p in proposed.items() if key not in linearised}
+        linearised.update(zip(missing, pool.map(_linearised, [candidate_of(p) for p in missing.values()]), strict=True))
+        pairs = [(p, fit) for key, p in proposed.items() if (fit := linearised[key]) is not None]
+        begun += [(base, p, combined(evidence, base.fit, fit)) for p, fit in pairs]
+    origin = {id(start.fit.hypothesis): (base, p) for base, p, start in begun}
+    offers = [
+        _Offer(base, more, p)
+        for more in fitted(evidence, pool, [start for *_, start in begun], FITTED_TERMS)
+        for base, p in [origin[id(more.hypothesis)]]
+    ]
+    if not offers:
         return None
-    scale = inflations(evidence, [more for _, more in pairs])
-    best = max(more.score(scale) for _, more in pairs)
-    # Of equally good ones, that with the fewest causes.
+    scale = inflations(evidence, [offer.more for offer in offers])
+    best = max(offer.more.score(scale) for offer in offers)
+    # Of equally good ones, that with the fewest causes, and of one signal.
     enough = best - max(rules.EQUAL, rules.EQUAL_FRACTION * (best - nothing.score(scale)))
-    base, more = min(
-        ((base, more) for base, more in pairs if more.score(scale) >= enough),
-        key=lambda pair: (len(pair[1].names), -pair[1].score(scale)),
+    offer = min(
+        (offer for offer in offers if offer.more.score(scale) >= enough),
+        key=lambda offer: (len(offer.more.names), not offer.proposal.simple, -offer.more.score(scale)),
     )
-    if not explains(evidence, more, base, scale) or share_closed(evidence, more, base) < rules.WORTHWHILE:
+    equal = sorted((o for o in offers if o.more.score(scale) >= enough), key=lambda o: -o.more.score(scale))
+    others = {o.name: o.more for o in equal if o.name != offer.name}
+    both, alone = [offer], linearised.get(offer.proposal.key)
+    if offer.base.names and alone is not None:
+        # A named cause beside a table may hold a part of its shape.
+        both += [_Offer(nothing, j, offer.proposal) for j in fitted(evidence, pool, [combined(evidence, nothing.fit, alone)])]
+    offer = _simplest(evidence, [_as_formula(pool, o, nothing) for o in both], nothing)
+    scale = inflations(evidence, [offer.more])
+    share = share_closed(evidence, offer.more, offer.base)
+    if not explains(evidence, offer.more, offer.base, scale) or share < _needed(evidence, found, offer, stage):
         return None
-    return Described(more, base, _term(evidence, more, base))
+    return Described(offer.more, offer.base, _term(evidence, offer), others)
 
 
-class Proposal(NamedTuple):
-    """A table that predicts a remainder.
+def _simplest(evidence: Evidence, offers: Sequence[_Offer], nothing: Assessment) -> _Offer:
+    """Return the offer with the fewest causes and parameters of those that explain as much."""
+    scale = inflations(evidence, [offer.more for offer in offers])
+    best = max(offer.more.score(scale) for offer in offers)
+    enough = best - max(rules.EQUAL, rules.EQUAL_FRACTION * (best - nothing.score(scale)))
+    equal = (offer for offer in offers if offer.more.score(scale) >= enough)
+    return min(equal, key=lambda o: (len(o.more.names), len(o.more.fit.values), -o.more.score(scale)))
 
-    Attributes:
-        share: fraction of the remainder's held-out variance that its argument predicts.
-        effect: the effect that has it.
-        weight: name of the weight of its only signal.
-        low, high: the signal at the first and at the last knot; of a periodic table, a period apart.
-        reach: range of the signal in the data.
-        periodic: whether it repeats.
-        direction: speed within which its sign follows the direction of motion [m/s]; 0: it does not.
+
+def _needed(evidence: Evidence, found: Searched, offer: _Offer, stage: Stage) -> float:
+    """Return the fraction of the remainder that a term must close.
+
+    The forms of a model that is none of the rig err in every stage, and each resembles some term: where more remains in other
+    stages, or where form errors count as noise, a term must close nearly all.
     """
-
-    share: float
-    effect: str
-    weight: str
-    low: float
-    high: float
-    reach: tuple[float, float] = (0.0, 0.0)
-    periodic: bool = False
-    direction: float = 0.0
+    if evidence.standard.form_is_noise:
+        return rules.CLOSED
+    full, with_term = with_allowances(evidence, found._replace(best=offer.more, places=()))
+    elsewhere = any(item.unexplained for item in remainders(full, with_term) if CHANNELS[item.channel] != stage)
+    return rules.CLOSED if elsewhere else rules.WORTHWHILE
 
 
-def _waves_of(evidence: Evidence, channel: Channel, signals: Mapping[str, Array]) -> Waves | None:
-    """Return the waves along the stroke in a channel's windows; None if no table there depends on the position, or it rests."""
-    asked = any("position" in weights for weights in PLACES[channel].values())
-    if not asked or POSITION not in signals or np.ptp(signals[POSITION]) == 0.0:
-        return None
-    return waves_along(partial(evidence.means, channel), signals[POSITION])
+def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:
+    """Return a term as the formula of fewest parameters that explains as much as its table; the table if none does.
 
-
-def proposals(
-    evidence: Evidence, channel: Channel, e: Array, signals: Mapping[str, Array], waves: Waves | None
-) -> list[Proposal]:
-    """Return the tables of a channel whose arguments predict its remainder best.
+    With the right formula, named causes that only made up for the table are not needed.
 
     Args:
-        evidence: the recording compared with the given model.
-        channel: the channel.
-        e: its whitened remainder, shape (n,).
-        signals: signals on which it may depend, one value a sample.
-        waves: waves along the stroke; None: a table is not sought to repeat along it.
+        pool: the threads.
+        offer: the term as a table.
+        nothing: the hypothesis without causes.
     """
-    limit = float(np.quantile(np.abs(e), TAIL))
-    clipped, found = np.clip(e, -limit, limit), list[Proposal]()
-    speed = float(np.sqrt(np.mean(signals[VELOCITY] ** 2))) if VELOCITY in signals else 0.0
-    direction = np.tanh(evidence.means(channel, signals[VELOCITY]) / (TURNING * speed)) if speed > 0.0 else None
-    turned = None if direction is None else clipped * direction
-    for effect, weights in PLACES[channel].items():
-        for weight in weights:
-            if _signal(effect, weight) not in signals:
-                continue
-            values = signals[_signal(effect, weight)]
-            values = np.abs(values) if weight == "speed" else values
-            # Friction opposes the motion.
-            variants = [(0.0, turned if effect == "empirical_friction" else clipped)]
-            if effect == "empirical_force" and weight not in ("velocity", "speed"):
-                variants.append((TURNING * speed, turned))
-            for turning, target in variants:
-                if target is not None:
-                    alike = Proposal(0.0, effect, weight, 0.0, 0.0, direction=turning)
-                    found += _along(evidence, channel, alike, values, target, waves if weight == "position" else None)
-    likely = sorted((item for item in found if item.share >= rules.DEPENDS), key=lambda item: -item.share)
-    return likely[:FITTED_TERMS]
-
-
-def _along(
-    evidence: Evidence, channel: Channel, alike: Proposal, values: Array, target: Array, waves: Waves | None
-) -> list[Proposal]:
-    """Return tables over a signal: over its range, over a part in which the remainder is concentrated, and a periodic one.
-
-    Args:
-        evidence: the recording compared with the given model.
-        channel: the channel.
-        alike: effect, weight and direction.
-        values: the signal, one value a sample.
-        target: the remainder to predict, shape (windows,).
-        waves: waves along the signal; None: a table is not sought to repeat along it.
-    """
-    means, block = evidence.means(channel, values), evidence.block[channel]
-    even = block % 2 == 0
-    low, high = _covered(means, block)
-    if not high > low:
-        return []
-    share = explained_fraction(means, target, even)
-    alike = alike._replace(reach=(float(np.min(values)), float(np.max(values))))
-    out = [alike._replace(share=share, low=low, high=high)]
-    part = concentrated(means, target, low, high)
-    if part is not None and alike.weight != "time":
-        out.append(alike._replace(share=max(share, rules.DEPENDS), low=part[0], high=part[1]))
-    if waves is not None:
-        number, share = waves.strongest(target, even)
-        out.append(alike._replace(share=share, low=0.0, high=float(np.ptp(values)) / number, periodic=True))
-    elif alike.weight == "time":
-        size = float(np.sqrt(np.mean(target**2))) or 1.0
-        for frequency in spectral_lines(target / size, evidence.times[channel], 1):
-            share = explained_by(_repeating(partial(evidence.means, channel), frequency * values), target, even)
-            out.append(alike._replace(share=share, low=0.0, high=1.0 / frequency, periodic=True))
-    return out
-
-
-def concentrated(means: Array, target: Array, low: float, high: float) -> tuple[float, float] | None:
-    """Return the part of a signal's range in which a remainder is concentrated; None if that is not much smaller."""
-    cell = np.clip(((means - low) / (high - low) * CELLS).astype(np.intp), 0, CELLS - 1)
-    count = np.bincount(cell, minlength=CELLS)
-    level = np.bincount(cell, target, CELLS) / np.maximum(count, 1)
-    level = np.abs(np.where(count > 0, level - np.median(level[count > 0]), 0.0))
-    strong = np.flatnonzero(level > 0.5 * np.max(level))
-    first, last = int(strong[0]), int(strong[-1]) + 1
-    around = last - first
-    first, last = max(first - around - 1, 0), min(last + around + 1, CELLS)
-    if last - first > CELLS // 2:
-        return None
-    step = (high - low) / CELLS
-    return low + first * step, low + last * step
-
-
-def _signal(effect: str, weight: str) -> str:
-    """Return the signal that a weight multiplies; the spool's input is the command."""
-    return COMMAND if (effect, weight) == ("empirical_spool", "spool") else SIGNAL_OF[weight]
-
-
-def _covered(means: Array, block: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the range of a signal that so many blocks reach that the rest tells its ends when one is left out."""
-    members = [means[block == b] for b in np.unique(block)]
-    lows, highs = (np.sort([end(part) for part in members]) for end in (np.min, np.max))
-    reached = min(REACHED, len(members))
-    return float(lows[reached - 1]), float(highs[-reached])
-
-
-def candidates_of(proposal: Proposal) -> list[Candidate]:
-    """Return the hypotheses of a proposed table, with few and with many knots."""
-    declared = {d.name: d for d in declarations(EFFECTS.load(proposal.effect).Parameters)}
-    per, size = f"per_{proposal.weight}", 1.0 / (proposal.high - proposal.low)
-    place = list(WEIGHTS).index(proposal.weight) + len(WEIGHTS) * proposal.periodic
-    out = []
-    for knots in FINENESS if proposal.periodic or proposal.weight != "time" else (TIME_KNOTS,):
-        free = (per, *VALUES[:knots]) if proposal.periodic else VALUES[:knots]
-        fixed = {"periodic": 1.0} if proposal.periodic else {per: size, "offset": -proposal.low * size}
-        fixed |= {"direction": proposal.direction} if proposal.direction else {}
-        if not proposal.periodic:
-            lowest, highest = ((end - proposal.low) * size for end in proposal.reach)
-            fixed |= {"lowest": float(np.clip(lowest, -10.0, 0.0)), "highest": float(np.clip(highest, 1.0, 11.0))}
-        fixed |= {"knots": float(knots)} if knots < KNOTS else {}
-        lower = np.array([declared[name].minimum for name in free], dtype=np.float64)
-        upper = np.array([declared[name].maximum for name in free], dtype=np.float64)
-        start = np.array([size if name == per else 0.0 for name in free])
-        if proposal.periodic:
-            # Another period would be another hypothesis.
-            lower[0], upper[0] = (1.0 - PERIOD_RANGE) * size, (1.0 + PERIOD_RANGE) * size
-        units = tuple(declared[name].unit for name in free)
-        rows = start[np.newaxis]
-        out.append(Candidate(proposal.effect, place, free, tuple(fixed.items()), rows, lower, upper, units, neutral=start))
-    return out
-
-
-def waves_along(means: Callable[[Array], Array], values: Array) -> Waves:
-    """Return the waves that are looked for along a signal's range.
-
-    Args:
-        means: returns the mean of a signal over each window.
-        values: the signal, one value a sample.
-    """
-    along, numbers = (values - np.min(values)) / np.ptp(values), np.arange(*WAVES, WAVE_STEP)
-    return Waves(numbers, np.stack([_repeating(means, number * along) for number in numbers]))
-
-
-def _repeating(means: Callable[[Array], Array], cycles: Array) -> Array:
-    """Return a wave, its harmonics and a constant, as means over the windows, shape (windows, columns).
-
-    Args:
-        means: returns the mean of a signal over each window.
-        cycles: number of periods up to each sample.
-    """
-    angles = [2.0 * math.pi * harmonic * cycles for harmonic in range(1, HARMONICS + 1)]
-    columns = [means(wave(angle)) for angle in angles for wave in (np.sin, np.cos)]
-    return np.stack((*columns, np.ones(len(columns[0]))), axis=1)
-
-
-def _linearised(worker: Worker, candidate: Candidate) -> Fit:
-    return worker.linearise((candidate,), candidate.starts[0])
-
-
-def _term(evidence: Evidence, more: Assessment, less: Assessment) -> Term:
-    """Return the result of a fitted term, the last cause of a hypothesis."""
+    evidence, (base, more, proposal) = pool.evidence, offer
     candidate, part = more.hypothesis[-1], parts(more.hypothesis)[-1]
-    used = candidate.use(more.fit.values[part]).parameters._asdict()
-    covariance = more.held_out.covariance[part, part]
-    periodic = used["periodic"] > 0.0
-    weight = next(name for name in WEIGHTS if used[f"per_{name}"] != 0.0)
-    size = used[f"per_{weight}"]
-    knots = round(used["knots"])
-    places = np.arange(knots) / (knots if periodic else knots - 1)
-    table = slice(len(candidate.free) - knots, None)
-    argument = _signal(candidate.name, weight)
-    error = math.sqrt(max(covariance[0, 0], 0.0)) / size**2
-    period = Estimate(1.0 / size, error, argument_unit(argument)) if periodic else None
-    values, std = more.fit.values[part][table], np.sqrt(np.maximum(np.diag(covariance)[table], 0.0))
-    at = (places - used["offset"]) / size
+    values, table = more.fit.values[part], slice(len(candidate.free) - proposal.knots, None)
+    scale = _scale_of(proposal)
+    covariance = more.held_out.covariance[part, part][table, table]
+    at = (_places(proposal, candidate, values) - scale.zero) / scale.size
+    known = Table(at, values[table], covariance, proposal.periodic, _signed(proposal))
+    memory = {name: value for name, value in zip(candidate.free, values.tolist(), strict=True) if name in MEMORIES}
+    fits = pool.map(_linearised, [_of_formula(proposal, scale, memory, formula) for formula in formulas(known)])
+    begun = [
+        combined(evidence, beside.fit, fit)
+        for fit in fits
+        if fit is not None
+        for beside in ((base, nothing) if base.names else (base,))
+    ]
+    found = [more, *(fitted(evidence, pool, begun, len(begun)) if begun else [])]
+    inflation = inflations(evidence, found)
+    highest = max(j.score(inflation) for j in found)
+    enough = highest - max(rules.EQUAL, rules.EQUAL_FRACTION * (highest - base.score(inflation)))
+    equal = [j for j in found if j.score(inflation) >= enough]
+    best = min(equal, key=lambda j: (len(j.fit.values), -j.score(inflation)))
+    return _Offer(base if len(best.names) > 1 else nothing, best, proposal)
+
+
+class _Scale(NamedTuple):
+    """Zero and unit of a formula's argument, in the argument's SI unit."""
+
+    zero: float
+    size: float
+
+
+def _signed(proposal: Proposal) -> bool:
+    """Return whether an argument has a natural zero."""
+    return proposal.argument not in ("time", "temperature")
+
+
+def _scale_of(proposal: Proposal) -> _Scale:
+    """Return the scale in which an argument reaches 1."""
+    if proposal.play > 0.0:
+        return _Scale(0.0, proposal.play)
+    low, high = proposal.reach
+    return _Scale(0.0, max(abs(low), abs(high))) if _signed(proposal) else _Scale(low, high - low)
+
+
+def _places(proposal: Proposal, candidate: Candidate, values: Array) -> Array:
+    """Return the places of a fitted table's knots, in the argument's SI unit, shape (knots,)."""
+    used = candidate.use(values).parameters._asdict()
+    steps = proposal.knots if proposal.periodic else proposal.knots - 1
+    return (np.arange(proposal.knots) / steps - used["offset"]) / used[_weight(proposal)]
+
+
+def _weight(proposal: Proposal) -> str:
+    """Return the weight that gives an argument's scale; the spool displacement is the command less the error."""
+    return "per_spool" if proposal.argument == DISPLACEMENT else f"per_{proposal.argument}"
+
+
+def candidate_of(proposal: Proposal) -> Candidate:
+    """Return the hypothesis of a proposed table."""
+    scale = _Scale(proposal.low, proposal.high - proposal.low)
+    table = dict(zip(VALUES, proposal.start or (0.0,) * proposal.knots, strict=False))
+    fixed = {**_argument(proposal, scale), "knots": float(proposal.knots)}
+    memory = {"direction": proposal.direction, "memory": proposal.lag, "play": proposal.play / scale.size}
+    free = {**{name: value for name, value in memory.items() if value > 0.0}, **table}
+    bounds = _memory_bounds(free)
+    if proposal.periodic:
+        size = fixed.pop(_weight(proposal))
+        del fixed["offset"]
+        free = {_weight(proposal): size, **free}
+        # Another period would be another hypothesis.
+        bounds[_weight(proposal)] = (1.0 - PERIOD_RANGE) * size, (1.0 + PERIOD_RANGE) * size
+    return _candidate(proposal, free, fixed, bounds, dict.fromkeys(VALUES, 0.0))
+
+
+def _of_formula(proposal: Proposal, scale: _Scale, memory: Mapping[str, float], formula: Formula) -> Candidate:
+    """Return the hypothesis of a formula in place of a table.
+
+    Args:
+        proposal: the table.
+        scale: of the formula's argument.
+        memory: fitted parameters of the table's memory and direction.
+        formula: parameters of the formula.
+    """
+    fixed = {**_argument(proposal, scale), **formula.fixed, "knots": 0.0}
+    bounds = {**_memory_bounds(memory), **formula.bounds}
+    if "wave_number" in formula.free:
+        number = formula.free["wave_number"]
+        bounds["wave_number"] = (1.0 - PERIOD_RANGE) * number, (1.0 + PERIOD_RANGE) * number
+    return _candidate(proposal, {**memory, **formula.free}, fixed, bounds, dict.fromkeys(SIZES, 0.0))
+
+
+def _argument(proposal: Proposal, scale: _Scale) -> dict[str, float]:
+    """Return the parameters of a term's argument and factor, without those of a memory."""
+    size = 1.0 / scale.size
+    weights = {_weight(proposal): size} | ({"per_error": -size} if proposal.argument == DISPLACEMENT else {})
+    factor = {f"times_{proposal.factor}": 1.0 / proposal.factor_reach} if proposal.factor else {}
+    if proposal.periodic:
+        return {**weights, **factor, "offset": -scale.zero * size, "periodic": 1.0}
+    ends = (-MEMORY_RANGE * proposal.play, MEMORY_RANGE * proposal.play) if proposal.play > 0.0 else proposal.reach
+    lowest, highest = ((end - scale.zero) * size for end in ends)
+    reach = {"lowest": float(np.clip(lowest, -10.0, 0.0)), "highest": float(np.clip(highest, 1.0, 11.0))}
+    return {**weights, **factor, **reach, "offset": -scale.zero * size}
+
+
+def _memory_bounds(free: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """Return the ranges of a term's direction and memory."""
+    return {name: (free[name] / MEMORY_RANGE, free[name] * MEMORY_RANGE) for name in MEMORIES if name in free}
+
+
+def _candidate(
+    proposal: Proposal,
+    free: Mapping[str, float],
+    fixed: Mapping[str, float],
+    bounds: Mapping[str, tuple[float, float]],
+    neutral: Mapping[str, float],
+) -> Candidate:
+    """Return a term as a hypothesis.
+
+    Args:
+        proposal: the table that it began as.
+        free: starting values of the fitted parameters.
+        fixed: the other parameters that are not neutral.
+        bounds: ranges of the fitted parameters that are narrower than declared.
+        neutral: values of the parameters without which the term is none.
+    """
+    declared = {d.name: d for d in declarations(EFFECTS.load(proposal.effect).Parameters)}
+    ranges = [bounds.get(name, (declared[name].minimum, declared[name].maximum)) for name in free]
+    lower, upper = np.array(ranges, dtype=np.float64).T
+    start = np.clip(np.array(list(free.values())), lower, upper)
+    place = list(SIGNAL_OF).index(proposal.argument) + len(SIGNAL_OF) * proposal.periodic
+    return Candidate(
+        proposal.effect,
+        place,
+        tuple(free),
+        tuple(fixed.items()),
+        start[np.newaxis],
+        lower,
+        upper,
+        tuple(declared[name].unit for name in free),
+        np.array([neutral.get(name, value) for name, value in zip(free, start.tolist(), strict=True)]),
+    )
+
+
+def _linearised(worker: Worker, candidate: Candidate) -> Fit | None:
+    fit = worker.linearise((candidate,), candidate.starts[0])
+    return fit if fit.channels and np.any(fit.jacobian) else None
+
+
+def _term(evidence: Evidence, offer: _Offer) -> Term:
+    """Return the result of a fitted term, the last cause of a hypothesis."""
+    proposal, more = offer.proposal, offer.more
+    candidate, part = more.hypothesis[-1], parts(more.hypothesis)[-1]
+    values, covariance = more.fit.values[part], more.held_out.covariance[part, part]
+    used = candidate.use(values).parameters._asdict()
+    unit = next(d.unit for d in declarations(EFFECTS.load(candidate.name).Parameters) if d.name == "level")
+    argument = _signal(proposal.effect, proposal.argument)
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std = dict(zip(candidate.free, deviations.tolist(), strict=True))
+    per, length = used[_weight(proposal)], argument_unit(argument)
+    if used["knots"] > 0.0:
+        table = slice(len(candidate.free) - proposal.knots, None)
+        at, shown, errors = _places(proposal, candidate, values), values[table], deviations[table]
+        reading, shapes = read(at, shown, covariance[table, table], periodic=proposal.periodic), tuple[Shape, ...]()
+        period = Estimate(1.0 / per, std[_weight(proposal)] / per**2, length) if proposal.periodic else None
+    else:
+        shapes = shapes_of(used, std, _Scale(-used["offset"] / per, 1.0 / per), (length, unit))
+        period = next((shape.numbers["period"] for shape in shapes if shape.name == "wave"), None)
+        at = _pictured(proposal, period)
+        shown, errors = _drawn(candidate, values, covariance, at * per + used["offset"])
+        reading = read_formula(shapes, shown, errors)
     return Term(
         effect=candidate.name,
         argument=argument,
-        magnitude=weight == "speed",
-        unit=candidate.units[-1],
+        magnitude=proposal.argument == "speed",
+        error=proposal.argument == ERROR,
+        factor_error=proposal.factor == ERROR,
+        unit=unit,
         at=at,
-        values=values,
-        std=std,
+        values=shown,
+        std=errors,
         period=period,
-        closed=min(share_closed(evidence, more, less), 1.0),
+        closed=min(share_closed(evidence, more, offer.base), 1.0),
         direction=used["direction"],
-        reading=read(at, values, covariance[table, table], periodic=periodic),
+        reading=reading,
+        formula=shapes,
+        factor=_signal(proposal.effect, proposal.factor) if proposal.factor else "",
+        factor_reach=proposal.factor_reach,
+        lag=Estimate(used["memory"], std["memory"], "s") if proposal.lag > 0.0 else None,
+        play=Estimate(used["play"] / per, std["play"] / per, length) if proposal.play > 0.0 else None,
     )
+
+
+def _pictured(proposal: Proposal, period: Estimate | None) -> Array:
+    """Return the arguments at which a formula is drawn: the range of the data, or a period."""
+    low, high = (-0.5 * proposal.play, 0.5 * proposal.play) if proposal.play > 0.0 else proposal.reach
+    return np.linspace(low, high if period is None else low + period.value, SHOWN_POINTS)
+
+
+def _drawn(candidate: Candidate, values: Array, covariance: Array, u: Array) -> tuple[Array, Array]:
+    """Return the values of a formula and their standard errors, shape (n,) each.
+
+    Args:
+        candidate: the term.
+        values: of its free parameters, shape (p,).
+        covariance: of these, shape (p, p).
+        u: arguments, shape (n,).
+    """
+    drawn, slopes = value_of(candidate.use(values).parameters, u), np.zeros((len(u), len(values)))
+    for i, value in enumerate(values.tolist()):
+        step = SLOPE_STEP * max(abs(value), math.sqrt(max(covariance[i, i], 0.0)), 1e-12)
+        moved = values.copy()
+        moved[i] += step if value + step <= candidate.upper[i] else -step
+        slopes[:, i] = (value_of(candidate.use(moved).parameters, u) - drawn) / (moved[i] - value)
+    return drawn, np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", slopes, covariance, slopes), 0.0))
+
+
+def _signal(effect: str, argument: str) -> str:
+    """Return the signal that an argument is formed of; the spool's input is the command."""
+    return COMMAND if (effect, argument) == ("empirical_spool", "spool") else SIGNAL_OF[argument]
+
+
+def drifts(evidence: Evidence, best: Fit, without: Fit) -> tuple[str, ...]:
+    """Return the terms over time that reproduce what a cause changes, because the signal that it needs followed the time.
+
+    Args:
+        evidence: the recording compared with the given model.
+        best: the hypothesis with the cause, fitted.
+        without: the same without it.
+    """
+    change = {c: best.residuals.values[c] - without.residuals.values[c] for c in evidence.channels}
+    main = max(change, key=lambda c: float(np.sum(change[c] ** 2)))
+    worker, time, out = Worker(evidence), evidence.record.time, list[str]()
+    ends = float(time[0]), float(time[-1])
+    for effect, place in PLACES.get(main, {}).items():
+        factors = [factor for argument, factor in place.products if argument == "time"]
+        for factor in ("", *factors) if "time" in place.single else factors:
+            candidate = candidate_of(Proposal(0.0, effect, "time", *ends, ends, TIME_KNOTS, factor=factor))
+            fit = worker.linearise((candidate,), candidate.starts[0])
+            within_reach = np.concatenate([change[c] for c in fit.channels])
+            reached = fit.jacobian @ np.linalg.lstsq(fit.jacobian, within_reach, rcond=None)[0]
+            if float(reached @ reached) >= rules.CLOSED * float(sum(np.sum(e * e) for e in change.values())):
+                out.append(effect)
+    return tuple(dict.fromkeys(out))
 
 
 def leaves_less(evidence: Evidence, term: Described, answer: PartialAnswer) -> bool:

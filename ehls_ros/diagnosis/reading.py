@@ -1,12 +1,14 @@
 """Reading of a table found in the data: amplitude, symmetry, growth, power and place, as numbers."""
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy
 
 from ehls_ros.arrays import Array
+from ehls_ros.estimate import Estimate
 
 FITS = 0.05
 """Fraction of a table's power that a shape may leave, beyond its errors, to describe it."""
@@ -19,6 +21,25 @@ LIKELY = 0.95
 
 PLACE = 0.3
 """Largest fraction of the knots over which a bump at one place extends."""
+
+
+ShapeName = Literal["level", "power", "bump", "step", "beyond", "wave"]
+
+
+class Shape(NamedTuple):
+    """A shape in a formula.
+
+    Attributes:
+        name: a constant, a power, a Gaussian bump, a hyperbolic tangent, a line beyond a place, or a sine with its harmonic.
+        numbers: its numbers with standard errors by name, in SI units: ``size`` in the unit of the term, for a power and a line
+            at a distance ``at_distance`` from where they are zero; ``exponent``, ``from``, ``place``, ``width``, ``period``,
+            ``phase``, and ``second``, the amplitude of the harmonic.
+        kind: of a power and a bump, odd or even; of a line, above, below or both.
+    """
+
+    name: ShapeName
+    numbers: Mapping[str, Estimate]
+    kind: str = ""
 
 
 class Power(NamedTuple):
@@ -67,6 +88,28 @@ def read(at: Array, values: Array, covariance: Array, *, periodic: bool) -> Read
     if periodic or amplitude == 0.0:
         return Reading(amplitude, std)
     return Reading(amplitude, std, _rise(values), _power(at, values, covariance), _place(at, values))
+
+
+def read_formula(shapes: Sequence[Shape], values: Array, std: Array) -> Reading:
+    """Return the shape of a formula.
+
+    Args:
+        shapes: of the formula.
+        values: over the range of the data, shape (n,).
+        std: their standard errors, shape (n,).
+    """
+    amplitude, spread = 0.5 * float(np.ptp(values)), float(np.sqrt(np.mean(std * std)))
+    by_name = {shape.name: shape for shape in shapes if shape.name != "level"}
+    if "wave" in by_name:
+        return Reading(amplitude, spread)
+    alone = next(iter(by_name.values())) if len(by_name) == 1 else None
+    power = place = None
+    if alone is not None and alone.name == "power":
+        exponent = alone.numbers["exponent"]
+        power = Power(exponent.value, exponent.std, "even" if alone.kind == "even" else "odd")
+    elif alone is not None and alone.name == "bump":
+        place = alone.numbers["place"].value
+    return Reading(amplitude, spread, _rise(values), power, place)
 
 
 def _rise(values: Array) -> float | None:

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.reading import Reading
+from ehls_ros.diagnosis.reading import Reading, Shape
 from ehls_ros.diagnosis.stages import KINDS, REQUIRED, Channel, Stage
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
@@ -259,20 +259,26 @@ def argument_unit(argument: str) -> str:
 
 
 class Term(NamedTuple):
-    """A term found in the data, as a table over one signal.
+    """A term found in the data, as a formula or a table over one signal.
 
     Attributes:
-        effect: name of the effect that has the table.
+        effect: name of the effect that has it.
         argument: the signal, by its name in the data contract.
         magnitude: whether the argument is the signal's magnitude.
         unit: unit of the values.
-        at: places of the knots in the argument's unit, shape (k,).
-        values: of the table, shape (k,).
+        at: places of the table's knots, or of points on the formula, in the argument's unit, shape (k,).
+        values: there, shape (k,).
         std: their standard errors, shape (k,).
         period: period in the argument with which the table repeats; None: it does not, and keeps its edge values.
         closed: fraction of the removable error that it closes on held-out data.
         direction: speed within which its sign follows the direction of motion [m/s]; 0: it does not.
         reading: its shape.
+        formula: the shapes whose sum it is; empty for a table.
+        factor: the signal to which it is proportional, by its name in the data contract; empty if there is none.
+        factor_reach: magnitude of that signal at which the values hold.
+        error, factor_error: whether the argument, or the factor, is the command less the signal.
+        lag: time constant of a first-order lag that is subtracted from the argument; None: there is none.
+        play: width of the play in whose gap the argument is taken; None: there is none.
     """
 
     effect: str
@@ -286,6 +292,13 @@ class Term(NamedTuple):
     closed: float
     direction: float
     reading: Reading
+    formula: tuple[Shape, ...] = ()
+    factor: str = ""
+    factor_reach: float = 1.0
+    error: bool = False
+    factor_error: bool = False
+    lag: Estimate | None = None
+    play: Estimate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -301,7 +314,8 @@ class Diagnosis:
         depends_on: the signals on which that remainder depends.
         partial: for ``unknown``, names of the effects that explain a part of it.
         gain: gain of the extended model, if causes are named or a term is found.
-        term: for ``unknown``, the term that describes the error; None if none does.
+        term: for ``unknown`` and ``partial``, the term that describes what causes leave; None if none does.
+        term_rivals: models with another term that explains the error as well, by that term's name.
         rig: the given model.
         extended: the model with the causes or the term; the given model if there are none.
         traces: residuals, by channel.
@@ -324,6 +338,7 @@ class Diagnosis:
     partial: tuple[str, ...] = ()
     gain: Gain | None = None
     term: Term | None = None
+    term_rivals: Mapping[str, Rig] = field(default_factory=dict)
     rig: Rig
     extended: Rig
     traces: Mapping[Channel, ChannelTrace] = field(default_factory=dict)

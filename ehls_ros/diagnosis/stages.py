@@ -57,6 +57,12 @@ Origin: at twice that, the plays of a hysteresis lag as if by a command delay of
 FRICTION_STEP = 1e-3
 """Longest integration step of a friction model [s]."""
 
+MISREAD, MISREAD_PASSES = ("position", "load_pressure", "force"), 6
+"""Sensors to whose readings effects add errors, and most passes in which these are found from the readings."""
+
+MISREAD_LEFT = 1e-5
+"""Change of these errors in a pass, as a fraction of the largest, below which they are found."""
+
 FASTEST_SHARE = 0.999
 """Quantile of the speed for which a stiff friction model is integrated."""
 
@@ -229,9 +235,10 @@ class Comparison:
         hooks = {part: _used(part, whole) and (_used(part, whole), plant) for part in PARTS}
         spool = (plant.valve_bandwidth, plant.valve_gain, hooks["spool"])
         seen = spool if SPOOL not in self.record else None
-        x, v, p = sensors.get("position"), sensors.get("velocity"), sensors.get("load_pressure")
+        x, v = (sensors.get("position"), hooks["readings"]), sensors.get("velocity")
+        p, cell = (sensors.get("load_pressure"), hooks["readings"]), (sensors.get("force"), hooks["readings"])
         if PRESSURE not in self.record:
-            p = sensors.get("force")
+            p = cell
         valve = (plant.supply_pressure, plant.oil_density, plant.discharge_coefficient, plant.valve_area_gradient)
         flow = (*valve, plant.bulk_modulus, plant.total_volume, plant.piston_area, plant.leakage_coefficient)
         spool_sensor = sensors.get("spool_position")
@@ -241,7 +248,7 @@ class Comparison:
             "volume": (flow, hooks["flow"], seen, moved),
             "supply": (valve, hooks["flow"], seen, moved, sensors.get("supply_pressure")),
             "force": (_beam(whole), whole.friction_model, whole.friction, hooks["friction"], hooks["force"], moved),
-            "cell": (plant.piston_area, p, sensors.get("force")),
+            "cell": (plant.piston_area, p, cell),
             "velocity": (x, v),
         }
 
@@ -350,7 +357,7 @@ class Comparison:
     def relevant_parts(self, rig: EffectiveRig, part: str) -> Any:
         """Return the dependencies of a part's run."""
         used, sensors = _used(part, rig), tuple(sorted(rig.sensors.items()))
-        return (used, rig.plant if used or part in ("flow", "spool") else None, sensors)
+        return (used, rig.plant if used or part in ("flow", "spool") else None, sensors, _used("readings", rig))
 
     def _along(self, part: str, rig: EffectiveRig, motion: Motion, steps: int) -> ModelRun:
         record, history = self.record, earlier_commands(rig, self.record.period) if part == "spool" else 0
@@ -359,8 +366,8 @@ class Comparison:
 
     def _memory_steps(self, part: str, rig: EffectiveRig) -> int:
         """Return the integration steps per sample required by the effects' states; 0 without such states."""
-        states = sum(getattr(EFFECTS.load(use.name), "STATES", 0) for use in _used(part, rig))
-        return max(1, math.ceil(self.record.period / MEMORY_STEP)) if states else 0
+        longest = min((longest_step(use) for use in _used(part, rig)), default=math.inf)
+        return math.ceil(self.record.period / longest) if math.isfinite(longest) else 0
 
     def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Any:
         return run_part(part, rig, self._along(part, rig, motion, self._memory_steps(part, rig)))
@@ -424,7 +431,8 @@ class Comparison:
         description = rig.sensors.get(sensor, Sensor())
         raw = self.record.values(SENSED[sensor])
         gain, bias, bandwidth, delay = description.gain, description.bias, description.bandwidth, description.delay
-        if gain == 1.0 and bias == 0.0 and bandwidth == 0.0 and delay == 0.0:
+        misread = _used("readings", rig) if sensor in MISREAD else ()
+        if gain == 1.0 and bias == 0.0 and bandwidth == 0.0 and delay == 0.0 and not misread:
             return raw
 
         def compute() -> Any:
@@ -435,9 +443,34 @@ class Comparison:
                 # A high-order spline: linear interpolation would average noise, and any delay would seem to help.
                 ahead = -delay / self.record.period
                 values = linear(lambda signal: scipy.ndimage.shift(signal, ahead, order=5, mode="nearest"), values)
-            return values
+            return values - self._misread(rig)[:, MISREAD.index(sensor)] if misread else values
 
-        return self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay), compute)
+        plant = rig.plant if misread else None
+        return self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay, misread, plant), compute)
+
+    def _misread(self, rig: EffectiveRig) -> Array:
+        """Return the errors that effects add to the readings of :data:`MISREAD`, shape (n, 3).
+
+        They depend on the true signals, which are the readings less the errors.
+        """
+
+        def compute() -> Array:
+            used = _used("readings", rig)
+            measured = self._measured_motion(rig._replace(effects=tuple(use for use in rig.effects if use not in used)))
+            along = self._along("readings", rig, Motion(*map(value_of, measured)), self._memory_steps("readings", rig))
+            errors = np.zeros((len(self.record.time), len(MISREAD)))
+            for _ in range(MISREAD_PASSES):
+                position, pressure = (np.ascontiguousarray(errors[:, MISREAD.index(s)]) for s in ("position", "load_pressure"))
+                motion = along.motion._replace(
+                    position=along.motion.position - position, pressure=along.motion.pressure - pressure
+                )
+                before, errors = errors, value_of(run_part("readings", rig, along._replace(motion=motion)))
+                if np.max(np.abs(errors - before)) <= MISREAD_LEFT * np.max(np.abs(errors)):
+                    break
+            return errors
+
+        errors: Array = self._keep("misread", (self._moves(rig), rig.plant), compute)
+        return errors
 
     def pressure(self, rig: EffectiveRig) -> Any:
         """Return the load pressure, from the load cell if there is no pressure sensor, shape (n,) [Pa]."""
@@ -491,7 +524,7 @@ class Comparison:
 
     def _moves(self, rig: EffectiveRig) -> Any:
         """Return the dependencies of the recorded motion."""
-        return tuple((name, rig.sensors.get(name)) for name in SENSED), rig.plant.piston_area
+        return tuple((name, rig.sensors.get(name)) for name in SENSED), rig.plant.piston_area, _used("readings", rig)
 
     def _make_motion(self, rig: EffectiveRig) -> Motion:
         record = self.record
@@ -552,6 +585,14 @@ class Comparison:
                 kept.pop(next(iter(kept)), None)
             kept[key] = value
         return kept[key]
+
+
+def longest_step(use: EffectUse) -> float:
+    """Return the longest integration step of an effect along a recording; infinite if nothing is to be integrated [s]."""
+    effect = EFFECTS.load(use.name)
+    if hasattr(effect, "longest_step"):
+        return float(effect.longest_step(use.parameters))
+    return MEMORY_STEP if getattr(effect, "STATES", 0) else math.inf
 
 
 def _used(part: str, rig: EffectiveRig) -> tuple[EffectUse, ...]:

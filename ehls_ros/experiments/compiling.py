@@ -60,8 +60,9 @@ def identification_jobs(rig: Rig) -> list[Job]:
 
 def _parts(rig: Rig, *, duals: bool) -> list[Job]:
     effective = rig.effective()
-    needed = [name for name in reversed(PARTS) if name != "load" or effective.piston_mass() > 0.0]
-    return [_part(name, effective, duals=duals) for name in needed]
+    without = {"load"} if effective.piston_mass() == 0.0 else set()
+    without |= set() if any(use.name in PARTS["readings"].effects.names for use in rig.effects) else {"readings"}
+    return [_part(name, effective, duals=duals) for name in reversed(PARTS) if name not in without]
 
 
 def _part(name: str, rig: EffectiveRig, *, duals: bool) -> Job:
@@ -72,7 +73,7 @@ def consequences_jobs(diagnosis: Diagnosis) -> list[Job]:
     """Return the kernels of the experiments that follow a diagnosis."""
     given, extended = diagnosis.rig, diagnosis.extended
     if not diagnosis.names_causes:
-        return [_plant(given)]
+        return [_plant(given)] if diagnosis.term is None else [_plant(given), _plant(extended)]
     loops = {loop_kernel(spec): spec for spec in runs(given, extended)}
     jobs = [Job(partial(loop_kernel, spec), partial(_loop, spec)) for spec in loops.values()]
     return [*jobs, _plant(given), _plant(extended)]

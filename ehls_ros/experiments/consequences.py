@@ -109,6 +109,7 @@ def consequences(
     if diagnosis.names_causes:
         progress("running the controller on the extended plant", 0.3)
         controller = _tried("run of the controller", remarks, lambda: controller_benefit(diagnosis.rig, diagnosis.extended))
+    if diagnosis.names_causes or diagnosis.term is not None:
         candidates = _tried("next experiment", remarks, lambda: open_candidates(diagnosis)) or {}
         if len(candidates) > 1:
             progress("looking for the next experiment", 0.5)
@@ -153,10 +154,12 @@ def open_rivals(cause: Cause) -> tuple[Rival, ...]:
 
 
 def open_candidates(diagnosis: Diagnosis) -> dict[str, Rig]:
-    """Return the extended rigs that the next experiment has to separate, by the causes' names.
+    """Return the extended rigs that the next experiment has to separate, by the names of causes or terms.
 
-    They are those of the least probable cause with open rivals.
+    They are those of the least probable cause with open rivals, or of a term and of others that explain as much.
     """
+    if diagnosis.term is not None:
+        return {diagnosis.term.effect: diagnosis.extended, **dict(list(diagnosis.term_rivals.items())[:MAX_RIVALS])}
     for cause in sorted(diagnosis.causes, key=lambda cause: cause.probability):
         rivals = open_rivals(cause)
         if rivals:

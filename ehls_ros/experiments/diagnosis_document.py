@@ -226,7 +226,7 @@ class DiagnosisDocument(NamedTuple):
         wall_s: wall time of everything [s].
         baseline: baselines of the judgement; None without baselines.
         corrected: wrong numbers of the rig file that were corrected first, by dotted section and name.
-        term: for ``unknown``, the term that describes the error; None if none does.
+        term: for ``unknown`` and ``partial``, the term that describes what causes leave; None if none does.
         checks: gain of the extended model on other recordings, by their names and by channel.
     """
 

@@ -354,7 +354,8 @@ def has_number(rig: Rig, path: str) -> bool:
 def rig_to_mapping(rig: Rig) -> dict[str, Any]:
     """Return the content of a rig file, the inverse of :func:`rig_from_mapping`.
 
-    Friction coefficients derived from others are omitted, and so are those that are :data:`UNKNOWN`.
+    Friction coefficients derived from others are omitted, and so are those that are :data:`UNKNOWN`, and the many neutral
+    parameters of a term found in data.
     """
 
     def plain(parameters: Any) -> dict[str, Any]:
@@ -362,6 +363,10 @@ def rig_to_mapping(rig: Rig) -> dict[str, Any]:
 
     def listed(values: Mapping[str, Any]) -> dict[str, Any]:
         return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+
+    def used(use: EffectUse) -> dict[str, Any]:
+        neutral = type(use.parameters)()._asdict() if getattr(EFFECTS.load(use.name), "LEARNT", False) else {}
+        return {key: value for key, value in plain(use.parameters).items() if neutral.get(key) != value}
 
     def known(section: str) -> dict[str, Any]:
         values = plain(getattr(rig, section))
@@ -373,7 +378,7 @@ def rig_to_mapping(rig: Rig) -> dict[str, Any]:
     return {
         "plant": known("plant"),
         "friction": {"model": rig.friction_model, **listed(friction), **listed(rig.other_friction)},
-        "effects": [{"name": use.name, **plain(use.parameters)} for use in rig.effects],
+        "effects": [{"name": use.name, **used(use)} for use in rig.effects],
         "sensors": {signal: plain(sensor) for signal, sensor in rig.sensors.items()},
         "limits": known("limits"),
         **({"standard_errors": dict(rig.standard_errors)} if rig.standard_errors else {}),

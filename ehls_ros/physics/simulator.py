@@ -188,6 +188,7 @@ def sensing(chains: Chains, end: int) -> Callable[..., None]:
         end: index of the effects' first state in ``y``.
     """
     supply_pressure, piston_position, piston_velocity = chains.supply_pressure, chains.piston_position, chains.piston_velocity
+    position_reading, pressure_reading, force_reading = chains.position_reading, chains.pressure_reading, chains.force_reading
 
     @kernel_no_refcount
     def sense(cycle: int, constants: Constants, state: State, noise: Array) -> None:
@@ -195,8 +196,11 @@ def sensing(chains: Chains, end: int) -> Callable[..., None]:
         y, w, truth, z = state.y, state.inputs, state.truth, state.y[end:]
         supply = supply_pressure(plant.supply_pressure, t, y, w, z, p, plant)
         sensors.true_signals(y, w[TEMPERATURE], supply, plant, truth)
-        truth[sensors.POSITION] = piston_position(y[X], t, y, w, z, p, plant)
+        at = piston_position(y[X], t, y, w, z, p, plant)
+        truth[sensors.POSITION] = position_reading(at, t, y, w, z, p, plant)
         truth[sensors.VELOCITY] = piston_velocity(y[V], t, y, w, z, p, plant)
+        truth[sensors.LOAD_PRESSURE] = pressure_reading(y[PL], t, y, w, z, p, plant)
+        truth[sensors.FORCE] = force_reading(truth[sensors.FORCE], t, y, w, z, p, plant)
         sensors.measure(cycle, truth, noise, state.sensors, state.measured)
 
     return sense

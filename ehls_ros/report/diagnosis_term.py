@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from ehls_ros.diagnosis.reading import Shape
 from ehls_ros.diagnosis.result import Diagnosis, Term, argument_unit
+from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.report import page
 from ehls_ros.report.page import Panel, Row, plane
@@ -15,8 +17,14 @@ NOUNS = {
     "empirical_opening": "a change of the valve's opening",
     "empirical_leakage": "a leakage",
     "empirical_spool": "an offset of the spool's command",
+    "empirical_pressure_reading": "an error of the load pressure sensor",
+    "empirical_position_reading": "an error of the position sensor",
+    "empirical_force_reading": "an error of the load cell",
 }
 """Noun of each term."""
+
+DISTANCE = "the spool's distance from its command"
+"""Name of the spool's error as an argument or a factor."""
 
 SPREAD = 2.0
 """Standard errors shown around the table."""
@@ -24,14 +32,15 @@ SPREAD = 2.0
 
 def phrase(term: Term) -> str:
     """Describe a term within a sentence: its place, its argument and its shape."""
-    of = "the time" if term.argument == "time_s" else quantity(term.argument)
-    noun = f"{NOUNS[term.effect]} that depends on {'the magnitude of ' if term.magnitude else ''}{of}"
+    noun = f"{NOUNS[term.effect]} that depends on {_argument(term)}"
+    factor = [f"in proportion to {DISTANCE if term.factor_error else quantity(term.factor)}"] if term.factor else []
     size, reading = f"up to ±{value(term.reading.amplitude, term.unit, 2)} about its middle", term.reading
     shapes = ["turning round with the direction of motion"] if term.direction > 0.0 else []
     if term.period is not None:
-        period = f"{value(term.period.value, term.period.unit, 4)} ± {value(2.0 * term.period.std, term.period.unit, 1)}"
-        shapes.append(f"repeating every {period}")
+        shapes.append(f"repeating every {_with_error(term.period)}")
         size = f"with an amplitude of {value(reading.amplitude, term.unit, 2)}"
+    elif term.formula:
+        shapes += [words for shape in term.formula if (words := _shape(shape))]
     elif reading.power is not None:
         symmetry = f"{reading.power.symmetry}, " if reading.power.symmetry else ""
         shapes.append(f"{symmetry}growing with the power {reading.power.exponent:.2f} ± {2.0 * reading.power.std:.1g}")
@@ -39,7 +48,46 @@ def phrase(term: Term) -> str:
         shapes.append(f"acting at one place, {value(reading.place, argument_unit(term.argument))}")
     elif reading.rise is not None:
         shapes.append("always rising" if reading.rise > 0.0 else "always falling")
-    return ", ".join([noun, *shapes, size])
+    if term.factor:
+        reach = value(term.factor_reach, argument_unit(term.factor), 2)
+        size += f" at {reach}"
+    return ", ".join([noun, *factor, *shapes, size])
+
+
+def _argument(term: Term) -> str:
+    of = "the time" if term.argument == "time_s" else quantity(term.argument)
+    if term.error:
+        of = DISTANCE
+    elif term.magnitude:
+        of = f"the magnitude of {of}"
+    if term.lag is not None:
+        return f"the changes of {of} faster than {_with_error(term.lag)}"
+    return f"{of} by a hysteresis {_with_error(term.play)} wide" if term.play is not None else of
+
+
+def _with_error(estimate: Estimate) -> str:
+    """Write an estimate with two standard errors."""
+    return f"{value(estimate.value, estimate.unit, 4)} ± {value(2.0 * estimate.std, estimate.unit, 1)}"
+
+
+def _shape(shape: Shape) -> str:
+    """Describe a shape of a formula; empty for a constant."""
+    numbers = shape.numbers
+    if shape.name == "power":
+        exponent, origin = numbers["exponent"], numbers["from"]
+        growth = "linear" if exponent.std == 0.0 and exponent.value == 1.0 else ""
+        growth = growth or f"{shape.kind}, growing with the power {exponent.value:.2f} ± {2.0 * exponent.std:.1g}"
+        return growth + (f" of the distance from {_with_error(origin)}" if origin.std > 0.0 else "")
+    if shape.name == "bump":
+        acting = "holding at" if shape.kind == "odd" else "acting at"
+        return f"{acting} one place, {_with_error(numbers['place'])}, within {_with_error(numbers['width'])}"
+    if shape.name == "step":
+        place, width = numbers["place"], _with_error(numbers["width"])
+        return f"saturating within {width}" if place.std == 0.0 else f"with a step at {_with_error(place)}, within {width}"
+    if shape.name == "beyond":
+        side = {"above": "above", "below": "below", "both": "beyond ±"}[shape.kind]
+        return f"rising {side} {_with_error(numbers['place'])}".replace("± ", "±", 1)
+    return ""
 
 
 def sentence(term: Term) -> str:
@@ -80,6 +128,6 @@ def _panel(term: Term) -> Panel:
     axes = Axis(along.quantity, along.unit), Axis(NOUNS[term.effect].split(" ", 1)[1], unit)
     traces = [
         region(along.values, values - SPREAD * std, values + SPREAD * std, f"± {SPREAD:g} standard errors", unit, SKY, 0.3),
-        line(along.values, values, "table", unit, BLUE, width=2.2),
+        line(along.values, values, "formula" if term.formula else "table", unit, BLUE, width=2.2),
     ]
     return plane("The term found", traces, *axes, height=360)

@@ -11,7 +11,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import FRICTION, PL, XV, V
 from ehls_ros.physics.rig import EffectUse, rig_from_mapping, rig_to_mapping
-from ehls_ros.physics.sensors import POSITION, VELOCITY
+from ehls_ros.physics.sensors import LOAD_PRESSURE, POSITION, VELOCITY
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.trajectory import Trajectory
 
@@ -217,3 +217,35 @@ def test_missing_signals_narrow_what_is_compared(quiet, left_out, channels):
     assert set(used.channels) == channels
     left = Comparison(some, used).residuals(ours)
     assert all(np.all(np.isfinite(values)) for values in left.values())
+
+
+def test_an_error_of_a_reading_is_subtracted_from_it(rig):
+    ours = perfect(rig)
+    trajectory, _ = simulated(ours, seconds=2.0)
+    bent = use(
+        "empirical_pressure_reading",
+        per_pressure=1e-6,
+        power=4e4,
+        exponent=2.0,
+        even=1.0,
+        knots=0.0,
+        lowest=-10.0,
+        highest=10.0,
+    )
+    shifted = use("empirical_position_reading", per_pressure=1e-6, power=1e-4, knots=0.0, lowest=-10.0, highest=10.0)
+    pressure = trajectory["load_pressure_pa"]
+    read = {
+        "load_pressure_pa": pressure + 4e4 * (1e-6 * pressure) ** 2,
+        "position_m": trajectory["position_m"] + 1e-4 * 1e-6 * pressure,
+    }
+    comparison, _ = compared(Trajectory(trajectory.time_s, {**trajectory.signals, **read}), ours)
+    wrong = ours.with_effects((bent, shifted)).effective()
+    for sensor, signal in (("load_pressure", "load_pressure_pa"), ("position", "position_m"), ("force", "force_n")):
+        size = np.ptp(trajectory[signal])
+        assert comparison.corrected(wrong, sensor) == pytest.approx(trajectory[signal], abs=1e-5 * size), sensor
+    # The simulator's sensors have the same errors.
+    simulator = Simulator(ours.with_effects((bent, shifted)), PERIOD, position=0.02)
+    simulator.y[PL] = 2e6
+    seen = simulator.measure(np.zeros(7))
+    assert seen[POSITION] == pytest.approx(0.02 + 2e-4)
+    assert seen[LOAD_PRESSURE] == pytest.approx(2e6 + 1.6e5)

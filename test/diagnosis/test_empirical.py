@@ -8,7 +8,8 @@ import yaml
 
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.empirical import Proposal, candidates_of, concentrated, waves_along
+from ehls_ros.diagnosis.empirical import candidate_of
+from ehls_ros.diagnosis.term_proposals import Proposal, concentrated, lag_of, play_of, waves_along
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -34,7 +35,8 @@ def test_a_drag_that_grows_with_the_square_of_the_speed_is_found_as_such():
     assert (term.effect, term.argument, term.period) == ("empirical_force", "velocity_m_s", None)
     assert term.closed > 0.95
     assert term.reading.power.symmetry == "odd"
-    assert abs(term.reading.power.exponent - 2.0) < 3.0 * term.reading.power.std < 1.5
+    assert term.reading.power.exponent == pytest.approx(2.0, abs=0.05)
+    assert {shape.name for shape in term.formula} <= {"level", "power"}
     fast = np.abs(term.at) > 0.1
     assert term.values[fast] - np.mean(term.values) == pytest.approx(-2e4 * term.at[fast] * np.abs(term.at[fast]), rel=0.25)
     assert found.gain.closed_fraction > 0.9
@@ -54,6 +56,31 @@ def test_a_force_that_repeats_along_the_stroke_has_its_period():
     assert term.period.value == pytest.approx(7.3e-3, rel=1e-3)
     assert term.direction > 0.0
     assert term.closed > 0.8
+
+
+@pytest.mark.long
+def test_what_depends_on_the_changes_of_a_signal_has_its_time_constant():
+    term = diagnosed(swelling_hose={"compliance": 5e-12, "time_constant": 0.5}).term
+    assert (term.effect, term.argument) == ("empirical_leakage", "load_pressure_pa")
+    assert term.lag.value == pytest.approx(0.5, rel=0.05)
+    assert term.closed > 0.95
+
+
+@pytest.mark.long
+def test_an_error_of_a_sensor_is_found_as_one_of_that_sensor():
+    found = diagnosed(pressure_sensor_bow={"deviation": 1.2e5})
+    term = found.term
+    assert (found.unknown_stage, term.effect, term.argument) == ("sensors", "empirical_pressure_reading", "load_pressure_pa")
+    assert term.reading.power.exponent == pytest.approx(2.0, abs=0.1)
+    assert set(found.gain.channels) > {"cell"}
+    assert found.gain.closed_fraction > 0.95
+
+
+@pytest.mark.long
+def test_a_friction_that_follows_the_temperature_is_no_other_than_a_drift_where_that_followed_the_time():
+    (cause,) = diagnosed(temperature_dependent_friction={"coefficient": 0.0276, "warming": -20.0, "time_constant": 31.0}).causes
+    assert cause.name == "temperature_dependent_friction"
+    assert "empirical_force" in cause.equivalent_to
 
 
 @pytest.mark.long
@@ -78,10 +105,37 @@ def test_the_period_that_predicts_a_remainder_is_found():
     assert share > 0.9
 
 
-def test_a_proposal_is_tried_with_few_and_with_many_knots():
-    few, many = candidates_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 2e6, (-1.5e6, 2.5e6)))
-    assert (len(few.free), len(many.free)) == (8, 16)
+def test_a_whole_fraction_of_a_period_is_preferred():
+    values = 0.065 * np.sin(np.linspace(0.0, 40.0, 3000))
+    angle = 2.0 * np.pi * values / 8.1e-3 + 0.4
+    target, even = np.sin(angle) + 0.1 * np.random.default_rng(1).standard_normal(3000), np.arange(3000) // 100 % 2 == 0
+    waves, _ = waves_along(lambda signal: signal, values).strongest(target, even)
+    assert float(np.ptp(values)) / waves == pytest.approx(8.1e-3, rel=0.01)
+
+
+def test_a_proposal_is_a_table_over_its_range():
+    many = candidate_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 2e6, (-1.5e6, 2.5e6), 16))
+    assert len(many.free) == 16
     use = many.use(np.arange(16.0) * 1e-6)
     assert use.parameters.per_pressure * -1e6 + use.parameters.offset == pytest.approx(0.0, abs=1e-12)
     assert use.parameters.lowest == pytest.approx(-0.5 / 3.0)
     assert use.parameters.highest == pytest.approx(1.0 + 0.5 / 3.0)
+
+
+def test_a_proposal_of_two_signals_with_a_memory_has_them_in_its_parameters():
+    proposal = Proposal(0.5, "empirical_spool", "displacement", -1e-4, 1e-4, (-1e-4, 1e-4), factor="error", factor_reach=2e-5)
+    p = candidate_of(proposal).use(np.zeros(8)).parameters
+    assert p.per_spool == -p.per_error == pytest.approx(1.0 / 2e-4)
+    assert p.times_error == pytest.approx(1.0 / 2e-5)
+    lagged = candidate_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 1e6, (-1e6, 1e6), lag=0.2))
+    assert lagged.free[0] == "memory"
+    assert lagged.starts[0, 0] == pytest.approx(0.2)
+
+
+def test_a_lag_and_a_play_begin_at_zero():
+    step = np.ones(4000)
+    assert lag_of(step, 0.5, 1e-3)[500] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-6)
+    wave = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, 0.0, 50)])
+    assert wave - play_of(wave, 0.4) == pytest.approx(
+        np.clip(np.concatenate([wave[:50], wave[50:] - 0.6 - 0.2 + 0.0]), -0.2, 0.2)
+    )

@@ -34,6 +34,9 @@ class Parameters(NamedTuple):
     piston_velocity: Annotated[
         float, quantity("1", "velocity of the piston per velocity of the mass", minimum=0.0, maximum=2.0)
     ] = 1.0
+    position_reading: Annotated[float, quantity("m", "error of the position", minimum=0.0, maximum=1.0)] = 0.0
+    pressure_reading: Annotated[float, quantity("Pa", "error of the load pressure", minimum=0.0, maximum=1e8)] = 0.0
+    force_reading: Annotated[float, quantity("N", "error of the force", minimum=0.0, maximum=1e6)] = 0.0
 
 
 @kernel
@@ -89,6 +92,21 @@ def piston_position(value: float, t: float, y: Array, w: Array, z: Array, p: Par
 @kernel
 def piston_velocity(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     return value * p.piston_velocity
+
+
+@kernel
+def position_reading(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value + p.position_reading
+
+
+@kernel
+def pressure_reading(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value + p.pressure_reading
+
+
+@kernel
+def force_reading(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
+    return value + p.force_reading
 
 
 @kernel

@@ -49,6 +49,9 @@ PRESSURES = {"piston_velocity": SWEPT}
 
 ADDED = ("leakage", "force")
 
+READINGS = {"position_reading": "position", "pressure_reading": "load_pressure", "force_reading": "force"}
+"""Sensor of each hook that adds to a reading."""
+
 
 @pytest.fixture(scope="module")
 def probe(tmp_path_factory):
@@ -66,13 +69,23 @@ def probe(tmp_path_factory):
 
 
 def test_every_hook_is_tried():
-    assert {*SAME, "piston_position"} == set(HOOKS)
+    assert {*SAME, "piston_position", *READINGS} == set(HOOKS)
 
 
 def test_the_sensor_sees_where_the_piston_is(probe, make_rig):
     simulator = Simulator(make_rig(effects=[{"name": probe, "piston_position": 0.5}]), PERIOD, 5e-5, position=0.02)
     assert simulator.measure(np.zeros(len(SENSED)))[SENSED.index("position")] == pytest.approx(0.01)
     assert simulator.y[0] == 0.02
+
+
+@pytest.mark.parametrize("hook", READINGS)
+def test_an_error_of_a_reading_is_in_the_measurement_and_not_in_the_state(hook, probe, make_rig):
+    simulator = Simulator(make_rig(effects=[{"name": probe, hook: 0.25}]), PERIOD, 5e-5, position=0.02)
+    state, clean = simulator.y.copy(), Simulator(make_rig(), PERIOD, 5e-5, position=0.02)
+    noise = np.zeros(len(SENSED))
+    seen = simulator.measure(noise) - clean.measure(noise)
+    assert seen == pytest.approx(np.eye(len(SENSED))[SENSED.index(READINGS[hook])] * 0.25)
+    np.testing.assert_array_equal(simulator.y, state)
 
 
 def test_the_file_is_found(probe):

@@ -11,7 +11,7 @@ from report_pages import check, numbers, panels, parts, row, rows
 from scipy.integrate import trapezoid
 
 from ehls_ros.diagnosis.free_run import Followed, FreeRun
-from ehls_ros.diagnosis.reading import Power, Reading
+from ehls_ros.diagnosis.reading import Power, Reading, Shape
 from ehls_ros.diagnosis.result import (
     Cause,
     ChannelGain,
@@ -627,6 +627,15 @@ def with_term(**changes):
     return unknown(term=term._replace(**changes), gain=GAIN, extended=effects, unknown_stage="flow", partial=())
 
 
+def shape(name, kind="", **numbers):
+    return Shape(name, {key: Estimate(*number, "m/s") for key, number in numbers.items()}, kind)
+
+
+def power_shape(exponent, std):
+    numbers = {"size": Estimate(240.0, 1.0, "N"), "exponent": Estimate(exponent, std, "1"), "from": Estimate(0.0, 0.0, "m/s")}
+    return Shape("power", numbers, "odd")
+
+
 def test_a_term_found_in_the_data_is_said_and_shown(report):
     found = with_term()
     said, good = answer(found)
@@ -664,6 +673,34 @@ def test_the_gain_on_other_recordings_is_said(report):
         ),
         ({"argument": "position_m", "reading": Reading(240.0, 5.0, place=0.0123)}, "acting at one place, 12.3 mm"),
         ({"effect": "empirical_friction", "magnitude": True}, "a change of friction that depends on the magnitude of velocity"),
+        ({"effect": "empirical_force_reading"}, "an error of the load cell that depends on velocity"),
+        (
+            {"effect": "empirical_spool", "argument": "spool_m", "error": True},
+            "that depends on the spool's distance from its command,",
+        ),
+        (
+            {"factor": "load_pressure_pa", "factor_reach": 2e6},
+            "in proportion to load pressure, odd, growing with the power 2.04 ± 0.1, up to ±240 N about its middle at 20 bar",
+        ),
+        ({"lag": Estimate(0.585, 0.003, "s")}, "depends on the changes of velocity faster than 585 ms ± 6 ms"),
+        ({"argument": "position_m", "play": Estimate(2e-4, 1e-6, "m")}, "on position by a hysteresis 200 µm ± 2 µm wide"),
+        (
+            {
+                "formula": (
+                    Shape("level", {"size": Estimate(3.0, 0.1, "N")}),
+                    shape("step", place=(0.0, 0.0), width=(0.05, 1e-3)),
+                )
+            },
+            "depends on velocity, saturating within 50 mm/s ± 2 mm/s, up to",
+        ),
+        ({"formula": (shape("step", place=(0.02, 1e-3), width=(0.05, 1e-3)),)}, "with a step at 20 mm/s ± 2 mm/s, within"),
+        (
+            {"formula": (shape("bump", "odd", place=(0.02, 1e-3), width=(0.05, 1e-3)),)},
+            "holding at one place, 20 mm/s ± 2 mm/s",
+        ),
+        ({"formula": (shape("beyond", "both", place=(0.1, 1e-3)),)}, "rising beyond ±100 mm/s ± 2 mm/s"),
+        ({"formula": (power_shape(1.0, 0.0),)}, "depends on velocity, linear, up to"),
+        ({"formula": (power_shape(1.5, 0.01),)}, "odd, growing with the power 1.50 ± 0.02, up to"),
     ],
 )
 def test_the_shape_of_a_term_is_put_into_words(changes, words):

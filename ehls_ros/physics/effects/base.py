@@ -8,28 +8,35 @@ the effect changes nothing; and ``forms(rig) -> tuple[Form, ...]``, the ways to 
 * compiled hooks ``name(value, t, y, w, z, p, plant) -> value``, if it changes the equations. ``value`` is that of the model
   and of the effects earlier in the list; the returned value replaces it.
 
-==================  =====================================================================
-hook                value
-==================  =====================================================================
-``received``        last spool command that has arrived at the valve [m]
-``command``         command that the spool follows [m]
-``opening``         spool displacement effective at the orifice [m]
-``supply_pressure`` supply pressure at the valve [Pa]
-``bulk_modulus``    effective bulk modulus [Pa]
-``leakage``         leakage flow beyond Ctc pL [m^3/s]
-``friction_level``  Stribeck level s(v) [N]
-``force``           force on the moving mass along +x beyond (3) [N]
-``piston_position`` position of the piston, if it differs from the mass's [m]
-``piston_velocity`` velocity of the piston, if it differs from the mass's [m/s]
-==================  =====================================================================
+====================  =====================================================================
+hook                  value
+====================  =====================================================================
+``received``          last spool command that has arrived at the valve [m]
+``command``           command that the spool follows [m]
+``opening``           spool displacement effective at the orifice [m]
+``supply_pressure``   supply pressure at the valve [Pa]
+``bulk_modulus``      effective bulk modulus [Pa]
+``leakage``           leakage flow beyond Ctc pL [m^3/s]
+``friction_level``    Stribeck level s(v) [N]
+``force``             force on the moving mass along +x beyond (3) [N]
+``piston_position``   position of the piston, if it differs from the mass's [m]
+``piston_velocity``   velocity of the piston, if it differs from the mass's [m/s]
+``position_reading``  position that its sensor senses [m]
+``pressure_reading``  load pressure that its sensors sense [Pa]
+``force_reading``     force that the load cell senses [N]
+====================  =====================================================================
 
 Arguments: ``t`` time [s]; ``y`` the plant's state and ``w`` its inputs (indices in :mod:`ehls_ros.physics.plant`); ``z`` the
 effect's own states; ``p`` its ``Parameters``; ``plant`` the effective rig's :class:`~ehls_ros.physics.parameters.Plant`. A
 hook depends only on its arguments and changes none of them. A diagnosis compiles the hooks of all effects together, so a
 hook must be cheap, and finite at the neutral values.
 
+The value returned by a ``reading`` hook differs from the given one by the sensor's error, which does not depend on it.
+
 An effect with states gives their number in ``STATES`` and has a compiled ``derivatives(u, t, y, w, z, p, plant, dz)``; ``u``
-is the command [m] after ``received`` and the ``command`` hooks of earlier effects. The states start at zero.
+is the command [m] after ``received`` and the ``command`` hooks of earlier effects. The states start at zero. An effect that
+needs its states only for some parameters has ``longest_step(parameters)``, which returns the longest integration step along a
+recording [s], infinite where nothing is to be integrated.
 
 The value of ``received`` is constant between jumps; the hook is called at the start of a cycle and after each jump. An effect
 with this hook gives its longest delay in ``REACH`` [s] and has a compiled ``jump(t, w, p)``, which returns the time of the next
@@ -73,6 +80,9 @@ HOOKS = (
     "force",
     "piston_position",
     "piston_velocity",
+    "position_reading",
+    "pressure_reading",
+    "force_reading",
 )
 """The points in the model where an effect can act."""
 

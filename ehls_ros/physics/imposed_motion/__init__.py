@@ -14,6 +14,8 @@ part            integrates                                     writes, one row p
 ``friction``    the friction model's forces (6), (8)           friction force [N]
 ``load``        the load's motion (3) and its friction, if an  position [m] and velocity [m/s] of the load, friction
                 effect separates it from the piston            force on it [N], every other force on load and piston [N]
+``readings``    states of the effects on the sensors           errors of the readings of position [m], load pressure [Pa] and
+                                                               force [N]
 ==============  =============================================  ==========================================================
 """
 
@@ -27,7 +29,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.duals import Dual, numbers_of, parameters_of, record_rows, rows_of, value_of, values_of, width_of
 from ehls_ros.physics.composition import Effects, Switched, compiled, effects_with, rig_elements
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.imposed_motion import compiled_part, flow, force, friction, load, spool
+from ehls_ros.physics.imposed_motion import compiled_part, flow, force, friction, load, readings, spool
 from ehls_ros.physics.imposed_motion.base import ModelRun, Motion
 from ehls_ros.physics.imposed_motion.friction import FrictionInputs
 from ehls_ros.physics.imposed_motion.load import Piston
@@ -63,6 +65,7 @@ PARTS = {
     "force": Part(("force",), force, 1),
     "friction": Part(("friction_level",), friction, 1, 14, has_friction=True),
     "load": Part(("friction_level", "force"), load, 4, 14, has_friction=True),
+    "readings": Part(("position_reading", "pressure_reading", "force_reading"), readings, 3),
 }
 """The parts by name."""
 
