@@ -244,7 +244,7 @@ def formula_of(term: Term) -> Formula:
         formula = formula._replace(numbers=(*formula.numbers, play))
     formula = formula._replace(equation=formula.equation.replace("{a}", symbol))
     if term.factor:
-        of = ARGUMENTS[term.factor][1]
+        of = "(u - xv)" if term.factor_error else ARGUMENTS[term.factor][1]
         reach = f"{_short(term.factor_reach)} {argument_unit(term.factor)}"
         code, equation = (*formula.code, f"term *= {_factor(term, hook)}"), f"({formula.equation}) {of}/{reach}"
         formula = formula._replace(code=code, equation=equation)
@@ -507,13 +507,13 @@ def _argument(term: Term, hook: str) -> str:
 
 def _feeds_back(term: Term, hook: str) -> bool:
     """Return whether the spool's command depends on the spool."""
-    return hook == "command" and (term.error or "spool_m" in (term.argument, term.factor))
+    return hook == "command" and (term.error or term.factor_error or "spool_m" in (term.argument, term.factor))
 
 
 def _factor(term: Term, hook: str) -> str:
-    """Return the code of a term's factor, 1 where the values hold; at the command, the spool's is its distance from it."""
+    """Return the code of a term's factor, 1 where the values hold."""
     code = "value" if OWN.get(hook) == term.factor else ARGUMENTS[term.factor][0]
-    code = "(value - y[XV])" if hook == "command" and term.factor == "spool_m" else code
+    code = "(value - y[XV])" if term.factor_error else code
     return f"{code} / {_short(term.factor_reach)}"
 
 

@@ -316,6 +316,14 @@ def test_a_memory_is_a_state_of_the_effect():
     assert rates[0] == pytest.approx(5e3 * 4e-3)
 
 
+def test_every_attribute_of_a_term_enters_its_effect():
+    # A further one has to be written into the effect, or such a term refused.
+    assert Term._fields == (
+        "effect", "argument", "magnitude", "unit", "at", "values", "std", "period", "closed", "direction", "reading", "formula",
+        "factor", "factor_reach", "error", "factor_error", "lag", "play",
+    )  # fmt: skip
+
+
 def module_of(name, given):
     """Return the effect of a term as a module that is not installed."""
     module = ModuleType(name)
