@@ -5,15 +5,12 @@ from functools import partial
 import numpy as np
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.dependence import explained_by, signals_along
+from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.record import VELOCITY
 from ehls_ros.diagnosis.starts import main_channel
-from ehls_ros.diagnosis.term_proposals import HARMONICS, TAIL, TURNING, WAVE_STEP, waves_along
+from ehls_ros.diagnosis.term_proposals import TAIL, TURNING, waves_along
 from ehls_ros.physics.effects.base import Period
-
-ALIKE = 0.9
-"""Share of a shorter wave, over that of the best, from which the shorter one is taken."""
 
 
 def period_left(evidence: Evidence, of: Period) -> float | None:
@@ -33,15 +30,5 @@ def period_left(evidence: Evidence, of: Period) -> float | None:
     if of.turning:
         speed = float(np.sqrt(np.mean(signals[VELOCITY] ** 2)))
         target = target * np.tanh(means(signals[VELOCITY]) / max(TURNING * speed, 1e-300))
-    waves, even = waves_along(means, values), evidence.block[channel] % 2 == 0
-    shares = np.array([explained_by(columns, target, even) for columns in waves.columns])
-    best = int(np.argmax(shares))
-    if shares[best] < rules.DEPENDS:
-        return None
-    # A wave of twice or three times the length has the same one among its harmonics.
-    for times in range(HARMONICS + 1, 1, -1):
-        near = np.abs(waves.numbers - times * waves.numbers[best]) <= times * WAVE_STEP
-        if np.any(near) and np.max(shares[near]) >= ALIKE * shares[best]:
-            best = int(np.flatnonzero(near)[np.argmax(shares[near])])
-            break
-    return float(np.ptp(values) / waves.numbers[best])
+    number, share = waves_along(means, values).strongest(target, evidence.block[channel] % 2 == 0)
+    return float(np.ptp(values)) / number if share >= rules.DEPENDS else None

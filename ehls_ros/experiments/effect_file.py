@@ -5,6 +5,7 @@ size. The found numbers become starting values; with the defaults the effect cha
 """
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 import scipy
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.reading import FITS, LIKELY, Power, Reading
+from ehls_ros.diagnosis.reading import FITS, LIKELY, Power, Reading, Shape
 from ehls_ros.diagnosis.result import Term, argument_unit
 from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
@@ -26,18 +27,18 @@ ARGUMENTS = {
 }  # fmt: skip
 """Code and symbol of each signal on which a term may depend."""
 
-ERROR = ("(value - y[XV])", "(u - xv)")
-"""Code and symbol of the command less the spool displacement at the valve's input."""
-
 OWN = {"opening": "spool_m", "command": "valve_command_m"}
 """Signal that a hook receives as its value."""
 
 CHANGES = {
+    "position_reading": "x,read = x + {}", "pressure_reading": "pL,read = pL + {}", "force_reading": "F,read = F + {}",
     "force": "F = {}", "friction_level": "s -> s + {}, at least 1 N", "opening": "xv,eff = xv + {}", "leakage": "q -> q + {}",
-    "command": "u -> u + {}", "position_reading": "x read as x + {}", "pressure_reading": "pL read as pL + {}",
-    "force_reading": "F read as F + {}",
+    "command": "u -> u + {}",
 }  # fmt: skip
 """Equation of each hook at which a term acts."""
+
+FEEDBACK_STEP = 1e-3
+"""Longest integration step of a valve with a term over the spool's distance from its command [s]."""
 
 NEEDED = ("disturbance_force_n", "oil_temperature_k", "valve_command_m")
 """Arguments without whose record an effect cannot show; the others are estimated."""
@@ -140,14 +141,13 @@ def term_of(document: object, where: str) -> Term:
         arrays = {key: np.array(entry[key], dtype=np.float64) for key in ("at", "values", "std")}
         shape = Reading(**{**reading, "power": power})
         estimates = {key: None if entry[key] is None else Estimate(**entry[key]) for key in ("period", "lag", "play")}
-        term = Term(**{**entry, **arrays, **estimates, "reading": shape, "formula": ()})
+        formula = tuple(
+            Shape(**{**one, "numbers": {name: Estimate(**e) for name, e in one["numbers"].items()}}) for one in entry["formula"]
+        )
+        return Term(**{**entry, **arrays, **estimates, "reading": shape, "formula": formula})
     except (KeyError, TypeError, ValueError) as error:
         what = f"the term cannot be read ({type(error).__name__}: {error})"
         raise BadInput(what, where, "a diagnosis.json of this version of ehls") from None
-    if term.lag is not None or term.play is not None:
-        expected = f"{term.effect} kept in the rig file, or an effect with a state written by hand (docs/how_to/effect.md)"
-        raise BadInput("the term has a memory, which no formula of one signal has", where, expected)
-    return term
 
 
 def effect_text(name: str, term: Term, source: str) -> str:
@@ -161,17 +161,12 @@ def effect_text(name: str, term: Term, source: str) -> str:
     base: Any = EFFECTS.load(term.effect)
     (hook,) = (hook for hook in HOOKS if hasattr(base, hook))
     formula = formula_of(term)
-    argument = _code(hook, term.argument, error=term.error)
-    argument = f"abs({argument})" if term.magnitude else argument
-    factor = _code(hook, term.factor, error=term.factor_error) if term.factor else ""
-    times = [f"term *= {factor} / {_short(term.factor_reach)}"] if factor else []
-    symbol = ERROR[1] if term.factor_error else ARGUMENTS[term.factor][1] if term.factor else ""
-    equation = f"({formula.equation}) {symbol}/{term.factor_reach:.4g}" if term.factor else formula.equation
+    argument = _argument(term, hook)
+    states = term.lag is not None or term.play is not None
     change = "shifted_level(value, term)" if hook == "friction_level" else "value + term"
     noun = f"{'an' if name[0] in 'aeiou' else 'a'} {name.replace('_', ' ')}"
     found = ", ".join(f"{n.name}: {n.found:.{DIGITS}g}" for n in formula.numbers)
-    needed = [f'"{signal}",' for signal in NEEDED if signal in (term.argument, term.factor)]
-    needs = [f"NEEDS = ({' '.join(needed) if len(needed) == 1 else ' '.join(needed)[:-1]})"] if needed else []
+    needs = [f'NEEDS = ("{term.argument}",)'] if term.argument in NEEDED else []
     lines = [
         f'"""{noun[0].upper()}{noun[1:]}, found by `ehls diagnose` as a table and written as a formula.',
         "",
@@ -180,10 +175,10 @@ def effect_text(name: str, term: Term, source: str) -> str:
         f"    {{name: {name}, {found}}}",
         '"""',
         "",
-        *_imports(hook, argument + factor, formula),
+        *_imports(term, hook, formula),
         "",
         f'GROUP: Group = "{base.GROUP}"',
-        *_text("EQUATION", CHANGES[hook].format(equation)),
+        *_text("EQUATION", CHANGES[hook].format(formula.equation)),
         *_text("SOURCE", f"{source}: closes {term.closed:.0%} of the error on held-out data"),
         "WORDS = Words(",
         f'    "{noun}",',
@@ -191,6 +186,7 @@ def effect_text(name: str, term: Term, source: str) -> str:
         f'    measure="{base.WORDS.measure}",',
         f'    change="keep `{name}` under `effects` in the rig file",',
         ")",
+        *(["STATES = 1"] if states else []),
         *needs,
         *formula.constants,
         "",
@@ -204,11 +200,14 @@ def effect_text(name: str, term: Term, source: str) -> str:
         "@kernel",
         f"def {hook}(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:",
         '    """Add the term."""',
-        f"    a = {argument}",
-        *(f"    {line}" for line in (*formula.code, *times)),
+        f"    a = {argument}{' - z[0]' if states else ''}",
+        *(["    a = clamp(a, -0.5 * p.play, 0.5 * p.play)"] if term.play is not None else []),
+        *(f"    {line}" for line in formula.code),
         f"    return {change}",
         "",
         "",
+        *(_derivatives(term, hook) if states else []),
+        *(_longest_step() if _feeds_back(term, hook) and not states else []),
         "def forms(rig: Rig) -> tuple[Form, ...]:",
         '    """Return the ways to fit the term, from the values found."""',
         "    return (",
@@ -218,22 +217,37 @@ def effect_text(name: str, term: Term, source: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _code(hook: str, signal: str, *, error: bool) -> str:
-    """Return the code of a signal in a hook."""
-    return ERROR[0] if error else "value" if OWN.get(hook) == signal else ARGUMENTS[signal][0]
-
-
 def formula_of(term: Term) -> Formula:
     """Return the formula that the shape of a term calls for."""
+    alone = [shape for shape in term.formula if shape.name != "level"]
     if term.period is not None:
         formula = _waves(term, term.period)
+    elif len(alone) == 1 and alone[0].name == "step":
+        formula = _step(term, alone[0])
+    elif len(alone) == 1 and alone[0].name == "beyond":
+        formula = _beyond(term, alone[0])
     elif term.reading.power is not None:
         formula = _power(term, term.reading.power)
     else:
         bump = None if term.reading.place is None else _bump(term, term.reading.place)
         formula = bump or _power_beside_line(term) or _table(term)
-    symbol = ERROR[1] if term.error else ARGUMENTS[term.argument][1]
-    formula = formula._replace(equation=formula.equation.replace("{a}", f"|{symbol}|" if term.magnitude else symbol))
+    symbol = "(u - xv)" if term.error else ARGUMENTS[term.argument][1]
+    symbol = f"|{symbol}|" if term.magnitude else symbol
+    (hook,) = (hook for hook in HOOKS if hasattr(EFFECTS.load(term.effect), hook))
+    if term.lag is not None:
+        symbol = f"({symbol} - its lag)"
+        lag = Number("lag", "s", "time constant of the lag subtracted", *_around(term.lag.value), term.lag.value)
+        formula = formula._replace(numbers=(*formula.numbers, lag))
+    elif term.play is not None:
+        symbol = f"({symbol} in the gap of a play)"
+        play = Number("play", term.play.unit, "width of the play", *_around(term.play.value), term.play.value)
+        formula = formula._replace(numbers=(*formula.numbers, play))
+    formula = formula._replace(equation=formula.equation.replace("{a}", symbol))
+    if term.factor:
+        of = "(u - xv)" if term.factor_error else ARGUMENTS[term.factor][1]
+        reach = f"{_short(term.factor_reach)} {argument_unit(term.factor)}"
+        code, equation = (*formula.code, f"term *= {_factor(term, hook)}"), f"({formula.equation}) {of}/{reach}"
+        formula = formula._replace(code=code, equation=equation)
     if not term.direction > 0.0:
         return formula
     return formula._replace(
@@ -241,6 +255,52 @@ def formula_of(term: Term) -> Formula:
         code=(*formula.code, "term *= math.tanh(y[V] / p.speed)"),
         equation=f"({formula.equation}) tanh(v/speed)",
     )
+
+
+def _around(found: float) -> tuple[float, float, float]:
+    """Return range and default of a parameter about its found value."""
+    return found / LARGEST, found * LARGEST, found
+
+
+def _step(term: Term, shape: Shape) -> Formula:
+    """Return a hyperbolic tangent."""
+    size, place, width = (shape.numbers[name].value for name in ("size", "place", "width"))
+    found = shape.numbers["place"].std > 0.0
+    unit, bound, far = argument_unit(term.argument), LARGEST * abs(size), LARGEST * float(np.max(np.abs(term.at)))
+    numbers = (
+        Number("size", term.unit, "half the height", -bound, bound, 0.0, size),
+        Number("place", unit, "middle", -far, far, 0.0 if found else place, place),
+        Number("width", unit, "width", width / LARGEST, width * LARGEST, _other(width), width),
+    )
+    form = {"size": "()", "width": f"({_short(width)},)"}
+    form |= {"place": f"({_short(place)},)"} if found else {}
+    code = "term = p.size * math.tanh((a - p.place) / p.width)"
+    return Formula(numbers, "size tanh(({a} - place)/width)", (code,), (form,))
+
+
+def _beyond(term: Term, shape: Shape) -> Formula:
+    """Return a line beyond a place: above it, below it, or on both sides of zero."""
+    place, distance = shape.numbers["place"].value, shape.numbers["at_distance"].value
+    size, unit = shape.numbers["size"].value, argument_unit(term.argument)
+    bound, far = LARGEST * abs(size), LARGEST * float(np.max(np.abs(term.at)))
+    numbers = (
+        Number("size", term.unit, f"value {distance:.4g} {unit} beyond the place", -bound, bound, 0.0, size),
+        Number("place", unit, "place", -far, far, 0.0, place),
+    )
+    beyond = {
+        "above": "max(a - p.place, 0.0)",
+        "below": "min(a - p.place, 0.0)",
+        "both": "(max(a - p.place, 0.0) - max(-a - p.place, 0.0))",
+    }[shape.kind]
+    sides = {"above": "max({a} - place, 0)", "below": "min({a} - place, 0)", "both": "sgn({a}) max(|{a}| - place, 0)"}
+    constants = (
+        "",
+        f"DISTANCE = {_short(distance)}",
+        f'"""Distance beyond the place at which the value is `size` [{unit}]."""',
+    )
+    form = {"size": "()", "place": f"({_short(place)},)"}
+    equation = f"size {sides[shape.kind]}/({distance:.4g} {unit})"
+    return Formula(numbers, equation, (f"term = p.size * {beyond} / DISTANCE",), (form,), constants)
 
 
 def _waves(term: Term, period: Estimate) -> Formula:
@@ -437,16 +497,68 @@ def _form(form: Mapping[str, str]) -> list[str]:
     return ["        Form({", *(f"            {entry}," for entry in entries), "        }),"]
 
 
-def _imports(hook: str, argument: str, formula: Formula) -> list[str]:
+def _argument(term: Term, hook: str) -> str:
+    """Return the code of a term's argument."""
+    if term.error:
+        return "value - y[XV]"
+    argument = "value" if OWN.get(hook) == term.argument else ARGUMENTS[term.argument][0]
+    return f"abs({argument})" if term.magnitude else argument
+
+
+def _feeds_back(term: Term, hook: str) -> bool:
+    """Return whether the spool's command depends on the spool."""
+    return hook == "command" and (term.error or term.factor_error or "spool_m" in (term.argument, term.factor))
+
+
+def _factor(term: Term, hook: str) -> str:
+    """Return the code of a term's factor, 1 where the values hold."""
+    code = "value" if OWN.get(hook) == term.factor else ARGUMENTS[term.factor][0]
+    code = "(value - y[XV])" if term.factor_error else code
+    return f"{code} / {_short(term.factor_reach)}"
+
+
+def _derivatives(term: Term, hook: str) -> list[str]:
+    """Return the lines of the rate of a memory: a lag of the argument, or the output of a play."""
+    before = {"command": "u", "opening": "y[XV]"}.get(hook, "value")
+    argument = re.sub(r"\bvalue\b", before, _argument(term, hook))
+    rate = (
+        f"({argument} - z[0]) / p.lag"
+        if term.lag is not None
+        else f"FOLLOW_RATE * (play_output(z[0], {argument}, p.play) - z[0])"
+    )
+    return [
+        "@kernel",
+        "def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant, dz: Array) -> None:",
+        '    """Write the rate of the memory."""',
+        f"    dz[0] = {rate}",
+        "",
+        "",
+    ]
+
+
+def _longest_step() -> list[str]:
+    return [
+        "def longest_step(parameters: Parameters) -> float:",
+        '    """Return the longest integration step, as the command depends on the spool [s]."""',
+        f"    return {FEEDBACK_STEP!r}",
+        "",
+        "",
+    ]
+
+
+def _imports(term: Term, hook: str, formula: Formula) -> list[str]:
+    argument = _argument(term, hook)
     code = " ".join(formula.code)
+    play = ["from ehls_ros.physics.effects._play import FOLLOW_RATE, clamp, play_output"] if term.play is not None else []
     indices = [name for name in ("PL", "TEMPERATURE", "V", "X", "XV") if f"[{name}]" in argument + code]
-    indices += ["disturbance_force"] if "disturbance_force" in argument else []
+    indices += ["disturbance_force"] if "disturbance_force" in argument + code else []
     return [
         *(["import math"] if "math." in code else []),
         "from typing import Annotated, NamedTuple",
         "",
         "from ehls_ros.arrays import Array, kernel",
         *(["from ehls_ros.physics.effects._friction import shifted_level"] if hook == "friction_level" else []),
+        *play,
         f"from ehls_ros.physics.effects.base import {', '.join(sorted(('Form', 'Group', 'Words', *formula.starts)))}",
         "from ehls_ros.physics.parameters import Plant",
         *([f"from ehls_ros.physics.plant import {', '.join(indices)}"] if indices else []),

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from third_party import install
 
 from ehls_ros.cli.main import BAD_INPUT, DONE, main
 from ehls_ros.diagnosis.hypotheses import candidates
-from ehls_ros.diagnosis.reading import read
+from ehls_ros.diagnosis.reading import Shape, read
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import Term
 from ehls_ros.errors import BadInput
@@ -43,10 +44,18 @@ def table_of(function, first, last, knots=16, *, periodic=False):
 def term(effect, argument, table, *, period=None, direction=0.0, magnitude=False, **more):
     at, values = table
     std = np.full(len(at), 0.005 * np.ptp(values))
-    unit = next(d.unit for d in declarations(EFFECTS.load(effect).Parameters) if d.name == "value_0")
+    unit = unit_of(effect)
     of_period = None if period is None else Estimate(period, 1e-6 * period, "s" if argument == "time_s" else "m")
     reading = read(at, values, np.diag(std**2), periodic=period is not None)
     return Term(effect, argument, magnitude, unit, at, values, std, of_period, 0.97, direction, reading, **more)
+
+
+def unit_of(effect):
+    return next(d.unit for d in declarations(EFFECTS.load(effect).Parameters) if d.name == "level")
+
+
+def shaped(name, kind="", **numbers):
+    return (Shape(name, {key: Estimate(value, 0.01 * abs(value), "") for key, value in numbers.items()}, kind),)
 
 
 def drag(v):
@@ -77,6 +86,22 @@ def rising_friction(speed):
     return 50.0 + 3e3 * speed**1.5
 
 
+def saturating(v):
+    return -300.0 * np.tanh((v - 0.02) / 0.05)
+
+
+def threshold(pressure):
+    return 2e-6 * np.maximum(pressure - 1e5, 0.0) / 1e6
+
+
+def bow(pressure):
+    return 4e4 * (pressure / 6e5) ** 2
+
+
+def linear(spool):
+    return -0.3 * spool
+
+
 def drag_beside_viscous(v):
     return -4.7e3 * v * np.abs(v) + 560.0 * v
 
@@ -105,17 +130,29 @@ TERMS = {
         term("empirical_opening", "spool_m", table_of(restriction, -5e-4, 5e-4)),
         "size exponent",
     ),
-    "leak": (leak, term("empirical_leakage", "load_pressure_pa", table_of(leak, -4e5, 6e5, 8)), "size stretch"),
-    "lifting_seal": (
-        patch,
-        term("empirical_force", "position_m", table_of(patch, -0.02, 0.03), factor="load_pressure_pa", factor_reach=2e6),
+    "saturating": (
+        saturating,
+        term(
+            "empirical_force",
+            "velocity_m_s",
+            table_of(saturating, -0.2, 0.2),
+            formula=shaped("step", size=-300.0, place=0.02, width=0.05),
+        ),
         "size place width",
     ),
-    "slow_spool": (
-        restriction,
-        term("empirical_spool", "spool_m", table_of(restriction, -5e-4, 5e-4), error=True),
-        "size exponent",
+    "threshold": (
+        threshold,
+        term(
+            "empirical_leakage",
+            "load_pressure_pa",
+            table_of(threshold, -4e5, 6e5),
+            formula=shaped("beyond", "above", size=2e-6, at_distance=1e6, place=1e5),
+        ),
+        "size place",
     ),
+    "bow": (bow, term("empirical_pressure_reading", "load_pressure_pa", table_of(bow, -6e5, 6e5)), "size exponent"),
+    "slow_spool": (linear, term("empirical_spool", "spool_m", table_of(linear, -5e-4, 5e-4), error=True), "size exponent"),
+    "leak": (leak, term("empirical_leakage", "load_pressure_pa", table_of(leak, -4e5, 6e5, 8)), "size stretch"),
     "rising_friction": (
         rising_friction,
         term("empirical_friction", "velocity_m_s", table_of(rising_friction, 0.01, 0.2, 8), magnitude=True),
@@ -147,15 +184,15 @@ def evaluated(effect, given, place, /, **changed):
     [hook] = [name for name in HOOKS if hasattr(effect, name)]
     y, w, t, value = np.zeros(7), np.zeros(INPUTS), 0.0, 1e4 if hook == "friction_level" else 0.0
     y[V] = 10.0
-    if given.argument == "time_s":
+    if given.error:
+        y[XV] = -place
+    elif given.argument == "time_s":
         t = place
     elif given.argument == "disturbance_force_n":
         w[FD] = place
     else:
-        y[STATE[given.argument]] = -place if given.error else place
+        y[STATE[given.argument]] = place
     value = place if hook == "opening" else value
-    if given.factor:
-        y[STATE[given.factor]] = given.factor_reach
     p = effect.Parameters(**{**found, **changed})
     return getattr(effect, hook).py_func(value, t, y, w, np.zeros(0), p, None) - value
 
@@ -235,18 +272,64 @@ def test_a_term_is_read_back_from_the_document():
     assert effect_text("cogging", again, "x") == effect_text("cogging", given, "x")
 
 
+def test_a_term_in_proportion_to_a_second_signal_has_it_as_a_factor():
+    seal = term(
+        "empirical_leakage",
+        "velocity_m_s",
+        table_of(lambda v: 1e-6 * np.abs(v), 0.0, 0.2),
+        magnitude=True,
+        factor="load_pressure_pa",
+        factor_reach=5e5,
+    )
+    effect = module_of("seal", seal)
+    y = np.zeros(7)
+    y[V], y[PL] = -0.1, 2e5
+    found = {number.name: number.found for number in formula_of(seal).numbers}
+    got = effect.leakage.py_func(0.0, 0.0, y, np.zeros(INPUTS), np.zeros(0), effect.Parameters(**found), None)
+    assert got == pytest.approx(1e-7 * 2e5 / 5e5, rel=0.02)
+
+
+def test_a_memory_is_a_state_of_the_effect():
+    hose = term(
+        "empirical_leakage",
+        "load_pressure_pa",
+        table_of(lambda p: 1e-12 * p, -4e5, 4e5),
+        lag=Estimate(0.2, 0.01, "s"),
+    )
+    hysteresis = term(
+        "empirical_force",
+        "position_m",
+        table_of(lambda x: 1e5 * x, -1e-3, 1e-3),
+        play=Estimate(2e-3, 1e-4, "m"),
+    )
+    y, w, rates = np.zeros(7), np.zeros(INPUTS), np.zeros(1)
+    y[PL], y[X] = 3e5, 5e-3
+    lagged, playing = module_of("hose", hose), module_of("hysteresis", hysteresis)
+    assert lagged.STATES == playing.STATES == 1
+    p = lagged.Parameters(**{number.name: number.found for number in formula_of(hose).numbers})
+    assert lagged.leakage.py_func(0.0, 0.0, y, w, np.array([1e5]), p, None) == pytest.approx(2e-7, rel=0.02)
+    lagged.derivatives.py_func(0.0, 0.0, y, w, np.array([1e5]), p, None, rates)
+    assert rates[0] == pytest.approx(2e5 / 0.2)
+    p = playing.Parameters(**{number.name: number.found for number in formula_of(hysteresis).numbers})
+    assert playing.force.py_func(0.0, 0.0, y, w, np.array([0.0]), p, None) == pytest.approx(1e5 * 1e-3, rel=0.02)
+    playing.derivatives.py_func(0.0, 0.0, y, w, np.array([0.0]), p, None, rates)
+    assert rates[0] == pytest.approx(5e3 * 4e-3)
+
+
 def test_every_attribute_of_a_term_enters_its_effect():
     # A further one has to be written into the effect, or such a term refused.
     assert Term._fields == (
-        "effect", "argument", "magnitude", "unit", "at", "values", "std", "period", "closed", "direction", "reading",
-        "formula", "factor", "factor_reach", "error", "factor_error", "lag", "play",
+        "effect", "argument", "magnitude", "unit", "at", "values", "std", "period", "closed", "direction", "reading", "formula",
+        "factor", "factor_reach", "error", "factor_error", "lag", "play",
     )  # fmt: skip
 
 
-def test_a_term_with_a_memory_is_refused():
-    given = TERMS["drag"][1]._replace(lag=Estimate(0.1, 0.01, "s"))
-    with pytest.raises(BadInput, match="kept in the rig file"):
-        term_of(json.loads(json.dumps(json_document({"verdict": "unknown", "term": given}))), "here")
+def module_of(name, given):
+    """Return the effect of a term as a module that is not installed."""
+    module = ModuleType(name)
+    source = effect_text(name, given, "a test")
+    exec(compile(source, f"{name}.py", "exec"), module.__dict__)
+    return module
 
 
 def document(path, name):
