@@ -57,6 +57,9 @@ MEMORY_RANGE = 10.0
 DEARER = 1.0 / rules.WORTHWHILE**2
 """Factor by which less of the error must remain with a term than with named causes for it to be offered in their place."""
 
+SKETCH_ERROR = 0.03
+"""Error of the values estimated for a table, as a fraction of their range."""
+
 SHOWN_POINTS, SLOPE_STEP = 41, 1e-4
 """Points of a formula's picture, and relative step of the difference quotients of its errors."""
 
@@ -115,13 +118,13 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     nothing = given_model(evidence)
     bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), found.best)}
     inside = [asked_in(evidence, channel) for channel in evidence.channels if CHANNELS[channel] == stage and channel in PLACES]
-    linearised, begun = dict[tuple[object, ...], Fit | None](), list[tuple[Assessment, Proposal, Start]]()
+    linearised, begun = dict[tuple[object, ...], list[Fit]](), list[tuple[Assessment, Proposal, Start]]()
     for base in bases.values():
         proposed = {p.key: p for asked in inside for p in proposals(asked, base.held_out.residuals.values[asked.channel])}
-        missing = {key: p for key, p in proposed.items() if key not in linearised}
-        linearised.update(zip(missing, pool.map(_linearised, [candidate_of(p) for p in missing.values()]), strict=True))
-        pairs = [(p, fit) for key, p in proposed.items() if (fit := linearised[key]) is not None]
-        begun += [(base, p, combined(evidence, base.fit, fit)) for p, fit in pairs]
+        missing = [(key, c) for key, p in proposed.items() if key not in linearised for c in (candidate_of(p), *_sketched(p))]
+        for (key, _), fit in zip(missing, pool.map(_linearised, [candidate for _, candidate in missing]), strict=True):
+            linearised.setdefault(key, []).extend([] if fit is None else [fit])
+        begun += [(base, p, combined(evidence, base.fit, fit)) for key, p in proposed.items() for fit in linearised[key]]
     origin = {id(start.fit.hypothesis): (base, p) for base, p, start in begun}
     offers = [
         _Offer(base, more, p)
@@ -140,10 +143,11 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     )
     equal = sorted((o for o in offers if o.more.score(scale) >= enough), key=lambda o: -o.more.score(scale))
     others = {o.name: o.more for o in equal if o.name != offer.name}
-    both, alone = [offer], linearised.get(offer.proposal.key)
-    if offer.base.names and alone is not None:
+    both = [offer]
+    if offer.base.names:
         # A named cause beside a table may hold a part of its shape.
-        both += [_Offer(nothing, j, offer.proposal) for j in fitted(evidence, pool, [combined(evidence, nothing.fit, alone)])]
+        starts = [combined(evidence, nothing.fit, fit) for fit in linearised[offer.proposal.key]]
+        both += [_Offer(nothing, j, offer.proposal) for j in fitted(evidence, pool, starts)]
     offer = _simplest(evidence, [_as_formula(pool, o, nothing) for o in both], nothing)
     scale = inflations(evidence, [offer.more])
     share = share_closed(evidence, offer.more, offer.base)
@@ -186,6 +190,8 @@ def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:
     """
     evidence, (base, more, proposal) = pool.evidence, offer
     candidate, part = more.hypothesis[-1], parts(more.hypothesis)[-1]
+    if dict(candidate.fixed).get("knots") == 0.0:
+        return offer
     values, table = more.fit.values[part], slice(len(candidate.free) - proposal.knots, None)
     scale = _scale_of(proposal)
     covariance = more.held_out.covariance[part, part][table, table]
@@ -206,6 +212,16 @@ def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:
     equal = [j for j in found if j.score(inflation) >= enough]
     best = min(equal, key=lambda j: (len(j.fit.values), -j.score(inflation)))
     return _Offer(base if len(best.names) > 1 else nothing, best, proposal)
+
+
+def _sketched(proposal: Proposal) -> list[Candidate]:
+    """Return the formulas that describe the values estimated for a table, for a term that a coarse table may not lead to."""
+    if not proposal.sketch:
+        return []
+    scale, values = _scale_of(proposal), np.array(proposal.sketch)
+    at = (np.linspace(proposal.low, proposal.high, len(values)) - scale.zero) / scale.size
+    errors = (SKETCH_ERROR * max(float(np.ptp(values)), 1e-300)) ** 2 * np.eye(len(values))
+    return [_of_formula(proposal, scale, {}, f) for f in formulas(Table(at, values, errors, False, _signed(proposal)))]
 
 
 class _Scale(NamedTuple):

@@ -443,12 +443,12 @@ class Comparison:
                 # A high-order spline: linear interpolation would average noise, and any delay would seem to help.
                 ahead = -delay / self.record.period
                 values = linear(lambda signal: scipy.ndimage.shift(signal, ahead, order=5, mode="nearest"), values)
-            return values - self._misread(rig)[:, MISREAD.index(sensor)] if misread else values
+            return values - self.misread(rig)[:, MISREAD.index(sensor)] if misread else values
 
         plant = rig.plant if misread else None
         return self._keep(f"corrected {sensor}", (gain, bias, bandwidth, delay, misread, plant), compute)
 
-    def _misread(self, rig: EffectiveRig) -> Array:
+    def misread(self, rig: EffectiveRig) -> Array:
         """Return the errors that effects add to the readings of :data:`MISREAD`, shape (n, 3).
 
         They depend on the true signals, which are the readings less the errors.

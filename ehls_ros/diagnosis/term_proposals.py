@@ -100,6 +100,9 @@ REACHED = 3
 FINENESS, PLAY_KNOTS, TIME_KNOTS = (8, KNOTS), 4, 6
 """Numbers of knots that are tried; over time there are few, as held-out blocks are gaps that a table must bridge."""
 
+SKETCHED = 33
+"""Places at which a table is estimated in order to find formulas for it."""
+
 FINER_GAIN = 0.01
 """Fraction of a remainder's variance that the finer table must predict beyond the coarser one."""
 
@@ -166,6 +169,7 @@ class Proposal(NamedTuple):
         lag: time constant of the lag subtracted from the argument [s]; 0: none.
         play: width of the play in whose gap the argument is taken, in the signal's unit; 0: none.
         start: its values at the knots, if it must be near them to be fitted.
+        sketch: in that case also its values at :data:`SKETCHED` places from the first knot to the last.
     """
 
     share: float
@@ -182,6 +186,7 @@ class Proposal(NamedTuple):
     lag: float = 0.0
     play: float = 0.0
     start: tuple[float, ...] = ()
+    sketch: tuple[float, ...] = ()
 
     @property
     def simple(self) -> bool:
@@ -191,7 +196,7 @@ class Proposal(NamedTuple):
     @property
     def key(self) -> tuple[object, ...]:
         """What it is, apart from its values."""
-        return self[1:-1]
+        return self[1:-2]
 
 
 class Asked(NamedTuple):
@@ -272,7 +277,13 @@ def proposals(asked: Asked, e: Array) -> list[Proposal]:
     for p in sorted((p for p in further if p.share >= least), key=lambda p: -p.share):
         distinct.setdefault((p.effect, p.argument, p.factor), p)
     chosen = [*simple[:SIMPLE], *list(distinct.values())[:FURTHER]]
-    return [p if asked.channel != "spool" else p._replace(start=_values(asked, p, e)) for p in chosen]
+    if asked.channel != "spool":
+        return chosen
+    # The spool's error feeds back, so that a table far from the right one may not lead to it.
+    return [
+        p._replace(start=_values(asked, p, e, p.knots), sketch=() if p.periodic else _values(asked, p, e, SKETCHED))
+        for p in chosen
+    ]
 
 
 def _variants(asked: Asked, effect: str, argument: str) -> tuple[float, ...]:
@@ -312,9 +323,9 @@ def _columns(asked: Asked, p: Proposal, values: Array, knots: int) -> Array:
     return columns * asked.direction[:, np.newaxis] if turned and asked.direction is not None else columns
 
 
-def _values(asked: Asked, p: Proposal, e: Array) -> tuple[float, ...]:
-    """Return a table's values at its knots by regression on a remainder."""
-    columns = _columns(asked, p, _argument(asked, p), p.knots) / asked.evidence.floor[asked.channel][:, np.newaxis]
+def _values(asked: Asked, p: Proposal, e: Array, knots: int) -> tuple[float, ...]:
+    """Return a table's values at a number of knots by regression on a remainder."""
+    columns = _columns(asked, p, _argument(asked, p), knots) / asked.evidence.floor[asked.channel][:, np.newaxis]
     normal = columns.T @ columns
     normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
     return tuple(np.linalg.solve(normal, columns.T @ e).tolist())

@@ -36,7 +36,7 @@ def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, re
     run = part_kernel(part, effective).run
     before = list(run.signatures)
     comparison = Comparison(record, stages.setup(record, rig))
-    method = {"spool": "simulated_spool", "flow": "flow_terms", "force": "extra_force"}.get(part, part)
+    method = {"spool": "simulated_spool", "flow": "flow_terms", "force": "extra_force", "readings": "misread"}.get(part, part)
     getattr(comparison, method)(effective)
     assert before
     assert run.signatures == before
@@ -82,9 +82,9 @@ def test_what_follows_a_diagnosis_runs_what_was_compiled_for_it(rig):
     assert all(before)
     controller_benefit(diagnosis.rig, diagnosis.extended)
     assert [signatures(job.kernel()) for job in jobs] == before
-    assert [job.kernel() for job in consequences_jobs(SimpleNamespace(names_causes=False, rig=rig, extended=rig))] == [
-        jobs[-1].kernel()
-    ]
+    assert [
+        job.kernel() for job in consequences_jobs(SimpleNamespace(names_causes=False, term=None, rig=rig, extended=rig))
+    ] == [jobs[-1].kernel()]
 
 
 def signatures(module):
