@@ -20,7 +20,7 @@ from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Progress, Task, Workers
 from ehls_ros.physics.composition import is_compiled
 from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel
-from ehls_ros.physics.rig import EffectiveRig, Rig
+from ehls_ros.physics.rig import EffectiveRig, Rig, check_one_pressure
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 from ehls_ros.progress import announce, duration_text
 
@@ -59,6 +59,8 @@ def identification_jobs(rig: Rig) -> list[Job]:
 
 
 def _parts(rig: Rig, *, duals: bool) -> list[Job]:
+    # Before minutes of compiling, not after.
+    check_one_pressure(rig, "a model along a recording", "rig")
     effective = rig.effective()
     needed = [name for name in reversed(PARTS) if name != "load" or effective.piston_mass() > 0.0]
     return [_part(name, effective, duals=duals) for name in needed]
