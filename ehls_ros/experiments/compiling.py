@@ -20,7 +20,7 @@ from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Progress, Task, Workers
 from ehls_ros.physics.composition import is_compiled
 from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel
-from ehls_ros.physics.rig import EffectiveRig, Rig
+from ehls_ros.physics.rig import EffectiveRig, Rig, check_one_pressure
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 from ehls_ros.progress import announce, duration_text
 
@@ -59,6 +59,8 @@ def identification_jobs(rig: Rig) -> list[Job]:
 
 
 def _parts(rig: Rig, *, duals: bool) -> list[Job]:
+    # Before minutes of compiling, not after.
+    check_one_pressure(rig, "a model along a recording", "rig")
     effective = rig.effective()
     without = {"load"} if effective.piston_mass() == 0.0 else set()
     without |= set() if any(use.name in PARTS["readings"].effects.names for use in rig.effects) else {"readings"}

@@ -132,6 +132,12 @@ def _chambers(state: _State, given: ColumnMap, where: str) -> _State:
     present = [name for name in (a, b) if name in state.signals]
     if not present:
         return state
+    if len(present) > 1 and given.cylinder is None and "load_pressure_pa" in state.signals:
+        # A simulated single rod has the load pressure beside those of its chambers.
+        load, difference = state.signals["load_pressure_pa"], state.signals[a] - state.signals[b]
+        if np.nanmax(np.abs(load - difference)) <= EQUAL_AREAS * np.nanmax(np.abs(load)):
+            return state
+        return state._replace(preparation=_flow_not_judged(state.preparation))
     if len(present) == 1:
         if given.cylinder is None:
             # A single chamber is read and shown; the opposing pressure is unknown.
@@ -151,8 +157,12 @@ def _chambers(state: _State, given: ColumnMap, where: str) -> _State:
     state = _added(state, "load_pressure_pa", terms, where, remark)
     preparation = state.preparation._replace(equivalent_area=mean)
     if abs(areas.area_a - areas.area_b) > EQUAL_AREAS * mean:
-        preparation = preparation._replace(not_judged={**preparation.not_judged, "flow": FLOW_OF_UNEQUAL_AREAS})
+        preparation = _flow_not_judged(preparation)
     return state._replace(preparation=preparation)
+
+
+def _flow_not_judged(preparation: Preparation) -> Preparation:
+    return preparation._replace(not_judged={**preparation.not_judged, "flow": FLOW_OF_UNEQUAL_AREAS})
 
 
 def _supply(state: _State, given: ColumnMap, where: str) -> _State:

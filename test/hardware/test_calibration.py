@@ -13,7 +13,7 @@ from ehls_ros.families import offered
 from ehls_ros.hardware.backends import BACKENDS
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
 from ehls_ros.hardware.calibration import Calibration, Input, Output
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import EVERY_SENSED, SENSED
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 POSITION = Input(channel=3, scale=0.03, offset=0.5)
@@ -32,6 +32,14 @@ def test_signals_in_the_order_of_a_loader_state(calibration):
     assert signals["position"] == pytest.approx(0.06)
     assert signals["load_pressure"] == pytest.approx(-8e5)
     assert all(math.isnan(signals[name]) for name in SENSED if name not in calibration.wired)
+
+
+def test_chambers_with_a_channel_follow_the_other_signals():
+    calibration = Calibration({"pressure_b": PRESSURE, "position": POSITION}, Output(channel=1, scale=-2e-3))
+    assert calibration.wired == ("position", "pressure_b")
+    signals = dict(zip(EVERY_SENSED, calibration.signals((2.5, 2.0)), strict=True))
+    assert signals["pressure_b"] == pytest.approx(1.6e6)
+    assert math.isnan(signals["pressure_a"])
 
 
 @pytest.mark.parametrize(

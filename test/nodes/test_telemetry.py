@@ -10,7 +10,7 @@ from rclpy.serialization import deserialize_message
 
 from ehls_ros.nodes.frames import JOINT, loader_frame
 from ehls_ros.nodes.telemetry import Telemetry
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import EVERY_SENSED, SENSED
 from ehls_ros.recording.topics import TELEMETRY_TOPICS
 
 READ = {
@@ -67,6 +67,13 @@ def test_everything_measured_is_told_in_the_messages_units():
             assert message.header.frame_id == "loader"
     listed = {topic.name: topic.type.rpartition("/")[2] for topic in TELEMETRY_TOPICS}
     assert {topic: kind.__name__ for topic, kind in types.items()}.items() <= listed.items()
+
+
+def test_a_rig_with_two_chambers_tells_both_pressures():
+    node = StandIn()
+    pressures = {"pressure_a": 3e6, "pressure_b": 1e6}
+    Telemetry(node, 50.0, EVERY_SENSED).publish(0.0, 0, [{**READ, **pressures}[name] for name in EVERY_SENSED])
+    assert {name: node.published[name][0].fluid_pressure for name in pressures} == pressures
 
 
 def test_what_a_rig_does_not_measure_has_no_topic_and_an_empty_array():

@@ -52,6 +52,15 @@ def test_angle_and_torque_act_at_the_arm():
     assert values == pytest.approx({"position_m": 0.5, "velocity_m_s": -0.25, "force_n": 200.0, "disturbance_force_n": 80.0})
 
 
+def test_chambers_beside_a_load_pressure_are_kept_as_they_are():
+    """As a table of a simulated single rod has them."""
+    signals = {"load_pressure_pa": 1e6, "pressure_a_pa": 3e6, "pressure_b_pa": 4e6}
+    out = run(**signals)
+    assert {name: out[name][0] for name in signals} == signals
+    assert set(out.preparation.not_judged) == {"flow"}
+    assert not run(**{**signals, "load_pressure_pa": -1e6}).preparation.not_judged
+
+
 def test_noise_of_slow_chambers_follows_their_areas():
     slow = Preparation(interpolated={"pressure_a_pa": Own(0.01, 3e3), "pressure_b_pa": Own(0.02, 4e3)})
     out = run(ColumnMap(cylinder=Cylinder(1.0, 1.0)), slow, pressure_a_pa=5e6, pressure_b_pa=3e6)
@@ -67,7 +76,11 @@ def test_noise_of_slow_chambers_follows_their_areas():
             {"angle_rad": 1.0, "position_m": 1.0},
             "position_m is given, and follows from angle_rad",
         ),
-        (ColumnMap(), {"pressure_a_pa": 1.0, "pressure_b_pa": 1.0, "load_pressure_pa": 1.0}, "load_pressure_pa is given, and"),
+        (
+            ColumnMap(cylinder=Cylinder(1.0, 0.5)),
+            {"pressure_a_pa": 1.0, "pressure_b_pa": 1.0, "load_pressure_pa": 1.0},
+            "load_pressure_pa is given, and",
+        ),
         (ColumnMap(cylinder=Cylinder(1.0, 0.5)), {"pressure_a_pa": 1.0}, "pressure_a_pa is there without the other chamber"),
         (ColumnMap(), {"load_cell_n": 1.0, "disturbance_force_n": 1.0}, "disturbance_force_n is given, and"),
     ],
