@@ -93,7 +93,7 @@ def add_namespace(parser: ArgumentParser) -> None:
 
 
 def add_plant(parser: argparse._ActionsContainer) -> None:
-    """Add ``--plant`` and the options of each plant, for a graph to start; see :func:`check_plant`."""
+    """Add ``--plant`` and ``--bridge``, those of a graph to start; see :func:`check_plant`."""
     parser.add_argument(
         "--plant",
         choices=("sim", "bridge"),
@@ -101,9 +101,6 @@ def add_plant(parser: argparse._ActionsContainer) -> None:
         help="sim: simulated rig; bridge: the rig behind --bridge, or UDP here",
     )
     parser.add_argument("--bridge", type=Path, help="bridge file: DAQ backend, channels, calibration (with --plant bridge)")
-    parser.add_argument("--plant-fmu", type=Path, metavar="FILE", help="FMU that stands in place of the simulated rig")
-    about = "YAML map of the FMU's variables and units; not needed for one of `ehls fmu` (with --plant-fmu)"
-    parser.add_argument("--plant-map", type=Path, metavar="FILE", help=about)
 
 
 def check_plant(options: Namespace) -> None:
@@ -114,10 +111,6 @@ def check_plant(options: Namespace) -> None:
     """
     if options.bridge is not None and options.plant == "sim":
         raise BadInput("--bridge was given", "command line", "--plant bridge with it")
-    if options.plant_fmu is not None and options.plant != "sim":
-        raise BadInput("--plant-fmu was given", "command line", "no --plant bridge with it")
-    if options.plant_map is not None and options.plant_fmu is None:
-        raise BadInput("--plant-map was given", "command line", "--plant-fmu with it")
 
 
 def columns_of(options: Namespace) -> "ColumnMap | None":

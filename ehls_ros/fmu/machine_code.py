@@ -10,8 +10,7 @@ from typing import Any
 
 from llvmlite import binding
 from numba import float64, types
-
-from ehls_ros.arrays import Array
+from numba.core.errors import NumbaError
 
 PROCESSOR = "x86-64-v3"
 """Processors with AVX2 and FMA: Intel since Haswell (2013), AMD since Excavator (2015)."""
@@ -113,6 +112,10 @@ def _machine(system: str) -> Any:
     return target.create_target_machine(cpu=PROCESSOR, opt=3, reloc="pic", codemodel="default")
 
 
-def call(kernel: ModuleType, entry: str, block: Array) -> int:
-    """Call a compiled function in this process; its machine code has the same numbers."""
-    return int(getattr(kernel, entry)(block))
+def is_compilable(kernel: ModuleType, entry: str) -> bool:
+    """Return whether a function can be compiled: for duals, a part of the user's own may use operations without derivative."""
+    try:
+        _overload(kernel, entry)
+    except NumbaError:
+        return False
+    return True

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from ehls_ros.fmu import plant_slopes
+from ehls_ros.fmu.machine_code import is_compilable
 from ehls_ros.fmu.model import Block, Causality, Model, Variable, constant, parameters_of
 from ehls_ros.fmu.plant_kernel import INPUT_COUNT, build
 from ehls_ros.physics.composition import compiled, effects_in_kernel
@@ -97,7 +98,9 @@ def plant_model(rig: Rig, name: str, period: float = 1e-3, step: float | None = 
             "slope_at": slope,
             "duals_at": duals,
         }
-        entries["slopes"] = compiled(plant_slopes.build, {"slopes": "block"}, parts.members, {**own, **places}, parts.effects)
+        derived = compiled(plant_slopes.build, {"slopes": "block"}, parts.members, {**own, **places}, parts.effects)
+        if is_compilable(derived, "slopes"):
+            entries["slopes"] = derived
     return Model(
         name,
         f"Electro-hydraulic load simulator: {rig.friction_model} friction, {_listed(rig)}",

@@ -73,6 +73,9 @@ def add_graph_options(parser: _ActionsContainer) -> None:
         help="run the nodes of a control cycle in one process, where a cycle is one call; by default each is a process",
     )
     add_plant(parser)
+    parser.add_argument("--plant-fmu", type=Path, metavar="FILE", help="FMU that stands in place of the simulated rig")
+    about = "YAML map of the FMU's variables and units; not needed for one of `ehls fmu` (with --plant-fmu)"
+    parser.add_argument("--plant-map", type=Path, metavar="FILE", help=about)
     about = "with --plant bridge: do not adapt to wrong numbers of the rig file while it runs"
     parser.add_argument("--no-adaptation", dest="adaptation", action="store_false", help=about)
     parser.add_argument(
@@ -118,6 +121,10 @@ def carry_out(spec: Spec, options: Namespace, where: str, command: Sequence[str]
         BadInput: the options do not fit the experiment.
     """
     check_plant(options)
+    if options.plant_fmu is not None and options.plant != "sim":
+        raise BadInput("--plant-fmu was given", "command line", "no --plant bridge with it")
+    if options.plant_map is not None and options.plant_fmu is None:
+        raise BadInput("--plant-map was given", "command line", "--plant-fmu with it")
     if options.continued is not None:
         _check_continued(options, spec)
     remarks: tuple[str, ...] = ()
