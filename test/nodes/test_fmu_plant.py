@@ -7,6 +7,7 @@ import pytest
 import yaml
 from ehls_command import ehls, trajectory_of
 
+pytest.importorskip("fmpy", reason="the extra fmu is not installed")
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
 from ehls_ros.cli.main import main
