@@ -27,7 +27,7 @@ from ehls_ros.cli.main import main
 from ehls_ros.experiments.spec import load_spec
 from ehls_ros.recording.bag_reader import read_bag
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
 
 RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
 

@@ -57,6 +57,7 @@ def server(nothing_left_behind):
         yield started
 
 
+@pytest.mark.long
 def test_the_tab_is_there_with_a_monitor_only_and_acknowledges(server, nothing_left_behind, tmp_path):
     if CHROMIUM is None:
         pytest.skip("needs Chromium")

@@ -134,6 +134,7 @@ def test_ctrl_c_ends_a_tuning_and_leaves_none_of_its_files(tmp_path):
     assert not folder.exists()
 
 
+@pytest.mark.long
 def test_the_page_shows_the_result_and_runs_none_of_its_texts(server, nothing_left_behind, tmp_path):
     if CHROMIUM is None:
         pytest.skip("needs Chromium")

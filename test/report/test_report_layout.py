@@ -98,6 +98,7 @@ def shown(reports, tmp_path_factory):
         yield opened, reports.as_uri()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 @pytest.mark.parametrize("width", [390, 1366])
 def test_nothing_is_wider_than_the_screen_or_covers_anything(shown, width):
@@ -122,6 +123,7 @@ figures.filter(figure => {
 RELAID = "figures.every(figure => figure._fullLayout.width > 1000 || figure.clientWidth < 1000)"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 def test_no_legend_lies_on_its_plot_once_the_window_is_wider(shown):
     tab, address = shown
