@@ -3,6 +3,7 @@
 import copy
 
 import numpy as np
+import pytest
 from fmpy.validation import validate_fmu
 from stepped_fmu import stepped
 
@@ -30,6 +31,7 @@ def single_rod():
     return spec_from_mapping(data, "single rod", configured("rig_paper").parent)
 
 
+@pytest.mark.long
 def test_loop_of_two_fmus_is_the_simulated_one_to_the_bit(tmp_path):
     spec = single_rod()
     rig, use, watching = spec.rig, spec.controller, spec.compensation
