@@ -30,7 +30,10 @@ SCHEMA = {
         " partial missing not_judged sensitivities controller_gain free_run remarks diagnosis_s wall_s baseline corrected term"
         " checks"
     ),
-    Term: "effect argument magnitude unit at values std period closed direction reading",
+    Term: (
+        "effect argument magnitude unit at values std period closed direction reading"
+        " formula factor factor_reach error factor_error lag play"
+    ),
     Reading: "amplitude std rise power place",
     Power: "exponent std symmetry",
     StageResult: ("judged why_not nrmse_before nrmse_after noise_floor exceeds unexplained leaves_much incident depends_on"),

@@ -20,8 +20,9 @@ SLIPPERY = {
     "element_stiffness": [1e-12, 1e-12, 1e-12],
     "element_weight": [0.5, 0.3, 0.2],
 }
-OWN = FRICTION + 3
-"""Index of the first of the effects' states; the flexible mode's come first, by its name."""
+MECHANICS = [use["name"] for use in stage_effects("mechanics", {})]
+OWN = FRICTION + 3 + sum(getattr(EFFECTS.load(name), "STATES", 0) for name in MECHANICS[: MECHANICS.index("flexible_mode")])
+"""Index of the flexible mode's first state; the states of effects before it by name come first."""
 
 
 @pytest.fixture
