@@ -354,6 +354,7 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
     coarse, fine = FINENESS
     if alike.play > 0.0 or alike.argument == "time":
         coarse, fine = (PLAY_KNOTS, PLAY_KNOTS) if alike.play > 0.0 else (TIME_KNOTS, FINENESS[0])
+    coarse, fine = (supported(values, alike.low, alike.high, n) for n in (coarse, fine))
     shares = {n: explained_by(_columns(asked, alike, values, n), target, even) for n in dict.fromkeys((coarse, fine))}
     knots = fine if shares[fine] > shares[coarse] + FINER_GAIN else coarse
     out = [alike._replace(share=shares[knots], knots=knots)]
@@ -362,8 +363,8 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
     along = target * asked.direction if turned and asked.direction is not None else target
     part = concentrated(means, along, low, high)
     if part is not None and alike.argument != "time":
-        narrow = alike._replace(low=part[0], high=part[1], knots=fine)
-        share = explained_by(_columns(asked, narrow, values, fine), target, even)
+        narrow = alike._replace(low=part[0], high=part[1], knots=supported(values, *part, fine))
+        share = explained_by(_columns(asked, narrow, values, narrow.knots), target, even)
         out.append(narrow._replace(share=max(share, rules.DEPENDS)))
     if alike.argument == "position" and asked.waves is not None:
         number, share = asked.waves.strongest(along, even)
@@ -374,6 +375,19 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
             share = explained_by(_repeating(asked.respond, frequency * values), along, even)
             out.append(alike._replace(share=share, low=0.0, high=1.0 / frequency, periodic=True, knots=FINENESS[0]))
     return out
+
+
+def supported(values: Array, low: float, high: float, knots: int) -> int:
+    """Return the most values, up to a number, of which a table over a range has data within half a step of each.
+
+    A value between two groups of data far apart would follow from nothing.
+    """
+    for number in range(knots, 2, -1):
+        step = (high - low) / (number - 1)
+        nearest = np.rint((values[(values >= low - 0.5 * step) & (values <= high + 0.5 * step)] - low) / step)
+        if len(np.unique(nearest)) == number:
+            return number
+    return 2
 
 
 def concentrated(means: Array, target: Array, low: float, high: float) -> tuple[float, float] | None:

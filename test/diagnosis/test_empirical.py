@@ -9,7 +9,7 @@ import yaml
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.empirical import candidate_of
-from ehls_ros.diagnosis.term_proposals import Proposal, concentrated, lag_of, play_of, waves_along
+from ehls_ros.diagnosis.term_proposals import Proposal, concentrated, lag_of, play_of, supported, waves_along
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -139,3 +139,11 @@ def test_a_lag_and_a_play_begin_at_zero():
     assert wave - play_of(wave, 0.4) == pytest.approx(
         np.clip(np.concatenate([wave[:50], wave[50:] - 0.6 - 0.2 + 0.0]), -0.2, 0.2)
     )
+
+
+def test_a_table_has_data_at_each_of_its_values():
+    even = np.linspace(0.0, 1.0, 1000)
+    assert [supported(even, 0.0, 1.0, knots) for knots in (4, 16)] == [4, 16]
+    pressures = np.concatenate([level + 0.1 * (even - 0.5) for level in (1.0, 3.0, 5.0, 7.0)])
+    assert supported(pressures, 0.95, 7.05, 16) == 4
+    assert supported(np.concatenate([even, 9.0 + even]), 0.0, 10.0, 16) == 2
