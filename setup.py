@@ -60,7 +60,7 @@ setup(
     license="Apache-2.0",
     maintainer="ehls_ros maintainers",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={"": ["*.c", "*.css", "*.def", "*.h", "*.js", "*.png", "*.xml", "license.txt", "py.typed", "msg/*.msg"]},
+    package_data={"": ["*.css", "*.js", "*.xml", "py.typed", "msg/*.msg"], f"{PACKAGE}.fmu": ["source/*"]},
     include_package_data=False,  # setuptools warns of each folder without Python code that MANIFEST.in names
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

@@ -42,6 +42,7 @@ WITH_NUMBA = {"llvmlite"}
 OPTIONAL = {
     "distributed",
     "fastapi",
+    "fmpy",
     "foxglove",
     "h11",
     "nicegui",

@@ -118,7 +118,7 @@ def test_what_is_not_on_the_list_is_unexplained_in_its_stage_and_nothing_is_held
     assert d.unknown_stage == OUTSIDE[name].stage, told(d)
     assert d.stages[d.unknown_stage].unexplained
     assert all(c.probability < CONFIDENT for c in d.causes), told(d)
-    assert (d.extended == d.rig) == (d.verdict == "unknown")
+    assert (d.extended == d.rig) == (d.verdict == "unknown" and d.term is None)
     if d.verdict == "partial":
         # The named cause explains most of the effect; otherwise it would not be worth a name.
         assert d.gain.closed_fraction >= rules.WORTHWHILE, told(d)
