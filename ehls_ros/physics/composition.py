@@ -14,6 +14,7 @@ A chain of effects is of one of two kinds:
 
 import hashlib
 import sys
+import threading
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib.abc import ExecutionLoader
@@ -41,6 +42,9 @@ from ehls_ros.sources import import_line, sources_digest
 KERNEL_SOURCES = ("physics", "control", "identification", "arrays.py", "duals", "inlining.py", "numba_internals.py")
 """Sources of the kernels."""
 
+_IMPORTING = threading.RLock()
+"""Held while a generated module is imported: another thread would get it without its functions."""
+
 
 def kernel_module(source: str) -> ModuleType:
     """Import a generated module, storing it first if it is new.
@@ -58,15 +62,16 @@ def kernel_module(source: str) -> ModuleType:
     # All dependencies of the machine code.
     made_from = (sys.version, numba.__version__, np.__version__, sources_digest(*KERNEL_SOURCES), str(IS_PLAIN), source)
     name = PREFIX + hashlib.sha256(" ".join(made_from).encode()).hexdigest()[:16]
-    if name in sys.modules:
-        return sys.modules[name]
-    path = store_source(name, source)
-    spec = spec_from_file_location(name, path, loader=_Generated(source, path))
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path} cannot be imported as a kernel module")
-    module = module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
+    with _IMPORTING:
+        if name in sys.modules:
+            return sys.modules[name]
+        path = store_source(name, source)
+        spec = spec_from_file_location(name, path, loader=_Generated(source, path))
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{path} cannot be imported as a kernel module")
+        module = module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
     for entry in _entries(module):
         code = Path(entry.stats.cache_path)
         if code.parent != path.parent:
