@@ -12,13 +12,14 @@ from ehls_ros.api.arguments import check_kind
 from ehls_ros.api.simulation import Part, RigSource, SpecSource, spec_content
 from ehls_ros.api.simulation import rig as read_rig
 from ehls_ros.arrays import Array
-from ehls_ros.control.controller import Controller, Outlook
+from ehls_ros.control.controller import Outlook
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import STATUS_TO_SI, model_of
+from ehls_ros.control.controllers.base import STATUS_TO_SI
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.experiments.files import configured_names
-from ehls_ros.experiments.spec import Spec, check_spec, company_of, spec_from_mapping
+from ehls_ros.experiments.loop import controller_of
+from ehls_ros.experiments.spec import Spec, check_spec, spec_from_mapping
 from ehls_ros.physics.rig import Rig, rig_from_mapping, rig_to_mapping
 from ehls_ros.physics.sensors import VELOCITY
 from ehls_ros.physics.simulator import Simulator
@@ -52,11 +53,8 @@ class SteppedController:
         """
         self.spec = spec
         self.period = spec.settings.control_period
-        law, model = CONTROLLERS.load(spec.controller.name), model_of(spec.controller_rig, self.period)
-        self.needs = law.NEEDS
-        where = spec.settings.title
-        known = spec.controller_rig.cylinder.model, spec.controller_rig.valve.model
-        self._law = Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, where), *known)
+        self.needs = CONTROLLERS.load(spec.controller.name).NEEDS
+        self._law = controller_of(spec)
         uses = spec.compensation
         self._friction = (
             FrictionEstimator(uses.name, spec.controller_rig, self.period, uses.parameters) if self._law.uses_friction else None

@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ehls_ros.control.controller import Controller, Outlook
-from ehls_ros.control.controllers.base import model_of
+from ehls_ros.control.controller import Outlook
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.friction_estimator import FrictionEstimator
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.loop import Columns, sampled, trajectory_of
+from ehls_ros.experiments.loop import Columns, controller_of, sampled, trajectory_of
 from ehls_ros.experiments.run_failure import Implausible, RunFailed
-from ehls_ros.experiments.spec import Spec, check_spec, company_of
+from ehls_ros.experiments.spec import Spec, check_spec
 from ehls_ros.fmu.foreign_plant import ForeignPlant
 from ehls_ros.fmu.plant_map import PlantMap, map_from_mapping
 from ehls_ros.physics.rig import SENSED, check_one_pressure
@@ -70,8 +69,7 @@ def run_on_fmu(
     wanted, place, actuator_rows = reference.rows(0, cycles), reference.place(0, cycles), actuator.rows(0, cycles)
     kind = DISTURBANCES.load(spec.disturbance.name)
     disturbance = kind.build(spec.disturbance.parameters, actuator, spec.rig, period).rows(0, cycles)
-    model = model_of(spec.controller_rig, period)
-    law = Controller(spec.controller.name, spec.controller.parameters, model, company_of(spec, model, spec.settings.title))
+    law = controller_of(spec)
     observer = FrictionEstimator(spec.compensation.name, spec.controller_rig, period, spec.compensation.parameters)
     columns = Columns.of(observer.state.estimate.size, len(SENSED))
     record = np.empty((cycles, columns.status.stop))

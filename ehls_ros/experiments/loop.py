@@ -17,6 +17,7 @@ from numpy.random import Generator
 from ehls_ros import __version__
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.control.companions.base import Past, Upcoming
+from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import FORESEEN, STATUS_SIZE, STATUS_TO_SI, Model, model_of
 from ehls_ros.control.controllers.base import ROW as FOLLOWED
@@ -194,6 +195,18 @@ class Columns(NamedTuple):
         estimate = signals + 1
         status = estimate + estimate_size
         return cls(slice(0, signals), signals, slice(estimate, status), slice(status, status + STATUS_SIZE))
+
+
+def controller_of(spec: Spec) -> Controller:
+    """Return a spec's controller with its companions, for the rig that it knows; this compiles or loads the law.
+
+    Raises:
+        BadInput: a companion cannot work with this controller or rig.
+    """
+    use, rig = spec.controller, spec.controller_rig
+    model = model_of(rig, spec.settings.control_period)
+    company = company_of(spec, model, spec.settings.title)
+    return Controller(use.name, use.parameters, model, company, rig.cylinder.model, rig.valve.model)
 
 
 def control_of(spec: Spec) -> Control:

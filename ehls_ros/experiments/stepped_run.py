@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.controller import Controller, Outlook
-from ehls_ros.control.controllers.base import model_of
+from ehls_ros.control.controller import Outlook
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.friction_estimator import FrictionEstimator
-from ehls_ros.experiments.loop import sampled, simulator_of
-from ehls_ros.experiments.spec import Spec, company_of
+from ehls_ros.experiments.loop import controller_of, sampled, simulator_of
+from ehls_ros.experiments.spec import Spec
 from ehls_ros.physics.sensors import FORCE, VELOCITY
 from ehls_ros.physics.simulator import Simulator
 
@@ -77,10 +76,7 @@ def stepped_run(spec: Spec, added: Array | None = None, plant: Simulator | None 
     signal = sampled(spec.disturbance.signal, period)
     disturbing = DISTURBANCES.load(spec.disturbance.name).build(spec.disturbance.parameters, signal, spec.rig, period)
     rows = disturbing.rows(0, cycles).tolist()
-    model = model_of(spec.controller_rig, period)
-    company = company_of(spec, model, spec.settings.title)
-    known = spec.controller_rig.cylinder.model, spec.controller_rig.valve.model
-    law = Controller(spec.controller.name, spec.controller.parameters, model, company, *known)
+    law = controller_of(spec)
     uses = spec.compensation
     observer = FrictionEstimator(uses.name, spec.controller_rig, period, uses.parameters) if law.uses_friction else None
     noise = np.random.default_rng(spec.settings.seed).standard_normal((cycles, plant.truth.size))

@@ -6,17 +6,16 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.companions import adaptation
-from ehls_ros.control.controller import Controller, Outlook
+from ehls_ros.control.controller import Outlook
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import model_of
 from ehls_ros.control.references._signals import eased_in
 from ehls_ros.experiments.catalogue import largest_force
 from ehls_ros.experiments.commissioning.measuring import LOOK
 from ehls_ros.experiments.commissioning.session import ENABLE_TIME, Session, Stopped
 from ehls_ros.experiments.commissioning.step import Contradiction, Known, Outcome
 from ehls_ros.experiments.graph_check import laws_for
-from ehls_ros.experiments.loop import sampled
-from ehls_ros.experiments.spec import Spec, Use, company_of
+from ehls_ros.experiments.loop import controller_of, sampled
+from ehls_ros.experiments.spec import Spec, Use
 from ehls_ros.experiments.stepped_run import largest, stepped_run, swing
 from ehls_ros.experiments.tuning.files import EXPERIMENT, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.task import HELD_FREQUENCY, HELD_PART, servo_of, task_of, usual
@@ -121,9 +120,7 @@ class _Loop:
     """
 
     def __init__(self, spec: Spec) -> None:
-        model = model_of(spec.controller_rig, spec.settings.control_period)
-        company = company_of(spec, model, spec.settings.title)
-        self._law = Controller(spec.controller.name, spec.controller.parameters, model, company)
+        self._law = controller_of(spec)
         self.wanted, self._friction = _wanted(spec), np.zeros(2)
         self._blended = round(ENABLE_TIME / spec.settings.control_period)
 
