@@ -13,6 +13,9 @@ from rich.table import Table
 
 from ehls_ros.errors import BadInput
 
+DIAGNOSIS, EXTENDED_RIG = "diagnosis.json", "rig_extended.yaml"
+"""Files in the folder of a diagnosis that other verbs read."""
+
 
 def writable(folder: Path, file: str) -> Path:
     """Create a folder if needed, and check in advance that a file can be written in it.

@@ -133,15 +133,9 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     ]
     if not offers:
         return None
-    scale = inflations(evidence, [offer.more for offer in offers])
-    best = max(offer.more.score(scale) for offer in offers)
+    equal = [offers[i] for i in _equally_good(evidence, [offer.more for offer in offers], nothing)]
     # Of equally good ones, that with the fewest causes, and of one signal.
-    enough = best - max(rules.EQUAL, rules.EQUAL_FRACTION * (best - nothing.score(scale)))
-    offer = min(
-        (offer for offer in offers if offer.more.score(scale) >= enough),
-        key=lambda offer: (len(offer.more.names), not offer.proposal.simple, -offer.more.score(scale)),
-    )
-    equal = sorted((o for o in offers if o.more.score(scale) >= enough), key=lambda o: -o.more.score(scale))
+    offer = min(equal, key=lambda offer: (len(offer.more.names), not offer.proposal.simple))
     others = {o.name: o.more for o in equal if o.name != offer.name}
     both = [offer]
     if offer.base.names:
@@ -156,13 +150,25 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     return Described(offer.more, offer.base, _term(evidence, offer), others)
 
 
+def _equally_good(evidence: Evidence, found: Sequence[Assessment], simpler: Assessment) -> list[int]:
+    """Return the indices of the hypotheses that explain as much as the best one, best first.
+
+    Args:
+        evidence: the recording compared with the given model.
+        found: the hypotheses.
+        simpler: the one that they extend.
+    """
+    scale = inflations(evidence, found)
+    scores = [j.score(scale) for j in found]
+    best = max(scores)
+    enough = best - max(rules.EQUAL, rules.EQUAL_FRACTION * (best - simpler.score(scale)))
+    return sorted((i for i, score in enumerate(scores) if score >= enough), key=lambda i: -scores[i])
+
+
 def _simplest(evidence: Evidence, offers: Sequence[_Offer], nothing: Assessment) -> _Offer:
     """Return the offer with the fewest causes and parameters of those that explain as much."""
-    scale = inflations(evidence, [offer.more for offer in offers])
-    best = max(offer.more.score(scale) for offer in offers)
-    enough = best - max(rules.EQUAL, rules.EQUAL_FRACTION * (best - nothing.score(scale)))
-    equal = (offer for offer in offers if offer.more.score(scale) >= enough)
-    return min(equal, key=lambda o: (len(o.more.names), len(o.more.fit.values), -o.more.score(scale)))
+    equal = [offers[i] for i in _equally_good(evidence, [offer.more for offer in offers], nothing)]
+    return min(equal, key=lambda offer: (len(offer.more.names), len(offer.more.fit.values)))
 
 
 def _needed(evidence: Evidence, found: Searched, offer: _Offer, stage: Stage) -> float:
@@ -206,11 +212,7 @@ def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:
         for beside in ((base, nothing) if base.names else (base,))
     ]
     found = [more, *(fitted(evidence, pool, begun, len(begun)) if begun else [])]
-    inflation = inflations(evidence, found)
-    highest = max(j.score(inflation) for j in found)
-    enough = highest - max(rules.EQUAL, rules.EQUAL_FRACTION * (highest - base.score(inflation)))
-    equal = [j for j in found if j.score(inflation) >= enough]
-    best = min(equal, key=lambda j: (len(j.fit.values), -j.score(inflation)))
+    best = min((found[i] for i in _equally_good(evidence, found, base)), key=lambda j: len(j.fit.values))
     return _Offer(base if len(best.names) > 1 else nothing, best, proposal)
 
 

@@ -230,12 +230,29 @@ def asked_in(evidence: Evidence, channel: Channel) -> Asked:
     if channel == "spool":
         signals["spool"], signals[ERROR] = along[COMMAND], along[COMMAND] - along[SPOOL]
     velocity = signals.get("velocity")
-    turning = 0.0 if velocity is None else TURNING * float(np.sqrt(np.mean(velocity**2)))
-    direction = np.tanh(evidence.means(channel, velocity) / turning) if velocity is not None and turning > 0.0 else None
+    turning, direction = (0.0, None) if velocity is None else turns(evidence, channel, velocity)
     repeats = any("position" in place.single for place in PLACES[channel].values())
     position = signals.get("position")
     waves = waves_along(respond, position) if repeats and position is not None and np.ptp(position) > 0.0 else None
     return Asked(evidence, channel, respond, signals, direction, turning, waves)
+
+
+def turns(evidence: Evidence, channel: Channel, velocity: Array) -> tuple[float, Array | None]:
+    """Return the speed within which the direction of motion turns [m/s], and the direction in a channel's windows.
+
+    Args:
+        evidence: the recording compared with the given model.
+        channel: the channel.
+        velocity: one value a sample [m/s]; without any motion there is no direction.
+    """
+    speed = TURNING * float(np.sqrt(np.mean(velocity**2)))
+    return speed, np.tanh(evidence.means(channel, velocity) / speed) if speed > 0.0 else None
+
+
+def without_tail(e: Array) -> Array:
+    """Return a remainder with its largest values limited, which single events would otherwise rule."""
+    limit = float(np.quantile(np.abs(e), TAIL))
+    return np.clip(e, -limit, limit)
 
 
 def _respond(evidence: Evidence, channel: Channel) -> Respond:
@@ -261,8 +278,7 @@ def proposals(asked: Asked, e: Array) -> list[Proposal]:
         asked: the channel.
         e: its whitened remainder, shape (windows,).
     """
-    limit = float(np.quantile(np.abs(e), TAIL))
-    clipped = np.clip(e, -limit, limit)
+    clipped = without_tail(e)
     simple, further = list[Proposal](), list[Proposal]()
     for effect, place in PLACES[asked.channel].items():
         for argument in place.single:

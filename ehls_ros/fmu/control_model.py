@@ -10,7 +10,8 @@ from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.observers.base import ELEMENTS, ObserverState
 from ehls_ros.fmu.control_kernel import build_law, build_observer
 from ehls_ros.fmu.model import Block, Model, Variable, constant, parameters_of
-from ehls_ros.fmu.plant_model import HIGHEST, SIGNAL_UNITS
+from ehls_ros.fmu.plant_model import HIGHEST
+from ehls_ros.fmu.unit_definitions import SIGNAL_UNITS
 from ehls_ros.physics.composition import compiled, rig_elements
 from ehls_ros.physics.rig import Rig
 

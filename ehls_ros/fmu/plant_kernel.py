@@ -200,8 +200,7 @@ def build(
         w = state.inputs
         w[U], w[FD], w[FD_RATE], w[START] = b[at.inputs + COMMAND], b[at.inputs + FORCE], b[at.inputs + FORCE_RATE], b[TIME]
         w[XD], w[VD], w[TEMPERATURE] = b[at.inputs + DISPLACEMENT], b[at.inputs + VELOCITY], b[at.inputs + OIL]
-        plant, rubbing, weighing = plant_of(b, at.plant), friction_of(b, at.friction), weights_of(b, at.effects)
-        return Coefficients(plant, rubbing, w, weighing, w[U], cylinder_of(b, at.cylinder), valve_of(b, at.valve))
+        return simulator.coefficients(constants_of(b), w, w[U])
 
     @kernel_no_refcount
     def rates(b: Array) -> int:

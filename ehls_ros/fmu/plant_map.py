@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.fmu.model import Causality
-from ehls_ros.fmu.plant_model import SIGNAL_UNITS
+from ehls_ros.fmu.unit_definitions import SIGNAL_UNITS
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import parse, text
 from ehls_ros.units import UNITS, unit_of

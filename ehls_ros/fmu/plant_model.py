@@ -1,21 +1,19 @@
 """The rig as a model for an FMU."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from ehls_ros.fmu import plant_slopes
 from ehls_ros.fmu.machine_code import is_compilable
 from ehls_ros.fmu.model import Block, Causality, Model, Variable, constant, parameters_of
 from ehls_ros.fmu.plant_kernel import INPUT_COUNT, build
+from ehls_ros.fmu.unit_definitions import SIGNAL_UNITS
 from ehls_ros.physics.composition import compiled, effects_in_kernel
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import FRICTION, INPUTS
-from ehls_ros.physics.rig import EVERY_SENSED, EffectiveRig, Rig
+from ehls_ros.physics.rig import EffectiveRig, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, at_rest
 from ehls_ros.schema import fields_of
-
-SIGNAL_UNITS: Mapping[str, str] = dict(zip(EVERY_SENSED, ("m", "m/s", "Pa", "m", "N", "Pa", "K", "Pa", "Pa"), strict=True))
-"""Units of the sensed signals, by name."""
 
 STATES = (
     ("position", "m", "position of the moving mass"),

@@ -1,10 +1,11 @@
 """Directional derivatives of the plant on a block: its equations compiled for duals."""
 
 from collections.abc import Callable
+from itertools import count
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel_no_refcount
-from ehls_ros.duals import dual_array, dual_record, width_of
+from ehls_ros.duals import dual_array, dual_record, numbers_of, width_of
 from ehls_ros.fmu.plant_kernel import COMMAND, DISPLACEMENT, FORCE, FORCE_RATE, OIL, TIME, VELOCITY, Places
 from ehls_ros.fmu.records import example, reader, view
 from ehls_ros.physics import simulator
@@ -39,16 +40,10 @@ class Compiled(NamedTuple):
 
 
 def record_order(like: Any) -> tuple[int, ...]:
-    """Return the places of a parameter set's numbers in the order of a record of duals: numbers first, then lists."""
-    numbers, lists, place = list[int](), list[int](), 0
-    for value in like:
-        if isinstance(value, tuple):
-            lists += range(place, place + len(value))
-            place += len(value)
-        else:
-            numbers.append(place)
-            place += 1
-    return (*numbers, *lists)
+    """Return the places of a parameter set's numbers in the order of a record of duals."""
+    place = count()
+    numbered = (tuple(next(place) for _ in value) if isinstance(value, tuple) else next(place) for value in like)
+    return tuple(numbers_of(type(like)(*numbered)))
 
 
 def scratch_size(size: int, parameters: int, weights: int, signals: int) -> int:

@@ -1,8 +1,13 @@
-"""Units of declarations, such as ``m^5/(N s)``, as exponents of the SI base units."""
+"""Units of declarations, such as ``m^5/(N s)``, as exponents of the SI base units; units of the sensed signals."""
 
 import re
 from collections.abc import Mapping
 from typing import NamedTuple
+
+from ehls_ros.physics.rig import EVERY_SENSED
+
+SIGNAL_UNITS: Mapping[str, str] = dict(zip(EVERY_SENSED, ("m", "m/s", "Pa", "m", "N", "Pa", "K", "Pa", "Pa"), strict=True))
+"""Units of the sensed signals, by name."""
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of FMI."""

@@ -236,7 +236,7 @@ class HardwareBridgeNode(PlantNode):
         if self.areas is not None:
             force = self.areas[0] * signals[sensors.PRESSURE_A] - self.areas[1] * signals[sensors.PRESSURE_B]
             place = sensors.LOAD_PRESSURE
-            signals = (*signals[:place], force / (0.5 * sum(self.areas)), *signals[place + 1 :])
+            signals = (*signals[:place], force / self.spec.rig.plant.piston_area, *signals[place + 1 :])
         self.samples.take(reading.sequence, reading.time_ns, free_running_time(), reading.session)
         # In lockstep the device waits for this computer.
         lag = 0.0 if self.lockstep else self.samples.lag

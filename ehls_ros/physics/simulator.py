@@ -144,7 +144,7 @@ def build(
 
     @kernel_no_refcount
     def advance(cycle: int, constants: Constants, state: State) -> int:
-        c = coefficients(constants, state.inputs)
+        c = coefficients(constants, state.inputs, 0.0)
         t = cycle * constants.period
         return step_cycle(t, state.y, state.mode, c, constants.step, constants.steps, state.work)
 
@@ -157,10 +157,10 @@ def build(
 
 
 @kernel
-def coefficients(constants: Constants, inputs: Array) -> Coefficients:
-    """Return the coefficients of the equations, without a command."""
+def coefficients(constants: Constants, inputs: Array, command: float) -> Coefficients:
+    """Return the coefficients of the equations under a command [m]."""
     return Coefficients(
-        constants.plant, constants.friction, inputs, constants.effects, 0.0, constants.cylinder, constants.valve
+        constants.plant, constants.friction, inputs, constants.effects, command, constants.cylinder, constants.valve
     )
 
 
@@ -223,7 +223,7 @@ def observing(cylinder: Any, valve: Any, elements: int, chains: Chains) -> Calla
     def observe(t: float, constants: Constants, state: State) -> None:
         plant, p = constants.plant, constants.effects
         y, w, truth, z = state.y, state.inputs, state.truth, state.y[end:]
-        sense_oil(t, y, z, coefficients(constants, w), truth)
+        sense_oil(t, y, z, coefficients(constants, w, 0.0), truth)
         truth[sensors.SPOOL], truth[sensors.OIL_TEMPERATURE] = y[XV], w[TEMPERATURE]
         truth[sensors.POSITION] = piston_position(y[X], t, y, w, z, p, plant)
         truth[sensors.VELOCITY] = piston_velocity(y[V], t, y, w, z, p, plant)

@@ -4,11 +4,13 @@ import pytest
 
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.observers import OBSERVERS
-from ehls_ros.fmu.unit_definitions import BASE, base_unit
+from ehls_ros.fmu.unit_definitions import BASE, SIGNAL_UNITS, base_unit
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.parameters import Plant
+from ehls_ros.recording.topics import READINGS
 from ehls_ros.schema import notes
+from ehls_ros.trajectory import READABLE
 
 
 @pytest.mark.parametrize(
@@ -41,3 +43,7 @@ def test_every_declared_unit_is_known():
     units = {note.unit for parameters in declared for note in notes(parameters).values() if note.unit}
     for unit in sorted(units):
         base_unit(unit)
+
+
+def test_signals_have_the_units_of_their_recordings():
+    assert {name: READABLE[signal].unit for name, signal in READINGS.items()} == SIGNAL_UNITS

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ehls_ros.cli.arguments import add_columns, add_results, add_rig, add_span, check_range, columns_of
-from ehls_ros.cli.results import all_or_nothing, print_files, print_table, writable, write_json
+from ehls_ros.cli.results import DIAGNOSIS, EXTENDED_RIG, all_or_nothing, print_files, print_table, writable, write_json
 from ehls_ros.diagnosis.causes import advice
 from ehls_ros.diagnosis.record import USED
 from ehls_ros.diagnosis.result import Cause, Diagnosis
@@ -32,7 +32,7 @@ from ehls_ros.trajectory import Trajectory
 
 HELP = "Find the errors of the simulation of a rig, from a recording: diagnosis.json, a report, an extended rig file."
 
-RESULT, REPORT, RIG, NEXT = "diagnosis.json", "report.html", "rig_extended.yaml", "next_experiment.yaml"
+REPORT, NEXT = "report.html", "next_experiment.yaml"
 """Files in the folder of the results; the last only where an experiment is proposed."""
 
 
@@ -55,7 +55,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_span(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of noise and resampling (%(default)s)")
     parser.add_argument("--threads", type=int, help="hypotheses fitted in parallel (default: one per processor)")
-    add_results(parser, "runs/diagnose", RESULT)
+    add_results(parser, "runs/diagnose", DIAGNOSIS)
 
 
 def run(options: Namespace) -> int:
@@ -69,7 +69,7 @@ def run(options: Namespace) -> int:
     if twice:
         raise BadInput(f"{twice[0]} is given twice", "command line", "each recording once")
     rig = load_rig(options.rig)
-    folder = writable(options.out, RESULT)
+    folder = writable(options.out, DIAGNOSIS)
     short = len({data.name for data in given}) == len(given)
     names = {(data.name if short else "") or str(data): data for data in given}
     with progress_bar("diagnosing") as bar:
@@ -80,7 +80,7 @@ def run(options: Namespace) -> int:
             new, rig, baselines=baselines, seed=options.seed, threads=options.threads, progress=bar, checks=checks
         )
         wall = time.perf_counter() - began
-        document = json_document(diagnosis_document(found, follows, answer(found)[0], RIG, wall))
+        document = json_document(diagnosis_document(found, follows, answer(found)[0], EXTENDED_RIG, wall))
         _write(folder, found, follows, document, options.rig, _source(new, options))
     _print(found, follows, folder, time.perf_counter() - began)
     if options.json:
@@ -106,11 +106,11 @@ def _write(folder: Path, found: Diagnosis, follows: Consequences, document: obje
     """Write all results."""
     experiment = follows.next_experiment
     with all_or_nothing(folder) as scratch:
-        write_json(scratch / RESULT, document)
-        (scratch / RIG).write_text(_rig_file(found, rig, source), encoding="utf-8")
+        write_json(scratch / DIAGNOSIS, document)
+        (scratch / EXTENDED_RIG).write_text(_rig_file(found, rig, source), encoding="utf-8")
         write_diagnosis_report(found, scratch / REPORT, follows, source)
         if experiment is not None:
-            spec = {**experiment.spec, "rig": RIG, "controller_rig": os.path.relpath(rig, folder)}
+            spec = {**experiment.spec, "rig": EXTENDED_RIG, "controller_rig": os.path.relpath(rig, folder)}
             heading = f"# Proposed by `ehls diagnose` to separate the causes it left open: {experiment.purpose}.\n"
             (scratch / NEXT).write_text(heading + spec_text(spec), encoding="utf-8")
         else:
@@ -158,7 +158,7 @@ def _print(found: Diagnosis, follows: Consequences, folder: Path, wall: float) -
     for remark in (*found.remarks, *follows.all_remarks):
         print(f"  {remark}")
     print(f"wall time {duration_text(wall)}, diagnosis {duration_text(found.wall_s)} of it")
-    files = {"result": RESULT, "report": REPORT, "rig": RIG, **({} if proposed is None else {"next": NEXT})}
+    files = {"result": DIAGNOSIS, "report": REPORT, "rig": EXTENDED_RIG, **({} if proposed is None else {"next": NEXT})}
     print_files((name, folder / file) for name, file in files.items())
 
 

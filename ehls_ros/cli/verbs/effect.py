@@ -5,15 +5,12 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from ehls_ros.cli.arguments import add_json
-from ehls_ros.cli.results import print_files
+from ehls_ros.cli.results import DIAGNOSIS, print_files
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.effect_file import effect_text, formula_of, term_of
 from ehls_ros.experiments.effect_package import add_effect, check_name
 
 HELP = "Write a term found by `ehls diagnose` as an effect of your own package, a hypothesis of later diagnoses."
-
-RESULT = "diagnosis.json"
-"""File of a diagnosis in its folder."""
 
 EXPECTED = "a diagnosis.json of `ehls diagnose`"
 
@@ -33,7 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Run it."""
     check_name(options.name)
-    path = options.diagnosis / RESULT if options.diagnosis.is_dir() else options.diagnosis
+    path = options.diagnosis / DIAGNOSIS if options.diagnosis.is_dir() else options.diagnosis
     term = term_of(_read(path), str(path))
     text = effect_text(options.name, term, f"term found by `ehls diagnose` in {path.resolve().parent.name}")
     added = add_effect(options.package, options.name, text, overwrite=options.overwrite)

@@ -9,7 +9,7 @@ from typing import get_args
 from rich.console import Console
 
 from ehls_ros.cli.arguments import add_json, check_range
-from ehls_ros.cli.results import print_files
+from ehls_ros.cli.results import DIAGNOSIS, EXTENDED_RIG, print_files
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.observers.base import check_friction_support
@@ -30,9 +30,6 @@ from ehls_ros.physics.rig import Rig, check_known, rig_to_mapping
 HELP = "Export a rig or a controller as an FMU (FMI 2.0 or 3.0) that other simulators run without Python."
 
 WHERE = "ehls fmu"
-
-RESULT, EXTENDED = "diagnosis.json", "rig_extended.yaml"
-"""Files in the folder of a diagnosis."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -122,7 +119,7 @@ def _of_diagnosis(folder: Path) -> tuple[Path, dict[str, bytes]]:
     Raises:
         BadInput: the folder has none.
     """
-    rig, result = folder / EXTENDED, folder / RESULT
+    rig, result = folder / EXTENDED_RIG, folder / DIAGNOSIS
     if not rig.is_file():
-        raise BadInput(f"there is no {EXTENDED}", str(folder), "a rig file, or the folder of a diagnosis that extended one")
-    return rig, {RESULT: result.read_bytes()} if result.is_file() else {}
+        raise BadInput(f"there is no {EXTENDED_RIG}", str(folder), "a rig file, or the folder of a diagnosis that extended one")
+    return rig, {DIAGNOSIS: result.read_bytes()} if result.is_file() else {}

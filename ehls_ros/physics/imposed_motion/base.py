@@ -181,6 +181,12 @@ class Body(NamedTuple):
     own: int = 0
 
 
+@kernel_no_refcount
+def coefficients(a: ModelRun, w: Array) -> Coefficients:
+    """Return the coefficients of the equations at the inputs ``w``; a recording has the one pressure of a double rod."""
+    return Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
+
+
 def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[..., None]]) -> Body:
     """Build a part whose only states are those of the effects.
 
@@ -202,7 +208,7 @@ def sampled(states: int, chains: Chains, write: Callable[[Relations], Callable[.
             set_sample(k, a, y, w)
             if a.fresh[k]:
                 y[FRICTION:] = 0.0
-            t, c = a.motion.time[k], Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
+            t, c = a.motion.time[k], coefficients(a, w)
             write_row(t, y, y[FRICTION:], c, out[k])
             if a.steps:
                 write_slopes(k, a, slope)

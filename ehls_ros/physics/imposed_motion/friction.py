@@ -6,9 +6,18 @@ from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel, kernel_no_refcount
 from ehls_ros.duals import dual_array, value_of
-from ehls_ros.physics.imposed_motion.base import Body, Imposed, ModelRun, Scratch, effect_integrator, set_sample, write_slopes
+from ehls_ros.physics.imposed_motion.base import (
+    Body,
+    Imposed,
+    ModelRun,
+    Scratch,
+    coefficients,
+    effect_integrator,
+    set_sample,
+    write_slopes,
+)
 from ehls_ros.physics.integration import integrator
-from ehls_ros.physics.plant import FRICTION, Chains, Coefficients, U, V, balance_with, relations
+from ehls_ros.physics.plant import FRICTION, Chains, V, balance_with, relations
 
 STEEP, FINE = 0.1, 6
 """Change of velocity within a sample, relative to speed plus Stribeck velocity, above which the Stribeck level is nonlinear;
@@ -124,9 +133,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
             if a.fresh[k]:
                 z[:] = 0.0
                 mode[:] = 0.0
-                level, applied = balance(
-                    inputs.extra[k], t, y, z, Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
-                )
+                level, applied = balance(inputs.extra[k], t, y, z, coefficients(a, w))
                 begin(inputs.balance[stretch], level, a.friction, forces)
                 stretch += 1
                 if y[V] != 0.0:
@@ -145,7 +152,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
             steps = max(a.steps, FINE) if steep else a.steps
             step = a.period / steps
             for n in range(1, steps + 1):
-                c = Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
+                c = coefficients(a, w)
                 v, then = y[V], t + n * step
                 if states:
                     advance_effects(then - step, y, measured.mode, Imposed(c, slope), step, 1, measured.work)
@@ -155,7 +162,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
                     for i in range(FRICTION):
                         y[i] += step * slope[i]
                 extra = inputs.extra[k] + (inputs.extra[k + 1] - inputs.extra[k]) * (n / steps)
-                c = Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
+                c = coefficients(a, w)
                 level_then, applied_then = balance(extra, then, y, z, c)
                 level_rate, applied_rate = (level_then - level) / step, (applied_then - applied) / step
                 interval = Interval(a.friction, v, slope[V], level, level_rate, applied, applied_rate)

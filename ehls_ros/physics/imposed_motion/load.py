@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 from ehls_ros.arrays import Array, kernel, kernel_no_refcount
 from ehls_ros.duals import dual_array, joined, value_of
 from ehls_ros.physics.composition import Switched
-from ehls_ros.physics.imposed_motion.base import Body, ModelRun, Scratch, set_sample, write_slopes
+from ehls_ros.physics.imposed_motion.base import Body, ModelRun, Scratch, coefficients, set_sample, write_slopes
 from ehls_ros.physics.integration import integrator
-from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, U, V, X, balance_with, motion, relations
+from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, balance_with, motion, relations
 
 MAX_EVENTS = 4
 """Most events located within a step; further ones of a chattering contact are not located."""
@@ -153,7 +153,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
             set_sample(k, a, sample, w)
             write_slopes(k, a, slope)
             t = m.time[k]
-            given = Coefficients(a.plant, a.friction, w, a.effects, w[U], (), ())
+            given = coefficients(a, w)
             c = Interval(given, slope, t, sample[X], sample[V], piston)
             y[PL], y[XV] = sample[PL], sample[XV]
             if a.fresh[k]:
