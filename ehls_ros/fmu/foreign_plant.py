@@ -132,7 +132,7 @@ class FmuProcess:
 
     def _lost(self) -> WorkFailed:
         code = self._process.wait()
-        cause = f"of signal {signal.Signals(-code).name}" if code < 0 else f"with code {code}"
+        cause = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with code {code}"
         return WorkFailed(f"{self._path}: the FMU's process ended {cause}{self._said()}")
 
     def _said(self) -> str:

@@ -75,7 +75,7 @@ def test_units_signs_and_derived_readings(plant_of, rig):
 @pytest.mark.parametrize(
     ("misdeed", "reason"),
     [
-        (CRASH, "ended of signal SIGSEGV"),
+        (CRASH, "ended by signal SIGSEGV"),
         (HANG, "did not answer in time"),
         (NOT_A_NUMBER, "returned NaN or infinity for position"),
         (ERROR, "the oil is gone|fmi2Error|failed"),
