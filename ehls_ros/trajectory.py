@@ -95,6 +95,9 @@ READABLE: dict[str, Signal] = {**SIGNALS, **AS_RIGS_GIVE}
 """All signals that a table can contain; the names are its column names."""
 
 
+EQUAL_AREAS_ASSUMED = "both chambers are taken to have equal areas (no cylinder: in the map)"
+"""Remark on a load pressure from those of both chambers; void with a rig file that has their areas."""
+
 SAME_AREA = 1e-3
 """Relative difference below which two areas are considered equal."""
 

@@ -21,7 +21,7 @@ from ehls_ros.diagnosis.stages import Channel, Stage
 from ehls_ros.diagnosis.starts import FITTED
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import Words
+from ehls_ros.physics.effects.base import Words, side_of
 from ehls_ros.physics.rig import Rig
 
 STAGE_OF_GROUP: Mapping[str, Stage] = {
@@ -83,6 +83,9 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
                 channel=main,
                 share=_share(evidence, best, place.without, main),
                 deciding=tuple(dict.fromkeys(signal for signals in equivalent.values() for signal in signals)),
+                side=side_of(
+                    EFFECTS.load(candidate.name), candidate.use(best.fit.values[parts(best.hypothesis)[index]]).parameters
+                ),
             )
         )
     return tuple(sorted(out, key=lambda cause: (cause.name in last, -cause.gain)))

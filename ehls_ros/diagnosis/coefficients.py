@@ -17,16 +17,38 @@ from ehls_ros.schema import declarations
 WITH_OIL = ("leakage_coefficient",)
 """Coefficients of the plant that depend on the oil and its temperature, as do all of the friction."""
 
+WITH_OTHERS = "it turns pressure into force and motion into flow; everything else is relative to it; kept as given"
+
 KEPT: Mapping[str, str] = {
     "plant.oil_density": "only plant.discharge_coefficient × plant.valve_area_gradient / √density is known; kept as given",
     "plant.valve_area_gradient": "only its product with plant.discharge_coefficient is known; kept as given",
     "plant.total_volume": "only its ratio to plant.bulk_modulus is known; kept as given",
-    "plant.piston_area": "it turns pressure into force and motion into flow; everything else is relative to it; kept as given",
+    "plant.piston_area": WITH_OTHERS,
     "plant.viscous_damping": "only its sum with friction.viscous_coefficient is known; kept as given",
     "plant.gravity": "only plant.moving_mass × gravity less effects.constant_load.force is known; kept as given",
     "plant.arm_length": "no equation of the stages depends on it; kept as given",
 }
 """Coefficients known only in combination with others, or without effect on any residual, with the reason."""
+
+KEPT_IN_CHAMBERS: Mapping[str, str] = {
+    "plant.discharge_coefficient": "only its product with the gains of the valve's edges is known; kept as given",
+    "cylinder.area_a": WITH_OTHERS,
+    "cylinder.area_b": WITH_OTHERS,
+    "cylinder.volume_a": "only its ratio to plant.bulk_modulus is known; kept as given",
+    "cylinder.volume_b": "only its ratio to plant.bulk_modulus is known; kept as given",
+    "cylinder.vapour_pressure": "no equation of the stages depends on it; kept as given",
+    "valve.transition_pressure": "it matters only where there is hardly a pressure drop; kept as given",
+}
+"""The same of a cylinder with two chambers and its valve, in place of those that follow from them."""
+
+
+def kept(rig: Rig) -> dict[str, str]:
+    """Return the coefficients of a rig that are kept as given, with the reason."""
+    if not rig.cylinder.law.CHAMBERS:
+        return dict(KEPT)
+    derived = {f"plant.{name}" for name in rig.cylinder.law.derived(rig.cylinder.parameters)}
+    return {path: why for path, why in KEPT.items() if path not in derived} | dict(KEPT_IN_CHAMBERS)
+
 
 SCALE = "piston_area"
 """Coefficient that sets the scale of the balances.
@@ -52,9 +74,16 @@ class Term(NamedTuple):
 
 def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
     """Yield the name of each coefficient with an effect of its own, and the rig with it enlarged by a fraction of itself."""
+    constant = kept(rig)
     for name, value in rig.plant._asdict().items():
-        if value != 0.0 and (name == SCALE or f"plant.{name}" not in KEPT):
+        if value != 0.0 and (name == SCALE or f"plant.{name}" not in constant):
             yield name, rig._replace(plant=rig.plant._replace(**{name: value * (1.0 + part)}))
+    for section in ("cylinder", "valve"):
+        use = getattr(rig, section)
+        for name, value in use.parameters._asdict().items() if use.parameters else ():
+            if value != 0.0 and f"{section}.{name}" not in constant:
+                parameters = use.parameters._replace(**{name: value * (1.0 + part)})
+                yield name, rig._replace(**{section: use._replace(parameters=parameters)})
     for name, value in rig.friction._asdict().items():
         larger = tuple(v * (1.0 + part) for v in value) if isinstance(value, tuple) else value * (1.0 + part)
         if larger == value:
@@ -73,7 +102,8 @@ def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
 
 def unit_of(rig: Rig, name: str) -> str:
     """Return the unit of a coefficient."""
-    declared = (*declarations(type(rig.plant)), *declarations(type(rig.friction)))
+    uses = [use.parameters for use in (rig.cylinder, rig.valve) if use.parameters]
+    declared = [d for section in (rig.plant, rig.friction, *uses) for d in declarations(type(section))]
     return next((d.unit for d in declared if d.name == name), "1")
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, LOAD, OF_CHAMBERS, POSITION, PRESSURE, SPOOL, VELOCITY
 from ehls_ros.diagnosis.result import Coverage
 
-COVERED = (POSITION, VELOCITY, PRESSURE, SPOOL, COMMAND, LOAD)
+COVERED = (POSITION, VELOCITY, PRESSURE, SPOOL, COMMAND, LOAD, *OF_CHAMBERS)
 """Signals that define an operating point; oil temperature is omitted, since it varies from day to day anyway."""
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import CLIP
-from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, LOAD, OF_CHAMBERS, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Comparison
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
@@ -38,7 +38,9 @@ def signals_along(comparison: Comparison, rig: Rig) -> dict[str, Array]:
     """Return the signals on which a residual may depend, and rates, by the names of the data contract, shape (samples,)."""
     record = comparison.record
     signals = {
-        name: record.signals[name] for name in (COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, LOAD, TEMPERATURE) if name in record
+        name: record.signals[name]
+        for name in (COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, LOAD, TEMPERATURE, *OF_CHAMBERS)
+        if name in record
     }
     if POSITION in record or VELOCITY in record:
         velocity = comparison.motion(rig.effective()).velocity

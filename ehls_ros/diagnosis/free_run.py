@@ -17,11 +17,13 @@ from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
     LOAD,
+    OF_CHAMBERS,
     POSITION,
     PRESSURE,
     SERVO_POSITION,
     SERVO_VELOCITY,
     SPOOL,
+    SUPPLY,
     TEMPERATURE,
     VELOCITY,
     Record,
@@ -29,10 +31,11 @@ from ehls_ros.diagnosis.record import (
 )
 from ehls_ros.diagnosis.stages import SENSED as RECORDED_AS
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.composition import rig_elements
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plant import FRICTION, PL, XV, V, X
 from ehls_ros.physics.plant import TEMPERATURE as OIL
-from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.rig import EVERY_SENSED, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
 from ehls_ros.trajectory import Trajectory
 
@@ -128,7 +131,7 @@ def simulated_columns(record: Record, name: str, *omitted: str) -> dict[str, int
     for needed in ((COMMAND,), (POSITION,), (PRESSURE, FORCE)):
         if not any(signal in record for signal in needed):
             raise BadInput(f"there is no {' or '.join(needed)}", name, "the command, the position and the load pressure")
-    recorded = ((RECORDED_AS[sensor], column) for column, sensor in enumerate(SENSED))
+    recorded = ((RECORDED_AS[sensor], column) for column, sensor in enumerate(EVERY_SENSED))
     return {
         signal: column
         for signal, column in recorded
@@ -173,8 +176,8 @@ def follow(simulator: Simulator, record: Record, begin: int, end: int) -> Array:
     oil = record.signals.get(TEMPERATURE, np.full(len(record.time), OIL_TEMPERATURE))[begin:end]
     low, high = simulator.rig.limits.position
     room = BEYOND_STROKE * (high - low)
-    out = np.full((len(command), len(SENSED)), np.nan)
-    none = np.zeros(len(SENSED))
+    none = np.zeros(len(simulator.rig.sensed))
+    out = np.full((len(command), len(none)), np.nan)
     for k in range(len(command)):
         simulator.inputs[OIL] = oil[k]
         out[k] = simulator.measure(none)
@@ -203,7 +206,10 @@ def _start(simulator: Simulator, record: Record) -> None:
     pressure = _first(record, "load_pressure", sensors)
     if PRESSURE not in record:
         pressure = _first(record, "force", sensors) / plant.piston_area
-    y[PL] = pressure
+    chambers = None
+    if all(signal in record for signal in OF_CHAMBERS):
+        chambers = _first(record, "pressure_a", sensors), _first(record, "pressure_b", sensors)
+    set_pressures(simulator, pressure, chambers, _first(record, "supply_pressure", sensors) if SUPPLY in record else None)
     y[XV] = _first(record, "spool_position", sensors) if SPOOL in record else plant.valve_gain * record.values(COMMAND)[0]
     if VELOCITY in record:
         y[V] = _first(record, "velocity", sensors)
@@ -211,6 +217,27 @@ def _start(simulator: Simulator, record: Record) -> None:
         samples = max(3, round(FREE_START / record.period))
         y[V] = float(np.polyfit(record.time[:samples] - record.time[0], record.signals[POSITION][:samples], 1)[0])
     balance_friction(simulator, record, 0)
+
+
+def set_pressures(simulator: Simulator, load: float, chambers: tuple[float, float] | None, supply: float | None) -> None:
+    """Set the pressures in the state.
+
+    Args:
+        simulator: the rig.
+        load: load pressure [Pa].
+        chambers: pressures of A and B [Pa]; if they are not known, those with this driving force that differ equally from rest.
+        supply: supply pressure [Pa]; that of the rig if it is not known.
+    """
+    rig, y = simulator.rig, simulator.y
+    y[PL] = load
+    if not rig.cylinder.law.CHAMBERS:
+        return
+    p, driving = rig.cylinder.parameters, rig.plant.piston_area * load
+    if chambers is None:
+        a, b, _ = rig.cylinder.law.at_rest(p, rig.plant)
+        chambers = a + 0.5 * driving / p.area_a, b - 0.5 * driving / p.area_b
+    first = FRICTION + rig_elements(rig)
+    y[first : first + 3] = *chambers, rig.plant.supply_pressure if supply is None else supply
 
 
 def balance_friction(simulator: Simulator, record: Record, at: int) -> None:
@@ -225,6 +252,6 @@ def balance_friction(simulator: Simulator, record: Record, at: int) -> None:
     plant, friction = rig.plant, rig.friction
     driving = plant.piston_area * y[PL] - plant.spring_stiffness * y[X] - plant.moving_mass * plant.gravity
     held = driving - record.values(LOAD)[at] - (plant.viscous_damping + friction.viscous_coefficient) * y[V]
-    elements = y[FRICTION : FRICTION + len(simulator.mode) - 1]
+    elements = y[FRICTION : FRICTION + rig_elements(rig)]
     if elements.size:
         in_python(rig.friction_law.begin)(held, rig.friction_level(math.inf), friction, elements)

@@ -17,7 +17,18 @@ from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing, part_of
 from ehls_ros.diagnosis.hypotheses import Hypothesis, extended
 from ehls_ros.diagnosis.loss import loss, power, rms
 from ehls_ros.diagnosis.measurement import measurement
-from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.record import (
+    COMMAND,
+    LOAD,
+    POSITION,
+    PRESSURE,
+    PRESSURE_A,
+    PRESSURE_B,
+    SPOOL,
+    SUPPLY,
+    TEMPERATURE,
+    VELOCITY,
+)
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.samples import Mask
 
@@ -27,6 +38,8 @@ SPOOL_RATE = "spool_rate_m_s"
 SIGNALS: Mapping[Channel, tuple[str, ...]] = {
     "spool": (COMMAND, SPOOL_RATE, PRESSURE),
     "volume": (SPOOL, PRESSURE, PRESSURE_RATE, POSITION, SUPPLY),
+    "volume_a": (SPOOL, PRESSURE_A, PRESSURE_RATE, POSITION, SUPPLY),
+    "volume_b": (SPOOL, PRESSURE_B, PRESSURE_RATE, POSITION, SUPPLY),
     "supply": (SPOOL, PRESSURE),
     "force": (VELOCITY, DIRECTION, POSITION, ACCELERATION, LOAD),
     "cell": (PRESSURE, PRESSURE_RATE, VELOCITY, POSITION),
@@ -39,7 +52,8 @@ quantity may also respond to different other signals.
 """
 
 FACTORS: Mapping[Channel, str] = {
-    "spool": COMMAND, "volume": SPOOL, "supply": SPOOL, "force": DIRECTION, "cell": PRESSURE, "velocity": VELOCITY,
+    "spool": COMMAND, "volume": SPOOL, "volume_a": SPOOL, "volume_b": SPOOL, "supply": SPOOL, "force": DIRECTION,
+    "cell": PRESSURE, "velocity": VELOCITY,
 }  # fmt: skip
 """Input of each channel's balance. Errors of its gain are proportional to it, as those of friction are to the direction."""
 

@@ -21,7 +21,7 @@ from ehls_ros.physics.simulator import OIL_TEMPERATURE
 EXPECTED: Mapping[str, Callable[[Comparison, EffectiveRig], Array]] = {
     SPOOL: lambda along, rig: along.simulated_spool(rig),
     PRESSURE: lambda along, rig: along.pressure(rig),
-    SUPPLY: lambda along, rig: along.flow_terms(rig)[:, 3],
+    SUPPLY: lambda along, rig: along.supply_pressure(rig),
     FORCE: lambda along, rig: rig.plant.piston_area * along.pressure(rig),
     VELOCITY: lambda along, rig: along.motion(rig).velocity,
 }

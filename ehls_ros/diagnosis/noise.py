@@ -11,7 +11,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.record import COMMAND, HELD, LOAD, SERVO_POSITION, SERVO_VELOCITY, Record
-from ehls_ros.diagnosis.stages import Channel, Comparison
+from ehls_ros.diagnosis.stages import VOLUMES, Channel, Comparison
 from ehls_ros.diagnosis.windows import OVERLAP
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import noise_of
@@ -153,14 +153,14 @@ def largest_terms(comparison: Comparison, rig: Rig) -> dict[Channel, float]:
     """Return the rms of the largest term in each channel's balance, in the channel's unit."""
     plant, record = rig.effective().plant, comparison.record
     sizes = {name: rms(values) for name, values in record.signals.items()}
-    flow = rms(comparison.flow_terms(rig.effective())[:, 0]) if "volume" in comparison.setup.channels else 0.0
+    flows = {c: rms(comparison.flow(rig, c)) for c in VOLUMES if c in comparison.setup.channels}
     moving = not {"force", "velocity"}.isdisjoint(comparison.setup.channels)
     speed = rms(comparison.motion(rig.effective()).velocity) if moving else 0.0
     # Beside a signal that is 0 throughout, the other one of the pair is the largest term.
     driving = plant.piston_area * sizes.get("load_pressure_pa", 0.0) or sizes.get("force_n", 0.0)
     return {
         "spool": sizes.get("spool_m", 0.0) or plant.valve_gain * sizes.get(COMMAND, 0.0),
-        "volume": max(flow, plant.piston_area * speed),
+        **{c: max(flows.get(c, 0.0), plant.piston_area * speed) for c in VOLUMES},
         "supply": sizes.get("supply_pressure_pa", 0.0),
         "force": max(driving, sizes.get("disturbance_force_n", 0.0)),
         "cell": driving,

@@ -14,11 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.free_run import balance_friction, follow, simulated_columns
-from ehls_ros.diagnosis.record import COMMAND, FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY, Record, prepare
+from ehls_ros.diagnosis.free_run import balance_friction, follow, set_pressures, simulated_columns
+from ehls_ros.diagnosis.record import (
+    COMMAND,
+    FORCE,
+    OF_CHAMBERS,
+    POSITION,
+    PRESSURE,
+    SPOOL,
+    SUPPLY,
+    TEMPERATURE,
+    VELOCITY,
+    Record,
+    prepare,
+)
 from ehls_ros.diagnosis.stages import Comparison, setup
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.plant import PL, XV, V, X, hold
+from ehls_ros.physics.plant import XV, V, X, hold
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, earlier_commands
 from ehls_ros.samples import Mask
@@ -178,6 +190,8 @@ def _runs(record: Record, rig: Rig, starts: NDArray[np.intp], ends: NDArray[np.i
     comparison, effective = Comparison(record, setup(record, rig)), rig.effective()
     spool = comparison.corrected(effective, "spool_position") if SPOOL in record else comparison.simulated_spool(effective)
     position, pressure = comparison.corrected(effective, "position"), comparison.pressure(effective)
+    both = comparison.chamber_pressures(effective) if all(signal in record for signal in OF_CHAMBERS) else None
+    supply = comparison.corrected(effective, "supply_pressure") if SUPPLY in record else None
     past, history, command = _past(record), earlier_commands(effective, record.period), record.values(COMMAND)
     latest = record.period * np.arange(1 - past, 1)
     # A parabola through the past samples removes noise and keeps the motion.
@@ -190,6 +204,8 @@ def _runs(record: Record, rig: Rig, starts: NDArray[np.intp], ends: NDArray[np.i
         simulator.y[X], simulator.y[V] = row[:2] @ position[before]
         if VELOCITY in record:
             simulator.y[V] = row[0] @ comparison.corrected(effective, "velocity")[before]
-        simulator.y[PL], simulator.y[XV] = row[0] @ pressure[before], spool[start]
+        chambers = None if both is None else (row[0] @ both[0][before], row[0] @ both[1][before])
+        set_pressures(simulator, row[0] @ pressure[before], chambers, None if supply is None else row[0] @ supply[before])
+        simulator.y[XV] = spool[start]
         balance_friction(simulator, record, start)
         yield follow(simulator, record, start, end + 1)[1:]

@@ -12,9 +12,9 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
-from ehls_ros.physics.rig import Rig, check_one_pressure
+from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise, noise_between_moves
-from ehls_ros.trajectory import Own, Trajectory
+from ehls_ros.trajectory import EQUAL_AREAS_ASSUMED, Own, Trajectory
 
 MAX_RECORDING = 150.0
 """Longest recording that is used completely; a longer one is sampled in stretches of this total [s]."""
@@ -42,12 +42,16 @@ RESOLUTION_MISFIT = 1e-3
 
 COMMAND, SPOOL, PRESSURE, SUPPLY = "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa"
 POSITION, VELOCITY, FORCE, LOAD = "position_m", "velocity_m_s", "force_n", "disturbance_force_n"
+PRESSURE_A, PRESSURE_B, TANK = "pressure_a_pa", "pressure_b_pa", "tank_pressure_pa"
 TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY = "oil_temperature_k", "disturbance_displacement_m", "disturbance_velocity_m_s"
 
 USED = (
     COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, VELOCITY, FORCE, LOAD, TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY,
 )  # fmt: skip
 """Signals used by the diagnosis."""
+
+OF_CHAMBERS = (PRESSURE_A, PRESSURE_B)
+"""Further ones of a cylinder with two chambers."""
 
 HELD = (COMMAND,)
 """Signals with zero-order hold between samples."""
@@ -132,7 +136,6 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     Raises:
         BadInput: time does not increase, too much of a signal is bad, or recording and rig contradict each other.
     """
-    check_one_pressure(rig, "a model along a recording", name)
     time = np.asarray(trajectory.time_s, dtype=np.float64)
     if len(time) < rules.MIN_SAMPLES:
         raise BadInput(f"there are {len(time)} samples", name, f"at least {rules.MIN_SAMPLES}")
@@ -142,7 +145,9 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     period = float(np.median(steps))
     preparation = trajectory.preparation
     preparation.check_area(rig.plant.piston_area, name)
-    remarks = [*preparation.remarks, *check_suits(trajectory, rig, name, fitted=True)]
+    chambers = rig.cylinder.law.CHAMBERS
+    assumed = (EQUAL_AREAS_ASSUMED,) if chambers else ()
+    remarks = [r for r in preparation.remarks if r not in assumed] + list(check_suits(trajectory, rig, name, fitted=True))
     chosen = _stretches(time, remarks)
     # Each sample belongs to the nearest grid point.
     apart = np.diff(time[chosen]) > max(PAUSE, PAUSE_STEPS * period)
@@ -156,7 +161,11 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     lost = 1.0 - len(chosen) / len(grid)
     if lost > rules.MENTIONED:
         remarks.append(f"{100 * lost:.2g} % of the samples are missing")
-    recorded = {s: np.asarray(trajectory[s], dtype=np.float64)[chosen] for s in USED if s in trajectory}
+    used = (*USED, *OF_CHAMBERS) if chambers else USED
+    recorded = {s: np.asarray(trajectory[s], dtype=np.float64)[chosen] for s in used if s in trajectory}
+    if chambers and SUPPLY in recorded and TANK in trajectory:
+        # On reading, the supply pressure was referred to the tank.
+        recorded[SUPPLY] = recorded[SUPPLY] + np.asarray(trajectory[TANK], dtype=np.float64)[chosen]
     empty = [s for s, values in recorded.items() if not np.any(np.isfinite(values))]
     remarks += [f"{s} has no finite sample and is left out" for s in empty]
     recorded = {s: values for s, values in recorded.items() if s not in empty}
@@ -164,7 +173,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     if COMMAND in recorded and SPOOL in recorded:
         trusted[COMMAND] |= _answered(recorded[COMMAND], np.where(trusted[SPOOL], recorded[SPOOL], np.nan), rig, period)
     for signal, values in recorded.items():
-        right, own = trusted[signal], preparation.interpolated.get(signal)
+        right, slower = trusted[signal], preparation.interpolated.get(signal)
         bad = 1.0 - float(np.mean(right))
         if bad > rules.MAX_BAD:
             what = f"{100 * bad:.0f} % of signal '{signal}' are missing or outliers"
@@ -172,7 +181,15 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         if bad > rules.MENTIONED:
             remarks.append(f"{100 * bad:.2g} % of {signal} are missing or outliers and were left out")
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
-        level[signal] = _noise(values[right], period) if own is None else spread_noise(own, period)
+        level[signal] = _noise(values[right], period) if slower is None else spread_noise(slower, period)
+    own = {signal: own.period for signal, own in preparation.interpolated.items() if signal in signals}
+    if chambers and set(OF_CHAMBERS) <= set(signals):
+        areas = {PRESSURE_A: rig.cylinder.parameters.area_a, PRESSURE_B: -rig.cylinder.parameters.area_b}
+        weights = {signal: area / rig.plant.piston_area for signal, area in areas.items()}
+        signals[PRESSURE] = sum((by * signals[signal] for signal, by in weights.items()), start=np.zeros(len(grid)))
+        good[PRESSURE] = good[PRESSURE_A] & good[PRESSURE_B]
+        level[PRESSURE] = math.hypot(*(by * level[signal] for signal, by in weights.items()))
+        own |= {PRESSURE: max(own[signal] for signal in weights if signal in own)} if set(weights) & set(own) else {}
     within = np.diff(time[chosen])[~apart]
     if period > 0.0 and float(np.max(np.abs(within - period))) > rules.UNEVEN * period and lost <= rules.MENTIONED:
         remarks.append("the sampling is uneven; values are taken at even times by straight lines")
@@ -186,9 +203,9 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         fresh,
         duration=float(time[-1] - time[0]),
         remarks=tuple(remarks),
-        own={signal: own.period for signal, own in preparation.interpolated.items() if signal in signals},
+        own=own,
         measured=preparation.measured,
-        not_judged=preparation.not_judged,
+        not_judged={} if chambers else preparation.not_judged,
     )
 
 

@@ -9,6 +9,7 @@ from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.reading import Reading, Shape
 from ehls_ros.diagnosis.stages import KINDS, REQUIRED, Channel, Stage
 from ehls_ros.estimate import Estimate
+from ehls_ros.physics.effects.base import Side
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import SIGNALS
 
@@ -81,6 +82,7 @@ class Cause(NamedTuple):
         share: fraction of the removable error there that returns without it. Shares add up to less than all causes together
             close if causes can replace each other, and to more if they depend on each other.
         deciding: unrecorded signals that would distinguish it from some of the equivalent effects.
+        side: chamber on which it acts; None if it has no side.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Cause(NamedTuple):
     channel: Channel
     share: float | None = None
     deciding: tuple[str, ...] = ()
+    side: Side | None = None
 
 
 class ChannelGain(NamedTuple):

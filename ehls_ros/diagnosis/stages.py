@@ -4,12 +4,14 @@ Each stage takes its inputs from the recording and its output is compared with t
 does not spread to the others:
 
 * ``valve``: the spool (4) simulated from the recorded command against the recorded spool;
-* ``flow``: the volume balance (1), (2) from recorded spool, pressure and position; and the supply pressure;
+* ``flow``: the volume balance (1), (2) from recorded spool, pressure and position, or that of each chamber; and the supply
+  pressure;
 * ``force_balance``: the balance (3) with the friction model run along the recorded motion;
 * ``sensors``: two sensors of one quantity: load cell against load pressure, velocity against position.
 
-A missing spool signal is replaced by the simulated spool, a missing load pressure by that of the load cell. The friction and
-the hooks of effects need velocity, which is taken from a local fit of the position.
+A missing spool signal is replaced by the simulated spool, a missing load pressure by that of the load cell. Of the pressures
+of two chambers and the driving force, two give the third. The friction and the hooks of effects need velocity, which is taken
+from a local fit of the position.
 """
 
 import math
@@ -27,6 +29,8 @@ from ehls_ros.diagnosis.record import (
     LOAD,
     POSITION,
     PRESSURE,
+    PRESSURE_A,
+    PRESSURE_B,
     SERVO_POSITION,
     SERVO_VELOCITY,
     SPOOL,
@@ -41,6 +45,7 @@ from ehls_ros.duals import linear, value_of, values_of
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.imposed_motion import PARTS, run_part
 from ehls_ros.physics.imposed_motion.base import ModelRun, Motion
+from ehls_ros.physics.imposed_motion.chambers import Chambers
 from ehls_ros.physics.imposed_motion.friction import FrictionInputs
 from ehls_ros.physics.imposed_motion.load import Piston
 from ehls_ros.physics.parameters import Sensor
@@ -90,7 +95,7 @@ KEPT_RUNS = 3
 Stage = Literal["force_balance", "flow", "valve", "sensors"]
 STAGES: tuple[Stage, ...] = ("force_balance", "flow", "valve", "sensors")
 
-Channel = Literal["spool", "volume", "supply", "force", "cell", "velocity"]
+Channel = Literal["spool", "volume", "volume_a", "volume_b", "supply", "force", "cell", "velocity"]
 
 
 class ChannelKind(NamedTuple):
@@ -114,12 +119,17 @@ class ChannelKind(NamedTuple):
 KINDS: Mapping[Channel, ChannelKind] = {
     "spool": ChannelKind("valve", "m", (SPOOL, COMMAND), "spool_position", averaged=True),
     "volume": ChannelKind("flow", "m³/s", (POSITION, VELOCITY, SPOOL, PRESSURE, FORCE)),
+    "volume_a": ChannelKind("flow", "m³/s", (POSITION, VELOCITY, SPOOL, PRESSURE_A, PRESSURE_B, PRESSURE, FORCE)),
+    "volume_b": ChannelKind("flow", "m³/s", (POSITION, VELOCITY, SPOOL, PRESSURE_B, PRESSURE_A, PRESSURE, FORCE)),
     "supply": ChannelKind("flow", "Pa", (SUPPLY,), "supply_pressure", averaged=True),
     "force": ChannelKind("force_balance", "N", (POSITION, VELOCITY, PRESSURE, FORCE, LOAD)),
     "cell": ChannelKind("sensors", "N", (PRESSURE, FORCE), "force", averaged=True),
     "velocity": ChannelKind("sensors", "m/s", (POSITION, VELOCITY), "velocity"),
 }
 """Residual channels."""
+
+VOLUMES: tuple[Channel, ...] = ("volume", "volume_a", "volume_b")
+"""Volume balances: of the load flow, or of both chambers."""
 
 CHANNELS: Mapping[Channel, Stage] = {channel: kind.stage for channel, kind in KINDS.items()}
 """Stage of each channel."""
@@ -149,6 +159,8 @@ SENSED = {
     "force": FORCE,
     "supply_pressure": SUPPLY,
     "oil_temperature": TEMPERATURE,
+    "pressure_a": PRESSURE_A,
+    "pressure_b": PRESSURE_B,
 }
 """Recorded signals, by the sensors' names in the rig file."""
 
@@ -207,8 +219,8 @@ class Comparison:
         effective = rig.effective()
         wanted = self.setup.channels if channels is None else channels
         residual: dict[Channel, Callable[[EffectiveRig], Any]] = {
-            "spool": self._spool, "volume": self._volume, "supply": self._supply,
-            "force": self._force, "cell": self._cell, "velocity": self._velocity,
+            "spool": self._spool, "volume": self._volume, "volume_a": self._volume_a, "volume_b": self._volume_b,
+            "supply": self._supply, "force": self._force, "cell": self._cell, "velocity": self._velocity,
         }  # fmt: skip
         # A diverging model has no finite residual, and its fit is rejected.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -224,9 +236,17 @@ class Comparison:
         effective, window = rig.effective(), self.setup.window_of(channel)
         if channel == "volume":
             return self._taken_up(effective)
+        if channel in VOLUMES:
+            return self._taken_up_by(effective, channel)
         if channel == "force":
             return window.mean(effective.plant.piston_area * self.pressure(effective))
         return window.mean(self.corrected(effective, KINDS[channel].sensor))
+
+    def _supply_used(self, rig: EffectiveRig) -> tuple[Any, ...]:
+        """Return what the supply pressure at the valve depends on: its sensor, or the flow through all edges."""
+        if SUPPLY in self.record:
+            return (rig.sensors.get("supply_pressure"),)
+        return (_supply(rig), *(_of_side(rig, channel) for channel in VOLUMES[1:]))
 
     def relevant(self, rig: Rig) -> dict[Channel, Any]:
         """Return the dependencies of each channel's residual; equal dependencies imply equal residuals."""
@@ -236,9 +256,10 @@ class Comparison:
         spool = (plant.valve_bandwidth, plant.valve_gain, hooks["spool"])
         seen = spool if SPOOL not in self.record else None
         x, v = (sensors.get("position"), hooks["readings"]), sensors.get("velocity")
-        p, cell = (sensors.get("load_pressure"), hooks["readings"]), (sensors.get("force"), hooks["readings"])
-        if PRESSURE not in self.record:
-            p = cell
+        cell = (sensors.get("force"), hooks["readings"])
+        load = (sensors.get("load_pressure"), hooks["readings"]) if PRESSURE in self.record else cell
+        p = (load, sensors.get("pressure_a"), sensors.get("pressure_b"), _areas(whole))
+        sides = {channel: _of_side(whole, channel) for channel in VOLUMES[1:]}
         valve = (plant.supply_pressure, plant.oil_density, plant.discharge_coefficient, plant.valve_area_gradient)
         flow = (*valve, plant.bulk_modulus, plant.total_volume, plant.piston_area, plant.leakage_coefficient)
         spool_sensor = sensors.get("spool_position")
@@ -246,7 +267,17 @@ class Comparison:
         return {
             "spool": (spool, spool_sensor, moved if hooks["spool"] else None),
             "volume": (flow, hooks["flow"], seen, moved),
-            "supply": (valve, hooks["flow"], seen, moved, sensors.get("supply_pressure")),
+            **{c: (flow, hooks["chambers"], seen, moved, used, self._supply_used(whole)) for c, used in sides.items()},
+            "supply": (
+                valve,
+                hooks["flow"],
+                hooks["chambers"],
+                seen,
+                moved,
+                sensors.get("supply_pressure"),
+                sides,
+                _supply(whole),
+            ),
             "force": (_beam(whole), whole.friction_model, whole.friction, hooks["friction"], hooks["force"], moved),
             "cell": (plant.piston_area, p, cell),
             "velocity": (x, v),
@@ -266,10 +297,31 @@ class Comparison:
         """Return the flow taken up by the piston's motion and the oil's compression, one value a window [m^3/s]."""
         plant, motion = rig.plant, self.motion(rig)
         yielding = plant.total_volume / (4.0 * self.flow_terms(rig)[:, 2])
-        squeezed = 0.5 * (yielding[1:] + yielding[:-1]) * linear(np.diff, self.pressure(rig))
+        return plant.piston_area * self._swept(rig, motion) + self._compressed(yielding, self.pressure(rig))
+
+    def _compressed(self, yielding: Any, pressure: Any) -> Any:
+        """Return the flow that a compliance, one value a sample [m^3/Pa], takes up, one value a window [m^3/s]."""
+        squeezed = 0.5 * (yielding[1:] + yielding[:-1]) * linear(np.diff, pressure)
         # A difference of neighbours would lack 2 % of the slope at 50 Hz and 1 kHz, and the window's derivative does not.
-        compressed = linear(lambda steps: np.concatenate([[0.0], np.cumsum(steps)]), squeezed)
-        return plant.piston_area * self._swept(rig, motion) + self.setup.window.rate(compressed)
+        return self.setup.window.rate(linear(lambda steps: np.concatenate([[0.0], np.cumsum(steps)]), squeezed))
+
+    def _volume_a(self, rig: EffectiveRig) -> Any:
+        terms = self.chamber_terms(rig)
+        return self._taken_up_by(rig, "volume_a") - self.setup.window.mean(terms[:, 0] - terms[:, 2])
+
+    def _volume_b(self, rig: EffectiveRig) -> Any:
+        terms = self.chamber_terms(rig)
+        return self._taken_up_by(rig, "volume_b") - self.setup.window.mean(terms[:, 1] - terms[:, 3])
+
+    def _taken_up_by(self, rig: EffectiveRig, channel: Channel) -> Any:
+        """Return the flow taken up by the piston's motion and the compression in a chamber, one value a window [m^3/s]."""
+        p, motion, index = rig.cylinder.parameters, self.motion(rig), VOLUMES.index(channel) - 1
+        area, at_zero, hose = (
+            (p.area_a, p.volume_a, p.hose_compliance_a),
+            (-p.area_b, p.volume_b, p.hose_compliance_b),
+        )[index]
+        yielding = (at_zero + area * motion.position) / self.chamber_terms(rig)[:, 4 + index] + hose
+        return area * self._swept(rig, motion) + self._compressed(yielding, self.chamber_pressures(rig)[index])
 
     def _swept(self, rig: EffectiveRig, motion: Motion) -> Any:
         if POSITION in self.record:
@@ -277,7 +329,11 @@ class Comparison:
         return self.setup.window.mean(motion.velocity)
 
     def _supply(self, rig: EffectiveRig) -> Any:
-        return self.setup.average.mean(self.corrected(rig, "supply_pressure") - self.flow_terms(rig)[:, 3])
+        return self.setup.average.mean(self.corrected(rig, "supply_pressure") - self.supply_pressure(rig))
+
+    def supply_pressure(self, rig: EffectiveRig) -> Any:
+        """Return the supply pressure of the model along the recording, shape (n,) [Pa]."""
+        return self.chamber_terms(rig)[:, 6] if rig.cylinder.law.CHAMBERS else self.flow_terms(rig)[:, 3]
 
     def _force(self, rig: EffectiveRig) -> Any:
         window, plant = self.setup.window, rig.plant
@@ -317,9 +373,7 @@ class Comparison:
         return self._keep("driving", (_beam(rig), self.relevant_parts(rig, "force")), compute)
 
     def _cell(self, rig: EffectiveRig) -> Any:
-        return self.setup.average.mean(
-            self.corrected(rig, "force") - rig.plant.piston_area * self.corrected(rig, "load_pressure")
-        )
+        return self.setup.average.mean(self.corrected(rig, "force") - rig.plant.piston_area * self.pressure(rig))
 
     def _velocity(self, rig: EffectiveRig) -> Any:
         window = self.setup.window
@@ -336,6 +390,27 @@ class Comparison:
         """Return load flow, leakage [m^3/s], bulk modulus and supply pressure [Pa], shape (n, 4)."""
         key = (self.relevant_parts(rig, "flow"), None if SPOOL in self.record else self.relevant_parts(rig, "spool"))
         return self._keep("flow", key, lambda: self._run("flow", rig, self.motion(rig)))
+
+    def chamber_terms(self, rig: EffectiveRig) -> Any:
+        """Return the terms of the chambers' balances, shape (n, 7); columns as in :mod:`ehls_ros.physics.imposed_motion`."""
+        seen = None if SPOOL in self.record else self.relevant_parts(rig, "spool")
+        key = (self.relevant_parts(rig, "chambers"), rig.plant, rig.cylinder, rig.valve, seen)
+        return self._keep("chambers", key, lambda: self._run_chambers(rig, self.motion(rig)))
+
+    def _run_chambers(self, rig: EffectiveRig, motion: Motion) -> Any:
+        a, b = (linear(np.ascontiguousarray, signal) for signal in self.chamber_pressures(rig))
+        supply = linear(np.ascontiguousarray, self.corrected(rig, "supply_pressure"))
+        inputs = Chambers(a, b, supply, SUPPLY in self.record, rig.cylinder.parameters, rig.valve.parameters)
+        return run_part("chambers", rig, self._along("chambers", rig, motion, self._memory_steps("chambers", rig)), inputs)
+
+    def flow(self, rig: Rig, channel: Channel) -> Any:
+        """Return the flow from the valve in a volume balance, shape (n,) [m^3/s]."""
+        effective = rig.effective()
+        return (
+            self.flow_terms(effective)[:, 0]
+            if channel == "volume"
+            else self.chamber_terms(effective)[:, VOLUMES.index(channel) - 1]
+        )
 
     def extra_force(self, rig: EffectiveRig) -> Any:
         """Return the additional force of effects not in (3), shape (n, 1) [N]."""
@@ -474,9 +549,21 @@ class Comparison:
 
     def pressure(self, rig: EffectiveRig) -> Any:
         """Return the load pressure, from the load cell if there is no pressure sensor, shape (n,) [Pa]."""
+        if PRESSURE_A in self.record and PRESSURE_B in self.record:
+            area_a, area_b = _areas(rig)
+            driving = area_a * self.corrected(rig, "pressure_a") - area_b * self.corrected(rig, "pressure_b")
+            return driving / rig.plant.piston_area
         if PRESSURE in self.record:
             return self.corrected(rig, "load_pressure")
         return self.corrected(rig, "force") / rig.plant.piston_area
+
+    def chamber_pressures(self, rig: EffectiveRig) -> tuple[Any, Any]:
+        """Return the pressures of both chambers, one of them from the driving force if it was not recorded [Pa]."""
+        area_a, area_b = _areas(rig)
+        a, b = (self.corrected(rig, name) if SENSED[name] in self.record else None for name in ("pressure_a", "pressure_b"))
+        if a is None:
+            a = (rig.plant.piston_area * self.pressure(rig) + area_b * b) / area_a
+        return a, (area_a * a - rig.plant.piston_area * self.pressure(rig)) / area_b if b is None else b
 
     def local_fit(self, values: Array, derivative: int) -> Array:
         """Return a signal or its derivative from a local cubic fit, shape (n,)."""
@@ -524,7 +611,8 @@ class Comparison:
 
     def _moves(self, rig: EffectiveRig) -> Any:
         """Return the dependencies of the recorded motion."""
-        return tuple((name, rig.sensors.get(name)) for name in SENSED), rig.plant.piston_area, _used("readings", rig)
+        areas = (rig.plant.piston_area, _areas(rig))
+        return tuple((name, rig.sensors.get(name)) for name in SENSED), areas, _used("readings", rig)
 
     def _make_motion(self, rig: EffectiveRig) -> Motion:
         record = self.record
@@ -601,25 +689,52 @@ def _used(part: str, rig: EffectiveRig) -> tuple[EffectUse, ...]:
     return tuple(use for use in rig.effects if use.name in names)
 
 
+def _areas(rig: EffectiveRig) -> tuple[Any, ...]:
+    """Return the areas of both chambers [m^2]; none if the cylinder has one pressure."""
+    p = rig.cylinder.parameters
+    return (p.area_a, p.area_b) if rig.cylinder.law.CHAMBERS else ()
+
+
+def _of_side(rig: EffectiveRig, channel: Channel) -> tuple[Any, ...]:
+    """Return the parameters of cylinder and valve that the balance of a chamber depends on, beside the supply."""
+    if not rig.cylinder.law.CHAMBERS:
+        return ()
+    others = ("_b", "_pb", "_bt") if channel == "volume_a" else ("_a", "_pa", "_at")
+    named = {**rig.cylinder.parameters._asdict(), **rig.valve.parameters._asdict()}
+    return tuple(value for key, value in named.items() if not key.endswith(others) and not key.startswith("supply_"))
+
+
+def _supply(rig: EffectiveRig) -> tuple[Any, ...]:
+    """Return the parameters of the supply of a cylinder with two chambers."""
+    p = rig.cylinder.parameters
+    return (p.supply_resistance, p.supply_time_constant) if rig.cylinder.law.CHAMBERS else ()
+
+
 def _beam(rig: EffectiveRig) -> tuple[float, ...]:
     """Return the coefficients of (3)."""
     plant = rig.plant
     return (plant.moving_mass, plant.piston_area, plant.viscous_damping, plant.spring_stiffness, plant.gravity)
 
 
-def formable(signals: Container[str], springless: bool) -> list[Channel]:
+def formable(signals: Container[str], springless: bool, chambers: bool = False) -> list[Channel]:
     """Return the residuals that can be formed from signals by their names.
 
     Args:
         signals: the names in the data contract.
         springless: whether the rig has no spring, so that velocity suffices in place of position.
+        chambers: whether its cylinder has two chambers.
     """
     moving = POSITION in signals or VELOCITY in signals
     pressure = PRESSURE in signals or FORCE in signals
-    flow = moving and pressure and (SPOOL in signals or COMMAND in signals)
+    opened = SPOOL in signals or COMMAND in signals
+    # Two of the chambers' pressures and the driving force; the volumes depend on the position.
+    both = (PRESSURE_A in signals) + (PRESSURE_B in signals) + pressure >= 2 and POSITION in signals
+    flow = both and opened if chambers else moving and pressure and opened
     there: Mapping[Channel, bool] = {
         "spool": SPOOL in signals and COMMAND in signals,
-        "volume": flow,
+        "volume": flow and not chambers,
+        "volume_a": flow and chambers,
+        "volume_b": flow and chambers,
         "supply": flow and SUPPLY in signals,
         # Without a position, the spring force is unknown.
         "force": pressure and (POSITION in signals or (moving and springless)),
@@ -640,11 +755,12 @@ def setup(record: Record, rig: Rig, longest_fit: float = rules.VELOCITY_FIT) -> 
     period = record.period
     # For signals slower than the time base, the windows hold the same number of original samples.
     balanced = record.sampled(*formed_of(record, "force")) / period
-    averaged = record.sampled(COMMAND, SPOOL, PRESSURE, FORCE, SUPPLY) / period
+    averaged = record.sampled(COMMAND, SPOOL, PRESSURE, FORCE, SUPPLY, PRESSURE_A, PRESSURE_B) / period
     samples = max(round(rules.MIN_WINDOW * balanced), round(rules.WINDOW / period))
     average = smooth_window(max(round(3 * averaged), round(rules.SPOOL_WINDOW / period)), period, hop=2)
     why_not = dict[Stage, str]()
-    channels = formable(record.signals, springless=rig.plant.spring_stiffness == 0.0)
+    chambers = rig.cylinder.law.CHAMBERS
+    channels = formable(record.signals, springless=rig.plant.spring_stiffness == 0.0, chambers=chambers)
     if "spool" in channels and not command_seen(record, rig):
         channels.remove("spool")
         why_not["valve"] = COMMAND_UNSEEN.format(rate=f"{1.0 / record.sampled(COMMAND, SPOOL):.3g}")

@@ -45,6 +45,9 @@ class Place(NamedTuple):
     plays: tuple[str, ...] = ()
 
 
+OPENING = Place(("spool", "position", "pressure", "time"), (("spool", "pressure"),), {}, ("spool",))
+"""Arguments of a term at the metering edges."""
+
 PLACES: Mapping[Channel, Mapping[str, Place]] = {
     "force": {
         "empirical_force": Place(
@@ -58,13 +61,15 @@ PLACES: Mapping[Channel, Mapping[str, Place]] = {
         ),
     },
     "volume": {
-        "empirical_opening": Place(("spool", "position", "pressure", "time"), (("spool", "pressure"),), {}, ("spool",)),
+        "empirical_opening": OPENING,
         "empirical_leakage": Place(
             ("pressure", "speed", "position", "time"),
             (("speed", "pressure"), ("position", "pressure")),
             {"pressure": (0.005, 0.05, 0.2, 1.0)},
         ),
     },
+    "volume_a": {"empirical_opening": OPENING},
+    "volume_b": {"empirical_opening": OPENING},
     "spool": {
         "empirical_spool": Place(
             ("spool", ERROR, "time"), (("spool", "pressure"), (DISPLACEMENT, ERROR), (DISPLACEMENT, "pressure"))

@@ -10,7 +10,8 @@ from ehls_ros.diagnosis.stages import Channel, Stage
 
 NEEDED_SIGNALS: Mapping[Stage, str] = {
     "valve": "valve_command_m and spool_m, several samples within the valve's lag",
-    "flow": "position_m (or velocity_m_s), load_pressure_pa (or force_n), and spool_m (or valve_command_m)",
+    "flow": "position_m (or velocity_m_s), load_pressure_pa (or force_n; of a cylinder with two chambers, two of pressure_a_pa,"
+    " pressure_b_pa and force_n), and spool_m (or valve_command_m)",
     "force_balance": "position_m (velocity_m_s for a rig without spring) and load_pressure_pa (or force_n)",
     "sensors": "two sensors of one quantity: load_pressure_pa and force_n, or position_m and velocity_m_s",
 }

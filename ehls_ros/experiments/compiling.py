@@ -19,8 +19,8 @@ from ehls_ros.experiments.loop import ClosedLoop, loop_kernel
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.parallel import Progress, Task, Workers
 from ehls_ros.physics.composition import is_compiled
-from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel
-from ehls_ros.physics.rig import EffectiveRig, Rig, check_one_pressure
+from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel, parts_along
+from ehls_ros.physics.rig import EffectiveRig, Rig
 from ehls_ros.physics.simulator import Simulator, parts_of, plant_kernel
 from ehls_ros.progress import announce, duration_text
 
@@ -50,7 +50,7 @@ class Job(NamedTuple):
 def diagnosis_jobs(rig: Rig) -> list[Job]:
     """Return the kernels of a rig's diagnosis, which begins with an identification, those that compile longest first."""
     effective = rig.effective()
-    return [*_parts(rig, duals=True), *(_part(name, effective, duals=False) for name in reversed(PARTS))]
+    return [*_parts(rig, duals=True), *(_part(name, effective, duals=False) for name in reversed(parts_along(effective)))]
 
 
 def identification_jobs(rig: Rig) -> list[Job]:
@@ -59,12 +59,10 @@ def identification_jobs(rig: Rig) -> list[Job]:
 
 
 def _parts(rig: Rig, *, duals: bool) -> list[Job]:
-    # Before minutes of compiling, not after.
-    check_one_pressure(rig, "a model along a recording", "rig")
     effective = rig.effective()
     without = {"load"} if effective.piston_mass() == 0.0 else set()
     without |= set() if any(use.name in PARTS["readings"].effects.names for use in rig.effects) else {"readings"}
-    return [_part(name, effective, duals=duals) for name in reversed(PARTS) if name not in without]
+    return [_part(name, effective, duals=duals) for name in reversed(parts_along(effective)) if name not in without]
 
 
 def _part(name: str, rig: EffectiveRig, *, duals: bool) -> Job:

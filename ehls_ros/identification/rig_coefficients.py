@@ -9,7 +9,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.duals import exp
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.parameters import Plant, Sensor
+from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import Declaration, declarations
 
@@ -18,6 +18,15 @@ PLANT = (
     "moving_mass", "spring_stiffness",
 )  # fmt: skip
 """Fitted coefficients of the plant."""
+
+EDGES = ("pa", "at", "pb", "bt")
+EDGE_GAINS = tuple(f"valve.gain_{edge}" for edge in EDGES)
+OVERLAPS = tuple(f"valve.overlap_{edge}" for edge in EDGES)
+ROUNDINGS = tuple(f"valve.rounding_{edge}" for edge in EDGES)
+HOSES = ("cylinder.hose_compliance_a", "cylinder.hose_compliance_b")
+LEAKAGES = ("cylinder.leakage_a", "cylinder.leakage_b")
+TANK = "cylinder.tank_pressure"
+SUPPLY = ("cylinder.supply_resistance", "cylinder.supply_time_constant")
 
 LOAD = "effects.constant_load.force"
 BIASES = ("effects.valve_null_bias.command", "effects.valve_null_bias.opening", LOAD)
@@ -31,6 +40,9 @@ DROOP = ("effects.supply_pressure_droop.resistance", "effects.supply_pressure_dr
 
 SHAPES = (HYSTERESIS[1], *SECOND_ORDER, DROOP[1])
 """Coefficients of an effect's shape, without a neutral value of their own."""
+
+OF_ONE_PRESSURE = ("plant.discharge_coefficient", BIASES[1], *DEAD_ZONE, *DROOP)
+"""Coefficients that two chambers do not have: the gains and overlaps of the edges, and the supply, take their place."""
 
 OPTIONAL = (*DEAD_ZONE, DELAY, *HYSTERESIS, *SECOND_ORDER, *DROOP)
 """Effects fitted only if a stage requires them, since the residuals are not smooth at their neutral values."""
@@ -58,6 +70,9 @@ SMALL_DROOP, TYPICAL_LAG = 0.1, 0.03
 
 LEAST = 1e-3
 """Least coordinate of a positive effect while it is fitted; at zero, the rig would not have it and no residual depend on it."""
+
+SMALL_HOSE = 0.3
+"""Compliance of a hose that counts as large, as a fraction of that of the oil in a chamber."""
 
 SMALL_GAIN = 0.1
 """Deviation of a sensor's gain that counts as large."""
@@ -115,8 +130,14 @@ def read(rig: Rig, path: str) -> float:
         return float(getattr(used.get(name, EFFECTS.load(name).Parameters()), rest[0]))
     if section == "sensors":
         return float(getattr(rig.sensors.get(name, Sensor()), rest[0]))
-    value = getattr(getattr(rig, section), name)
+    value = getattr(_section(rig, section), name)
     return float(sum(value)) if isinstance(value, tuple) else float(value)
+
+
+def _section(rig: Rig, section: str) -> Any:
+    """Return the parameters of a section of the rig file."""
+    found = getattr(rig, section)
+    return found.parameters if section in ("cylinder", "valve") else found
 
 
 def uses(rig: Rig, path: str) -> bool:
@@ -149,7 +170,7 @@ def placed(rig: Rig, values: Mapping[str, Any]) -> Rig:
         rig: the rig.
         values: by path; numbers or duals.
     """
-    sections: dict[str, dict[str, Any]] = {"plant": {}, "friction": {}}
+    sections: dict[str, dict[str, Any]] = {"plant": {}, "friction": {}, "cylinder": {}, "valve": {}}
     effects, sensors = dict[str, dict[str, Any]](), dict[str, dict[str, Any]]()
     for path, value in values.items():
         section, name, *rest = path.split(".")
@@ -161,6 +182,10 @@ def placed(rig: Rig, values: Mapping[str, Any]) -> Rig:
     if "element_stiffness" in friction:
         factor = friction["element_stiffness"] / read(rig, STIFFNESS)
         friction["element_stiffness"] = tuple(k * factor for k in rig.friction.element_stiffness)
+    if sections["cylinder"]:
+        rig = rig.with_cylinder(**sections["cylinder"])
+    if sections["valve"]:
+        rig = rig.with_valve(**sections["valve"])
     return rig._replace(
         plant=rig.plant._replace(**sections["plant"]),
         friction=rig.friction._replace(**friction),
@@ -186,6 +211,11 @@ def coefficients(rig: Rig, sizes: Sizes) -> tuple[Coefficient, ...]:
     paths = [f"plant.{name}" for name in PLANT if name != "spring_stiffness" or rig.plant.spring_stiffness > 0.0]
     paths += _friction_paths(rig)
     paths += [*BIASES, *OPTIONAL, *SENSORS]
+    if rig.cylinder.law.CHAMBERS:
+        # A sharp edge stays one: its rounding has no influence to begin with.
+        rounded = [path for path in ROUNDINGS if read(rig, path) > 0.0]
+        paths = [path for path in paths if path not in OF_ONE_PRESSURE]
+        paths += [*EDGE_GAINS, *OVERLAPS, *rounded, *HOSES, *LEAKAGES, TANK, *SUPPLY]
     found = [_coefficient(path, rig, sizes) for path in paths]
     return tuple(c._replace(given=min(max(c.coordinate(rig), c.low), c.high)) if uses(rig, c.path) else c for c in found)
 
@@ -201,8 +231,10 @@ def _friction_paths(rig: Rig) -> list[str]:
 
 def _declared(path: str, rig: Rig) -> Declaration:
     section, name, *rest = path.split(".")
-    kinds: dict[str, type] = {"plant": Plant, "friction": type(rig.friction), "sensors": Sensor}
-    kind = EFFECTS.load(name).Parameters if section == "effects" else kinds[section]
+    if section == "effects":
+        kind = EFFECTS.load(name).Parameters
+    else:
+        kind = Sensor if section == "sensors" else type(_section(rig, section))
     return next(d for d in declarations(kind) if d.name == (rest or [name])[0])
 
 
@@ -232,9 +264,17 @@ def _coefficient(path: str, rig: Rig, sizes: Sizes) -> Coefficient:
         "sensors.force.bias": sizes.force,
         "sensors.velocity.gain": SMALL_GAIN,
         "sensors.velocity.bias": sizes.velocity,
+        **dict.fromkeys(OVERLAPS, sizes.spool),
+        **dict.fromkeys(LEAKAGES, SMALL_LEAKAGE * plant.piston_area * limits.velocity / plant.supply_pressure),
+        **dict.fromkeys(HOSES, 0.25 * SMALL_HOSE * plant.total_volume / plant.bulk_modulus),
+        TANK: SMALL_DROOP * plant.supply_pressure,
+        SUPPLY[0]: SMALL_DROOP * plant.supply_pressure / (plant.piston_area * limits.velocity),
     }
     value = read(rig, path) or {SECOND_ORDER[0]: plant.valve_bandwidth, DROOP[1]: TYPICAL_LAG}.get(path, 0.0)
-    neutral = None if path.startswith(("plant.", "friction.")) or path in SHAPES else float(declared.default)
+    # Of cylinder and valve, the additional ones are none where the file gives none.
+    inherent = path.startswith(("plant.", "friction.")) or path in (*EDGE_GAINS, *ROUNDINGS, SUPPLY[1])
+    inherent |= path.startswith(("cylinder.", "valve.")) and value != 0.0
+    neutral = None if inherent or path in SHAPES else float(declared.default)
     if path in scales:
         scale = max(scales[path], abs(value) if neutral is None else 0.0)
         unit = {"sensors.force.bias": "N", "sensors.velocity.bias": "m/s"}.get(path, unit)

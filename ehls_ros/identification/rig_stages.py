@@ -6,17 +6,23 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis.record import COMMAND, FORCE, PRESSURE, SPOOL, SUPPLY, VELOCITY, Record
-from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.diagnosis.stages import VOLUMES, Channel
 from ehls_ros.identification.rig_coefficients import (
     COULOMB,
     DEAD_ZONE,
     DELAY,
     DROOP,
+    EDGE_GAINS,
+    HOSES,
     HYSTERESIS,
+    LEAKAGES,
     LOAD,
+    OVERLAPS,
+    ROUNDINGS,
     SECOND_ORDER,
     SENSORS,
     STIFFNESS,
+    TANK,
     TYPICAL_LAG,
     VISCOUS,
     Coefficient,
@@ -26,6 +32,7 @@ from ehls_ros.identification.rig_coefficients import (
     read,
     without,
 )
+from ehls_ros.identification.rig_coefficients import SUPPLY as OF_SUPPLY
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
 from ehls_ros.identification.rig_identifiability import OVERLAP, estimated
 from ehls_ros.physics.rig import Rig
@@ -46,6 +53,23 @@ FLOW = (
     "plant.bulk_modulus",
     "effects.valve_null_bias.opening",
 )
+IN_CHAMBERS = (
+    *EDGE_GAINS,
+    "plant.leakage_coefficient",
+    "plant.bulk_modulus",
+    *LEAKAGES,
+    SUPPLY_PRESSURE,
+    *OVERLAPS,
+    *HOSES,
+    TANK,
+    *ROUNDINGS,
+    *OF_SUPPLY,
+)
+"""Coefficients of the flow of two chambers, those that determine most of it first."""
+
+SIMPLEST = 6
+"""Number of them from which the others are fitted."""
+
 BEAM = ("plant.moving_mass", "plant.spring_stiffness", LOAD, VISCOUS)
 STRIBECK_VELOCITY = "friction.stribeck_velocity"
 
@@ -53,7 +77,7 @@ SHARP = (COULOMB, VISCOUS, STIFFNESS)
 """Coefficients of friction in which the loss has a single minimum."""
 
 OF_VALVE: tuple[Channel, ...] = ("spool",)
-OF_FLOW: tuple[Channel, ...] = ("volume", "supply")
+OF_FLOW: tuple[Channel, ...] = (*VOLUMES, "supply")
 OF_BALANCE: tuple[Channel, ...] = ("force",)
 """Residual channels of the stages."""
 
@@ -63,6 +87,7 @@ OF_SENSORS: tuple[Channel, ...] = ("cell", "velocity")
 NEEDED: Mapping[Channel, str] = {
     "spool": "the valve command and the spool, sampled fast enough for the valve",
     "volume": "load pressure or load cell, spool or command, and the motion",
+    "volume_a": "two of the chambers' pressures and the load cell, spool or command, and the position",
     "force": "load pressure or load cell, and the position in motion, with its turns resolved",
     "cell": "load pressure and load cell",
     "velocity": "position and velocity",
@@ -160,20 +185,23 @@ def without_signals(records: Sequence[Record], stack: Stack, known: Collection[s
         if channel not in stack.channels
         for path in paths
     }
-    if "volume" in stack.channels and not any(SPOOL in r for r in records):
+    if set(VOLUMES) & set(stack.channels) and not any(SPOOL in r for r in records):
         # The spool is simulated, so its dynamics are identified from the flow.
         for path in groups["spool"]:
             del out[path]
-        out[GAIN] = "without a recorded spool, only its product with plant.discharge_coefficient is known"
-        out[NULL] = "without a recorded spool, it acts like effects.valve_null_bias.opening"
+        chambers = "volume" not in stack.channels
+        gain, null = (EDGE_GAINS[0], OVERLAPS[0]) if chambers else FLOW[1::3]
+        out[GAIN] = f"without a recorded spool, only its product with {gain} is known"
+        out[NULL] = f"without a recorded spool, it acts like {null}"
     return out
 
 
 def by_channel(known: Collection[str]) -> dict[Channel, list[str]]:
     """Return the coefficients that the residuals of a stage or of two sensors depend on, by the first of their channels."""
+    balance: Channel = "volume_a" if EDGE_GAINS[0] in known else "volume"
     groups: Mapping[Channel, Sequence[str]] = {
         "spool": ALL_OF_VALVE,
-        "volume": (*FLOW, *DEAD_ZONE, *DROOP),
+        balance: tuple(dict.fromkeys((*FLOW, *DEAD_ZONE, *DROOP, *IN_CHAMBERS))),
         "force": (*BEAM, *(p for p in known if p.startswith("friction.") and p not in BEAM)),
         "cell": SENSORS[:2],
         "velocity": SENSORS[2:],
@@ -200,8 +228,9 @@ def blocks(stack: Stack, known: Collection[str]) -> list[Block]:
     simulated, and valve and flow are one block.
     """
     paths = by_channel(known)
-    valve, flow = Block(paths["spool"], OF_VALVE), Block(paths["volume"], OF_FLOW)
-    if any("volume" in e.channels and SPOOL not in e.record for e in stack.evidences):
+    balances = [path for channel in VOLUMES for path in paths.get(channel, ())]
+    valve, flow = Block(paths["spool"], OF_VALVE), Block(balances, OF_FLOW)
+    if any(set(VOLUMES) & set(e.channels) and SPOOL not in e.record for e in stack.evidences):
         flow, valve = Block([*valve.paths, *flow.paths], (*OF_VALVE, *OF_FLOW)), Block((), ())
     return [block for block in (valve, flow, Block(paths["force"], OF_BALANCE)) if set(block.channels) & set(stack.channels)]
 
@@ -234,7 +263,7 @@ def stage_by_stage(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], reco
     """
     if "spool" in stack.channels:
         rig = _valve(stack.only(OF_VALVE), rig, free)
-    if "volume" in stack.channels:
+    if set(VOLUMES) & set(stack.channels):
         rig = _flow(stack.only((*OF_VALVE, *OF_FLOW)), rig, free, records)
     return _force(stack.only(OF_BALANCE), rig, free) if "force" in stack.channels else Start(rig, {})
 
@@ -307,14 +336,17 @@ def effective(chosen: Sequence[Coefficient]) -> list[Coefficient]:
 
 
 def _flow(stack: Stack, rig: Rig, free: Mapping[str, Coefficient], records: Sequence[Record]) -> Rig:
-    chosen = [free[path] for path in (*FLOW, *(() if "spool" in stack.channels else (BANDWIDTH,))) if path in free]
-    linear = [c for c in chosen if c.path not in (SUPPLY_PRESSURE, BANDWIDTH)]
+    chambers = "volume" not in stack.channels
+    paths = IN_CHAMBERS if chambers else FLOW
+    chosen = [free[path] for path in (*paths, *(() if "spool" in stack.channels else (BANDWIDTH,))) if path in free]
+    simple = chosen[:SIMPLEST] if chambers else chosen
+    linear = [c for c in simple if c.path not in (SUPPLY_PRESSURE, BANDWIDTH)]
     recorded = [float(np.median(r.signals[SUPPLY])) for r in records if SUPPLY in r]
     pressure = _large(records, PRESSURE) or _large(records, FORCE) / rig.plant.piston_area
     given = [max(rig.plant.supply_pressure * factor, ABOVE_LOAD * pressure) for factor in SUPPLY_FACTORS]
     starts = [placed(rig, {SUPPLY_PRESSURE: start}) for start in recorded[:1] or sorted(set(given))]
     if SUPPLY_PRESSURE in free:
-        rig = min((fit(stack, start, linear, OF_FLOW[:1], TRIED) for start in starts), key=lambda f: f.comparable).rig
+        rig = min((fit(stack, start, linear, VOLUMES, TRIED) for start in starts), key=lambda f: f.comparable).rig
     best = fit(stack, rig, chosen, OF_FLOW)
     if set(DROOP) <= set(free):
         drooping = [*chosen, *(free[path] for path in DROOP)]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.coefficients import KEPT
+from ehls_ros.diagnosis.coefficients import kept
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.record import FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, VELOCITY, Record, prepare
 from ehls_ros.diagnosis.stages import Channel, Setup, setup
@@ -57,7 +57,7 @@ from ehls_ros.identification.rig_stages import (
     without_signals,
 )
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.rig import Rig, check_known, check_one_pressure
+from ehls_ros.physics.rig import Rig, check_known
 from ehls_ros.trajectory import Trajectory
 
 CONTRADICTS = 20.0
@@ -98,7 +98,7 @@ def identify_rig(
     Args:
         recordings: by a name for messages, each with any of the data contract's signals.
         rig: the first guess, which may be off by a factor of two. Coefficients known only in combination with others, such as
-            piston area and volume, are taken from it (:data:`ehls_ros.diagnosis.coefficients.KEPT`), and so are the
+            piston area and volume, are taken from it (:func:`ehls_ros.diagnosis.coefficients.kept`), and so are the
             friction model and the weights of its elements.
         seed: of the noise added to estimate the noise floor.
         progress: called with the name of the step that begins, the steps done and the number of steps.
@@ -110,7 +110,6 @@ def identify_rig(
         BadInput: there is no recording, or none that can be one of such a rig.
     """
     began = clock.perf_counter()
-    check_one_pressure(rig, "an identification of the whole rig", "rig")
     progress("reading the recordings", 0, STEPS)
     records, remarks = _records(recordings, rig)
     names = tuple(record.name for record in records)
@@ -120,7 +119,7 @@ def identify_rig(
             found = _identified(records, rig, seed, progress)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         what = f"the numbers do not work out ({error}): nothing is identified"
-        found = RigIdentification(rig, {}, np.empty((0, 0)), np.empty((0, 0)), {}, {**KEPT}, {}, names, (what,), 0.0)
+        found = RigIdentification(rig, {}, np.empty((0, 0)), np.empty((0, 0)), {}, kept(rig), {}, names, (what,), 0.0)
     progress(DONE, STEPS, STEPS)
     return found._replace(recordings=names, remarks=(*remarks, *found.remarks), wall_s=clock.perf_counter() - began)
 
@@ -192,7 +191,11 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
         covariance=covariance,
         correlations=np.clip(covariance / np.outer(std, std), -1.0, 1.0),
         absent={path: estimate for part in parts for path, estimate in part.absent.items()},
-        not_identifiable={**missing, **{path: why for part in parts for path, why in part.not_identifiable.items()}, **KEPT},
+        not_identifiable={
+            **missing,
+            **{path: why for part in parts for path, why in part.not_identifiable.items()},
+            **kept(rig),
+        },
         channels=_channels(stack, rig, model),
         recordings=(),
         remarks=() if all(part.converged for part in parts) else ("the fit had not converged after its last step",),

@@ -33,7 +33,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.duals import joined
 from ehls_ros.inlining import IS_PLAIN, faster_compilation, skip_scipy_check
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import CHAMBER_HOOKS, HOOKS
+from ehls_ros.physics.effects.base import CHAMBER_HOOKS, HOOKS, LOAD_PRESSURE_HOOKS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.kernel_cache import PREFIX, is_sealed, make_private, sealed, store_source
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig
@@ -202,8 +202,10 @@ def effects_of(rig: Rig | EffectiveRig) -> Effects:
 
 
 def effects_in_kernel(rig: Rig | EffectiveRig) -> tuple[EffectUse, ...]:
-    """Return a rig's effects that have hooks; the others only shift parameters."""
-    return tuple(use for use in rig.effects if any(hasattr(EFFECTS.load(use.name), hook) for hook in (*HOOKS, *CHAMBER_HOOKS)))
+    """Return a rig's effects that have hooks on its cylinder; the others only shift parameters."""
+    lacking = LOAD_PRESSURE_HOOKS if rig.cylinder.law.CHAMBERS else CHAMBER_HOOKS
+    hooks = [hook for hook in (*HOOKS, *CHAMBER_HOOKS) if hook not in lacking]
+    return tuple(use for use in rig.effects if any(hasattr(EFFECTS.load(use.name), hook) for hook in hooks))
 
 
 def rig_elements(rig: Rig | EffectiveRig) -> int:

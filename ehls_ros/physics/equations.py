@@ -5,6 +5,22 @@ import math
 from ehls_ros.arrays import kernel
 from ehls_ros.physics.parameters import Plant
 
+ATMOSPHERE = 101325.0
+"""Atmospheric pressure p0, at which gauges read zero [Pa]."""
+
+POLYTROPIC = 1.4
+"""Polytropic exponent n of air compressed too fast for heat exchange."""
+
+
+@kernel
+def air_compliance(gauge: float) -> float:
+    """Return the compliance per volume fraction of undissolved air at a gauge pressure, (p0/p)^(1/n)/(n p) [1/Pa].
+
+    Merritt, Hydraulic Control Systems, 1967, ch. 2; the fraction is that at atmospheric pressure.
+    """
+    pressure = ATMOSPHERE + gauge
+    return (ATMOSPHERE / pressure) ** (1.0 / POLYTROPIC) / (POLYTROPIC * pressure)
+
 
 @kernel
 def load_flow(opening: float, direction: float, load_pressure: float, supply_pressure: float, plant: Plant) -> float:

@@ -130,7 +130,7 @@ class Chains(NamedTuple):
         jump: ``jump(t, w, p)``, the time of the next jump of ``received`` after t [s]; None if no effect delays the command.
         joint_force: ``force`` of only those effects that can separate the load from the piston.
         coupling_force: ``force`` of only those effects that couple the loader to the position servo.
-        chamber_modulus, piston_leakage: the hooks on a chamber, which have a pressure as their second argument.
+        piston_leakage: the hook on the chambers, which has a pressure as its second argument.
         rates: ``rates(command, t, y, w, z, p, plant, dz)`` writes the rates of the effects' states.
     """
 
@@ -150,7 +150,6 @@ class Chains(NamedTuple):
     force_reading: Callable[..., float]
     joint_force: Callable[..., float]
     coupling_force: Callable[..., float]
-    chamber_modulus: Callable[..., float]
     piston_leakage: Callable[..., float]
     rates: Callable[..., None]
 

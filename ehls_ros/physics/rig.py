@@ -10,7 +10,7 @@ from ehls_ros.errors import BadInput, one_of
 from ehls_ros.families import Family
 from ehls_ros.physics.cylinder import CYLINDERS
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import acts_on_chambers
+from ehls_ros.physics.effects.base import acts_on_chambers, acts_on_one_pressure
 from ehls_ros.physics.equations import piston_mass
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.friction.base import FrictionModel
@@ -127,6 +127,10 @@ class Rig(NamedTuple):
     def with_cylinder(self, **values: Any) -> "Rig":
         """Return the rig with other parameters of its cylinder."""
         return self._replace(cylinder=self.cylinder._replace(parameters=self.cylinder.parameters._replace(**values)))
+
+    def with_valve(self, **values: Any) -> "Rig":
+        """Return the rig with other parameters of its valve."""
+        return self._replace(valve=self.valve._replace(parameters=self.valve.parameters._replace(**values)))
 
     def quiet(self) -> "Rig":
         """Return the rig with sensors free of noise and quantisation."""
@@ -370,18 +374,23 @@ def check_effects(rig: Rig, where: str) -> None:
 
     Raises:
         BadInput: the model has none of the coefficients that an effect shifts, the shifted values contradict each other, or
-            an effect acts on the load pressure of a cylinder that has chambers.
+            an effect acts on a pressure that the cylinder does not have.
     """
-    if rig.cylinder.law.CHAMBERS:
-        for use in rig.effects:
-            if not acts_on_chambers(EFFECTS.load(use.name)):
-                what = f"effect {use.name!r} acts on a load pressure, which cylinder {rig.cylinder.model} does not have"
-                raise BadInput(what, where, "effects on the oil that act on a chamber, or cylinder: {model: double_rod}")
-            neutral = EFFECTS.load(use.name).Parameters()
-            for key in getattr(EFFECTS.load(use.name), "NOT_IN_CHAMBERS", ()):
-                if (value := getattr(use.parameters, key)) != getattr(neutral, key):
-                    what = f"{key} of effect {use.name!r} is {value:g}, which no chamber of cylinder {rig.cylinder.model} has"
-                    raise BadInput(what, where, f"{key}: {getattr(neutral, key):g}, or cylinder: {{model: double_rod}}")
+    chambers = rig.cylinder.law.CHAMBERS
+    other = f"cylinder: {{model: {'double_rod' if chambers else 'two_chamber'}}}"
+    for use in rig.effects:
+        effect = EFFECTS.load(use.name)
+        if chambers and not acts_on_chambers(effect):
+            what = f"effect {use.name!r} acts on a load pressure, which cylinder {rig.cylinder.model} does not have"
+            raise BadInput(what, where, f"effects on the oil that act on a chamber, or {other}")
+        if not chambers and not acts_on_one_pressure(effect):
+            what = f"effect {use.name!r} acts on a chamber, and cylinder {rig.cylinder.model} has one pressure for both"
+            raise BadInput(what, where, f"effects on the load pressure, or {other}")
+        neutral = effect.Parameters()
+        for key in getattr(effect, "NOT_IN_CHAMBERS" if chambers else "ONLY_IN_CHAMBERS", ()):
+            if (value := getattr(use.parameters, key)) != getattr(neutral, key):
+                what = f"{key} of effect {use.name!r} is {value:g}, which has no meaning in cylinder {rig.cylinder.model}"
+                raise BadInput(what, where, f"{key}: {getattr(neutral, key):g}, or {other}")
     for use in rig.effects:
         shifted = getattr(EFFECTS.load(use.name), "SHIFTS", ())
         if shifted and not set(shifted) & set(rig.friction._fields):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ehls_ros.errors import BadInput
 from ehls_ros.recording.columns import FITTED, ColumnMap, Cylinder
 from ehls_ros.samples import filled
-from ehls_ros.trajectory import READABLE, Own, Preparation, Trajectory
+from ehls_ros.trajectory import EQUAL_AREAS_ASSUMED, READABLE, Own, Preparation, Trajectory
 
 Signal = NDArray[np.float64]
 
@@ -147,9 +147,7 @@ def _chambers(state: _State, given: ColumnMap, where: str) -> _State:
     mean = areas.mean
     terms = {a: areas.area_a / mean, b: -areas.area_b / mean}
     if given.cylinder is None:
-        return _added(
-            state, "load_pressure_pa", terms, where, "both chambers are taken to have equal areas (no cylinder: in the map)"
-        )
+        return _added(state, "load_pressure_pa", terms, where, EQUAL_AREAS_ASSUMED)
     remark = (
         f"load_pressure_pa is the force of both chambers over their mean area of {mean:.6g} m²,"
         " which has to be piston_area in the rig file"

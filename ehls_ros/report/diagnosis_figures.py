@@ -9,7 +9,7 @@ import scipy
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.free_run import FreeRun
 from ehls_ros.diagnosis.result import ChannelTrace, Diagnosis
-from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.diagnosis.stages import VOLUMES, Channel
 from ehls_ros.report import plot
 from ehls_ros.report.diagnosis_findings import (
     CHANNEL_WORDS,
@@ -63,7 +63,7 @@ SMALL_PLOT_SIGNALS: tuple[tuple[str, ...], ...] = (
 )
 """Signals of the small plots; the first recorded one of each group is drawn."""
 
-LAST_SIGNAL: Mapping[str, str] = {"volume": "load_pressure_rate_pa_s", "supply": "load_pressure_rate_pa_s"}
+LAST_SIGNAL: Mapping[str, str] = dict.fromkeys((*VOLUMES, "supply"), "load_pressure_rate_pa_s")
 """Last signal of a channel's small plots; the acceleration for all others."""
 
 

@@ -85,6 +85,8 @@ class ChannelWords(NamedTuple):
 CHANNEL_WORDS: Mapping[Channel, ChannelWords] = {
     "spool": ChannelWords("spool", "spool, recorded minus simulated from the command", "spool"),
     "volume": ChannelWords("flow balance", "flow balance", "flow taken up"),
+    "volume_a": ChannelWords("balance of chamber A", "flow balance of chamber A", "flow taken up by chamber A"),
+    "volume_b": ChannelWords("balance of chamber B", "flow balance of chamber B", "flow taken up by chamber B"),
     "supply": ChannelWords("supply pressure", "supply pressure, recorded minus modelled", "supply pressure"),
     "force": ChannelWords("force balance", "force balance", "driving force"),
     "cell": ChannelWords("load cell", "load cell minus piston area times load pressure", "force"),
@@ -93,7 +95,7 @@ CHANNEL_WORDS: Mapping[Channel, ChannelWords] = {
 
 COMPARED: Mapping[Stage, str] = {
     "force_balance": "force balance (3), with friction simulated along the recorded motion",
-    "flow": "volume balance (1), (2) of recorded spool, pressure and motion; supply pressure",
+    "flow": "volume balance (1), (2), or those of both chambers, of recorded spool, pressure and motion; supply pressure",
     "valve": "spool (4) simulated from the recorded command, compared with the recorded spool",
     "sensors": "two sensors of the same quantity, compared with each other",
 }

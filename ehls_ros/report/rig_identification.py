@@ -21,6 +21,8 @@ UNEXPLAINED = 3.0
 RESIDUALS = {
     "spool": "spool",
     "volume": "volume balance",
+    "volume_a": "volume balance of chamber A",
+    "volume_b": "volume balance of chamber B",
     "supply": "supply pressure",
     "force": "force balance",
     "cell": "load cell against load pressure",

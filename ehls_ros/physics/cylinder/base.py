@@ -24,6 +24,8 @@ These functions are called from Python before a run:
   of the double rod with the same rate of the driving force at the readings ``m`` (NaN: unknown; those of the chambers may be
   left out) on the side of null of ``spool``, its supply pressure [Pa], and the constant force by which its driving force is
   smaller [N]; pressure drops are at least ``least`` of the supply pressure, and ``v`` are the parameters of the valve;
+* ``terms(valve, chains)``, only with ``CHAMBERS``, returns the compiled terms of the chambers' balances, see
+  :class:`ehls_ros.physics.cylinder.two_chamber.Terms`;
 * ``build(valve, chains, first)`` returns the compiled functions of the oil, see :class:`~ehls_ros.physics.plant.Oil`;
   ``first`` is the index of its first state in ``y``.
 """

@@ -15,6 +15,7 @@ from ehls_ros.arrays import Array, kernel, kernel_no_refcount
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import sensors
 from ehls_ros.physics.cylinder.base import OilRates
+from ehls_ros.physics.equations import ATMOSPHERE, air_compliance
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, Chains, Coefficients, Oil, V, X, relations
 from ehls_ros.physics.rig import CHAMBER_SENSED, EffectiveRig
@@ -23,7 +24,7 @@ from ehls_ros.schema import quantity
 EQUATION = (
     "(V_A/βe + H_A) ṗ_A = Q_A - A_A ẋ - Ctc (p_A - p_B) - C_A (p_A - p_T);  "
     "(V_B/βe + H_B) ṗ_B = Q_B + A_B ẋ + Ctc (p_A - p_B) - C_B (p_B - p_T);  "
-    "V_A = volume_a + A_A x,  V_B = volume_b - A_B x;  F = A_A p_A - A_B p_B"
+    "V_A = volume_a + A_A x,  V_B = volume_b - A_B x;  1/βe of each with the compliance of its air;  F = A_A p_A - A_B p_B"
 )
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 6; Jelali, Kroll, Hydraulic Servo-systems, 2003, ch. 4"
 STATES, MODES = 3, 2
@@ -33,9 +34,6 @@ CHAMBERS = True
 
 LEAST_VOLUME = 1e-2
 """Smallest volume of a chamber, as a fraction of that at position 0: beyond its end, a piston compresses no less."""
-
-ATMOSPHERE = 101325.0
-"""Atmospheric pressure, at which gauges read zero [Pa]."""
 
 
 class Parameters(NamedTuple):
@@ -49,6 +47,10 @@ class Parameters(NamedTuple):
     hose_compliance_b: Annotated[float, quantity("m^3/Pa", "widening of the hose to B", minimum=0.0, maximum=1e-8)] = 0.0
     leakage_a: Annotated[float, quantity("m^5/(N s)", "leakage from A to the tank", minimum=0.0, maximum=1e-8)] = 0.0
     leakage_b: Annotated[float, quantity("m^5/(N s)", "leakage from B to the tank", minimum=0.0, maximum=1e-8)] = 0.0
+    air_a: Annotated[
+        float, quantity("1", "volume fraction of undissolved air in A at atmospheric pressure", minimum=0.0, maximum=0.5)
+    ] = 0.0
+    air_b: Annotated[float, quantity("1", "the same in B", minimum=0.0, maximum=0.5)] = 0.0
     tank_pressure: Annotated[float, quantity("Pa", "pressure at the valve's port T", minimum=0.0, maximum=1e8)] = 0.0
     vapour_pressure: Annotated[
         float,
@@ -109,6 +111,57 @@ def volume(at_zero: float, area: float, x: float) -> float:
 
 
 volume_of = kernel(volume, python=volume)
+
+
+@kernel
+def modulus_with_air(oil: float, air: float, pressure: float) -> float:
+    """Return the bulk modulus in a chamber [Pa], from that of the oil, the fraction of air, and the pressure [Pa]."""
+    return oil / (1.0 + oil * air * air_compliance(pressure)) if air > 0.0 else oil
+
+
+class Terms(NamedTuple):
+    """Terms of both chambers' balances.
+
+    Attributes:
+        flow_a, flow_b: flow from the valve [m^3/s].
+        lost_a, lost_b: leakage out of the chamber [m^3/s].
+        modulus_a, modulus_b: bulk modulus in it [Pa].
+        supplied: flow from the supply [m^3/s].
+    """
+
+    flow_a: float
+    flow_b: float
+    lost_a: float
+    lost_b: float
+    modulus_a: float
+    modulus_b: float
+    supplied: float
+
+
+def terms(valve: Any, chains: Chains) -> Callable[..., Terms]:
+    """Build the terms of the chambers' balances with the flows of a valve.
+
+    Returns:
+        Compiled ``terms(opening, supply, a, b, t, y, z, c)`` at an effective opening [m] and pressures at P, A and B [Pa].
+    """
+    flows, piston_leakage = valve.chamber_flows, chains.piston_leakage
+
+    @kernel_no_refcount
+    def at(opening: float, supply: float, a: float, b: float, t: float, y: Array, z: Array, c: Coefficients) -> Terms:
+        p, plant = c.cylinder, c.plant
+        flow_a, flow_b, supplied = flows(opening, supply, a, b, p.tank_pressure, c.valve, plant)
+        past = piston_leakage(plant.leakage_coefficient * (a - b), a - b, t, y, c.inputs, z, c.effects, plant)
+        return Terms(
+            flow_a,
+            flow_b,
+            past + p.leakage_a * (a - p.tank_pressure),
+            p.leakage_b * (b - p.tank_pressure) - past,
+            modulus_with_air(plant.bulk_modulus, p.air_a, a),
+            modulus_with_air(plant.bulk_modulus, p.air_b, b),
+            supplied,
+        )
+
+    return at
 
 
 @kernel
@@ -194,8 +247,7 @@ def build(valve: Any, chains: Chains, first: int) -> Oil:
     A, B, P, CAVITY_A, CAVITY_B = first, first + 1, first + 2, valve.MODES, valve.MODES + 1
     effective_opening = relations(chains).effective_opening
     piston_position, piston_velocity = chains.piston_position, chains.piston_velocity
-    chamber_modulus, piston_leakage = chains.chamber_modulus, chains.piston_leakage
-    flows, valve_event, valve_switch = valve.chamber_flows, valve.event, valve.switch
+    terms_at, valve_event, valve_switch = terms(valve, chains), valve.event, valve.switch
 
     @kernel_no_refcount
     def cavities(y: Array, mode: Array, c: Coefficients) -> float:
@@ -213,17 +265,13 @@ def build(valve: Any, chains: Chains, first: int) -> Oil:
         opening = effective_opening(t, y, z, c)
         x = piston_position(y[X], t, y, w, z, c.effects, plant)
         v = piston_velocity(y[V], t, y, w, z, c.effects, plant)
-        flow_a, flow_b, supplied = flows(opening, y[P], a, b, p.tank_pressure, c.valve, plant)
-        past = piston_leakage(plant.leakage_coefficient * (a - b), a - b, t, y, w, z, c.effects, plant)
-        into_a = flow_a - p.area_a * v - past - p.leakage_a * (a - p.tank_pressure)
-        into_b = flow_b + p.area_b * v + past - p.leakage_b * (b - p.tank_pressure)
-        oil = plant.bulk_modulus
-        modulus_a = chamber_modulus(oil, a, t, y, w, z, c.effects, plant)
-        modulus_b = chamber_modulus(oil, b, t, y, w, z, c.effects, plant)
+        of = terms_at(opening, y[P], a, b, t, y, z, c)
+        into_a, into_b = of.flow_a - p.area_a * v - of.lost_a, of.flow_b + p.area_b * v - of.lost_b
+        oil, soft_a, soft_b = plant.bulk_modulus, p.hose_compliance_a, p.hose_compliance_b
         volume_a, volume_b = volume_of(p.volume_a, p.area_a, x), volume_of(p.volume_b, -p.area_b, x)
-        rate[A] = pressure_rate(into_a, mode[CAVITY_A], volume_a, p.volume_a, modulus_a, p.hose_compliance_a, oil)
-        rate[B] = pressure_rate(into_b, mode[CAVITY_B], volume_b, p.volume_b, modulus_b, p.hose_compliance_b, oil)
-        rate[P] = (plant.supply_pressure - p.supply_resistance * supplied - y[P]) / p.supply_time_constant
+        rate[A] = pressure_rate(into_a, mode[CAVITY_A], volume_a, p.volume_a, of.modulus_a, soft_a, oil)
+        rate[B] = pressure_rate(into_b, mode[CAVITY_B], volume_b, p.volume_b, of.modulus_b, soft_b, oil)
+        rate[P] = (plant.supply_pressure - p.supply_resistance * of.supplied - y[P]) / p.supply_time_constant
         return max(valve_event(opening, mode, c.valve), cavities(y, mode, c))
 
     @kernel_no_refcount

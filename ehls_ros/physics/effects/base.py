@@ -30,14 +30,15 @@ Where the pressures of both chambers are states, as in a single rod, the hooks `
 ``leakage`` are not called. An effect that has one of them acts on such a cylinder by ``shift_chambers(rig, parameters)``, which
 returns the rig with other parameters in addition to ``shift``, or by a hook on a chamber, or is refused:
 
-===================  ===========================================================================================
-hook                 value, and the argument after it
-===================  ===========================================================================================
-``chamber_modulus``  bulk modulus in a chamber [Pa]; its pressure [Pa]
-``piston_leakage``   leakage from chamber A to B past the piston [m^3/s]; the difference of their pressures [Pa]
-===================  ===========================================================================================
+==================  ===========================================================================================
+hook                value, and the argument after it
+==================  ===========================================================================================
+``piston_leakage``  leakage from chamber A to B past the piston [m^3/s]; the difference of their pressures [Pa]
+==================  ===========================================================================================
 
-``NOT_IN_CHAMBERS`` names those of its parameters that have no meaning there; they must be neutral.
+``NOT_IN_CHAMBERS`` names those of its parameters that have no meaning there, ``ONLY_IN_CHAMBERS`` those that have none in a
+cylinder with one pressure; they must be neutral. An effect with ``shift_chambers`` and neither ``shift`` nor hooks acts in
+chambers only. ``SIDES`` gives the side on which a parameter acts, ``a``, ``b`` or ``both``.
 
 Arguments: ``t`` time [s]; ``y`` the plant's state and ``w`` its inputs (indices in :mod:`ehls_ros.physics.plant`); ``z`` the
 effect's own states; ``p`` its ``Parameters``; ``plant`` the effective rig's :class:`~ehls_ros.physics.parameters.Plant`. A
@@ -99,11 +100,14 @@ HOOKS = (
 )
 """The points in the model where an effect can act."""
 
-CHAMBER_HOOKS = ("chamber_modulus", "piston_leakage")
+CHAMBER_HOOKS = ("piston_leakage",)
 """Those of a cylinder whose chambers' pressures are states; a pressure is their second argument."""
 
 LOAD_PRESSURE_HOOKS = ("supply_pressure", "bulk_modulus", "leakage")
 """Those that such a cylinder does not have."""
+
+Side = Literal["a", "b", "both"]
+"""Chamber of a cylinder: A pushes towards +x, B towards -x."""
 
 Group = Literal["valve", "flow", "friction", "mechanics", "sensors", "environment"]
 """Part of the rig that an effect changes; a heading in lists of effects."""
@@ -194,3 +198,22 @@ def acts_on_chambers(effect: Any) -> bool:
     """Return whether an effect can act on a cylinder whose chambers' pressures are states."""
     own = any(hasattr(effect, hook) for hook in (*CHAMBER_HOOKS, "shift_chambers"))
     return own or not any(hasattr(effect, hook) for hook in LOAD_PRESSURE_HOOKS)
+
+
+def acts_on_one_pressure(effect: Any) -> bool:
+    """Return whether an effect can act on a cylinder with one pressure."""
+    return any(hasattr(effect, name) for name in (*HOOKS, "shift"))
+
+
+def side_of(effect: Any, parameters: Any) -> Side | None:
+    """Return the side on which an effect acts with some parameters; None for an effect that has none."""
+    neutral = type(parameters)()
+    sides = getattr(effect, "SIDES", {})
+    found = {
+        sides[name]
+        for name, value, none in zip(neutral._fields, parameters, neutral, strict=True)
+        if name in sides and value != none
+    }
+    if not found:
+        return None
+    return found.pop() if len(found) == 1 else "both"

@@ -8,6 +8,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects.base import Form, Group, Words
+from ehls_ros.physics.equations import air_compliance
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, chamber_pressures
 from ehls_ros.physics.rig import Rig
@@ -23,13 +24,8 @@ WORDS = Words(
     change="keep `entrained_air` under `effects` in the rig file only if bleeding does not remove it",
 )
 
-ATMOSPHERE = 101325.0
-"""Atmospheric pressure p0, at which gauges read zero [Pa]."""
-
 NOT_IN_CHAMBERS = ("load",)
-
-POLYTROPIC = 1.4
-"""Polytropic exponent n of compression too fast for heat exchange."""
+SIDES = {"chambers": "both", "first": "a", "second": "b"}
 
 
 class Parameters(NamedTuple):
@@ -37,31 +33,26 @@ class Parameters(NamedTuple):
 
     chambers: Annotated[float, quantity("1", "fraction of air in both chambers", minimum=0.0, maximum=0.2)] = 0.0
     load: Annotated[float, quantity("1", "fraction of air in a volume compressed by |pL|", minimum=0.0, maximum=0.2)] = 0.0
-
-
-@kernel
-def compliance(gauge: float) -> float:
-    """Return the compliance per volume fraction of air at a gauge pressure [1/Pa]."""
-    pressure = ATMOSPHERE + gauge
-    return (ATMOSPHERE / pressure) ** (1.0 / POLYTROPIC) / (POLYTROPIC * pressure)
+    first: Annotated[float, quantity("1", "fraction in the chamber that drives +x, added", minimum=0.0, maximum=0.2)] = 0.0
+    second: Annotated[float, quantity("1", "fraction in the chamber that drives -x, added", minimum=0.0, maximum=0.2)] = 0.0
 
 
 @kernel
 def bulk_modulus(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add the compliance of the air to that of the oil."""
     first, second = chamber_pressures(y, plant)
-    air = p.chambers * 0.5 * (compliance(first) + compliance(second)) + p.load * compliance(abs(y[PL]))
-    return value / (1.0 + value * air)
+    of_first, of_second = air_compliance(first), air_compliance(second)
+    air = p.chambers * 0.5 * (of_first + of_second) + p.load * air_compliance(abs(y[PL]))
+    return value / (1.0 + value * (air + 0.5 * (p.first * of_first + p.second * of_second)))
 
 
-@kernel
-def chamber_modulus(
-    value: float, pressure: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant
-) -> float:
-    """Add the compliance of the air in a chamber to that of the oil in it."""
-    return value / (1.0 + value * p.chambers * compliance(pressure))
+def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the air added to that in its chambers."""
+    own, p = rig.cylinder.parameters, parameters
+    return rig.with_cylinder(air_a=own.air_a + p.chambers + p.first, air_b=own.air_b + p.chambers + p.second)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Air in the chambers or in the load volume, each with a low and a high starting value."""
-    return Form({"chambers": (0.005, 0.03)}), Form({"load": (0.005, 0.03)})
+    """Air in both chambers, in one of them, or in the load volume, each with a low and a high starting value."""
+    places = ("chambers", "first", "second") if rig.cylinder.law.CHAMBERS else ("chambers", "load")
+    return tuple(Form({place: (0.005, 0.03)}) for place in places)

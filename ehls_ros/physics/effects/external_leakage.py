@@ -18,6 +18,7 @@ WORDS = Words(
     measure="hold the piston under pressure and measure what drips within some minutes",
     change="keep `external_leakage` under `effects` in the rig file until the leak is sealed",
 )
+SIDES = {"first": "a", "second": "b", "each": "both"}
 
 
 class Parameters(NamedTuple):

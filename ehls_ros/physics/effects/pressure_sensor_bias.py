@@ -16,12 +16,16 @@ WORDS = Words(
     measure="read both pressure sensors with the rig depressurised",
     change="zero the sensors, or give the value as `bias` of `sensors.load_pressure` in the rig file",
 )
+ONLY_IN_CHAMBERS = ("first", "second")
+SIDES = {"first": "a", "second": "b"}
 
 
 class Parameters(NamedTuple):
     """The zero shift."""
 
     bias: Annotated[float, quantity("Pa", "added to the load pressure's reading", minimum=-1e7, maximum=1e7)] = 0.0
+    first: Annotated[float, quantity("Pa", "added to the reading of the pressure in A", minimum=-1e7, maximum=1e7)] = 0.0
+    second: Annotated[float, quantity("Pa", "added to the reading of the pressure in B", minimum=-1e7, maximum=1e7)] = 0.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
@@ -29,6 +33,13 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
     return rig.with_sensors(["load_pressure"], lambda sensor: sensor._replace(bias=sensor.bias + parameters.bias))
 
 
+def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the sensors of its chambers shifted."""
+    rig = rig.with_sensors(["pressure_a"], lambda sensor: sensor._replace(bias=sensor.bias + parameters.first))
+    return rig.with_sensors(["pressure_b"], lambda sensor: sensor._replace(bias=sensor.bias + parameters.second))
+
+
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The bias."""
-    return (Form({"bias": ()}),)
+    """The bias, of the load pressure or of one chamber."""
+    places = ("bias", "first", "second") if rig.cylinder.law.CHAMBERS else ("bias",)
+    return tuple(Form({place: ()}) for place in places)

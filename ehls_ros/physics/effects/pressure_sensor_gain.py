@@ -16,12 +16,16 @@ WORDS = Words(
     measure="compare both pressure sensors with a reference gauge at two pressures",
     change="correct the scaling, or give the factor as `gain` of `sensors.load_pressure` in the rig file",
 )
+ONLY_IN_CHAMBERS = ("first", "second")
+SIDES = {"first": "a", "second": "b"}
 
 
 class Parameters(NamedTuple):
     """The sensitivity."""
 
     gain: Annotated[float, quantity("1", "factor on the load pressure's reading", minimum=0.1, maximum=10.0)] = 1.0
+    first: Annotated[float, quantity("1", "factor on the reading of the pressure in A", minimum=0.1, maximum=10.0)] = 1.0
+    second: Annotated[float, quantity("1", "factor on the reading of the pressure in B", minimum=0.1, maximum=10.0)] = 1.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
@@ -29,6 +33,13 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
     return rig.with_sensors(["load_pressure"], lambda sensor: sensor._replace(gain=parameters.gain * sensor.gain))
 
 
+def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the sensors of its chambers shifted."""
+    rig = rig.with_sensors(["pressure_a"], lambda sensor: sensor._replace(gain=sensor.gain * parameters.first))
+    return rig.with_sensors(["pressure_b"], lambda sensor: sensor._replace(gain=sensor.gain * parameters.second))
+
+
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The gain."""
-    return (Form({"gain": ()}),)
+    """The gain, of the load pressure or of one chamber."""
+    places = ("gain", "first", "second") if rig.cylinder.law.CHAMBERS else ("gain",)
+    return tuple(Form({place: ()}) for place in places)

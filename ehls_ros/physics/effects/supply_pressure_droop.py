@@ -24,6 +24,7 @@ WORDS = Words(
     change="keep `supply_pressure_droop` under `effects` in the rig file, or record the supply pressure",
 )
 STATES = 1
+NOT_IN_CHAMBERS = ("quadratic", "time_constant")
 
 
 class Parameters(NamedTuple):
@@ -67,8 +68,15 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
     dz[0] = (p.resistance * math.sqrt(squared) + p.quadratic * squared - z[0]) / max(p.time_constant, 1.0 / FOLLOW_RATE)
 
 
+def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the resistance added to that of its supply, which has a lag of its own."""
+    return rig.with_cylinder(supply_resistance=rig.cylinder.parameters.supply_resistance + parameters.resistance)
+
+
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A laminar or a turbulent loss, each without or with a lag."""
+    """A laminar or a turbulent loss, each without or with a lag; in a supply with a lag of its own, its resistance."""
+    if rig.cylinder.law.CHAMBERS:
+        return (Form({"resistance": ()}),)
     lag = {"time_constant": (0.05,)}
     return (
         Form({"resistance": ()}),

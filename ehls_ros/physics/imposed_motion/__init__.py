@@ -10,6 +10,8 @@ part            integrates                                     writes, one row p
 ``spool``       the spool (4) from the command                 spool displacement [m]
 ``flow``        states of the effects on the flow              load flow [m^3/s], leakage [m^3/s], bulk modulus [Pa],
                                                                supply pressure [Pa]
+``chambers``    states of the effects on the flow, and the     flow into A and into B, leakage out of A and of B [m^3/s],
+                supply pressure behind its lag                 bulk modulus in A and in B, supply pressure [Pa]
 ``force``       states of the effects on the force             force beyond (3) [N]
 ``friction``    the friction model's forces (6), (8)           friction force [N]
 ``load``        the load's motion (3) and its friction, if an  position [m] and velocity [m/s] of the load, friction
@@ -28,12 +30,15 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.duals import Dual, numbers_of, parameters_of, record_rows, rows_of, value_of, values_of, width_of
 from ehls_ros.physics.composition import Effects, Switched, compiled, effects_with, rig_elements
+from ehls_ros.physics.cylinder import CYLINDERS
 from ehls_ros.physics.friction import FRICTION_MODELS
-from ehls_ros.physics.imposed_motion import compiled_part, flow, force, friction, load, readings, spool
+from ehls_ros.physics.imposed_motion import chambers, compiled_part, flow, force, friction, load, readings, spool
 from ehls_ros.physics.imposed_motion.base import ModelRun, Motion
+from ehls_ros.physics.imposed_motion.chambers import Chambers
 from ehls_ros.physics.imposed_motion.friction import FrictionInputs
 from ehls_ros.physics.imposed_motion.load import Piston
 from ehls_ros.physics.rig import EffectiveRig
+from ehls_ros.physics.valve import VALVES
 
 
 class Part(NamedTuple):
@@ -45,6 +50,7 @@ class Part(NamedTuple):
         columns: number of values it writes per sample.
         at_once: most parameters that one run of duals differentiates by; more are divided among several runs.
         has_friction: whether it contains a friction model.
+        has_chambers: whether it contains a cylinder with two chambers, and its valve.
     """
 
     hooks: tuple[str, ...]
@@ -52,6 +58,7 @@ class Part(NamedTuple):
     columns: int
     at_once: int = 6
     has_friction: bool = False
+    has_chambers: bool = False
 
     @property
     def effects(self) -> Effects:
@@ -62,6 +69,7 @@ class Part(NamedTuple):
 PARTS = {
     "spool": Part(("received", "command"), spool, 1),
     "flow": Part(("opening", "supply_pressure", "bulk_modulus", "leakage"), flow, 4),
+    "chambers": Part(("opening", "piston_leakage"), chambers, 7, has_chambers=True),
     "force": Part(("force",), force, 1),
     "friction": Part(("friction_level",), friction, 1, 14, has_friction=True),
     "load": Part(("friction_level", "force"), load, 4, 14, has_friction=True),
@@ -69,10 +77,17 @@ PARTS = {
 }
 """The parts by name."""
 
+
+def parts_along(rig: EffectiveRig) -> tuple[str, ...]:
+    """Return the names of the parts that a rig's cylinder has."""
+    absent = "flow" if rig.cylinder.law.CHAMBERS else "chambers"
+    return tuple(name for name in PARTS if name != absent)
+
+
 VARIED = ("position", "velocity", "pressure", "spool")
 """Signals of a motion that may be duals."""
 
-Inputs = FrictionInputs | Piston | None
+Inputs = FrictionInputs | Piston | Chambers | None
 """Inputs of a part besides the recording."""
 
 
@@ -85,17 +100,21 @@ def part_kernel(name: str, rig: EffectiveRig, *, duals: bool = False, moved: boo
         duals: whether to compile for duals, to differentiate it.
         moved: whether the motion is a dual too.
     """
-    model, elements = (rig.friction_model, rig_elements(rig)) if PARTS[name].has_friction else ("", 0)
-    return _kernel(name, model, elements, duals, moved)
+    part = PARTS[name]
+    model, elements = (rig.friction_model, rig_elements(rig)) if part.has_friction else ("", 0)
+    oil = (rig.cylinder.model, rig.valve.model) if part.has_chambers else ()
+    return _kernel(name, model, elements, oil, duals, moved)
 
 
 @cache
-def _kernel(name: str, model: str, elements: int, duals: bool, moved: bool) -> ModuleType:
+def _kernel(name: str, model: str, elements: int, oil: tuple[str, ...], duals: bool, moved: bool) -> ModuleType:
     part = PARTS[name]
     members: dict[str, Any] = {"part": part.module}
     numbers = {"states": part.effects.states}
     if part.has_friction:
         members["friction"], numbers["elements"] = FRICTION_MODELS.load(model), elements
+    if oil:
+        members["cylinder"], members["valve"] = CYLINDERS.load(oil[0]), VALVES.load(oil[1])
     if not duals:
         return compiled(compiled_part.build, {"run": "a, inputs, out"}, members, numbers, part.effects, threads=True)
     numbers |= {"width": width_of(part.at_once), "moved": int(moved)}
@@ -160,5 +179,9 @@ def compile_part(name: str, rig: EffectiveRig, *, duals: bool = False) -> None:
     motion = Motion(np.array([0.0, 1.0]), *(rest for _ in Motion._fields[1:]))
     varied: dict[str, Any] = {"piston_area": Dual(rig.plant.piston_area, {0: 1.0})} if duals else {}
     a = ModelRun(motion, np.array([True, False]), 1.0, 0, 0, rig.plant._replace(**varied), rig.friction, none)
-    inputs: dict[str, Inputs] = {"friction": FrictionInputs(rest, rest, 1.0), "load": Piston(none, 0, 1.0, 1.0)}
+    inputs: dict[str, Inputs] = {
+        "friction": FrictionInputs(rest, rest, 1.0),
+        "load": Piston(none, 0, 1.0, 1.0),
+        "chambers": Chambers(rest, rest, rest, False, rig.cylinder.parameters, rig.valve.parameters),
+    }
     run_part(name, rig, a, inputs.get(name))

@@ -10,7 +10,7 @@ from ehls_ros.duals import dual_array, dual_record
 from ehls_ros.physics.composition import Switched
 from ehls_ros.physics.imposed_motion.base import Body, ModelRun, Motion, Scratch, scratch
 from ehls_ros.physics.integration import WORK_ROWS
-from ehls_ros.physics.plant import FRICTION, INPUTS, Chains
+from ehls_ros.physics.plant import FRICTION, INPUTS
 
 
 class Compiled(NamedTuple):
@@ -35,17 +35,15 @@ class Rows(NamedTuple):
     motion: Array
 
 
-def build(part: Any, states: int, chains: Chains, friction: Any = None, elements: int = 0) -> Compiled:
+def build(part: Any, **contained: Any) -> Compiled:
     """Build a part for floats, with ``run(a, inputs, out)``; the output has the shape (n, columns).
 
     Args:
         part: the part's module.
-        states: number of the effects' states.
-        chains: hooks of the effects.
-        friction: module of the friction model, if the part contains one.
-        elements: number of the model's forces.
+        contained: the arguments of its builder: number of the effects' ``states``, their ``chains``, and, where the part
+            contains them, ``friction`` and its ``elements``, or ``cylinder`` and ``valve``.
     """
-    body = body_of(part, states, chains, friction, elements)
+    body: Body = part.build(**contained)
     run_samples, size, modes, own = body.run, body.states, body.modes, body.own
 
     @kernel
@@ -53,13 +51,6 @@ def build(part: Any, states: int, chains: Chains, friction: Any = None, elements
         run_samples(a, inputs, scratch(size, modes, a.history), scratch(own, own, 0), out)
 
     return Compiled(run)
-
-
-def body_of(part: Any, states: int, chains: Chains, friction: Any, elements: int) -> Body:
-    """Return the body of a part, see :func:`build`."""
-    own = {} if friction is None else {"friction": friction, "elements": elements}
-    body: Body = part.build(states=states, chains=chains, **own)
-    return body
 
 
 @kernel
@@ -72,9 +63,7 @@ def _nothing(inputs: None, rows: tuple[Array, ...]) -> None:
     return
 
 
-def build_duals(
-    part: Any, states: int, chains: Chains, width: int, moved: int, friction: Any = None, elements: int = 0
-) -> Compiled:
+def build_duals(part: Any, width: int, moved: int, **contained: Any) -> Compiled:
     """Build a part for duals, with ``run(a, inputs, rows, out, found)``.
 
     ``a`` and ``inputs`` hold the fields' names and constants, the rows hold the values of the duals. The output, shape
@@ -82,14 +71,11 @@ def build_duals(
 
     Args:
         part: the part's module.
-        states: number of the effects' states.
-        chains: hooks of the effects.
         width: width of a dual.
         moved: whether the motion varies.
-        friction: module of the friction model, if the part contains one.
-        elements: number of the model's forces.
+        contained: the arguments of its builder, see :func:`build`.
     """
-    body = body_of(part, states, chains, friction, elements)
+    body: Body = part.build(**contained)
     run_samples, size, modes, own = body.run, body.states, body.modes, body.own
     inputs_of = part.of_duals(width) if hasattr(part, "of_duals") else _nothing
 
