@@ -89,7 +89,7 @@ def truth_of(folder: Path, rig_path: Path = RIG) -> dict[str, dict[str, Any]]:
     out = {}
     for number in range(about["cases"]):
         drawn = draw_case(rig, about["seed"], number, about["duration"])
-        stages = [appears_in(name, sizes) for name, sizes in drawn.hidden.items()]
+        stages = [appears_in(rig, name, sizes) for name, sizes in drawn.hidden.items()]
         near = sorted({near for name in drawn.hidden for near in EFFECTS[name].near})
         out[case_name(number)] = {
             "kind": kind_of(number),
