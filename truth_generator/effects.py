@@ -15,6 +15,7 @@ from . import kernel
 
 Sizes = dict[str, Any]
 Rng = np.random.Generator
+STAGES = ("force_balance", "flow", "valve", "sensors")
 
 # The paper's rig, for draws without a rig file.
 PAPER = {
@@ -28,7 +29,7 @@ class Effect:
     """Hidden effect; with the size `site` equal to "ports" it appears in the flow residual instead of that of `stage`."""
 
     name: str
-    stage: str  # "force_balance", "flow", "valve" or "sensors"
+    stage: str  # one of STAGES
     draw: Callable[[Rng, dict], Sizes]
     apply: Callable[[np.ndarray, Sizes], None]
     neutral: Sizes

@@ -18,10 +18,9 @@ from typing import Any
 import yaml
 
 from .cases import draw_case, kind_of
-from .effects import EFFECTS, LISTED
+from .effects import EFFECTS, LISTED, STAGES
 from .recording import appears_in, record
 from .scoring import SCHEMA, checked, score
-from .visibility import STAGES
 
 VERSION = 1
 """Version of the exam; it changes whenever a seed would give other cases."""

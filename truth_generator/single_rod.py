@@ -20,10 +20,13 @@ from .effects import (
     Sizes,
     about_one,
     choice,
+    factor_and_offset,
     log_uniform,
     of_single_rod,
     plus,
     put,
+    ratio,
+    scale,
     signed,
     times,
 )
@@ -32,10 +35,9 @@ CARRIED_OVER = (
     "valve_gain_shift", "valve_bandwidth_shift", "valve_null_bias", "valve_gain_asymmetry", "valve_dead_zone", "command_delay",
     "coulomb_shift", "viscous_shift", "coulomb_asymmetry", "viscous_asymmetry", "pressure_dependent_friction",
     "position_dependent_friction", "mass_shift", "spring_rate_shift", "spring_hardening", "constant_load",
-    "periodic_disturbance", "end_stop", "position_sensor_gain", "sensor_delay", "internal_leakage_shift", "turbulent_leakage",
-    "bulk_modulus_shift",
+    "periodic_disturbance", "end_stop", "position_sensor_gain", "sensor_delay",
 )  # fmt: skip
-"""Listed effects of the double rod that act on a single rod by the same formula; leakages are past the piston."""
+"""Listed effects of the double rod that act on a single rod by the same formula, and in the same sizes."""
 
 OUTSIDE_CARRIED_OVER = (
     *(name for name, effect in OUTSIDE.items() if effect.stage in ("force_balance", "valve")),
@@ -143,9 +145,21 @@ def draw_edge(rng: Rng) -> Sizes:
 
 
 of_single_rod(
-    "external_leakage", "flow", lambda rng, rig: {"coefficient": log_uniform(rng, 1e-12, 2e-11), "side": one_side(rng)},
+    "internal_leakage_shift", "flow", lambda rng, rig: {"factor": ratio(rng, 1.05, 4.0)}, scale("leakage"), {"factor": 1.0},
+    "past the piston, x or / 1.05..4", natural=factor_and_offset("plant", "leakage_coefficient"),
+)  # fmt: skip
+of_single_rod(
+    "turbulent_leakage", "flow", lambda rng, rig: {"coefficient": log_uniform(rng, 1e-10, 1e-8)}, put(turbulent="coefficient"),
+    {"coefficient": 0.0}, "1e-10..1e-8 m^3/(s Pa^0.5) times the root of pA - pB, past the piston, laminar below 0.2 MPa",
+)  # fmt: skip
+of_single_rod(
+    "bulk_modulus_shift", "flow", lambda rng, rig: {"factor": ratio(rng, 1.04, 2.5)}, scale("bulk"), {"factor": 1.0},
+    "x or / 1.04..2.5", natural=factor_and_offset("plant", "bulk_modulus"),
+)  # fmt: skip
+of_single_rod(
+    "external_leakage", "flow", lambda rng, rig: {"coefficient": log_uniform(rng, 1e-13, 8e-12), "side": one_side(rng)},
     on_side("leak_{}", "coefficient"), {"coefficient": 0.0, "side": "a"},
-    "1e-12..2e-11 m^5/(N s) from one chamber to the tank",
+    "1e-13..8e-12 m^5/(N s) from one chamber to the tank",
 )  # fmt: skip
 of_single_rod(
     "edge_wear", "flow", lambda rng, rig: {"worn": log_uniform(rng, 3e-6, 6e-5), **draw_edge(rng)}, on_edge("worn"),
@@ -160,8 +174,8 @@ def edge_gain(p, sizes):
 
 
 of_single_rod(
-    "edge_gain", "flow", lambda rng, rig: {"factor": about_one(rng, 0.02, 0.35), **draw_edge(rng)}, edge_gain,
-    {"factor": 1.0, "edge": "pa", "side": "a"}, "flow of one edge x(1 +- 2..35 %)",
+    "edge_gain", "flow", lambda rng, rig: {"factor": about_one(rng, 0.005, 0.35), **draw_edge(rng)}, edge_gain,
+    {"factor": 1.0, "edge": "pa", "side": "a"}, "flow of one edge x(1 +- 0.5..35 %)",
     natural=lambda sizes, rig: {**sizes, "offset": (sizes["factor"] - 1.0) * rig["valve"].get(f"gain_{sizes['edge']}", 1.0)},
 )  # fmt: skip
 
@@ -194,18 +208,18 @@ of_single_rod(
     "0.3..12 bar more (a clogged return filter); in 2 of 10, 20..90 % less",
 )  # fmt: skip
 of_single_rod(
-    "supply_pressure_droop", "flow", lambda rng, rig: {"resistance": log_uniform(rng, 1e8, 4e9)},
+    "supply_pressure_droop", "flow", lambda rng, rig: {"resistance": log_uniform(rng, 1e7, 2e9)},
     lambda p, sizes: plus(p, "droop", sizes["resistance"]), {"resistance": 0.0},
-    "0.1..4 GPa s/m^3 more, behind the rig file's lag; the recorded supply pressure droops",
+    "0.01..2 GPa s/m^3 more, behind the rig file's lag; the recorded supply pressure droops",
 )  # fmt: skip
 of_single_rod(
-    "pressure_sensor_bias", "sensors", lambda rng, rig: {"bias": signed(rng, 1e4, 5e5), "side": one_side(rng)},
-    on_side("{}_bias", "bias"), {"bias": 0.0, "side": "a"}, "+-0.1..5 bar on the pressure of one chamber",
+    "pressure_sensor_bias", "sensors", lambda rng, rig: {"bias": signed(rng, 1.5e3, 3e5), "side": one_side(rng)},
+    on_side("{}_bias", "bias"), {"bias": 0.0, "side": "a"}, "+-1.5..300 kPa on the pressure of one chamber",
 )  # fmt: skip
 of_single_rod(
-    "pressure_sensor_gain", "sensors", lambda rng, rig: {"gain": about_one(rng, 0.003, 0.15), "side": one_side(rng)},
+    "pressure_sensor_gain", "sensors", lambda rng, rig: {"gain": about_one(rng, 5e-4, 0.1), "side": one_side(rng)},
     lambda p, sizes: times(p, f"{sizes['side']}_gain", sizes["gain"]), {"gain": 1.0, "side": "a"},
-    "x(1 +- 0.3..15 %) on the pressure of one chamber",
+    "x(1 +- 0.05..10 %) on the pressure of one chamber",
 )  # fmt: skip
 of_single_rod(
     "swapped_pressure_sensors", "sensors", lambda rng, rig: {"swapped": 1.0}, put(swapped="swapped"), {"swapped": 0.0},

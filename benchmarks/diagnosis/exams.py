@@ -27,7 +27,8 @@ from truth_generator import (
     draw_other_form,
     record,
 )
-from truth_generator.visibility import Background, against, background, model_residuals, prominence, rows_between
+from truth_generator.residuals import model_residuals
+from truth_generator.visibility import Background, against, background, prominence, rows_between
 
 Rng = np.random.Generator
 

@@ -14,7 +14,7 @@ from benchmarks.diagnosis.exams import EXAMS, JITTER, effect_of, numbers
 from benchmarks.diagnosis.judge import below_power, closed_off, judge, peer_right
 from benchmarks.diagnosis.running import diagnose_case
 from truth_generator import LISTED, Day, FormErrors, Measurement
-from truth_generator.forms import STAGES
+from truth_generator.effects import STAGES
 
 
 def cause(name, probability=0.99, equivalent_to=()):
