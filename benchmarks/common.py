@@ -17,6 +17,7 @@ CONFIG = ROOT / "config"
 EXPERIMENTS = CONFIG / "experiments"
 RIG = CONFIG / "rig_paper.yaml"
 MEASURED_RIG = CONFIG / "rig_paper_measured.yaml"
+SINGLE_ROD = CONFIG / "rig_single_rod.yaml"
 
 MEASURED = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2", "measured_sine_fd2")
 """The experiments on the emulated rig."""

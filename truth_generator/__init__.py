@@ -15,6 +15,9 @@ No rig matches its model: `draw_forms` draws form errors of a given size in ever
 `draw_day` draws the condition of a healthy rig. `measured` samples a fine recording with skew, jitter and offsets. `variants`
 has the tables that a rig's data acquisition may write instead.
 
+A rig file with `cylinder: {model: two_chamber}` is a single rod: its recordings have both chamber pressures, its effects are
+those of `listed_of(rig)` and `outside_of(rig)`, and effects of a chamber or an edge have a `side`.
+
     forms = draw_forms(rng, rig)
     fine = record(rig, {}, "rich", seed=1, rate=FINE, noise=0.0, forms=forms)
     r = measured(fine, rig, 1, draw_measurement(rng, fine.columns, skew=1.0, jitter=0.1))
@@ -34,13 +37,13 @@ Conventions:
 * Stages are the groups of the effects. An effect with a `site` can act in more than one place: port-side valve faults (dead
   zone, and half the draws of null bias and gain asymmetry) leave the path from command to spool intact and show in the flow.
 
-Files: `kernel` (all compiled code), `effects`, `other_forms`, `forms`, `experiments`, `recording`, `measurement`, `variants`,
-`degrade`, `visibility`, `calibration`.
+Files: `kernel` (all compiled equations), `effects`, `single_rod`, `other_forms`, `forms`, `experiments`, `recording`,
+`measurement`, `variants`, `degrade`, `residuals`, `visibility`, `calibration`.
 """
 
 from . import degrade, variants
 from .calibration import draw_forms
-from .effects import EFFECTS, LISTED, OUTSIDE, Effect, draw_effect
+from .effects import EFFECTS, LISTED, OUTSIDE, Effect, draw_effect, listed_of, outside_of
 from .experiments import EXPERIMENTS
 from .forms import Day, FormErrors, draw_day
 from .measurement import FINE, Measurement, draw_measurement, measured
@@ -51,5 +54,5 @@ from .visibility import visibility
 __all__ = [
     "COLUMNS", "EFFECTS", "EXPERIMENTS", "FINE", "LISTED", "OTHER_FORMS", "OUTSIDE", "SENSORS", "SERVO_COLUMNS", "Day",
     "Effect", "FormErrors", "Measurement", "Recording", "degrade", "draw_day", "draw_effect", "draw_forms", "draw_measurement",
-    "draw_other_form", "measured", "record", "variants", "visibility",
+    "draw_other_form", "listed_of", "measured", "outside_of", "record", "variants", "visibility",
 ]  # fmt: skip

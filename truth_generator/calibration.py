@@ -6,29 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from .effects import is_single
 from .experiments import TICK
 from .forms import KINDS, LARGEST, PER_STAGE, SMALLEST, STAGES, FormErrors, Rng, Signals, draw_shapes
-from .recording import IntegrationStopped, Recording, record
-from .visibility import model_residuals
+from .recording import IntegrationStopped, record
+from .residuals import largest_terms, load_pressure, model_residuals, rms
 
 ROUNDS, TOLERANCE, TRIES = 4, 0.05, 20
-
-
-def largest_terms(rig: Mapping[str, Any], r: Recording) -> dict[str, list[float]]:
-    """Return the rms of the largest term in each residual of `visibility.model_residuals`; 0 for that of the supply."""
-    plant, c = rig["plant"], r.columns
-    area = plant["piston_area"]
-    load, speed = _rms(area * c["load_pressure_pa"]), _rms(np.gradient(c["position_m"], TICK))
-    opening = c["spool_m"] * np.sqrt(
-        np.maximum(c["supply_pressure_pa"] - np.sign(c["spool_m"]) * c["load_pressure_pa"], 0.0) / plant["oil_density"]
-    )
-    flow = _rms(plant["discharge_coefficient"] * plant["valve_area_gradient"] * opening)
-    return {
-        "force_balance": [max(load, _rms(c["disturbance_force_n"]))],
-        "flow": [max(flow, area * speed), 0.0],
-        "valve": [_rms(c["spool_m"])],
-        "sensors": [load, speed],
-    }
 
 
 class Scale:
@@ -40,7 +24,7 @@ class Scale:
         plain = record(rig, {}, experiment, **self.same)
         c = plain.columns
         speed = np.gradient(c["position_m"], TICK)
-        self.signals = Signals(speed, c["load_pressure_pa"], c["force_n"], c["valve_command_m"], c["spool_m"])
+        self.signals = Signals(speed, load_pressure(rig, c), c["force_n"], c["valve_command_m"], c["spool_m"])
         self.terms, self.without = largest_terms(rig, plain), model_residuals(rig, plain)
 
     def rows(self, forms: FormErrors) -> dict[str, list[float]]:
@@ -49,7 +33,7 @@ class Scale:
         found = model_residuals(self.rig, r)
         return {
             stage: [
-                _rms(a - b) / term if term > 0.0 else 0.0
+                rms(a - b) / term if term > 0.0 else 0.0
                 for a, b, term in zip(found[stage], self.without[stage], self.terms[stage], strict=True)
             ]
             for stage in STAGES
@@ -88,7 +72,7 @@ def draw_forms(
     """
     scale = Scale(rig, experiment, seed, duration)
     for _ in range(TRIES):
-        shapes = draw_shapes(rng, scale.signals, smallest, largest)
+        shapes = draw_shapes(rng, scale.signals, smallest, largest, 1 if is_single(rig) else 2)
         try:
             forms = _fitted(shapes, scale)
         except IntegrationStopped:
@@ -129,7 +113,3 @@ def _within(forms: FormErrors) -> FormErrors:
         name: float(np.clip(value, -most[name], most[name])) if name in most else value for name, value in forms.fields.items()
     }
     return replace(forms, fields=fields)
-
-
-def _rms(a: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(a * a)))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .effects import LISTED, OUTSIDE, draw_effect
+from .effects import draw_effect, is_single, listed_of, outside_of
 from .recording import record
 from .visibility import against, background
 
@@ -18,7 +18,7 @@ ORDER = "sopsnsosnspsosnspsop"
 """Kinds of twenty consecutive cases by their first letters: 45 % singles, 20 % pairs, 15 % nothing, 20 % outside the list."""
 
 EXPERIMENTS = {"rich": 0.45, "random": 0.3, "steps": 0.1, "paper_sine": 0.1, "servo": 0.05}
-"""Probability of each experiment."""
+"""Probability of each experiment on a double rod; a single rod has no experiment with a position servo."""
 
 SHOWS = 1.3
 """Minimum visibility of an effect in the experiment drawn; below it, size and experiment are drawn again."""
@@ -28,6 +28,9 @@ MOST_DRAWS = 40
 
 ONE_BODY = {"hinge_backlash", "flexible_mode"}
 """Effects that cannot be combined."""
+
+REFUSED = {"swapped_pressure_sensors"}
+"""Effects with which a recording cannot be diagnosed: they occur only alone."""
 
 Hidden = dict[str, dict[str, Any]]
 """Sizes of hidden effects by name."""
@@ -56,16 +59,25 @@ def kind_of(number: int) -> str:
     return {kind[0]: kind for kind in KINDS}[ORDER[number % len(ORDER)]]
 
 
-def names_of(seed: int, number: int) -> tuple[str, ...]:
+def experiments_of(rig: Mapping[str, Any]) -> dict[str, float]:
+    """Return the probability of each experiment on a rig."""
+    if not is_single(rig):
+        return EXPERIMENTS
+    left = {name: share for name, share in EXPERIMENTS.items() if name != "servo"}
+    return {name: share / sum(left.values()) for name, share in left.items()}
+
+
+def names_of(rig: Mapping[str, Any], seed: int, number: int) -> tuple[str, ...]:
     """Return the effects hidden in a case: all equally often, in an order given by the seed."""
+    listed = listed_of(rig)
     kind = kind_of(number)
     if kind == "nothing":
         return ()
     before = sum(kind_of(n) == kind for n in range(number))
     if kind == "pairs":
-        fair = [pair for pair in combinations(sorted(LISTED), 2) if set(pair) != ONE_BODY]
+        fair = [pair for pair in combinations(sorted(set(listed) - REFUSED), 2) if set(pair) != ONE_BODY]
         return fair[int(np.random.default_rng([seed, number, 7]).integers(len(fair)))]
-    pool = sorted(LISTED if kind == "singles" else OUTSIDE)
+    pool = sorted(listed if kind == "singles" else outside_of(rig))
     turn, place = divmod(before, len(pool))
     order = np.random.default_rng([seed, turn, KINDS.index(kind)]).permutation(len(pool))
     return (pool[int(order[place])],)
@@ -74,7 +86,7 @@ def names_of(seed: int, number: int) -> tuple[str, ...]:
 def draw_case(rig: Mapping[str, Any], seed: int, number: int, duration: float) -> Drawn:
     """Draw a case of a rig that is the model, apart from the hidden effects."""
     rng = np.random.default_rng([seed, number])
-    names = names_of(seed, number)
+    names = names_of(rig, seed, number)
     return draw_shown(rig, rng, duration, lambda: {name: draw_effect(name, rng, rig) for name in names})
 
 
@@ -87,9 +99,9 @@ def draw_shown(rig: Mapping[str, Any], rng: np.random.Generator, duration: float
         duration: duration of the recording [s].
         draw: draws the hidden effects.
     """
-    redrawn = 0
+    redrawn, among = 0, experiments_of(rig)
     while True:
-        experiment = str(rng.choice(list(EXPERIMENTS), p=list(EXPERIMENTS.values())))
+        experiment = str(rng.choice(list(among), p=list(among.values())))
         record_seed = int(rng.integers(2**31))
         hidden = draw()
         if "coupling_stiffness" in hidden:

@@ -5,7 +5,7 @@ with estimates. Sizes are absolute (N, Pa, m, s) or factors of a nominal value; 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from . import kernel
 
 Sizes = dict[str, Any]
 Rng = np.random.Generator
+STAGES = ("force_balance", "flow", "valve", "sensors")
 
 # The paper's rig, for draws without a rig file.
 PAPER = {
@@ -28,7 +29,7 @@ class Effect:
     """Hidden effect; with the size `site` equal to "ports" it appears in the flow residual instead of that of `stage`."""
 
     name: str
-    stage: str  # "force_balance", "flow", "valve" or "sensors"
+    stage: str  # one of STAGES
     draw: Callable[[Rng, dict], Sizes]
     apply: Callable[[np.ndarray, Sizes], None]
     neutral: Sizes
@@ -39,6 +40,10 @@ class Effect:
 
 LISTED: dict[str, Effect] = {}
 OUTSIDE: dict[str, Effect] = {}
+SINGLE_ROD: dict[str, Effect] = {}
+"""Listed effects of a single rod, which the module `single_rod` adds."""
+SINGLE_ROD_OUTSIDE: dict[str, Effect] = {}
+"""Those outside the list."""
 
 
 def log_uniform(rng: Rng, low: float, high: float) -> float:
@@ -100,6 +105,11 @@ def listed(*args, **kwargs) -> None:
 def outside(*args, **kwargs) -> None:
     effect = Effect(*args, **kwargs)
     OUTSIDE[effect.name] = effect
+
+
+def of_single_rod(*args, **kwargs) -> None:
+    effect = Effect(*args, **kwargs)
+    SINGLE_ROD[effect.name] = effect
 
 
 def factor_and_offset(section: str, key: str) -> Callable[[Sizes, dict], Sizes]:
@@ -473,7 +483,9 @@ def sensor_delay(p, sizes):
     late = sizes.get("signals", "all")
     for channel in range(kernel.N_CHANNELS):
         if late == "all" or channel in {
-            "position": (kernel.POSITION,), "load_pressure": (kernel.PRESSURE,), "spool": (kernel.SPOOL,),
+            "position": (kernel.POSITION,),
+            "load_pressure": (kernel.PRESSURE, kernel.PRESSURE_A, kernel.PRESSURE_B),
+            "spool": (kernel.SPOOL,),
         }.get(late, ()):  # fmt: skip
             p["delay"][channel] += sizes["delay"]
 
@@ -692,16 +704,37 @@ outside(
 EFFECTS: dict[str, Effect] = LISTED | OUTSIDE
 
 
+def is_single(rig: Mapping[str, Any]) -> bool:
+    """Return whether a rig file describes both chambers of a cylinder."""
+    return bool(rig.get("cylinder", {}).get("model") == "two_chamber")
+
+
+def listed_of(rig: Mapping[str, Any]) -> dict[str, Effect]:
+    """Return the listed effects of a rig by the kind of its cylinder."""
+    return SINGLE_ROD if is_single(rig) else LISTED
+
+
+def outside_of(rig: Mapping[str, Any]) -> dict[str, Effect]:
+    """Return the effects of a rig outside the list."""
+    return SINGLE_ROD_OUTSIDE if is_single(rig) else OUTSIDE
+
+
+def effects_of(rig: Mapping[str, Any]) -> dict[str, Effect]:
+    """Return all effects of a rig."""
+    return listed_of(rig) | outside_of(rig)
+
+
 def draw_effect(name: str, rng: Rng, rig: dict | None = None, **fixed: Any) -> Sizes:
     """Draw the size of an effect.
 
     Args:
-        name: name in `LISTED` or `OUTSIDE`.
+        name: name in `effects_of` the rig.
         rng: random number generator.
         rig: content of the rig file, for sizes proportional to a nominal value; the paper's rig by default.
         fixed: sizes to use instead of drawn ones, such as `site="ports"`.
     """
-    sizes = EFFECTS[name].draw(rng, rig or PAPER)
+    rig = rig or PAPER
+    sizes = effects_of(rig)[name].draw(rng, rig)
     if unknown := set(fixed) - set(sizes):
         raise ValueError(f"{name} has no {sorted(unknown)}, only {sorted(sizes)}")
     return sizes | fixed

@@ -18,10 +18,9 @@ from typing import Any
 import yaml
 
 from .cases import draw_case, kind_of
-from .effects import EFFECTS, LISTED
+from .effects import EFFECTS, LISTED, STAGES
 from .recording import appears_in, record
 from .scoring import SCHEMA, checked, score
-from .visibility import STAGES
 
 VERSION = 1
 """Version of the exam; it changes whenever a seed would give other cases."""
@@ -89,7 +88,7 @@ def truth_of(folder: Path, rig_path: Path = RIG) -> dict[str, dict[str, Any]]:
     out = {}
     for number in range(about["cases"]):
         drawn = draw_case(rig, about["seed"], number, about["duration"])
-        stages = [appears_in(name, sizes) for name, sizes in drawn.hidden.items()]
+        stages = [appears_in(rig, name, sizes) for name, sizes in drawn.hidden.items()]
         near = sorted({near for name in drawn.hidden for near in EFFECTS[name].near})
         out[case_name(number)] = {
             "kind": kind_of(number),

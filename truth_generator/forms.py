@@ -15,6 +15,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from . import kernel
+from .effects import STAGES
 from .experiments import TICK
 
 Rng = np.random.Generator
@@ -34,8 +35,9 @@ class Signals(NamedTuple):
 class Kind(NamedTuple):
     """Kind of form error.
 
-    stage, row: the residual of `visibility.model_residuals` that shows it. amplitude: the kernel field it is proportional to.
+    stage, row: the residual of `residuals.model_residuals` that shows it. amplitude: the kernel field it is proportional to.
     first: initial guess of that field. most: the largest value that a rig could have. shape: draws the other fields.
+    rods: the numbers of rods of the cylinders that can have it.
     """
 
     stage: str
@@ -44,6 +46,7 @@ class Kind(NamedTuple):
     first: float
     most: float
     shape: Callable[[Rng, Signals], Fields]
+    rods: tuple[int, ...] = (1, 2)
 
 
 def _log(rng: Rng, low: float, high: float) -> float:
@@ -103,6 +106,15 @@ def _over_opening(rng: Rng, s: Signals) -> Fields:
     return {"flow_wave_turns": turns, "flow_wave_at": at, "flow_wave_phase": phase, "flow_wave_mean": mean}
 
 
+def _over_edges(rng: Rng, s: Signals) -> Fields:
+    turns, at, phase, shift = rng.uniform(1.5, 3.0), _log(rng, 3e-6, 3e-5), _phase(rng), rng.uniform(-1.5, 1.5)
+    mean, mean_b = (_of(s.spool * _wave(s.spool, turns, at, phase + other), s.spool) for other in (0.0, shift))
+    return {
+        "flow_wave_turns": turns, "flow_wave_at": at, "flow_wave_phase": phase, "flow_wave_shift": shift,
+        "flow_wave_mean": mean, "flow_wave_mean_b": mean_b,
+    }  # fmt: skip
+
+
 def _mount(rng: Rng, s: Signals) -> Fields:
     time, pressure = _log(rng, 3e-3, 2e-2), _log(rng, 4e5, 2e6)
     decay = math.exp(-TICK / time)
@@ -146,10 +158,11 @@ KINDS: dict[str, Kind] = {
     "friction_memory": Kind("force_balance", 0, "memory", 100.0, 1.5e3, _memory),
     "viscosity_drift": Kind("force_balance", 0, "warm_viscous", 0.02, 0.5, _warmth),
     # flow
-    "flow_over_opening": Kind("flow", 0, "flow_wave", 0.01, 0.2, _over_opening),
+    "flow_over_opening": Kind("flow", 0, "flow_wave", 0.01, 0.2, _over_opening, (2,)),
+    "flow_over_edge_openings": Kind("flow", 0, "flow_wave", 0.01, 0.2, _over_edges, (1,)),
     "flow_over_pressure_drop": Kind("flow", 0, "flow_exponent", 0.01, 0.3, lambda rng, s: {}),
     "flow_drift": Kind("flow", 0, "warm_flow", 0.01, 0.2, _warmth),
-    "soft_mount": Kind("flow", 0, "mount", 1e-13, 4e-13, _mount),
+    "soft_mount": Kind("flow", 0, "mount", 1e-13, 4e-13, _mount, (2,)),
     # valve
     "spool_over_command": Kind("valve", 0, "spool_wave", 0.01, 0.2, _over_command),
     "spool_pace": Kind("valve", 0, "spool_pace", 0.1, 0.5, _pace),
@@ -164,7 +177,6 @@ KINDS: dict[str, Kind] = {
         "sensors", 1, "speed_per_pressure", 1e-9, 1e-7, lambda rng, s: {"speed_per_pressure_mean": _of(s.pressure, s.speed)}
     ),
 }
-STAGES = ("force_balance", "flow", "valve", "sensors")
 PER_STAGE = 2  # kinds per stage of a rig
 SHARED = ("warm_rate", "warm_phase")  # one temperature for all stages
 SMALLEST, LARGEST = 0.002, 0.05
@@ -203,12 +215,12 @@ class FormErrors:
         return replace(smaller, sizes={**self.sizes, stage: self.sizes[stage] * factor})
 
 
-def draw_shapes(rng: Rng, signals: Signals, smallest: float = SMALLEST, largest: float = LARGEST) -> FormErrors:
+def draw_shapes(rng: Rng, signals: Signals, smallest: float = SMALLEST, largest: float = LARGEST, rods: int = 2) -> FormErrors:
     """Draw kinds and shapes with initial sizes, and the target sizes for `calibration`."""
     fields: Fields = {}
     kinds, sizes = {}, {}
     for stage in STAGES:
-        names = [name for name, kind in KINDS.items() if kind.stage == stage]
+        names = [name for name, kind in KINDS.items() if kind.stage == stage and rods in kind.rods]
         kinds[stage] = tuple(str(name) for name in rng.choice(names, PER_STAGE, replace=False))
         sizes[stage] = _log(rng, smallest, largest)
         for name in kinds[stage]:

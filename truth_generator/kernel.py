@@ -1,11 +1,15 @@
 """Compiled simulation of the rig: equations (1)-(4), friction, hidden effects, sensors and the experiment's controller.
 
+The oil is that of a double rod, equations (1) and (2) for the load pressure, or of a single rod (`area_a` above zero), both
+chambers and the four edges of the valve.
+
 One kernel serves all effects. Their sizes are fields of one record (`FIELDS`), each with a neutral value that disables the
 effect. All compiled code is in this file, because numba's cache checks only the file of the cached function, not its callees'.
 
 State (`N_BASE` values, then the friction forces): piston position and speed, load pressure, spool position and speed, position
 and speed of the second body, supply pressure, inner position of the creeping spring, inner pressure of the swelling hose,
-lagged speed, pressure behind the pressure sensor's lag, filtered speed of the friction memory, volume taken up by the mount.
+lagged speed, pressure behind the pressure sensor's lag, filtered speed of the friction memory, volume taken up by the mount,
+pressures of the chambers A and B of a single rod, whose load pressure is no state.
 """
 
 import math
@@ -13,13 +17,16 @@ import math
 import numba as nb
 import numpy as np
 
-X, V, PL, XV, WV, XB, VB, PS, ZS, ZH, VF, PM, VM, QM = range(14)
-N_BASE = 14
+X, V, PL, XV, WV, XB, VB, PS, ZS, ZH, VF, PM, VM, QM, PA, PB = range(16)
+N_BASE = 16
 N_ELEMENTS = 8
 GMS, LUGRE = 0.0, 1.0
 # Sensor channels.
-POSITION, VELOCITY, PRESSURE, SPOOL, SUPPLY, FORCE, TEMPERATURE = range(7)
-N_CHANNELS = 7
+POSITION, VELOCITY, PRESSURE, SPOOL, SUPPLY, FORCE, TEMPERATURE, PRESSURE_A, PRESSURE_B = range(9)
+N_CHANNELS = 9
+# Metering edges of a single rod's valve: from the supply to A, from A to the tank, from the supply to B, from B to the tank.
+EDGES = ("pa", "at", "pb", "bt")
+P_A, A_T, P_B, B_T = range(4)
 N_PLAYS = 5
 N_WAVES = 4
 ATMOSPHERE = 1.0e5
@@ -31,6 +38,9 @@ FIELDS: dict[str, float] = {
     "mass": 0.0, "area": 0.0, "spring": 0.0, "damping": 0.0, "valve_rate": 0.0, "valve_gain": 0.0, "gravity": 0.0,
     "spool_limit": 0.0, "model": GMS, "fc": 0.0, "fs": 0.0, "vs": 0.0, "exponent": 0.0, "viscous": 0.0, "attraction": 0.0,
     "n_elements": 0.0,
+    # the chambers of a single rod
+    "area_a": 0.0, "area_b": 0.0, "volume_a": 0.0, "volume_b": 0.0, "hose_a": 0.0, "hose_b": 0.0, "leak_a": 0.0, "leak_b": 0.0,
+    "tank": 0.0, "vapour": 0.0, "laminar_below": 1.0, "air_a": 0.0, "air_b": 0.0,
     # valve: between command and spool
     "gain_pos": 1.0, "gain_neg": 1.0, "null_command": 0.0, "pilot_dead_pos": 0.0, "pilot_dead_neg": 0.0,
     "play": 0.0, "play_spread": 0.4, "command_delay": 0.0, "second_rate": 0.0, "second_damping": 0.7, "spool_stop": 1.0e9,
@@ -67,13 +77,14 @@ FIELDS: dict[str, float] = {
     # sensors
     "p_gain": 1.0, "p_bias": 0.0, "p_lag": 0.0, "x_gain": 1.0, "x_bias": 0.0, "p_quadratic": 0.0, "p_play": 0.0,
     "p_step": 0.0, "p_codes": 0.0, "x_interpolation": 0.0, "x_period": 1.0, "x_phase": 0.0, "p_per_x": 0.0, "p_per_xx": 0.0,
-    "p_per_kelvin": 0.0,
+    "p_per_kelvin": 0.0, "a_gain": 1.0, "a_bias": 0.0, "b_gain": 1.0, "b_bias": 0.0, "swapped": 0.0,
     # form errors of the rig, which no model contains; the means are the part that the rig file's coefficients absorb
     "speed_wave": 0.0, "speed_wave_turns": 1.0, "speed_wave_at": 1.0, "speed_wave_phase": 0.0, "speed_wave_mean": 0.0,
     "speed_wave_slope": 0.0, "stroke_wave": 0.0, "memory": 0.0, "memory_time": 1.0, "memory_speed": 1.0, "memory_mass": 0.0,
     "warm_viscous": 0.0, "warm_flow": 0.0, "warm_valve": 0.0, "warm_rate": 0.0, "warm_phase": 0.0, "mount": 0.0,
     "mount_time": 1.0, "mount_pressure": 1.0, "mount_mean": 0.0, "flow_wave": 0.0, "flow_wave_turns": 1.0,
-    "flow_wave_at": 1.0, "flow_wave_phase": 0.0, "flow_wave_mean": 0.0, "flow_exponent": 0.0, "spool_wave": 0.0,
+    "flow_wave_at": 1.0, "flow_wave_phase": 0.0, "flow_wave_mean": 0.0, "flow_wave_shift": 0.0,
+    "flow_wave_mean_b": 0.0, "flow_exponent": 0.0, "spool_wave": 0.0,
     "spool_wave_turns": 1.0, "spool_wave_at": 1.0, "spool_wave_phase": 0.0, "spool_wave_side": 0.0,
     "spool_wave_mean_pos": 0.0, "spool_wave_mean_neg": 0.0, "spool_pace": 0.0, "spool_pace_at": 1.0, "spool_pace_mean": 0.0,
     "cell_bow": 0.0, "cell_scale": 1.0, "cell_bow_mean": 0.0, "cell_play": 0.0, "cell_play_width": 0.0, "cell_play_mean": 0.0,
@@ -82,6 +93,7 @@ FIELDS: dict[str, float] = {
     # controller of the experiment
     "w_force": 0.0, "w_position": 0.0, "force_gain": 4.0e-5, "force_reset": 2.0, "force_filter": 40.0,
     "position_gain": 3.0, "guard": 0.27, "nominal_supply": 0.0, "nominal_area": 0.0, "nominal_bulk": 0.0, "flow_gain": 0.0,
+    "reach_out": 0.0, "reach_in": 0.0, "flow_gain_out": 0.0, "flow_gain_in": 0.0,
 }  # fmt: skip
 ARRAYS: dict[str, int] = {
     "stiffness": N_ELEMENTS,  # N/m, of the friction elements
@@ -89,6 +101,10 @@ ARRAYS: dict[str, int] = {
     "delay": N_CHANNELS,  # s, of the sensors
     "noise_std": N_CHANNELS,
     "resolution": N_CHANNELS,
+    "edge_gain": 4,  # 1, of EDGES
+    "edge_overlap": 4,  # m
+    "edge_rounding": 4,  # m
+    "edge_worn": 4,  # m
     "stroke_length": N_WAVES,  # m
     "stroke_share": N_WAVES,  # 1
     "stroke_phase": 2 * N_WAVES,  # rad, to and fro
@@ -107,7 +123,8 @@ E1, E3, E4, E5, E6, E7 = 71 / 57600, -71 / 16695, 71 / 1920, -17253 / 339200, 22
 RTOL = 1.0e-9
 # Per state: far below the resolution of the rig's sensors.
 ATOL = np.array(
-    [1e-12, 1e-10, 0.002, 1e-13, 1e-10, 1e-12, 1e-10, 0.002, 1e-12, 0.002, 1e-10, 0.002, 1e-10, 1e-13] + [1e-6] * N_ELEMENTS
+    [1e-12, 1e-10, 0.002, 1e-13, 1e-10, 1e-12, 1e-10, 0.002, 1e-12, 0.002, 1e-10, 0.002, 1e-10, 1e-13, 0.02, 0.02]
+    + [1e-6] * N_ELEMENTS
 )
 
 
@@ -199,8 +216,8 @@ def sliding_level(v, side, x, p_load, p):
 
 
 @nb.njit(cache=True)
-def orifice_flow(xv, ps, p_load, p):
-    """Return the flow to the cylinder, (1), m^3/s."""
+def ports_opening(xv, p):
+    """Return the opening of the valve's ports at a spool position, m."""
     x = xv + p.null_ports
     if p.dead_pos != 0.0 or p.dead_neg != 0.0:
         x = softplus(x - p.dead_pos, p.dead_corner) - softplus(-x - p.dead_neg, p.dead_corner)
@@ -208,6 +225,13 @@ def orifice_flow(xv, ps, p_load, p):
         x -= p.dead_smooth * math.tanh(x / p.dead_smooth)
     if p.ports_pos != 1.0 or p.ports_neg != 1.0:
         x *= p.ports_pos if x > 0.0 else p.ports_neg
+    return x
+
+
+@nb.njit(cache=True)
+def orifice_flow(xv, ps, p_load, p):
+    """Return the flow to the cylinder, (1), m^3/s."""
+    x = ports_opening(xv, p)
     if p.flow_wave != 0.0:
         x *= 1.0 + p.flow_wave * (wave(x, p.flow_wave_turns, p.flow_wave_at, p.flow_wave_phase) - p.flow_wave_mean)
     side = 1.0 if x > 0.0 else -1.0
@@ -225,12 +249,121 @@ def orifice_flow(xv, ps, p_load, p):
 
 
 @nb.njit(cache=True)
-def air_modulus(pressure, p):
-    """Return the bulk modulus of oil with polytropically compressed free air at a gauge pressure, Pa."""
+def edge_flow(edge, x, drop, p):
+    """Return the flow through a metering edge along its pressure drop, m^3/s.
+
+    x: displacement that opens the edge. A rounded edge opens along a hyperbola; a worn one lets more through at its corner.
+    """
+    past, radius = x - p.edge_overlap[edge], p.edge_rounding[edge]
+    reach = math.hypot(past, radius)
+    opening = 0.5 * (reach + past) if past >= 0.0 else 0.5 * radius * radius / (reach - past)
+    worn = p.edge_worn[edge]
+    if worn != 0.0:
+        opening += 0.5 * worn * math.exp(-abs(past) / (2.0 * worn))
+    opening *= p.edge_gain[edge]
+    if p.flow_wave != 0.0:
+        shift, mean = (p.flow_wave_shift, p.flow_wave_mean_b) if edge >= P_B else (0.0, p.flow_wave_mean)
+        opening *= 1.0 + p.flow_wave * (wave(opening, p.flow_wave_turns, p.flow_wave_at, p.flow_wave_phase + shift) - mean)
+    if p.laminar != 0.0:
+        re = opening * math.sqrt(abs(drop) / p.supply) / p.laminar
+        opening *= re / math.sqrt(1.0 + re * re)
+    conductance = p.discharge * p.gradient * opening * math.sqrt(2.0 / p.density)
+    if p.line != 0.0:
+        conductance /= math.sqrt(1.0 + p.line * conductance * conductance)
+    if p.flow_exponent != 0.0:
+        conductance *= (abs(drop) / p.supply + 1.0e-6) ** p.flow_exponent
+    return conductance * drop * (drop * drop + p.laminar_below * p.laminar_below) ** -0.25
+
+
+@nb.njit(cache=True)
+def give(pressure, volume, at_zero, air, hose, p):
+    """Return the volume that a chamber takes up per pressure, m^3/Pa: oil, air and hose, or a cavity below vapour pressure."""
+    if pressure < p.vapour:
+        return at_zero / p.bulk
+    bulk = air_modulus(pressure, air, p) if air > 0.0 else p.bulk
+    return volume / bulk + hose
+
+
+@nb.njit(cache=True)
+def chamber_rates(t, y, dy, p):
+    """Write the rates of both chambers' pressures and of the pressure at port P."""
+    a, b, ps, v = max(y[PA], p.vapour), max(y[PB], p.vapour), y[PS], y[V]
+    x = ports_opening(y[XV], p)
+    warm = 1.0 + p.warm_flow * warmth(t, p) if p.warm_flow != 0.0 else 1.0
+    to_a, to_b = warm * edge_flow(P_A, x, ps - a, p), warm * edge_flow(P_B, -x, ps - b, p)
+    off_a, off_b = warm * edge_flow(A_T, -x, a - p.tank, p), warm * edge_flow(B_T, x, b - p.tank, p)
+    across = a - b
+    past = p.leakage * across
+    if p.turbulent != 0.0:  # laminar below about 0.2 MPa
+        past += p.turbulent * across / (across * across + 4.0e10) ** (0.5 - 0.5 * p.turbulent_exponent)
+    if p.seal != 0.0:
+        past += p.seal * across * v * v / (v * v + p.seal_speed * p.seal_speed)
+    stored_a = to_a - off_a - past - p.leak_a * (a - p.tank) - p.area_a * v
+    stored_b = to_b - off_b + past - p.leak_b * (b - p.tank) + p.area_b * v
+    dy[PA] = stored_a / give(y[PA], p.volume_a + p.area_a * y[X], p.volume_a, p.air_a, p.hose_a, p)
+    dy[PB] = stored_b / give(y[PB], p.volume_b - p.area_b * y[X], p.volume_b, p.air_b, p.hose_b, p)
+    taken = to_a + to_b
+    dy[PS] = (p.supply - p.droop * taken - p.droop_square * taken * taken - ps) / p.droop_time
+
+
+@nb.njit(cache=True)
+def load_pressure(y, p):
+    """Return the load pressure: the state of a double rod; the driving force of a single rod over its mean area."""
+    if p.area_a == 0.0:
+        return y[PL]
+    return (p.area_a * max(y[PA], p.vapour) - p.area_b * max(y[PB], p.vapour)) / p.area
+
+
+@nb.njit(cache=True)
+def supply_pressure(y, p):
+    """Return the pressure at port P, Pa."""
+    return y[PS] if p.droop + p.droop_square != 0.0 or p.area_a > 0.0 else p.supply
+
+
+@nb.njit(cache=True)
+def load_flow_rate(t, y, dy, ps, p):
+    """Write the rate of a double rod's load pressure, (1) and (2), and of the pressure at port P."""
+    v, p_load = y[V], y[PL]
+    q = orifice_flow(y[XV], ps, p_load, p)
+    if p.warm_flow != 0.0:
+        q *= 1.0 + p.warm_flow * warmth(t, p)
+    if p.droop + p.droop_square != 0.0:
+        dy[PS] = (p.supply - p.droop * abs(q) - p.droop_square * q * q - ps) / p.droop_time
+    q -= p.area * v + p.leakage * p_load
+    if p.turbulent != 0.0:  # laminar below about 0.2 MPa
+        q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** (0.5 - 0.5 * p.turbulent_exponent)
+    if p.external != 0.0:  # one rod seal leaks to the tank; half of that leakage appears in the load flow
+        q -= 0.5 * p.external * p.external_side * max(0.5 * (ps + p.external_side * p_load), 0.0)
+    if p.relief != 0.0:
+        q -= p.relief * (
+            softplus(p_load - p.relief_crack, p.relief_corner) - softplus(-p_load - p.relief_crack, p.relief_corner)
+        )
+    if p.seal != 0.0:
+        q -= p.seal * p_load * v * v / (v * v + p.seal_speed * p.seal_speed)
+    if p.hose != 0.0:
+        dy[ZH] = (p_load - y[ZH]) / p.hose_time
+        q -= p.hose * dy[ZH]
+    if p.mount != 0.0:  # rubber: delayed, and stiffer with increasing load
+        dy[QM] = (p.mount * p.mount_pressure * math.asinh(p_load / p.mount_pressure) - y[QM]) / p.mount_time
+        q -= dy[QM]
+    bulk = p.bulk
+    if p.air != 0.0 or p.air_half != 0.0:
+        bulk = 0.5 * (air_modulus(0.5 * (ps + p_load), p.air, p) + air_modulus(0.5 * (ps - p_load), p.air, p))
+    pressure_rate = 4.0 * bulk / p.volume * q
+    if p.mount != 0.0:  # the rig file's modulus includes its mean compliance
+        pressure_rate /= 1.0 - 4.0 * p.nominal_bulk / p.volume * p.mount * p.mount_mean
+    if p.rate_limit != 0.0:
+        r = pressure_rate / p.rate_limit
+        pressure_rate /= (1.0 + r * r) ** 0.5
+    dy[PL] = pressure_rate
+
+
+@nb.njit(cache=True)
+def air_modulus(pressure, air, p):
+    """Return the bulk modulus of oil with a part of free air, polytropically compressed, at a gauge pressure, Pa."""
     absolute = max(pressure, 0.0) + ATMOSPHERE
     if p.air_half > 0.0:  # half of the oil's modulus at that pressure
         return p.bulk * absolute / (absolute + p.air_half)
-    air = p.air
     if p.air_dissolved_at > 0.0:  # Henry: less is free the higher the pressure
         air *= max(1.0 - max(pressure, 0.0) / p.air_dissolved_at, 0.0)
     shrunk = air * (ATMOSPHERE / absolute) ** (1.0 / p.air_exponent)
@@ -249,8 +382,8 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     target, fd0, fd_rate, servo0, servo_rate, t0, temperature = c
     for i in range(N_BASE):
         dy[i] = 0.0
-    x, v, p_load, xv = y[X], y[V], y[PL], y[XV]
-    ps = y[PS] if p.droop + p.droop_square != 0.0 else p.supply
+    x, v, p_load, xv = y[X], y[V], load_pressure(y, p), y[XV]
+    ps = supply_pressure(y, p)
 
     # (4) valve
     if p.hum != 0.0:
@@ -279,38 +412,10 @@ def rhs(t, y, dy, modes, spool_free, p, c):  # noqa: PLR0912 - one branch per ef
     dy[XV] = rate
 
     # (1), (2) flow
-    q = orifice_flow(xv, ps, p_load, p)
-    if p.warm_flow != 0.0:
-        q *= 1.0 + p.warm_flow * warmth(t, p)
-    if p.droop + p.droop_square != 0.0:
-        dy[PS] = (p.supply - p.droop * abs(q) - p.droop_square * q * q - ps) / p.droop_time
-    q -= p.area * v + p.leakage * p_load
-    if p.turbulent != 0.0:  # laminar below about 0.2 MPa
-        q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** (0.5 - 0.5 * p.turbulent_exponent)
-    if p.external != 0.0:  # one rod seal leaks to the tank; half of that leakage appears in the load flow
-        q -= 0.5 * p.external * p.external_side * max(0.5 * (ps + p.external_side * p_load), 0.0)
-    if p.relief != 0.0:
-        q -= p.relief * (
-            softplus(p_load - p.relief_crack, p.relief_corner) - softplus(-p_load - p.relief_crack, p.relief_corner)
-        )
-    if p.seal != 0.0:
-        q -= p.seal * p_load * v * v / (v * v + p.seal_speed * p.seal_speed)
-    if p.hose != 0.0:
-        dy[ZH] = (p_load - y[ZH]) / p.hose_time
-        q -= p.hose * dy[ZH]
-    if p.mount != 0.0:  # rubber: delayed, and stiffer with increasing load
-        dy[QM] = (p.mount * p.mount_pressure * math.asinh(p_load / p.mount_pressure) - y[QM]) / p.mount_time
-        q -= dy[QM]
-    bulk = p.bulk
-    if p.air != 0.0 or p.air_half != 0.0:
-        bulk = 0.5 * (air_modulus(0.5 * (ps + p_load), p) + air_modulus(0.5 * (ps - p_load), p))
-    pressure_rate = 4.0 * bulk / p.volume * q
-    if p.mount != 0.0:  # the rig file's modulus includes its mean compliance
-        pressure_rate /= 1.0 - 4.0 * p.nominal_bulk / p.volume * p.mount * p.mount_mean
-    if p.rate_limit != 0.0:
-        r = pressure_rate / p.rate_limit
-        pressure_rate /= (1.0 + r * r) ** 0.5
-    dy[PL] = pressure_rate
+    if p.area_a == 0.0:
+        load_flow_rate(t, y, dy, ps, p)
+    else:
+        chamber_rates(t, y, dy, p)
 
     # (3) load
     two, on_second = p.two_body != 0.0, p.load_on_second != 0.0
@@ -435,7 +540,7 @@ def crossed(y, modes, p, out):
                 out[i], found = 1, True
         elif v != 0.0 and side * y[N_BASE + i] > 0.0:
             if s < 0.0:
-                s = sliding_level(v, side, x, y[PL], p)
+                s = sliding_level(v, side, x, load_pressure(y, p), p)
             if side * y[N_BASE + i] > p.weight[i] * s:
                 out[i], found = 1, True
     return found
@@ -561,11 +666,14 @@ def true_signals(t, y, p, out):
     """Write the readings of perfect sensors."""
     out[POSITION] = y[X]
     out[VELOCITY] = y[V]
-    out[PRESSURE] = y[PM] if p.p_lag != 0.0 else y[PL]
+    p_load = load_pressure(y, p)
+    out[PRESSURE] = y[PM] if p.p_lag != 0.0 else p_load
     out[SPOOL] = y[XV]
-    out[SUPPLY] = y[PS] if p.droop + p.droop_square != 0.0 else p.supply
-    out[FORCE] = p.area * y[PL]
+    out[SUPPLY] = supply_pressure(y, p)
+    out[FORCE] = p.area * p_load
     out[TEMPERATURE] = temperature_at(t, p)
+    first, second = (PRESSURE_B, PRESSURE_A) if p.swapped != 0.0 else (PRESSURE_A, PRESSURE_B)
+    out[first], out[second] = max(y[PA], p.vapour), max(y[PB], p.vapour)
 
 
 @nb.njit(cache=True)
@@ -594,6 +702,10 @@ def sense(t, dt, tick, history, now, p, unit_noise, zero, held, memory, last, ou
             value = value * p.p_gain + p.p_bias + p.p_quadratic * value * value + zero
             value += p.p_per_x * now[POSITION] + p.p_per_xx * now[POSITION] * now[POSITION]
             value += p.p_per_kelvin * (now[TEMPERATURE] - p.temperature)
+        elif ch == PRESSURE_A:
+            value = value * p.a_gain + p.a_bias
+        elif ch == PRESSURE_B:
+            value = value * p.b_gain + p.b_bias
         elif ch == POSITION:
             if p.x_interpolation != 0.0:
                 z = 6.283185307179586 * value / p.x_period + p.x_phase
@@ -653,14 +765,28 @@ def spool_target(u, t, plays, p):
 
 
 @nb.njit(cache=True)
+def pushed(want, seen):
+    """Return the load pressure against a motion, Pa."""
+    return seen[PRESSURE] if want > 0.0 else -seen[PRESSURE]
+
+
+@nb.njit(cache=True)
+def spare_pressure(want, seen, p):
+    """Return the force that a single rod has left for a motion, over its mean area, Pa."""
+    return (p.reach_out - seen[FORCE] if want > 0.0 else p.reach_in + seen[FORCE]) / p.nominal_area
+
+
+@nb.njit(cache=True)
 def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
     """Return the command: PI on force and P on position, summed as a reference speed and converted to a spool displacement.
 
+    The force of a double rod is that of its load pressure, that of a single rod is read by the load cell.
     memory: filtered force error, its integral.
     """
+    single = p.area_a > 0.0
     want = v_ref[k]
     if p.w_force != 0.0:
-        e = f_ref[k] - p.nominal_area * seen[PRESSURE]
+        e = f_ref[k] - (seen[FORCE] if single else p.nominal_area * seen[PRESSURE])
         memory[0] += dt * p.force_filter * (e - memory[0])
         memory[1] = min(max(memory[1] + dt * memory[0] / p.force_reset, -2.0e3), 2.0e3)
         want += p.w_force * p.force_gain * (memory[0] + memory[1])
@@ -671,12 +797,15 @@ def control(dt, k, seen, f_ref, x_ref, v_ref, memory, p):
         want = min(want, 0.0) - 8.0 * (ahead - p.guard)
     elif ahead < -p.guard:
         want = max(want, 0.0) - 8.0 * (ahead + p.guard)
-    push = (seen[PRESSURE] if want > 0.0 else -seen[PRESSURE]) / p.nominal_supply
+    push = 1.0 - spare_pressure(want, seen, p) / p.nominal_supply if single else pushed(want, seen) / p.nominal_supply
     if push > 0.75:  # limit the pressure against a rigid obstacle
         want *= max((0.87 - push) / 0.12, -0.5)
     want = min(max(want, -1.6), 1.6)
-    drop = p.nominal_supply - (seen[PRESSURE] if want > 0.0 else -seen[PRESSURE])
-    u = want * p.nominal_area / (p.flow_gain * math.sqrt(max(drop, 0.03 * p.nominal_supply)))
+    drop = spare_pressure(want, seen, p) if single else p.nominal_supply - pushed(want, seen)
+    gain = p.flow_gain
+    if single:
+        gain = p.flow_gain_out if want > 0.0 else p.flow_gain_in
+    u = want * p.nominal_area / (gain * math.sqrt(max(drop, 0.03 * p.nominal_supply)))
     return min(max(u, -p.spool_limit), p.spool_limit)
 
 
@@ -736,7 +865,8 @@ def simulate(  # noqa: PLR0912 - the loop is the algorithm
     force_memory, sensor_memory, plays = np.zeros(2), np.zeros(2), np.zeros(N_PLAYS)
     whole, part = ticks_of(p.command_delay, dt)
     h, row, spool_free = 2.0e-4, 0, True
-    sensor_memory[0], sensor_memory[1] = y[PL], p.area * y[PL]
+    sensor_memory[0] = load_pressure(y, p)
+    sensor_memory[1] = p.area * sensor_memory[0]
     target = spool_target(0.0, 0.0, plays, p)
     for k in range(n_ticks):
         t, end = k * dt, (k + 1) * dt

@@ -20,7 +20,8 @@ STEPPED = ("valve_command_m",)
 
 OFFSETS = {
     "position_m": 1.0e-5, "velocity_m_s": 2.0e-4, "load_pressure_pa": 3.0e3, "spool_m": 2.0e-6, "supply_pressure_pa": 1.0e4,
-    "force_n": 8.0, "oil_temperature_k": 0.5, "disturbance_force_n": 8.0,
+    "force_n": 8.0, "pressure_a_pa": 1.0e4, "pressure_b_pa": 1.0e4,
+    "oil_temperature_k": 0.5, "disturbance_force_n": 8.0,
 }  # fmt: skip
 """Largest offsets by data sheet: two to four steps of resolution or standard deviations of noise."""
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from . import kernel
-from .effects import EFFECTS, LISTED, Effect, Sizes, hang, wander
+from . import kernel, single_rod
+from .effects import Effect, Sizes, effects_of, hang, is_single, listed_of, wander
 from .experiments import TICK, Plan, planned
 from .forms import Day, FormErrors
 from .other_forms import OTHER_FORMS
@@ -23,6 +23,8 @@ CHANNELS = {
     "supply_pressure_pa": kernel.SUPPLY,
     "force_n": kernel.FORCE,
     "oil_temperature_k": kernel.TEMPERATURE,
+    "pressure_a_pa": kernel.PRESSURE_A,
+    "pressure_b_pa": kernel.PRESSURE_B,
 }
 # Noise and resolution: those of the paper, and those chosen in config/rig_paper_measured.yaml.
 SENSORS = {
@@ -33,10 +35,13 @@ SENSORS = {
     "supply_pressure_pa": (1.0e3, 1.2e3),
     "force_n": (2.0, 4.0),
     "oil_temperature_k": (0.05, 0.0),
+    "pressure_a_pa": (1.0e3, 1.2e3),
+    "pressure_b_pa": (1.0e3, 1.2e3),
 }
 RIG_SENSORS = {
     "position_m": "position", "velocity_m_s": "velocity", "load_pressure_pa": "load_pressure", "spool_m": "spool_position",
     "supply_pressure_pa": "supply_pressure", "force_n": "force", "oil_temperature_k": "oil_temperature",
+    "pressure_a_pa": "pressure_a", "pressure_b_pa": "pressure_b",
 }  # fmt: skip
 COLUMNS = (
     "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa", "position_m", "velocity_m_s", "force_n",
@@ -86,11 +91,15 @@ def nominal_sizes(rig: Mapping[str, Any]) -> np.ndarray:
     plant, friction = rig["plant"], rig["friction"]
     for field, key in {
         "supply": "supply_pressure", "density": "oil_density", "bulk": "bulk_modulus", "discharge": "discharge_coefficient",
-        "gradient": "valve_area_gradient", "leakage": "leakage_coefficient", "volume": "total_volume", "mass": "moving_mass",
-        "area": "piston_area", "spring": "spring_stiffness", "damping": "viscous_damping", "valve_rate": "valve_bandwidth",
+        "gradient": "valve_area_gradient", "leakage": "leakage_coefficient", "mass": "moving_mass",
+        "spring": "spring_stiffness", "damping": "viscous_damping", "valve_rate": "valve_bandwidth",
         "valve_gain": "valve_gain", "gravity": "gravity",
     }.items():  # fmt: skip
         p[field] = plant[key]
+    if is_single(rig):
+        single_rod.put_nominal(p, rig)
+    else:
+        p["area"], p["volume"] = plant["piston_area"], plant["total_volume"]
     for field, key in {
         "fc": "coulomb_force", "fs": "static_force", "vs": "stribeck_velocity", "exponent": "stribeck_exponent",
         "viscous": "viscous_coefficient",
@@ -133,8 +142,8 @@ def sensor(rig: Mapping[str, Any], column: str) -> tuple[float, float]:
     return given.get("noise_std", 0.0), given.get("resolution", 0.0)
 
 
-def effect_of(name: str, given: Sizes) -> tuple[Effect, Sizes]:
-    """Return an effect by the formula named in its sizes, if any, with neutral values for omitted sizes.
+def effect_of(rig: Mapping[str, Any], name: str, given: Sizes) -> tuple[Effect, Sizes]:
+    """Return an effect of a rig by the formula named in its sizes, if any, with neutral values for omitted sizes.
 
     Raises:
         KeyError: unknown effect or formula.
@@ -142,22 +151,22 @@ def effect_of(name: str, given: Sizes) -> tuple[Effect, Sizes]:
     """
     if "form" in given:
         return OTHER_FORMS[name][given["form"]], given
-    effect = EFFECTS[name]
+    effect = effects_of(rig)[name]
     if unknown := set(given) - set(effect.neutral) - {"site", "signals", "phase"}:
         raise ValueError(f"{name}: no size {sorted(unknown)}; there are {sorted(effect.neutral)}")
     return effect, effect.neutral | given
 
 
-def appears_in(name: str, sizes: Sizes) -> str:
+def appears_in(rig: Mapping[str, Any], name: str, sizes: Sizes) -> str:
     """Return the stage whose residual shows an effect."""
-    return "flow" if sizes.get("site") == "ports" else effect_of(name, sizes)[0].stage
+    return "flow" if sizes.get("site") == "ports" else effect_of(rig, name, sizes)[0].stage
 
 
-def _grown(healthy: np.ndarray, effects: Mapping[str, Sizes]) -> np.ndarray:
+def _grown(rig: Mapping[str, Any], healthy: np.ndarray, effects: Mapping[str, Sizes]) -> np.ndarray:
     """Return the kernel's record of a healthy rig with effects added."""
     p = healthy.copy()
     for name, given in effects.items():
-        effect, sizes = effect_of(name, given)
+        effect, sizes = effect_of(rig, name, given)
         effect.apply(p[0], sizes)
     return p
 
@@ -169,7 +178,9 @@ def start(p: np.ndarray, plan: Plan, rig: Mapping[str, Any]) -> np.ndarray:
     x = plan.x0
     force = plant["spring_stiffness"] * x + plant["moving_mass"] * plant["gravity"] + plan.disturbance[0]
     y[[kernel.X, kernel.XB, kernel.ZS]] = x
-    y[[kernel.PL, kernel.ZH, kernel.PM]] = force / plant["piston_area"]
+    y[[kernel.PL, kernel.ZH, kernel.PM]] = force / p["area"]
+    if is_single(rig):
+        y[[kernel.PA, kernel.PB]] = single_rod.resting(rig, force)
     y[kernel.PS] = plant["supply_pressure"]
     y[kernel.QM] = p["mount"] * p["mount_pressure"] * math.asinh(y[kernel.PL] / p["mount_pressure"])
     if p["load_on_second"] != 0.0 and p["second_stiffness"] > 0.0:
@@ -221,8 +232,8 @@ def record(
         IntegrationStopped: the integration failed.
     """
     rig = dict(rig)
-    seeds = np.random.SeedSequence(seed).spawn(3)
-    chance, noise_of, plan_of = (np.random.default_rng(s) for s in seeds)
+    seeds = np.random.SeedSequence(seed).spawn(4)
+    chance, noise_of, plan_of, noise_of_chambers = (np.random.default_rng(s) for s in seeds)
     n_ticks = max(round(duration / TICK), 1)
     ticks = TICK * np.arange(n_ticks + 1)
     plan = planned(experiment, plan_of, ticks, rig)
@@ -243,7 +254,7 @@ def record(
     if {"hinge_backlash", "flexible_mode"} <= set(effects):
         raise ValueError("hinge_backlash and flexible_mode: there is one second body, not two")
     for name, given in effects.items():
-        effect, sizes = effect_of(name, given)
+        effect, sizes = effect_of(rig, name, given)
         effect.apply(p[0], sizes)
         if name == "pressure_zero_wander":
             zero += wander(sizes, np.random.default_rng([seed, 1]), n_ticks + 1, TICK)
@@ -252,11 +263,11 @@ def record(
         truth["effects"][name] = dict(sizes)
         truth["natural"] |= {} if "form" in sizes else {name: effect.natural(sizes, rig)}
         truth["stages"][name] = effect.stage
-        truth["appears_in"][name] = appears_in(name, sizes)
+        truth["appears_in"][name] = appears_in(rig, name, sizes)
         truth["near"][name] = list(effect.near)
-        if name not in LISTED:
+        if name not in listed_of(rig):
             truth["outside"].append(name)
-    rigs = np.concatenate([p, *(_grown(healthy, sizes) for _, sizes in growth)])
+    rigs = np.concatenate([p, *(_grown(rig, healthy, sizes) for _, sizes in growth)])
     begins = np.array([0, *(round(time / TICK) for time, _ in growth)], np.int64)
     rigs["w_force"], rigs["w_position"] = plan.w_force, plan.w_position
     for name, channel in CHANNELS.items():
@@ -265,8 +276,13 @@ def record(
     n = math.floor(n_ticks * TICK * rate + 1e-6)
     at = np.arange(n) / rate
     same = math.isclose(rate * TICK, 1.0)
-    control_noise = noise_of.standard_normal((n_ticks, kernel.N_CHANNELS))
-    sample_noise = control_noise if same else noise_of.standard_normal((n, kernel.N_CHANNELS))
+
+    def drawn(rows: int) -> np.ndarray:
+        # Two streams, so that a seed gives a double rod the noise that it had before there were chambers.
+        return np.hstack([of.standard_normal((rows, k)) for of, k in ((noise_of, kernel.PRESSURE_A), (noise_of_chambers, 2))])
+
+    control_noise = drawn(n_ticks)
+    sample_noise = control_noise if same else drawn(n)
     signals = np.empty((n, kernel.N_CHANNELS))
     command, disturbance, displacement = np.empty(n), np.empty(n), np.empty(n)
     y = start(p[0], plan, rig)
@@ -287,7 +303,8 @@ def record(
     everything["disturbance_displacement_m"] = displacement if coupled else np.zeros(n)
     servo_speed = np.interp(at, ticks, np.gradient(plan.servo, TICK)) if coupled else np.zeros(n)
     everything["disturbance_velocity_m_s"] = servo_speed
-    chosen = list(columns) if columns is not None else [*COLUMNS, *(SERVO_COLUMNS if coupled else ())]
+    usual = single_rod.COLUMNS if is_single(rig) else COLUMNS
+    chosen = list(columns) if columns is not None else [*usual, *(SERVO_COLUMNS if coupled else ())]
     if unknown := set(chosen) - set(everything):
         raise ValueError(f"no columns {sorted(unknown)}; there are {sorted(everything)}")
     truth |= {"experiment": experiment, "seed": seed, "rate": rate, "noise": noise, "duration": duration, "degraded": []}

@@ -17,8 +17,7 @@ from itertools import permutations
 from typing import Any, NamedTuple
 
 from .cases import KINDS
-from .effects import LISTED
-from .visibility import STAGES
+from .effects import LISTED, STAGES
 
 VERDICTS = ("consistent", "effect", "unknown")
 CONFIDENT = 0.9

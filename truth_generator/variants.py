@@ -1,4 +1,4 @@
-"""Variants of recordings: low rate, two rates, no spool position, two chamber pressures, single-rod cylinder."""
+"""Variants of recordings: low rate, two rates, no spool position, two chamber pressures, single-rod cylinder, one pressure."""
 
 import copy
 import math
@@ -85,4 +85,14 @@ def single_rod(r: Recording, areas: tuple[float, float], rng: Rng) -> Recording:
     rod += SENSORS["load_pressure_pa"][0] * rng.standard_normal(rod.size) * (r.truth["noise"] > 0.0)
     out.columns |= {"pressure_a_pa": (force + b * rod) / a, "pressure_b_pa": rod}
     out.truth["degraded"].append(f"two chamber pressures of a single rod, areas {a:g} and {b:g} m²")
+    return out
+
+
+def one_pressure(r: Recording, areas: tuple[float, float]) -> Recording:
+    """Replace both chamber pressures of a single rod by the load pressure, their force over the mean area."""
+    a, b = areas
+    out = without(r, "pressure_a_pa", "pressure_b_pa")
+    force = a * r.columns["pressure_a_pa"] - b * r.columns["pressure_b_pa"]
+    out.columns["load_pressure_pa"] = force / (0.5 * (a + b))
+    out.truth["degraded"].append("one load pressure")
     return out

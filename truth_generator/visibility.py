@@ -12,112 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba as nb
 import numpy as np
 import yaml
-from scipy.signal import butter, sosfiltfilt
 
-from .effects import EFFECTS, draw_effect
+from .effects import STAGES, draw_effect, effects_of
 from .recording import SENSORS, Recording, record
-
-BAND = 25.0  # Hz, bandwidth of the flow and force balances
-EDGE = 0.1  # s, omitted at either end
-STAGES = ("force_balance", "flow", "valve", "sensors")
-
-
-@nb.njit(cache=True)
-def friction_along(v, dt, stiffness, weight, attraction, fc, fs, vs, exponent, lugre):
-    """Return the friction force of a given motion, without the viscous part."""
-    force, mode = np.zeros(stiffness.size), np.zeros(stiffness.size)
-    out = np.empty(v.size)
-    for j in range(v.size):
-        side = 1.0 if v[j] > 0.0 else -1.0
-        s = fc + (fs - fc) * np.exp(-((abs(v[j]) / vs) ** exponent))
-        total = 0.0
-        for i in range(force.size):
-            if lugre:
-                decay = np.exp(-stiffness[i] * abs(v[j]) / s * dt)
-                force[i] = side * s + (force[i] - side * s) * decay
-            else:
-                if mode[i] * v[j] < 0.0:
-                    mode[i] = 0.0
-                if mode[i] == 0.0:
-                    force[i] += stiffness[i] * v[j] * dt
-                    if side * force[i] > weight[i] * s:
-                        force[i] = side * weight[i] * s
-                        mode[i] = side
-                else:
-                    force[i] += attraction * (side * weight[i] - force[i] / s) * dt
-            total += force[i]
-        out[j] = total
-    return out
-
-
-def model_residuals(rig: Mapping[str, Any], r: Recording) -> dict[str, list[np.ndarray]]:
-    """Return the residuals of the nominal equations for a recording, by stage.
-
-    Columns may be missing: residuals that compare them are omitted, the spool follows from the command, and the supply
-    pressure is the rig file's.
-    """
-    plant, friction = rig["plant"], rig["friction"]
-    c, step = r.columns, 1.0 / r.truth["rate"]
-    low = butter(3, BAND, fs=1.0 / step, output="sos")
-    edge = round(EDGE / step)
-
-    def band(a: np.ndarray) -> np.ndarray:
-        return sosfiltfilt(low, a)[edge:-edge]
-
-    x = sosfiltfilt(low, c["position_m"])
-    v = np.gradient(x, step)
-    p_load, command = c["load_pressure_pa"], plant["valve_gain"] * c["valve_command_m"]
-    modelled = np.empty_like(command)
-    modelled[0] = c["spool_m"][0] if "spool_m" in c else command[0]
-    modelled[1:] = _follow(command, np.exp(-plant["valve_bandwidth"] * step), modelled[0])
-    spool = c.get("spool_m", modelled)
-    supply = c.get("supply_pressure_pa", plant["supply_pressure"])
-    flow = plant["discharge_coefficient"] * plant["valve_area_gradient"] * spool
-    flow *= np.sqrt(np.maximum(supply - np.sign(spool) * p_load, 0.0) / plant["oil_density"])
-    compressed = plant["total_volume"] / (4.0 * plant["bulk_modulus"]) * np.gradient(p_load, step)
-    lugre = friction["model"] == "lugre"
-    stiffness, weight = (np.asarray(friction[key], float) for key in ("element_stiffness", "element_weight"))
-    if lugre:
-        stiffness, weight = stiffness.sum(keepdims=True), np.ones(1)
-    rub = friction_along(
-        v, step, stiffness, weight, friction["attraction_rate"], friction["coulomb_force"], friction["static_force"],
-        friction["stribeck_velocity"], friction["stribeck_exponent"], lugre,
-    )  # fmt: skip
-    force = (
-        plant["piston_area"] * p_load
-        - plant["moving_mass"] * (np.gradient(v, step) + plant["gravity"])
-        - (plant["viscous_damping"] + friction["viscous_coefficient"]) * v
-        - plant["spring_stiffness"] * x
-        - rub
-        - c["disturbance_force_n"]
-    )
-    return {
-        "force_balance": [band(force)],
-        "flow": [
-            band(flow - plant["piston_area"] * v - plant["leakage_coefficient"] * p_load - compressed),
-            *([band(supply - plant["supply_pressure"])] if "supply_pressure_pa" in c else []),
-        ],
-        "valve": [(spool - modelled)[edge:-edge]] if "spool_m" in c else [],
-        "sensors": [
-            band(c[name] - other)
-            for name, other in {"force_n": plant["piston_area"] * p_load, "velocity_m_s": v}.items()
-            if name in c
-        ],
-    }
-
-
-@nb.njit(cache=True)
-def _follow(command, decay, first):
-    """Return the spool position by (4) at the end of each cycle of a held command."""
-    out = np.empty(command.size - 1)
-    at = first
-    for i in range(out.size):
-        at = command[i] + (at - command[i]) * decay
-        out[i] = at
-    return out
+from .residuals import model_residuals, rms
 
 
 @dataclass
@@ -153,7 +53,7 @@ def background(
         for noise in (0.0, 1.0)
     )
     left, spoilt = model_residuals(rig, quiet), model_residuals(rig, noisy)
-    floor = {stage: [_rms(a - b) for a, b in zip(spoilt[stage], left[stage], strict=True)] for stage in STAGES}
+    floor = {stage: [rms(a - b) for a, b in zip(spoilt[stage], left[stage], strict=True)] for stage in STAGES}
     return Background(quiet, left, floor)
 
 
@@ -162,7 +62,7 @@ def against(without: Background, rig: Mapping[str, Any], r: Recording) -> dict[s
     found = model_residuals(rig, r)
     return {
         stage: max(
-            (_rms(a - b) / f for a, b, f in zip(found[stage], without.left[stage], without.floor[stage], strict=True)),
+            (rms(a - b) / f for a, b, f in zip(found[stage], without.left[stage], without.floor[stage], strict=True)),
             default=0.0,
         )
         for stage in STAGES
@@ -212,19 +112,15 @@ def prominence(without: Background, rest: Sequence[tuple[float, Rows]], healthy:
     for stage in STAGES:
         ratios = []
         for i, floor in enumerate(without.floor[stage]):
-            effect = _rms(changed[stage][i] - healthy[stage][i])
-            other = math.sqrt(floor**2 + sum((factor * _rms(rows[stage][i])) ** 2 for factor, rows in rest))
+            effect = rms(changed[stage][i] - healthy[stage][i])
+            other = math.sqrt(floor**2 + sum((factor * rms(rows[stage][i])) ** 2 for factor, rows in rest))
             ratios.append(effect / other)
             if effect > other:
-                total = _rms(changed[stage][i] - without.left[stage][i]) ** 2
-                due += (total - _rms(healthy[stage][i] - without.left[stage][i]) ** 2) / floor**2
+                total = rms(changed[stage][i] - without.left[stage][i]) ** 2
+                due += (total - rms(healthy[stage][i] - without.left[stage][i]) ** 2) / floor**2
                 whole += total / floor**2
         seen[stage] = max(ratios, default=0.0)
     return Prominence(seen, due / whole if whole > 0.0 else 0.0)
-
-
-def _rms(a: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(a * a)))
 
 
 def raw_difference(a: Recording, b: Recording) -> tuple[float, str]:
@@ -233,7 +129,7 @@ def raw_difference(a: Recording, b: Recording) -> tuple[float, str]:
     for name, (std, resolution) in SENSORS.items():
         if name in a.columns and name in b.columns:
             unit = np.hypot(std, resolution / np.sqrt(12.0))
-            found = max(found, (_rms(a.columns[name] - b.columns[name]) / float(unit), name))
+            found = max(found, (rms(a.columns[name] - b.columns[name]) / float(unit), name))
     return found
 
 
@@ -242,7 +138,7 @@ def main(rig_file: str, experiment: str = "rich", draws: int = 10) -> None:
     rig = yaml.safe_load(Path(rig_file).read_text(encoding="utf-8"))
     print(f"{'effect':31s} {'stage':14s} {'seen in':14s} {'visibility: min, median, max':32s} difference of recordings")
     backgrounds = [background(rig, experiment, seed=seed) for seed in range(draws)]
-    for index, (name, effect) in enumerate(EFFECTS.items()):
+    for index, (name, effect) in enumerate(effects_of(rig).items()):
         seen, raw = [], []
         for seed, without in enumerate(backgrounds):
             hidden = {name: draw_effect(name, np.random.default_rng([seed, index]), rig)}

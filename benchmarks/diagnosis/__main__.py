@@ -2,6 +2,7 @@
 
     python -m benchmarks.diagnosis --cases 400 --jobs 2          # a fresh seed, which is printed
     python -m benchmarks.diagnosis --exam partial --cases 200    # rigs that no model describes; or another exam
+    python -m benchmarks.diagnosis --rig single_rod --signals one_pressure    # a single rod, with one pressure only
     python -m benchmarks.diagnosis --seed 7                      # the same cases again, or those still missing
     python -m benchmarks.diagnosis --seed 7 --case 12 31         # two of them, with the complete results
     python -m benchmarks.diagnosis --summary runs/diagnosis-7.jsonl
@@ -42,7 +43,10 @@ def arguments() -> argparse.Namespace:
     """Return the command line."""
     parser = parser_of(__doc__)
     parser.prog = "python -m benchmarks.diagnosis"
-    parser.add_argument("--exam", choices=EXAMS, default="clean", help="what the rig and its recordings are like (%(default)s)")
+    exams = [name for name in EXAMS if " " not in name]
+    parser.add_argument("--rig", choices=cases.RIGS, default="paper", help="the rig (%(default)s)")
+    parser.add_argument("--signals", choices=("all", "one_pressure"), default="all", help="of a single rod (%(default)s)")
+    parser.add_argument("--exam", choices=exams, default="clean", help="what the rig and its recordings are like (%(default)s)")
     parser.add_argument("--cases", type=int, default=None, help="number of cases (400)")
     parser.add_argument("--seed", type=int, default=None, help="seed of the cases; a fresh one by default")
     parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
@@ -86,6 +90,11 @@ def main() -> None:
         return
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
     duration = options.duration or (QUICK_DURATION if options.quick else 60.0)
+    if options.signals != "all":
+        options.exam = options.signals if options.exam == "clean" else f"{options.exam} with {options.signals}"
+    options.exam = cases.name_of(options.exam, options.rig)
+    if options.exam not in EXAMS:
+        sys.exit(f"--exam {options.exam}: there is none; there are {', '.join(EXAMS)}")
     with_peers = options.exam == "clean" and not options.no_peers  # the peers assume that the rig is the model
     one = partial(running.run, options.exam, seed, duration=duration, with_peers=with_peers)
     if options.case:
@@ -96,7 +105,7 @@ def main() -> None:
     if options.only not in (None, *EXAMS[options.exam].kinds):
         sys.exit(f"--only {options.only}: the exam '{options.exam}' has {', '.join(EXAMS[options.exam].kinds)}")
     wanted = numbers(options.exam, options.cases or (QUICK_CASES if options.quick else 400), options.only)
-    exam = "" if options.exam == "clean" else f"-{options.exam}"
+    exam = "" if options.exam == "clean" else f"-{options.exam.replace(' ', '-')}"
     out = options.out or ROOT / "runs" / f"diagnosis{exam}-{seed}.jsonl"
     out.parent.mkdir(parents=True, exist_ok=True)
     rows = read_rows([out])

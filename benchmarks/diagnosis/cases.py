@@ -4,7 +4,7 @@ A case depends only on the seed of the run and its number, not on the number of 
 """
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, is_dataclass
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -12,16 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from benchmarks.common import MEASURED_RIG, ROOT
+from benchmarks.common import MEASURED_RIG, ROOT, SINGLE_ROD
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.trajectory import Trajectory
-from truth_generator import FINE, Day, FormErrors, Measurement, Recording, measured, record
+from truth_generator import FINE, Day, FormErrors, Measurement, Recording, listed_of, measured, record
 from truth_generator.cases import EXPERIMENTS, KINDS, MOST_DRAWS, ONE_BODY, SHOWS, Hidden, draw_case, draw_shown, kind_of
 
 __all__ = [
-    "EXPERIMENTS", "KINDS", "MOST_DRAWS", "ONE_BODY", "SHOWS", "Case", "Hidden", "healthy_of", "kind_of", "make",
-    "recording_of", "rig", "rig_file", "shown", "sources", "trajectory_of",
+    "EXPERIMENTS", "KINDS", "MOST_DRAWS", "ONE_BODY", "RIGS", "SHOWS", "Case", "Hidden", "effect_of", "healthy_of", "kind_of",
+    "make", "name_of", "recording_of", "rig", "rig_file", "shown", "sources", "trajectory_of",
 ]  # fmt: skip
+
+RIGS = {"paper": MEASURED_RIG, "single_rod": SINGLE_ROD}
+"""Rig files by name."""
 
 
 class Case(NamedTuple):
@@ -44,7 +47,8 @@ class Case(NamedTuple):
         healthy: experiment and seed of each healthy recording.
         days: condition of the rig in the recording and in the healthy ones, in that order; empty if it is always the same.
         share: fraction of the removable error power due to the hidden effect; None if it is the only cause.
-        data: kind of the data in the exam `raw`; empty if all signals are present.
+        data: kind of the data in the exams of raw data and of one pressure; empty if all signals are present.
+        rig: name of the rig.
     """
 
     seed: int
@@ -64,6 +68,7 @@ class Case(NamedTuple):
     days: tuple[Day, ...] = ()
     share: float | None = None
     data: str = ""
+    rig: str = "paper"
 
     def told(self) -> dict[str, Any]:
         """Return the case in JSON-compatible form."""
@@ -79,16 +84,16 @@ def _plain(value: Any) -> Any:
 
 
 @cache
-def rig_file() -> dict[str, Any]:
-    """Return the content of the rig file."""
-    content: dict[str, Any] = yaml.safe_load(MEASURED_RIG.read_text(encoding="utf-8"))
+def rig_file(name: str = "paper") -> dict[str, Any]:
+    """Return the content of a rig file."""
+    content: dict[str, Any] = yaml.safe_load(RIGS[name].read_text(encoding="utf-8"))
     return content
 
 
 @cache
-def rig() -> Rig:
+def rig(name: str = "paper") -> Rig:
     """Return the rig that the diagnosis is given."""
-    return rig_from_mapping(rig_file(), str(MEASURED_RIG))
+    return rig_from_mapping(rig_file(name), str(RIGS[name]))
 
 
 @cache
@@ -101,13 +106,34 @@ def sources() -> str:
     return digest.hexdigest()[:10]
 
 
-def make(seed: int, number: int, duration: float) -> Case:
+def name_of(exam: str, rig: str) -> str:
+    """Return the name of an exam on a rig."""
+    return exam if rig == "paper" else f"{rig} {exam}"
+
+
+def make(seed: int, number: int, duration: float, rig: str = "paper") -> Case:
     """Draw a case."""
-    drawn = draw_case(rig_file(), seed, number, duration)
-    return Case(seed, number, kind_of(number), drawn.experiment, drawn.record_seed, duration, *drawn[2:])
+    drawn = draw_case(rig_file(rig), seed, number, duration)
+    exam = name_of("clean", rig)
+    return Case(seed, number, kind_of(number), drawn.experiment, drawn.record_seed, duration, *drawn[2:], exam, rig=rig)
 
 
-def shown(rng: np.random.Generator, seed: int, number: int, kind: str, duration: float, draw: Callable[[], Hidden]) -> Case:
+def effect_of(seed: int, turn: int, rig: str = "paper", omitted: Collection[str] = ()) -> str:
+    """Return the effect of the nth case that hides one: all equally often, in an order given by the seed."""
+    pool = sorted(set(listed_of(rig_file(rig))) - set(omitted))
+    again, place = divmod(turn, len(pool))
+    return pool[int(np.random.default_rng([seed, again, 16]).permutation(len(pool))[place])]
+
+
+def shown(
+    rng: np.random.Generator,
+    seed: int,
+    number: int,
+    kind: str,
+    duration: float,
+    draw: Callable[[], Hidden],
+    rig: str = "paper",
+) -> Case:
     """Draw experiment and hidden effects until all of them show.
 
     Args:
@@ -117,9 +143,10 @@ def shown(rng: np.random.Generator, seed: int, number: int, kind: str, duration:
         kind: its kind.
         duration: duration of the recording [s].
         draw: draws the hidden effects.
+        rig: name of the rig.
     """
-    drawn = draw_shown(rig_file(), rng, duration, draw)
-    return Case(seed, number, kind, drawn.experiment, drawn.record_seed, duration, *drawn[2:])
+    drawn = draw_shown(rig_file(rig), rng, duration, draw)
+    return Case(seed, number, kind, drawn.experiment, drawn.record_seed, duration, *drawn[2:], rig=rig)
 
 
 def recording_of(case: Case) -> Recording:
@@ -139,10 +166,11 @@ def healthy_of(case: Case) -> list[Recording]:
 
 def _recorded(case: Case, hidden: Mapping[str, Any], experiment: str, seed: int, day: int) -> Recording:
     condition = case.days[day] if case.days else None
+    content = rig_file(case.rig)
     same = partial(
-        record, rig_file(), hidden, experiment, seed=seed, duration=case.duration, forms=case.forms, day=condition,
+        record, content, hidden, experiment, seed=seed, duration=case.duration, forms=case.forms, day=condition,
         disturbed=case.disturbed,
     )  # fmt: skip
     if case.measurement is None:
         return same()
-    return measured(same(rate=FINE, noise=0.0), rig_file(), seed, case.measurement)
+    return measured(same(rate=FINE, noise=0.0), content, seed, case.measurement)

@@ -104,6 +104,7 @@ COMPARE: dict[str, Callable[[Sizes, Values], list[Quantity]]] = {
     "valve_second_order": same(natural_frequency="natural_frequency", damping="damping_ratio"),
     "valve_hysteresis": same(width="width"),
     "command_delay": same(delay="delay"),
+    "tank_pressure_shift": same(added="offset"),
     "supply_pressure_droop": same(resistance="resistance", time_constant="time_constant"),
     "bulk_modulus_shift": beyond_one(factor="factor"),
     "entrained_air": same(chambers="fraction"),
@@ -140,6 +141,36 @@ COMPARE: dict[str, Callable[[Sizes, Values], list[Quantity]]] = {
 }
 
 
+SIDES = {"first": "a", "second": "b", "each": "both", "chambers": "both"}
+"""Sides on which parameters of a single rod's effects act."""
+
+
+def _of_side(size: str, neutral: float = 0.0) -> Callable[[Sizes, Values], list[Quantity]]:
+    """Compare the parameter of the true side."""
+    return lambda true, found: [
+        Quantity(size, true[size] - neutral, value - neutral, std)
+        for name, (value, std) in found.items()
+        if SIDES.get(name) == true["side"]
+    ]
+
+
+def _edge_gain(true: Sizes, found: Values) -> list[Quantity]:
+    return beyond_one(**{true["edge"]: "factor"})(true, found)
+
+
+COMPARE_SIDES: dict[str, Callable[[Sizes, Values], list[Quantity]]] = {
+    "external_leakage": _of_side("coefficient"),
+    "edge_wear": lambda true, found: [],  # of another formula
+    "edge_gain": _edge_gain,
+    "hose_compliance": _of_side("compliance"),
+    "entrained_air": _of_side("fraction"),
+    "pressure_sensor_bias": _of_side("bias"),
+    "pressure_sensor_gain": _of_side("gain", 1.0),
+}
+"""Those of a single rod's effects with a side."""
+
+
 def quantities(name: str, true: Sizes, found: Values) -> list[Quantity]:
     """Return the quantities of a rightly named cause that can be compared."""
-    return COMPARE[name](true, found)
+    compare = COMPARE_SIDES if isinstance(true.get("side"), str) else COMPARE
+    return compare[name](true, found)

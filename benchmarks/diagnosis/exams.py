@@ -5,16 +5,30 @@ models, and one hidden effect; the rig file is the nominal one. baseline: the sa
 cases without any change since. skew: the rig is the model, but every channel is skewed and jittered. forms: clean, but the
 hidden effect, or one of a hidden pair, follows another formula of the same physics. raw: the rig is the model, but its data are
 slow, at two rates, without the spool, of few signals, or of a single rod, in turn. neighbours: clean, two effects at once that
-show most in the same or in adjacent stages.
+show most in the same or in adjacent stages. one_pressure: clean, on a single rod, of which one pressure is missing.
+
+The exams clean, partial and baseline also exist for the single rod, under names of their own (`cases.name_of`).
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.diagnosis import cases, raw
-from benchmarks.diagnosis.cases import EXPERIMENTS, MOST_DRAWS, ONE_BODY, SHOWS, Case, Hidden, rig_file, shown
+from benchmarks.diagnosis import cases, raw, single_rod
+from benchmarks.diagnosis.cases import (
+    EXPERIMENTS,
+    MOST_DRAWS,
+    ONE_BODY,
+    SHOWS,
+    Case,
+    Hidden,
+    effect_of,
+    name_of,
+    rig_file,
+    shown,
+)
 from truth_generator import (
     LISTED,
     OTHER_FORMS,
@@ -27,7 +41,9 @@ from truth_generator import (
     draw_other_form,
     record,
 )
-from truth_generator.visibility import Background, against, background, model_residuals, prominence, rows_between
+from truth_generator.cases import experiments_of
+from truth_generator.residuals import model_residuals
+from truth_generator.visibility import Background, against, background, prominence, rows_between
 
 Rng = np.random.Generator
 
@@ -83,13 +99,6 @@ def _alternating(number: int) -> str:
     return ("singles", "nothing")[number % 2]
 
 
-def effect_of(seed: int, turn: int) -> str:
-    """Return the effect of the nth case that hides one: all equally often, in an order given by the seed."""
-    pool = sorted(LISTED)
-    again, place = divmod(turn, len(pool))
-    return pool[int(np.random.default_rng([seed, again, 16]).permutation(len(pool))[place])]
-
-
 def _experiment(rng: Rng, name: str | None, among: dict[str, float] = EXPERIMENTS) -> str:
     drawn = str(rng.choice(list(among), p=list(among.values())))
     return "servo" if name == "coupling_stiffness" else drawn
@@ -105,26 +114,25 @@ def _seed(rng: Rng) -> int:
 class _Scene:
     """An experiment on an imperfect rig in a given condition, and the visibility of an effect in it."""
 
-    def __init__(self, forms: FormErrors, day: Day | None, weight: float, where: tuple[str, int, float]) -> None:
-        self.forms, self.day, self.weight = forms, day, weight
+    def __init__(self, rig: str, forms: FormErrors, day: Day | None, weight: float, where: tuple[str, int, float]) -> None:
+        self.rig, self.forms, self.day, self.weight = rig, forms, day, weight
         self.experiment, self.seed, self.duration = where
-        self.model: Background = background(rig_file(), self.experiment, seed=self.seed, duration=self.duration)
+        self.model: Background = background(rig_file(rig), self.experiment, seed=self.seed, duration=self.duration)
         own = self._left({}, None)
         self.healthy = own if day is None else self._left({}, day)
         # Day-to-day variation counts fully: no healthy recording shows that of another day.
         self.rest = [(weight, rows_between(own, self.model.left)), (1.0, rows_between(self.healthy, own))]
 
     def _left(self, hidden: dict[str, Any], day: Day | None) -> dict[str, list[np.ndarray]]:
-        r = record(
-            rig_file(), hidden, self.experiment, seed=self.seed, duration=self.duration, noise=0.0, forms=self.forms, day=day
-        )
-        return model_residuals(rig_file(), r)
+        rig = rig_file(self.rig)
+        r = record(rig, hidden, self.experiment, seed=self.seed, duration=self.duration, noise=0.0, forms=self.forms, day=day)
+        return model_residuals(rig, r)
 
     def prominence(self, hidden: dict[str, Any]) -> Any:
         return prominence(self.model, self.rest, self.healthy, self._left(hidden, self.day))
 
     def with_forms(self, forms: FormErrors) -> "_Scene":
-        return _Scene(forms, self.day, self.weight, (self.experiment, self.seed, self.duration))
+        return _Scene(self.rig, forms, self.day, self.weight, (self.experiment, self.seed, self.duration))
 
 
 def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], Any] | None:
@@ -135,7 +143,7 @@ def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], 
     """
     low, high = STANDS_OUT
     target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-    drawn = [draw_effect(name, rng, rig_file()) for _ in range(CANDIDATES)]
+    drawn = [draw_effect(name, rng, rig_file(scene.rig)) for _ in range(CANDIDATES)]
     found = [(scene.prominence({name: sizes}), sizes) for sizes in drawn]
     fit = [(s, sizes) for s, sizes in found if max(s.visibility.values()) >= low]
     if fit:
@@ -155,19 +163,25 @@ def _sized(rng: Rng, name: str, scene: _Scene) -> tuple[_Scene, dict[str, Any], 
 
 
 def _imperfect(
-    rng: Rng, name: str | None, duration: float, day: Day | None, weight: float, healthy: Sequence[tuple[str, int]] = ()
+    rng: Rng,
+    rig: str,
+    name: str | None,
+    duration: float,
+    day: Day | None,
+    weight: float,
+    healthy: Sequence[tuple[str, int]] = (),
 ) -> tuple[Any, ...]:
     """Draw rig, experiment and size until the effect is visible; return them, its visibility, and the rejected draws.
 
     The form errors are of the size drawn in the first healthy recording, or in the recording itself if there is none.
     """
     for redrawn in range(MOST_DRAWS):
-        experiment, seed = _experiment(rng, name), _seed(rng)
+        experiment, seed = _experiment(rng, name, experiments_of(rig_file(rig))), _seed(rng)
         first, first_seed = healthy[0] if healthy else (experiment, seed)
-        forms = draw_forms(rng, rig_file(), first, seed=first_seed, duration=duration)
+        forms = draw_forms(rng, rig_file(rig), first, seed=first_seed, duration=duration)
         if name is None:
             return forms, experiment, seed, {}, None, redrawn
-        found = _sized(rng, name, _Scene(forms, day, weight, (experiment, seed, duration)))
+        found = _sized(rng, name, _Scene(rig, forms, day, weight, (experiment, seed, duration)))
         if found is not None:
             scene, sizes, s = found
             return scene.forms, experiment, seed, {name: sizes}, s, redrawn
@@ -183,25 +197,26 @@ def _case(kind: str, seed: int, number: int, duration: float, drawn: tuple[Any, 
     )  # fmt: skip
 
 
-def make_partial(seed: int, number: int, duration: float) -> Case:
+def make_partial(seed: int, number: int, duration: float, rig: str = "paper") -> Case:
     """Draw a case of the exam `partial`."""
     rng = np.random.default_rng([seed, number, 1])
-    drawn = _imperfect(rng, effect_of(seed, number), duration, None, 1.0)
+    drawn = _imperfect(rng, rig, effect_of(seed, number, rig), duration, None, 1.0)
     how = draw_measurement(rng, (), jitter=float(rng.uniform(0.0, JITTER)))
-    return _case("singles", seed, number, duration, drawn, "partial", measurement=how)
+    return _case("singles", seed, number, duration, drawn, name_of("partial", rig), measurement=how, rig=rig)
 
 
-def make_baseline(seed: int, number: int, duration: float) -> Case:
+def make_baseline(seed: int, number: int, duration: float, rig: str = "paper") -> Case:
     """Draw a case of the exam `baseline`: one healthy recording of the same day, or three of other days."""
     rng = np.random.default_rng([seed, number, 2])
     kind = _alternating(number)
-    name = effect_of(seed, number // 2) if kind == "singles" else None
+    name = effect_of(seed, number // 2, rig) if kind == "singles" else None
     count = int(rng.choice([1, 3]))
     days = tuple(draw_day(rng, SPREAD) for _ in range(1 + count)) if count > 1 else ()
     healthy = tuple((_experiment(rng, name, HEALTHY), _seed(rng)) for _ in range(count))
-    drawn = _imperfect(rng, name, duration, days[0] if days else None, REMEMBERED, healthy)
+    drawn = _imperfect(rng, rig, name, duration, days[0] if days else None, REMEMBERED, healthy)
     how = draw_measurement(rng, (), jitter=float(rng.uniform(0.0, JITTER)))
-    return _case(kind, seed, number, duration, drawn, "baseline", measurement=how, healthy=healthy, days=days)
+    exam = name_of("baseline", rig)
+    return _case(kind, seed, number, duration, drawn, exam, measurement=how, healthy=healthy, days=days, rig=rig)
 
 
 # ------------------------------------------------------------------------------------------------------- skewed channels
@@ -303,6 +318,12 @@ EXAMS: dict[str, Exam] = {
     "forms": Exam(("singles", "pairs"), _with_pairs, make_forms),
     "raw": Exam(("singles",), lambda number: "singles", make_raw),
     "neighbours": Exam(("pairs",), lambda number: "pairs", make_neighbours),
+}
+EXAMS |= {
+    name_of("clean", "single_rod"): EXAMS["clean"]._replace(make=partial(cases.make, rig="single_rod")),
+    name_of("partial", "single_rod"): EXAMS["partial"]._replace(make=partial(make_partial, rig="single_rod")),
+    name_of("baseline", "single_rod"): EXAMS["baseline"]._replace(make=partial(make_baseline, rig="single_rod")),
+    name_of("one_pressure", "single_rod"): Exam(("singles",), lambda number: "singles", single_rod.make_one_pressure),
 }
 
 

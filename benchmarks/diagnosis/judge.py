@@ -2,7 +2,8 @@
 
 Rows are those returned by `running.run`. Strict: the first cause, or one the diagnosis itself calls equivalent to it, is the
 hidden one. Lenient: for an effect outside the list, a listed one that the truth calls near also counts, and any stage in which
-the effect shows. A true cause named together with an absent one counts as wrong, for either judge.
+the effect shows. A true cause named together with an absent one counts as wrong, for either judge. Where a recording cannot
+be diagnosed, right is the refusal that says why.
 """
 
 from typing import NamedTuple
@@ -10,11 +11,15 @@ from typing import NamedTuple
 from benchmarks.common import Quantity
 from benchmarks.diagnosis.cases import SHOWS
 from benchmarks.diagnosis.comparable import quantities
+from benchmarks.diagnosis.single_rod import side_of
 from benchmarks.rows import Row
 from truth_generator.scoring import CONFIDENT, matched
 
 NAMED = ("effect", "partial")
 """Verdicts that name causes."""
+
+REASONS = {"swapped_pressure_sensors": "swap"}
+"""Text in the refusal of a recording with such an effect."""
 
 
 class Judgement(NamedTuple):
@@ -31,6 +36,7 @@ class Judgement(NamedTuple):
         what: the verdict in words.
         quantities: those of rightly named causes.
         beliefs: probability of each named cause, its equivalents included, and whether one of them is hidden.
+        sides: of each rightly named effect with a side, whether that is right.
     """
 
     right: bool
@@ -43,12 +49,14 @@ class Judgement(NamedTuple):
     what: str
     quantities: list[Quantity]
     beliefs: tuple[tuple[float, bool], ...] = ()
+    sides: tuple[bool, ...] = ()
 
 
 def judge(row: Row) -> Judgement:
     """Judge our diagnosis of a case."""
     if "ours" not in row:
-        return Judgement(False, False, False, False, False, False, (), "error", [])
+        right = any(name in REASONS and REASONS[name] in row.get("refused", "") for name in row.get("hidden", {}))
+        return Judgement(right, right, right, right, False, False, (), "refused" if right else "error", [])
     ours, kind, hidden = row["ours"], row["kind"], list(row["hidden"])
     causes = ours["causes"]
     classes = [{c["name"], *c["equivalent_to"]} for c in causes]
@@ -85,7 +93,13 @@ def judge(row: Row) -> Judgement:
             or (verdict == "effect" and bool(near) and set(names) <= near)
         )
     beliefs = tuple((min(1.0, c["probability"] * (1 + len(c["equivalent_to"]))), i in true) for i, c in enumerate(causes))
-    return Judgement(right, lenient, first, exact, confident, confident_lenient, not_there, worded(row), found, beliefs)
+    sides = tuple(
+        cause["side"] == side
+        for name in hidden
+        if (side := side_of(name, row["hidden"])) is not None
+        for cause in [c for i, c in enumerate(causes) if i in true and name in classes[i]][:1]
+    )
+    return Judgement(right, lenient, first, exact, confident, confident_lenient, not_there, worded(row), found, beliefs, sides)
 
 
 def closed_off(row: Row) -> float | None:

@@ -11,7 +11,8 @@ from ehls_ros.recording.conversion import converted
 from ehls_ros.recording.joining import join
 from ehls_ros.trajectory import Trajectory
 from truth_generator import LISTED, Recording, record, variants
-from truth_generator.visibility import background, model_residuals, prominence
+from truth_generator.residuals import model_residuals
+from truth_generator.visibility import background, prominence
 
 SLOW = 100.0
 """Rate of slow data [1/s]."""

@@ -8,21 +8,26 @@ from typing import Any
 from benchmarks.diagnosis.cases import Case, healthy_of, recording_of, rig, sources, trajectory_of
 from benchmarks.diagnosis.exams import EXAMS
 from benchmarks.diagnosis.raw import KINDS
+from benchmarks.diagnosis.single_rod import SIGNALS
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.result import Diagnosis
+from ehls_ros.errors import BadInput
 
 
 def diagnose_case(case: Case) -> Diagnosis:
     """Diagnose a case with the inputs of its exam: the rig file, and the healthy recordings if any."""
     recording = recording_of(case)
-    new = KINDS[case.data].given(recording) if case.data else trajectory_of(recording)
+    if case.data in KINDS:
+        new = KINDS[case.data].given(recording)
+    else:
+        new = trajectory_of(SIGNALS[case.data](recording) if case.data else recording)
     if not case.healthy:
-        return diagnose(new, rig(), "case", seed=case.number, threads=1)
+        return diagnose(new, rig(case.rig), "case", seed=case.number, threads=1)
     # The other exams run without this module.
     from ehls_ros.experiments.baseline import diagnose_against  # noqa: PLC0415
 
     baselines = [trajectory_of(recording) for recording in healthy_of(case)]
-    return diagnose_against(new, baselines, rig(), "case", seed=case.number, threads=1)
+    return diagnose_against(new, baselines, rig(case.rig), "case", seed=case.number, threads=1)
 
 
 def run(exam: str, seed: int, number: int, duration: float, with_peers: bool) -> dict[str, Any]:
@@ -38,7 +43,11 @@ def run(exam: str, seed: int, number: int, duration: float, with_peers: bool) ->
         row |= case.told()
         recording = recording_of(case)
         row |= {key: recording.truth[key] for key in ("natural", "stages", "appears_in", "near", "outside")}
-        row["ours"] = told(diagnose_case(case))
+        try:
+            row["ours"] = told(diagnose_case(case))
+        except BadInput as refusal:
+            row["refused"] = str(refusal)
+            return row
         if with_peers:
             # Imported only here, as they use internals of the package.
             from benchmarks.diagnosis.peers import PEERS, problem_of  # noqa: PLC0415
@@ -71,6 +80,7 @@ def told(d: Diagnosis) -> dict[str, Any]:
                 "probability": c.probability,
                 "equivalent_to": c.equivalent_to,
                 "stage": c.stage,
+                "side": c.side,
                 "parameters": _values(c.parameters),
                 "fixed": dict(c.fixed),
                 "gain": c.gain,

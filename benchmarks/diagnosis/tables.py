@@ -44,15 +44,17 @@ def _show(exam: str, rows: Sequence[Row], console: Console) -> None:
     console.print(
         f"draws repeated because an effect would not have shown: {redrawn}; cases that still do not show: {hopeless}\n"
     )
-    console.print(headline(judged, of) if exam == "clean" else hard_headline(exam, judged, of))
+    console.print(headline(judged, of) if exam not in MARKS else hard_headline(exam, judged, of))
     peers = peer_table(of)
     if peers is not None:
         console.print(peers)
     console.print(by_visibility(of))
     console.print(by_experiment(judged))
-    if exam == "raw":
+    if any(r.get("data") for r in rows):
         console.print(by_data(judged))
     console.print(by_effect(judged))
+    if sides := [side for _, j in judged for side in j.sides]:
+        console.print(f"side right, of rightly named effects with one: {share(sides)}\n")
     console.print(reliability(judged))
     console.print(confusions(judged))
     console.print(not_there(judged))
@@ -78,7 +80,8 @@ def _verdict(good: bool) -> str:
 MARKS: dict[str, tuple[float, float | None, float | None]] = {
     "partial": (0.9, 0.02, 0.02), "baseline": (0.95, None, None), "skew": (0.96, None, None),
     "forms": (0.94, None, None),
-    "raw": (0.9, None, None), "neighbours": (0.9, None, None),
+    "raw": (0.9, None, None), "neighbours": (0.9, None, None), "single_rod partial": (0.9, 0.02, 0.02),
+    "single_rod baseline": (0.95, None, None), "single_rod one_pressure": (0.9, None, None),
 }  # fmt: skip
 """By exam: minimum share of right names, maximum of confident wrong ones, maximum of absent causes named beside a true one."""
 
@@ -349,7 +352,7 @@ def hidden_text(r: Row) -> str:
 def detail(r: Row) -> str:
     """Return the details of a failed case."""
     if "ours" not in r:
-        return str(r.get("error", "")).strip().splitlines()[-1]
+        return str(r.get("refused") or r.get("error", "")).strip().splitlines()[-1]
     ours, parts = r["ours"], []
     for c in ours["causes"]:
         values = ", ".join(f"{k} {v:.3g}±{s:.1g}" for k, (v, s) in c["parameters"].items())

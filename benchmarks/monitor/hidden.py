@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.diagnosis.cases import ONE_BODY, Hidden, rig, rig_file, shown
-from benchmarks.diagnosis.exams import effect_of
+from benchmarks.diagnosis.cases import ONE_BODY, Hidden, effect_of, rig, rig_file, shown
 from benchmarks.monitor.streams import Onset, in_chunks, part, recording_of
 from benchmarks.monitor.watching import Timed, powers
 from benchmarks.rows import Row

@@ -9,12 +9,12 @@ import pytest
 from rich.console import Console
 
 from benchmarks.diagnosis import tables
-from benchmarks.diagnosis.cases import Case, healthy_of, recording_of, rig
-from benchmarks.diagnosis.exams import EXAMS, JITTER, effect_of, numbers
+from benchmarks.diagnosis.cases import Case, effect_of, healthy_of, recording_of, rig, rig_file
+from benchmarks.diagnosis.exams import EXAMS, JITTER, numbers
 from benchmarks.diagnosis.judge import below_power, closed_off, judge, peer_right
 from benchmarks.diagnosis.running import diagnose_case
-from truth_generator import LISTED, Day, FormErrors, Measurement
-from truth_generator.forms import STAGES
+from truth_generator import LISTED, Day, FormErrors, Measurement, listed_of
+from truth_generator.effects import STAGES
 
 
 def cause(name, probability=0.99, equivalent_to=()):
@@ -78,6 +78,30 @@ def test_a_second_name_for_the_same_cause_is_one_too_many():
     assert judge(row(["mass_shift"], [cause("flexible_mode", equivalent_to=["mass_shift"])])).right
     hidden = ["flexible_mode", "mass_shift"]
     assert judge(row(hidden, [cause("mass_shift", equivalent_to=["flexible_mode"]), cause("flexible_mode")])).right
+
+
+def test_the_side_is_judged_beside_the_name():
+    hidden = row(["edge_gain"], [cause("mass_shift"), cause("edge_gain") | {"side": "b"}])
+    hidden["hidden"]["edge_gain"] = {"factor": 1.1, "edge": "bt", "side": "b"}
+    assert judge(hidden).sides == (True,)
+    hidden["ours"]["causes"] = [cause("edge_wear", equivalent_to=["edge_gain"]) | {"side": "a"}]
+    assert judge(hidden).right
+    assert judge(hidden).sides == (False,)
+    hidden["ours"]["causes"] = [cause("mass_shift")]
+    assert judge(hidden).sides == ()
+    # The side of an end stop is a direction.
+    stop = row(["end_stop"], [cause("end_stop")])
+    stop["hidden"]["end_stop"] = {"position": -0.03, "stiffness": 1e5, "side": -1.0}
+    assert judge(stop).sides == ()
+
+
+def test_a_recording_with_swapped_sensors_is_to_be_refused_for_that_reason():
+    refused = row(["swapped_pressure_sensors"], [])
+    del refused["ours"]
+    assert judge(refused | {"refused": "pressure_a_pa and pressure_b_pa are swapped"}).right
+    assert judge(refused | {"refused": "pressure_a_pa: no reading"}).what == "error"
+    assert not judge(refused | {"hidden": {"mass_shift": {}}, "refused": "the columns are swapped"}).right
+    assert not judge(row(["swapped_pressure_sensors"], [cause("pressure_sensor_bias")])).right
 
 
 def test_wrong_names_alone_are_wrong_but_nothing_beside_a_true_one():
@@ -180,6 +204,27 @@ def test_a_baseline_case_is_diagnosed_against_its_healthy_recordings(monkeypatch
     assert all(truth["forms"].keys() == set(STAGES) for truth in truths)
     assert [len(b) for b in given["baselines"]] == [1000, 1000]
     assert not np.array_equal(given["baselines"][0]["force_n"], given["baselines"][1]["force_n"])
+
+
+@pytest.mark.parametrize("exam", ["single_rod clean", "single_rod partial", "single_rod baseline"])
+def test_an_exam_on_the_single_rod_hides_its_effects(exam):
+    case = EXAMS[exam].make(7, 0, 5.0)
+    assert (case.rig, case.exam) == ("single_rod", exam)
+    assert set(case.hidden) <= set(listed_of(rig_file("single_rod")))
+    assert all(max(stages.values()) >= 1.3 for stages in case.visibility.values())
+    for recording in (recording_of(case), *healthy_of(case)):
+        assert {"pressure_a_pa", "pressure_b_pa"} <= set(recording.columns)
+
+
+def test_in_turn_one_chamber_or_both_are_missing_and_no_fault_of_their_sensors_is_hidden(monkeypatch):
+    given = []
+    monkeypatch.setattr("benchmarks.diagnosis.running.diagnose", lambda new, *_, **__: given.append(set(new.signals)))
+    for number in range(2):
+        case = EXAMS["single_rod one_pressure"].make(7, number, 5.0)
+        assert not {"pressure_sensor_bias", "pressure_sensor_gain", "swapped_pressure_sensors"} & set(case.hidden)
+        diagnose_case(case)
+    pressures = {"pressure_a_pa", "pressure_b_pa", "load_pressure_pa"}
+    assert [columns & pressures for columns in given] == [{"pressure_a_pa"}, {"load_pressure_pa"}]
 
 
 def test_half_of_the_baseline_cases_change_nothing_and_each_effect_is_equally_often_hidden():

@@ -9,8 +9,10 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from truth_generator import EXPERIMENTS, Day, FormErrors, draw_day, draw_forms, kernel, record
 from truth_generator.calibration import Scale, largest_terms
-from truth_generator.forms import KINDS, LARGEST, SMALLEST, STAGES, draw_shapes
-from truth_generator.visibility import background, model_residuals, prominence
+from truth_generator.effects import STAGES
+from truth_generator.forms import KINDS, LARGEST, SMALLEST, draw_shapes
+from truth_generator.residuals import model_residuals
+from truth_generator.visibility import background, prominence
 
 RIG = yaml.safe_load((Path(__file__).parents[2] / "config" / "rig_paper_measured.yaml").read_text(encoding="utf-8"))
 PLANT, FRICTION = RIG["plant"], RIG["friction"]

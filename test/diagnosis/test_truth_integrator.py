@@ -11,7 +11,7 @@ from tiers import tiered
 from truth_generator import experiments, kernel, record
 from truth_generator.effects import EFFECTS
 from truth_generator.recording import nominal_sizes
-from truth_generator.visibility import model_residuals
+from truth_generator.residuals import model_residuals
 
 CONFIG = Path(__file__).parents[2] / "config"
 RIG = yaml.safe_load((CONFIG / "rig_paper_measured.yaml").read_text(encoding="utf-8"))

@@ -39,7 +39,7 @@ def test_a_path_is_no_name(path: str) -> None:
 def test_a_wrong_name_is_told_the_names_and_the_one_spelt_like_it() -> None:
     with pytest.raises(BadInput, match=r"a file's path, or one of .*sine_fd1, sine_fd2, .*did you mean 'sine_fd2'"):
         configured("sin_fd2", "experiments")
-    with pytest.raises(BadInput, match=r"or one of rig_paper, rig_paper_measured$"):
+    with pytest.raises(BadInput, match=r"or one of rig_paper, rig_paper_measured, rig_single_rod$"):
         configured("bridge_udp", "")
 
 
