@@ -91,6 +91,9 @@ AS_RIGS_GIVE: dict[str, Signal] = {
 }
 """Alternative measurements of other rigs; converted into signals of :data:`MEASURED` on reading, and in no bag."""
 
+PRESSURE_A, PRESSURE_B = OF_CHAMBERS = "pressure_a_pa", "pressure_b_pa"
+"""Pressures of both chambers, which a rig with two of them needs as they are."""
+
 READABLE: dict[str, Signal] = {**SIGNALS, **AS_RIGS_GIVE}
 """All signals that a table can contain; the names are its column names."""
 

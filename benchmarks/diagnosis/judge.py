@@ -18,7 +18,7 @@ from truth_generator.scoring import CONFIDENT, matched
 NAMED = ("effect", "partial")
 """Verdicts that name causes."""
 
-REASONS = {"swapped_pressure_sensors": "swap"}
+REASONS = {"swapped_pressure_sensors": "swapped"}
 """Text in the refusal of a recording with such an effect."""
 
 

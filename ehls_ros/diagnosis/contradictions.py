@@ -14,11 +14,12 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.loss import rms
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.plausibility import RANGES, RELATIONS, largest_force, mistaken_for
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import notes
-from ehls_ros.trajectory import MEASURED, Trajectory
+from ehls_ros.trajectory import MEASURED, OF_CHAMBERS, PRESSURE_A, READABLE, Trajectory
 
 SIZE_READINGS = 3
 """Most values and signals that are taken to be wrong at once."""
@@ -123,8 +124,9 @@ def check_suits(trajectory: Trajectory, rig: Rig, name: str, *, fitted: bool = F
     Raises:
         BadInput: they contradict each other; the error names the value or signal whose unit, sign or column is probably wrong.
     """
-    seen = _seen(trajectory)
+    seen = _seen(trajectory, rig)
     _check_mid_stroke(seen, rig, name)
+    _check_chambers(seen, rig, name)
     wrong = [ratio for ratio in _ratios(rig, seen, fitted=fitted) if ratio.impossible]
     if not wrong:
         doubtful = [ratio for ratio in _ratios(rig, seen, fitted=True) if ratio.doubtful]
@@ -163,6 +165,27 @@ def _check_mid_stroke(seen: Seen, rig: Rig, name: str) -> None:
     raise BadInput(what, name, expected)
 
 
+def _check_chambers(seen: Seen, rig: Rig, name: str) -> None:
+    """Reject pressures of both chambers whose force is far from the other forces, and near them if they are exchanged."""
+    s, plant = seen.signals, rig.plant
+    if not rig.cylinder.law.CHAMBERS or not all(signal in s for signal in OF_CHAMBERS):
+        return
+    if "force_n" in s:
+        other, of = s["force_n"], "force_n"
+    elif "position_m" in s:
+        inertia = plant.moving_mass * np.gradient(np.gradient(s["position_m"], seen.period), seen.period)
+        other = inertia + plant.spring_stiffness * s["position_m"] + s.get("disturbance_force_n", 0.0)
+        of = "inertia, spring and load"
+    else:
+        return
+    area_a, area_b = rig.cylinder.parameters.area_a, rig.cylinder.parameters.area_b
+    a, b = (s[signal] for signal in OF_CHAMBERS)
+    given, exchanged = (rms(area_a * p - area_b * q - other) for p, q in ((a, b), (b, a)))
+    if exchanged * rules.EXCHANGED < given:
+        what = f"the force of pressure_a_pa and pressure_b_pa is {given:.3g} N off {of}, {exchanged:.3g} N if they are swapped"
+        raise BadInput(what, name, "the two columns exchanged (their sensors or lines are swapped), or area_a and area_b")
+
+
 def _doubtful_zero(seen: Seen, rig: Rig) -> Iterator[str]:
     """Yield a remark on a position at whose middle the spring would exert more than all recorded forces."""
     position, reach = seen.signals.get("position_m"), seen.reach
@@ -171,7 +194,7 @@ def _doubtful_zero(seen: Seen, rig: Rig) -> Iterator[str]:
     low, high = float(position.min()), float(position.max())
     middle = 0.5 * (low + high)
     spring = rig.plant.spring_stiffness * abs(middle)
-    recorded = max(reach.get("force_n", 0.0), rig.plant.piston_area * reach.get("load_pressure_pa", 0.0))
+    recorded = _largest_driving(rig, seen)
     recorded += reach.get("disturbance_force_n", 0.0)
     # At rest, friction may hold the spring.
     if abs(middle) > high - low and recorded > 0.0 and spring > recorded + rig.friction_level(0.0):
@@ -225,7 +248,7 @@ def _readings(rig: Rig, seen: Seen) -> Iterator[Reading]:
                 doubted = f"{section}.{key} of the rig file is {_with_unit(value, note.unit)}: {unit}?"
                 yield Reading(other, seen, doubted, f"{_with_unit(scaled, note.unit)}, if {_with_unit(value, unit)} was meant")
     for signal in seen.signals:
-        unit = MEASURED[signal].unit
+        unit = READABLE[signal].unit
         doubted = f"{signal} reaches {seen.reach[signal]:.3g} {unit}"
         for other_unit, size in mistaken_for(unit).items():
             reached = seen.reach[signal]
@@ -277,6 +300,7 @@ def _of_sizes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
     inf = math.inf
     for signal, known, what, low, high, usual in (
         ("load_pressure_pa", plant.supply_pressure, "supply_pressure", -inf, 3.0, 0.3),
+        *((s, plant.supply_pressure, "supply_pressure", -inf, 3.0, 0.5) for s in OF_CHAMBERS),
         ("supply_pressure_pa", plant.supply_pressure, "supply_pressure", 0.1, 10.0, 1.0),
         ("force_n", largest_force(rig), "supply_pressure times piston_area", -inf, rules.SIZE_FACTOR, 0.3),
         ("velocity_m_s", limits.velocity, "limits.velocity", -inf, rules.SIZE_FACTOR, 0.1),
@@ -284,7 +308,7 @@ def _of_sizes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         ("valve_command_m", limits.spool, "limits.spool", -inf, rules.SIZE_FACTOR, 0.3),
     ):
         if reach.get(signal, 0.0) > 0.0:
-            unit = MEASURED[signal].unit
+            unit = READABLE[signal].unit
             description = f"the recorded {signal}, which reaches {reach[signal]:.3g} {unit}, over {what}"
             yield Ratio(description, reach[signal] / known, low, high, usual)
     if "position_m" in seen.signals and (travel := float(np.ptp(seen.signals["position_m"]))) > 0.0:
@@ -295,9 +319,16 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
     """Yield the slopes between two measurements of one quantity, one of them converted by the rig file."""
     s, plant = seen.signals, rig.plant
     command, spool = s.get("valve_command_m"), s.get("spool_m")
-    pressure, force, position, velocity = (s.get(k) for k in ("load_pressure_pa", "force_n", "position_m", "velocity_m_s"))
+    force, position, velocity = (s.get(k) for k in ("force_n", "position_m", "velocity_m_s"))
+    pressure, source = _load_pressure(rig, seen)
     if pressure is not None and force is not None:
-        yield from _slope("force_n over piston_area times load_pressure_pa", force, plant.piston_area * pressure)
+        yield from _slope(f"force_n over {source}", force, plant.piston_area * pressure)
+    if rig.cylinder.law.CHAMBERS and pressure is not None and position is not None and "disturbance_force_n" in s:
+        inertia = plant.moving_mass * np.gradient(np.gradient(position, seen.period), seen.period)
+        balanced = inertia + plant.spring_stiffness * position + s["disturbance_force_n"]
+        # Friction is in the driving force besides.
+        within = rules.SIZE_DOUBT * rules.SIZE_FACTOR
+        yield from _slope(f"{source} over inertia, spring and load", plant.piston_area * pressure, balanced, within)
     rate = None if position is None else np.gradient(position, seen.period)
     if rate is not None and velocity is not None:
         yield from _slope("velocity_m_s over the rate of position_m", velocity, rate)
@@ -308,7 +339,9 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
             yield from _slope("spool_m over valve_gain times valve_command_m", spool, filtered)
         spool = filtered if spool is None else spool
     moves = rate if velocity is None else velocity
-    if spool is not None and pressure is not None and moves is not None:
+    if rig.cylinder.law.CHAMBERS:
+        yield from _flow_of_chamber(rig, s, spool, moves)
+    elif spool is not None and pressure is not None and moves is not None:
         drop = np.maximum(plant.supply_pressure - np.sign(spool) * pressure, 0.0)
         flow = plant.discharge_coefficient * plant.valve_area_gradient * spool * np.sqrt(drop / plant.oil_density)
         stored = plant.total_volume / (4.0 * plant.bulk_modulus) * np.gradient(pressure, seen.period)
@@ -316,6 +349,35 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         # The flow depends on more coefficients, and on the compressed oil.
         within = rules.SIZE_DOUBT * rules.SIZE_FACTOR
         yield from _slope("the flow that moves the piston over the valve's by the orifice law", used, flow, within)
+
+
+def _load_pressure(rig: Rig, seen: Seen) -> tuple[Array | None, str]:
+    """Return the load pressure, from those of both chambers if they are there, and the description of its force."""
+    if not all(signal in seen.signals for signal in OF_CHAMBERS):
+        return seen.signals.get("load_pressure_pa"), "piston_area times load_pressure_pa"
+    p, (a, b) = rig.cylinder.parameters, (seen.signals[signal] for signal in OF_CHAMBERS)
+    return (p.area_a * a - p.area_b * b) / rig.plant.piston_area, "area_a times pressure_a_pa less area_b times pressure_b_pa"
+
+
+def _largest_driving(rig: Rig, seen: Seen) -> float:
+    """Return the largest driving force of the recording [N]; 0 if it was not recorded."""
+    pressure = seen.reach.get("load_pressure_pa", 0.0)
+    if (derived := _load_pressure(rig, seen)[0]) is not None and not pressure:
+        pressure = float(np.nanquantile(np.abs(derived), rules.RARE_QUANTILE))
+    return max(seen.reach.get("force_n", 0.0), rig.plant.piston_area * pressure)
+
+
+def _flow_of_chamber(rig: Rig, s: Mapping[str, Array], spool: Array | None, moves: Array | None) -> Iterator[Ratio]:
+    """Yield the ratio of the flow that moves the piston to that through the edges of chamber A."""
+    pressure = s.get(PRESSURE_A)
+    if spool is None or moves is None or pressure is None:
+        return
+    plant, p, valve = rig.plant, rig.cylinder.parameters, rig.valve.parameters
+    drop = np.where(spool > 0.0, plant.supply_pressure - pressure, pressure - p.tank_pressure)
+    gain = np.where(spool > 0.0, valve.gain_pa, valve.gain_at) * np.sqrt(2.0 * np.maximum(drop, 0.0) / plant.oil_density)
+    flow = plant.discharge_coefficient * plant.valve_area_gradient * gain * spool
+    within = rules.SIZE_DOUBT * rules.SIZE_FACTOR
+    yield from _slope("area_a times the velocity over the flow of the edges of A", p.area_a * moves, flow, within)
 
 
 def _lagged(values: Array, kept: float) -> Array:
@@ -338,7 +400,7 @@ def _slope(what: str, measured: Array, modelled: Array, within: float = rules.SI
 def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
     """Yield each term of the force balance relative to the recorded forces."""
     plant, reach, position = rig.plant, seen.reach, seen.signals.get("position_m")
-    driving = max(reach.get("force_n", 0.0), plant.piston_area * reach.get("load_pressure_pa", 0.0))
+    driving = _largest_driving(rig, seen)
     if position is None or not driving > 0.0:
         return
     available = driving + reach.get("disturbance_force_n", 0.0)
@@ -357,11 +419,16 @@ def _of_forces(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         yield Ratio(f"{what} over the recorded forces", term / available, -math.inf, rules.SIZE_FACTOR)
 
 
-def _seen(trajectory: Trajectory) -> Seen:
+def _seen(trajectory: Trajectory, rig: Rig) -> Seen:
     if len(trajectory) < 2 or not np.all(np.diff(trajectory.time_s) > 0.0):
         return Seen({}, {}, SIZE_BLOCK)  # reported when the recording is prepared
     time = trajectory.time_s - trajectory.time_s[0]
-    signals = {s: np.asarray(trajectory[s], dtype=np.float64) for s in MEASURED if s in trajectory and s != "oil_temperature_k"}
+    names = [s for s in MEASURED if s in trajectory and s != "oil_temperature_k"]
+    if rig.cylinder.law.CHAMBERS:
+        chambers = [s for s in OF_CHAMBERS if s in trajectory]
+        # From both, the load pressure follows.
+        names = [s for s in names if s != "load_pressure_pa" or len(chambers) < len(OF_CHAMBERS)] + chambers
+    signals = {s: np.asarray(trajectory[s], dtype=np.float64) for s in names}
     signals = {s: values for s, values in signals.items() if np.any(np.isfinite(values)) and np.nanmax(np.abs(values)) > 0.0}
     period = max(SIZE_BLOCK, float(time[-1]) / SIZE_BLOCKS, float(np.median(np.diff(time))))
     index = (time / period).astype(np.intp)

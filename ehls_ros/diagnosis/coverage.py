@@ -7,8 +7,9 @@ import numpy as np
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.evidence import Evidence
-from ehls_ros.diagnosis.record import COMMAND, LOAD, OF_CHAMBERS, POSITION, PRESSURE, SPOOL, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, VELOCITY
 from ehls_ros.diagnosis.result import Coverage
+from ehls_ros.trajectory import OF_CHAMBERS
 
 COVERED = (POSITION, VELOCITY, PRESSURE, SPOOL, COMMAND, LOAD, *OF_CHAMBERS)
 """Signals that define an operating point; oil temperature is omitted, since it varies from day to day anyway."""

@@ -7,10 +7,11 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import CLIP
-from ehls_ros.diagnosis.record import COMMAND, LOAD, OF_CHAMBERS, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Comparison
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
+from ehls_ros.trajectory import OF_CHAMBERS
 
 KNOTS = 12
 """Knots of the piecewise linear curve that relates a residual to a signal."""

@@ -17,7 +17,6 @@ from ehls_ros.diagnosis.record import (
     COMMAND,
     FORCE,
     LOAD,
-    OF_CHAMBERS,
     POSITION,
     PRESSURE,
     SERVO_POSITION,
@@ -37,7 +36,7 @@ from ehls_ros.physics.plant import FRICTION, PL, XV, V, X
 from ehls_ros.physics.plant import TEMPERATURE as OIL
 from ehls_ros.physics.rig import EVERY_SENSED, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import OF_CHAMBERS, Trajectory
 
 FREE_RUN = 20.0
 """Longest time simulated without the measured states, up to the first pause of the recording [s]."""

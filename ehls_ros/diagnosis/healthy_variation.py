@@ -17,20 +17,10 @@ from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing, part_of
 from ehls_ros.diagnosis.hypotheses import Hypothesis, extended
 from ehls_ros.diagnosis.loss import loss, power, rms
 from ehls_ros.diagnosis.measurement import measurement
-from ehls_ros.diagnosis.record import (
-    COMMAND,
-    LOAD,
-    POSITION,
-    PRESSURE,
-    PRESSURE_A,
-    PRESSURE_B,
-    SPOOL,
-    SUPPLY,
-    TEMPERATURE,
-    VELOCITY,
-)
+from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.samples import Mask
+from ehls_ros.trajectory import PRESSURE_A, PRESSURE_B
 
 DIRECTION, ACCELERATION, PRESSURE_RATE = "direction", "acceleration_m_s2", "load_pressure_rate_pa_s"
 SPOOL_RATE = "spool_rate_m_s"

@@ -15,26 +15,14 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.free_run import balance_friction, follow, set_pressures, simulated_columns
-from ehls_ros.diagnosis.record import (
-    COMMAND,
-    FORCE,
-    OF_CHAMBERS,
-    POSITION,
-    PRESSURE,
-    SPOOL,
-    SUPPLY,
-    TEMPERATURE,
-    VELOCITY,
-    Record,
-    prepare,
-)
+from ehls_ros.diagnosis.record import COMMAND, FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY, Record, prepare
 from ehls_ros.diagnosis.stages import Comparison, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.plant import XV, V, X, hold
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, earlier_commands
 from ehls_ros.samples import Mask
-from ehls_ros.trajectory import Trajectory
+from ehls_ros.trajectory import OF_CHAMBERS, Trajectory
 
 PAST = 0.02
 """Time before a window of a prediction from which its initial state is taken [s]."""

@@ -14,7 +14,7 @@ from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise, noise_between_moves
-from ehls_ros.trajectory import EQUAL_AREAS_ASSUMED, Own, Trajectory
+from ehls_ros.trajectory import EQUAL_AREAS_ASSUMED, OF_CHAMBERS, PRESSURE_A, PRESSURE_B, Own, Trajectory
 
 MAX_RECORDING = 150.0
 """Longest recording that is used completely; a longer one is sampled in stretches of this total [s]."""
@@ -42,16 +42,13 @@ RESOLUTION_MISFIT = 1e-3
 
 COMMAND, SPOOL, PRESSURE, SUPPLY = "valve_command_m", "spool_m", "load_pressure_pa", "supply_pressure_pa"
 POSITION, VELOCITY, FORCE, LOAD = "position_m", "velocity_m_s", "force_n", "disturbance_force_n"
-PRESSURE_A, PRESSURE_B, TANK = "pressure_a_pa", "pressure_b_pa", "tank_pressure_pa"
+TANK = "tank_pressure_pa"
 TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY = "oil_temperature_k", "disturbance_displacement_m", "disturbance_velocity_m_s"
 
 USED = (
     COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, VELOCITY, FORCE, LOAD, TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY,
 )  # fmt: skip
-"""Signals used by the diagnosis."""
-
-OF_CHAMBERS = (PRESSURE_A, PRESSURE_B)
-"""Further ones of a cylinder with two chambers."""
+"""Signals used by the diagnosis, beside those of a cylinder with two chambers."""
 
 HELD = (COMMAND,)
 """Signals with zero-order hold between samples."""

@@ -48,6 +48,9 @@ SIZE_RELATED = 0.9
 SIZE_OUTSIDE = 0.1
 """Distance outside the rig's stroke up to which a position may count from mid-stroke, as a fraction of the stroke."""
 
+EXCHANGED = 3.0
+"""Factor by which exchanged pressures of both chambers must agree better with the other forces to be taken as swapped."""
+
 SPRING_LEFT = 0.05
 """Fitted stiffness up to which no spring acts in the force, as a fraction of the rig file's; or MAX_ALLOWED standard errors."""
 

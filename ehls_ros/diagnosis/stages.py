@@ -29,8 +29,6 @@ from ehls_ros.diagnosis.record import (
     LOAD,
     POSITION,
     PRESSURE,
-    PRESSURE_A,
-    PRESSURE_B,
     SERVO_POSITION,
     SERVO_VELOCITY,
     SPOOL,
@@ -52,6 +50,7 @@ from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig, unknown_keys
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, earlier_commands
 from ehls_ros.samples import Mask
+from ehls_ros.trajectory import PRESSURE_A, PRESSURE_B
 
 MEMORY_STEP = 2.5e-4
 """Longest integration step of an effect's own states and of a separate load [s].

@@ -27,6 +27,7 @@ from ehls_ros.experiments.consequences import Consequences
 from ehls_ros.experiments.controller_benefit import ControllerBenefit
 from ehls_ros.experiments.next_experiment import NextExperiment
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import Side
 from ehls_ros.physics.rig import Rig
 
 NORMAL_95 = 1.959964
@@ -103,6 +104,7 @@ class CauseEntry(NamedTuple):
     fixed: Mapping[str, float]
     evidence: Evidence
     advice: Advice
+    side: Side | None
 
 
 class UnknownEvidence(NamedTuple):
@@ -327,6 +329,7 @@ def _cause(cause: Cause, rig: Rig) -> CauseEntry:
         cause.fixed,
         Evidence(cause.gain, cause.sigmas, effect.EQUATION, rivals),
         Advice(words.inspect, words.measure, words.change),
+        cause.side,
     )
 
 

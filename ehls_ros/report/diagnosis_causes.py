@@ -30,7 +30,7 @@ def what_to_do(found: Diagnosis) -> list[str]:
     blocks = []
     if found.causes:
         rows: list[Row] = [
-            [Entry(cause.name, advice.noun), advice.inspect, advice.measure, advice.change]
+            [Entry(cause.name, findings.noun_of(cause)), advice.inspect, advice.measure, advice.change]
             for cause in found.causes
             for advice in [advice_for(found.rig, cause)]
         ]
@@ -79,7 +79,7 @@ def _parameters(cause: Cause) -> list[Row]:
         first = index == 0
         rows.append(
             [
-                Entry(cause.name, words(cause.name).noun) if first else "",
+                Entry(cause.name, findings.noun_of(cause)) if first else "",
                 STAGE_NAMES[cause.stage] if first else "",
                 likely(cause.probability) if first else "",
                 "" if cause.share is None or not first else percent(cause.share),

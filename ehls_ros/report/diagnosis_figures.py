@@ -18,7 +18,7 @@ from ehls_ros.report.diagnosis_findings import (
     before_name,
     capital,
     compares,
-    words,
+    noun_of,
 )
 from ehls_ros.report.diagnosis_residuals import FLOOR, MIN_IN_BIN, SMALL_BINS, SPREAD, curve, members, signals_of, span, whole
 from ehls_ros.report.page import LeftOut, Panel, Rows, number, plane
@@ -110,7 +110,7 @@ def share_bars(found: Diagnosis) -> Panel | None:
         closed = max(gain.closed, 0.0)
         label = f"{CHANNEL_WORDS[channel].short}: {percent(closed)} closed, {percent(1.0 - closed)} remains"
         labelled.append((label, (closed, None, 1.0 - closed)))
-        own = [(words(cause.name).noun, max(cause.share or 0.0, 0.0)) for cause in found.causes if cause.channel == channel]
+        own = [(noun_of(cause), max(cause.share or 0.0, 0.0)) for cause in found.causes if cause.channel == channel]
         labelled += [(f"{percent(share)}: {noun}", (None, share, None)) for noun, share in own if len(own) > 1]
     if not labelled:
         return None

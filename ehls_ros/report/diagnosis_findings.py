@@ -13,7 +13,7 @@ from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import Words
+from ehls_ros.physics.effects.base import Side, Words
 from ehls_ros.report.page import listed, number
 from ehls_ros.report.quantities import ALMOST, NORMAL_95, change, estimate, likely, percent, quantity, value
 from ehls_ros.schema import declarations
@@ -93,6 +93,9 @@ CHANNEL_WORDS: Mapping[Channel, ChannelWords] = {
     "velocity": ChannelWords("velocity sensor", "velocity sensor minus slope of the position", "velocity"),
 }
 
+SIDES: Mapping[Side, str] = {"a": " of chamber A", "b": " of chamber B", "both": " of both chambers"}
+"""Chambers within a sentence, after a cause."""
+
 COMPARED: Mapping[Stage, str] = {
     "force_balance": "force balance (3), with friction simulated along the recorded motion",
     "flow": "volume balance (1), (2), or those of both chambers, of recorded spool, pressure and motion; supply pressure",
@@ -104,6 +107,11 @@ COMPARED: Mapping[Stage, str] = {
 def words(name: str) -> Words:
     """Return the terms used for an effect in the report."""
     return EFFECTS.load(name).WORDS
+
+
+def noun_of(cause: Cause) -> str:
+    """Return the term for a cause within a sentence, with the chamber that it acts on."""
+    return words(cause.name).noun + ("" if cause.side is None else SIDES[cause.side])
 
 
 def meaning(name: str) -> str:
@@ -220,7 +228,7 @@ def _claim(found: Diagnosis, cause: Cause, since: str) -> str:
     named = {rival.name: sized(rival.name, rival.parameters, since) for rival in cause.rivals if _is_open(cause, rival)}
     named |= {name: "" for name in cause.equivalent_to if name not in named}
     rivals = [_with(words(name).noun, text) for name, text in list(named.items())[: CANDIDATES - 1]]
-    noun, size, where = words(cause.name).noun, sized(cause.name, cause.parameters, since), STAGE_NAMES[CHANNELS[cause.channel]]
+    noun, size, where = noun_of(cause), sized(cause.name, cause.parameters, since), STAGE_NAMES[CHANNELS[cause.channel]]
     if rivals:
         candidates = ", or ".join([_with(noun, size), *rivals])
         return f"the error in the {where} has one of these causes, {UNDECIDED}: {candidates}"
@@ -236,7 +244,7 @@ def _is_open(cause: Cause, rival: Rival) -> bool:
 
 
 def _stated(found: Diagnosis, cause: Cause, size: str, since: str) -> str:
-    noun, at = words(cause.name).noun, f": {size}" if size else ""
+    noun, at = noun_of(cause), f": {size}" if size else ""
     if spring_in_force(found.rig, cause):
         return f"the recorded force contains no force of the spring: {noun} is {size}"
     if words(cause.name).lacking:
@@ -271,7 +279,7 @@ def _most(closed: float) -> str:
 
 def _in_short(causes: Sequence[Cause]) -> str:
     """List causes by name within a sentence, at most two of them."""
-    names = [words(cause.name).noun for cause in causes[:IN_A_SENTENCE]]
+    names = [noun_of(cause) for cause in causes[:IN_A_SENTENCE]]
     more = len(causes) - len(names)
     return listed([*names, *([f"{more} more" if more > 1 else "one more"] if more else [])])
 

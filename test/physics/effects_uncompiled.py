@@ -13,13 +13,15 @@ from typing import Any
 
 import numpy as np
 import yaml
+from rig_runs import rig_file_for
 
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.rig import SENSED, Rig, rig_from_mapping
+from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.physics.simulator import Simulator
 from ehls_ros.schema import declarations
 
 PLANT_STATES = 7
+"""Those of both plants that are compared."""
 
 MOST_TURNS = 6
 """Most parameters that move up or down on their own."""
@@ -38,7 +40,7 @@ def motion(rig: Rig, cycles: int) -> np.ndarray[Any, np.dtype[np.float64]]:
             5e-3 * math.sin(30.0 * t),
             0.15 * math.cos(30.0 * t),
         )
-        rows.append(np.concatenate([simulator.y[:PLANT_STATES], simulator.measure(np.zeros(len(SENSED)))]))
+        rows.append(np.concatenate([simulator.y[:PLANT_STATES], simulator.measure(np.zeros(len(rig.sensed)))]))
     return np.array(rows)
 
 
@@ -60,17 +62,19 @@ def other_values(effect: Any) -> Iterator[dict[str, float]]:
             yield setting
 
 
-def main(rig_file: str, *names: str) -> None:
-    data = yaml.safe_load(Path(rig_file).read_text(encoding="utf-8"))
-    plain = motion(rig_from_mapping(data, rig_file), 200)
-    found = {}
+def main(*names: str) -> None:
+    found, motions = {}, dict[Path, np.ndarray[Any, np.dtype[np.float64]]]()
     for name in names:
-        effect = EFFECTS.load(name)
-        neutral = rig_from_mapping({**data, "effects": [{"name": name}]}, rig_file)
+        effect, rig_file = EFFECTS.load(name), rig_file_for(name)
+        data = yaml.safe_load(rig_file.read_text(encoding="utf-8"))
+        if rig_file not in motions:
+            motions[rig_file] = motion(rig_from_mapping(data, str(rig_file)), 200)
+        plain = motions[rig_file]
+        neutral = rig_from_mapping({**data, "effects": [{"name": name}]}, str(rig_file))
         changed_by = None
         for setting in other_values(effect):
             try:
-                rig = rig_from_mapping({**data, "effects": [{"name": name, **setting}]}, rig_file)
+                rig = rig_from_mapping({**data, "effects": [{"name": name, **setting}]}, str(rig_file))
             except ValueError:
                 continue
             with np.errstate(all="ignore"):

@@ -8,10 +8,12 @@ import numpy as np
 from reference_solver import Floats
 
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.base import HOOKS
+from ehls_ros.physics.effects.base import HOOKS, acts_on_one_pressure
 from ehls_ros.physics.simulator import Simulator
 
-PAPER_RIG = Path(__file__).resolve().parents[2] / "config" / "rig_paper.yaml"
+PAPER_RIG, SINGLE_ROD_RIG = (
+    Path(__file__).resolve().parents[2] / "config" / f"rig_{name}.yaml" for name in ("paper", "single_rod")
+)
 PERIOD = 1e-3
 
 
@@ -22,6 +24,12 @@ def run(simulator: Simulator, inputs: Floats) -> Floats:
         assert simulator.advance(u, force, rate, 0.0, 0.0) == 0
         states.append(simulator.y.copy())
     return np.array(states)
+
+
+def rig_file_for(name: str) -> Path:
+    """Return the rig file of the cylinder in which all parameters of an effect act."""
+    effect = EFFECTS.load(name)
+    return PAPER_RIG if acts_on_one_pressure(effect) and not hasattr(effect, "ONLY_IN_CHAMBERS") else SINGLE_ROD_RIG
 
 
 def stage_effects(stage: str, changed: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:

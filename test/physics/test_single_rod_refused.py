@@ -2,23 +2,15 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 from reference_single_rod import SingleRodConstants
 
 from ehls_ros.control.disturbances import position_servo
-from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.prediction import predict
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.compiling import diagnosis_jobs, identification_jobs
 from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.next_experiment import next_experiment
-from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import rig_from_mapping
-from ehls_ros.trajectory import Trajectory
-
-TRAJECTORY = Trajectory(np.arange(100) * 1e-3, {"position_m": np.zeros(100)})
 
 
 @pytest.fixture
@@ -28,11 +20,6 @@ def rig():
 
 
 TASKS = {
-    "diagnosis": lambda rig: diagnose(TRAJECTORY, rig),
-    "compilation for it": diagnosis_jobs,
-    "compilation for identification": identification_jobs,
-    "identification": lambda rig: identify_rig({"a": TRAJECTORY}, rig),
-    "prediction": lambda rig: predict(TRAJECTORY, {"a": rig}, [0.01]),
     "next experiment": lambda rig: next_experiment({"a": rig, "b": rig}),
     "servo": lambda rig: position_servo.servo(position_servo.Parameters(), rig, 0.0),
 }
