@@ -17,7 +17,8 @@ CONFIG = ROOT / "config"
 EXPERIMENTS = CONFIG / "experiments"
 RIG = CONFIG / "rig_paper.yaml"
 MEASURED_RIG = CONFIG / "rig_paper_measured.yaml"
-SINGLE_ROD = CONFIG / "rig_single_rod.yaml"
+RIGS = {"paper": MEASURED_RIG, "single_rod": CONFIG / "rig_single_rod.yaml"}
+"""Measured rigs by their names in the benchmarks."""
 
 MEASURED = ("measured_constant_fd1", "measured_sine_fd1", "measured_constant_fd2", "measured_sine_fd2")
 """The experiments on the emulated rig."""

@@ -1,6 +1,7 @@
 """Accuracy of the identification of a whole rig: unknown rigs, from a first guess that is off by a factor of two everywhere.
 
     python -m benchmarks.rig_identification --cases 20
+    python -m benchmarks.rig_identification --cases 20 --rig single_rod
 
 Each case draws a rig, every coefficient within 30 % of the rig file's, records an experiment of the truth generator with
 nothing hidden, and identifies it. The first guess has every coefficient that can be fitted at twice or half the truth;
@@ -18,8 +19,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.common import MEASURED_RIG, parser_of
-from ehls_ros.diagnosis.coefficients import KEPT
+from benchmarks.common import RIGS, parser_of
+from ehls_ros.diagnosis.coefficients import kept
 from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import rig_from_mapping
@@ -33,27 +34,31 @@ TOGETHER = {"static_force": "coulomb_force"}
 """Coefficients scaled by the factor of another, so that they do not contradict each other."""
 
 
-def hidden_rig(rng: np.random.Generator) -> dict[str, Any]:
-    """Draw a rig file within 30 % of the project's."""
-    rig: dict[str, Any] = yaml.safe_load(MEASURED_RIG.read_text(encoding="utf-8"))
-    fixed = {name.removeprefix("plant.") for name in KEPT} - {"viscous_damping"}
-    return _scaled(rig, fixed, lambda: rng.uniform(1.0 - SPREAD, 1.0 + SPREAD))
+def hidden_rig(name: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Draw a rig file within 30 % of one of the project's."""
+    rig: dict[str, Any] = yaml.safe_load(RIGS[name].read_text(encoding="utf-8"))
+    return _scaled(rig, _fixed(rig) - {"plant.viscous_damping"}, lambda: rng.uniform(1.0 - SPREAD, 1.0 + SPREAD))
+
+
+def _fixed(rig: Mapping[str, Any]) -> set[str]:
+    return set(kept(rig_from_mapping(rig, "rig")))
 
 
 def first_guess(rig: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     """Return a rig file in which every coefficient that can be fitted is twice or half the truth."""
-    fixed = {name.removeprefix("plant.") for name in KEPT}
-    return _scaled(rig, fixed, lambda: OFF if rng.random() < 0.5 else 1.0 / OFF)
+    return _scaled(rig, _fixed(rig), lambda: OFF if rng.random() < 0.5 else 1.0 / OFF)
 
 
 def _scaled(rig: Mapping[str, Any], fixed: set[str], factor: Any) -> dict[str, Any]:
     out: dict[str, Any] = {**rig}
-    for section in ("plant", "friction"):
+    for section in ("plant", "friction", "cylinder", "valve"):
+        if section not in rig:
+            continue
         factors = {name: factor() for name in rig[section]}
         scaled = dict(rig[section])
         for name, value in rig[section].items():
             by = factors[TOGETHER.get(name, name)]
-            if isinstance(value, float) and name not in fixed:
+            if isinstance(value, float) and f"{section}.{name}" not in fixed:
                 scaled[name] = value * by
             elif name == "element_stiffness":
                 scaled[name] = [entry * by for entry in value]
@@ -61,14 +66,16 @@ def _scaled(rig: Mapping[str, Any], fixed: set[str], factor: Any) -> dict[str, A
     return out
 
 
-def case(experiments: tuple[str, ...], duration: float, noise: float, without: tuple[str, ...], seed: int) -> dict[str, Any]:
+def case(
+    name: str, experiments: tuple[str, ...], duration: float, noise: float, without: tuple[str, ...], seed: int
+) -> dict[str, Any]:
     """Record a hidden rig once, with a multiple of the sensors' noise and without some columns, and identify it."""
     rng = np.random.default_rng([seed, 16])
-    truth = hidden_rig(rng)
+    truth = hidden_rig(name, rng)
     guess = first_guess(truth, rng)
     experiment = experiments[seed % len(experiments)]
     data = record(truth, {}, experiment, seed=int(rng.integers(2**31)), duration=duration, noise=noise)
-    columns = {name: values for name, values in data.columns.items() if name not in without}
+    columns = {column: values for column, values in data.columns.items() if column not in without}
     began = time.perf_counter()
     found = identify_rig({experiment: Trajectory(data.time, columns)}, rig_from_mapping(guess, "guess"), seed=seed)
     wall = time.perf_counter() - began
@@ -80,6 +87,7 @@ def case(experiments: tuple[str, ...], duration: float, noise: float, without: t
 def main() -> None:
     """Print the table."""
     parser = parser_of(__doc__)
+    parser.add_argument("--rig", choices=RIGS, default="paper", help="the rig that is varied (%(default)s)")
     parser.add_argument("--cases", type=int, default=20, help="how many rigs (%(default)s)")
     parser.add_argument("--first", type=int, default=0, help="seed of the first (%(default)s)")
     parser.add_argument("--duration", type=float, default=60.0, help="of a recording [s] (%(default)s)")
@@ -88,7 +96,7 @@ def main() -> None:
     parser.add_argument("--without", nargs="+", default=[], help="columns that are not recorded")
     parser.add_argument("--processes", type=int, default=1, help="cases at once (%(default)s)")
     options = parser.parse_args()
-    work = partial(case, tuple(options.experiments), options.duration, options.noise, tuple(options.without))
+    work = partial(case, options.rig, tuple(options.experiments), options.duration, options.noise, tuple(options.without))
     runs = []
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         for run in pool.map(work, range(options.first, options.first + options.cases)):

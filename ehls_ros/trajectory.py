@@ -33,6 +33,9 @@ MEASURED: dict[str, Signal] = {
 
 SIGNALS: dict[str, Signal] = {
     **MEASURED,
+    # measured beside these where the cylinder has two chambers
+    "pressure_a_pa": Signal("pressure in chamber A, which pushes towards +x", "Pa"),
+    "pressure_b_pa": Signal("pressure in chamber B, which pushes towards -x", "Pa"),
     # known to the experiment
     "disturbance_force_rate_n_s": Signal("rate of the disturbance force", "N/s"),
     "disturbance_displacement_m": Signal("displacement of the position servo", "m"),
@@ -80,8 +83,6 @@ SIGNALS: dict[str, Signal] = {
 
 
 AS_RIGS_GIVE: dict[str, Signal] = {
-    "pressure_a_pa": Signal("pressure in chamber A, which pushes towards +x", "Pa"),
-    "pressure_b_pa": Signal("pressure in chamber B, which pushes towards -x", "Pa"),
     "tank_pressure_pa": Signal("tank pressure", "Pa"),
     "load_cell_n": Signal("load cell between piston and load, positive against the piston", "N"),
     "angle_rad": Signal("angle of a rotary actuator", "rad"),
@@ -92,7 +93,7 @@ AS_RIGS_GIVE: dict[str, Signal] = {
 """Alternative measurements of other rigs; converted into signals of :data:`MEASURED` on reading, and in no bag."""
 
 PRESSURE_A, PRESSURE_B = OF_CHAMBERS = "pressure_a_pa", "pressure_b_pa"
-"""Pressures of both chambers, which a rig with two of them needs as they are."""
+"""Pressures of both chambers, of which a rig file with one pressure uses the load pressure only."""
 
 READABLE: dict[str, Signal] = {**SIGNALS, **AS_RIGS_GIVE}
 """All signals that a table can contain; the names are its column names."""

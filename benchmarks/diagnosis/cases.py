@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from benchmarks.common import MEASURED_RIG, ROOT, SINGLE_ROD
+from benchmarks.common import RIGS, ROOT
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import FINE, Day, FormErrors, Measurement, Recording, listed_of, measured, record
@@ -22,9 +22,6 @@ __all__ = [
     "EXPERIMENTS", "KINDS", "MOST_DRAWS", "ONE_BODY", "RIGS", "SHOWS", "Case", "Hidden", "effect_of", "healthy_of", "kind_of",
     "make", "name_of", "recording_of", "rig", "rig_file", "shown", "sources", "trajectory_of",
 ]  # fmt: skip
-
-RIGS = {"paper": MEASURED_RIG, "single_rod": SINGLE_ROD}
-"""Rig files by name."""
 
 
 class Case(NamedTuple):

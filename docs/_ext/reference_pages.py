@@ -141,6 +141,7 @@ RECORDS = (
 
 TOPICS: Mapping[str, str] = {
     "loader_state": "one atomic snapshot of the sensors, which opens a control cycle",
+    "chamber_pressures": "pressures of both chambers in a cycle, of a rig whose cylinder has two",
     "force_reference": "wanted force of a cycle, with two derivatives",
     "position_reference": "wanted position of a cycle, with two derivatives, for controllers that follow a position",
     "programme_point": "where a test programme is in a cycle: block, load cycles, phase",

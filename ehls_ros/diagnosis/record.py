@@ -47,8 +47,9 @@ TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY = "oil_temperature_k", "disturbance_
 
 USED = (
     COMMAND, SPOOL, PRESSURE, SUPPLY, POSITION, VELOCITY, FORCE, LOAD, TEMPERATURE, SERVO_POSITION, SERVO_VELOCITY,
+    *OF_CHAMBERS,
 )  # fmt: skip
-"""Signals used by the diagnosis, beside those of a cylinder with two chambers."""
+"""Signals used by the diagnosis; the last two where the cylinder has two chambers."""
 
 HELD = (COMMAND,)
 """Signals with zero-order hold between samples."""
@@ -158,7 +159,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
     lost = 1.0 - len(chosen) / len(grid)
     if lost > rules.MENTIONED:
         remarks.append(f"{100 * lost:.2g} % of the samples are missing")
-    used = (*USED, *OF_CHAMBERS) if chambers else USED
+    used = [signal for signal in USED if chambers or signal not in OF_CHAMBERS]
     recorded = {s: np.asarray(trajectory[s], dtype=np.float64)[chosen] for s in used if s in trajectory}
     if chambers and SUPPLY in recorded and TANK in trajectory:
         # On reading, the supply pressure was referred to the tank.

@@ -17,7 +17,7 @@ from rclpy.client import Client
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, String
 
-from ehls_msgs.msg import Driver, ForceReference, LoaderState, ValveCommand
+from ehls_msgs.msg import ChamberPressures, Driver, ForceReference, LoaderState, ValveCommand
 from ehls_msgs.srv import SwitchController
 from ehls_ros.control.rig_scale import tuned_for
 from ehls_ros.errors import BadInput
@@ -35,9 +35,9 @@ from ehls_ros.nodes.loop import WAIT
 from ehls_ros.nodes.parameters import declare, values_of
 from ehls_ros.nodes.telemetry import Telemetry, time_of
 from ehls_ros.nodes.transport import Inbox, Notice, Outbox, Waiter, control_qos
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED
 from ehls_ros.process import Stopping
-from ehls_ros.recording.topics import DEPTH, DRIVER, DRIVING, IN_FULL, LEAVING, STANDBY_COMMAND
+from ehls_ros.recording.topics import CHAMBER_PRESSURES, DEPTH, DRIVER, DRIVING, IN_FULL, LEAVING, STANDBY_COMMAND
 from ehls_ros.schema import quantity, text
 
 CLOCK_CYCLES = 10
@@ -112,11 +112,13 @@ class Snapshot:
     """The newest published snapshot.
 
     Attributes:
-        time_s: time of the cycle [s].
+        cycle: number of the cycle.
+        time_s: its time [s].
         stamp_ns: header stamp [ns].
         signals: readings in the order of ``SENSED``.
     """
 
+    cycle: int = 0
     time_s: float = 0.0
     stamp_ns: int = 0
     signals: Sequence[float] = ()
@@ -210,6 +212,7 @@ class PlantNode(ControlNode):
         self.snapshot: Snapshot
         self.announcements: DriverAnnouncements
         self.state: Outbox
+        self.chambers: Outbox | None
         self.commands: Inbox
         self.answer: Waiter
         self.reference: Inbox
@@ -260,6 +263,8 @@ class PlantNode(ControlNode):
         # Topics are discovered in this order: a reader of snapshots must already have the driver message.
         self.announcements = DriverAnnouncements(self, self.handover)
         self.state = Outbox(self, LoaderState, "loader_state", opens=True)
+        both = set(CHAMBER_SENSED) <= set(self.sensed)
+        self.chambers = Outbox(self, ChamberPressures, CHAMBER_PRESSURES.name) if both else None
         self.commands = Inbox(self, ValveCommand, "valve_command", owned="")
         self.reference = Inbox(self, ForceReference, "force_reference")
         self.answer = Waiter([self.commands])
@@ -274,6 +279,8 @@ class PlantNode(ControlNode):
         inboxes = self.commands, self.standby_commands, self.departures, self.reference
         for part in (self.answer, self.standby_answer, *inboxes, self.state, self.announcements, self.telemetry):
             part.destroy()
+        if self.chambers is not None:
+            self.chambers.destroy()
         if self.clock is not None:
             self.destroy_publisher(self.clock)
 
@@ -318,7 +325,7 @@ class PlantNode(ControlNode):
         if self.clock is not None and cycle % (CLOCK_CYCLES if self.links is None else CLOCK_CYCLES_COMPOSED) == 0:
             self.clock.publish(Clock(clock=time_of(stamp_ns)))
         snapshot = self.snapshot
-        snapshot.time_s, snapshot.stamp_ns, snapshot.signals = cycle * self.period, stamp_ns, signals
+        snapshot.cycle, snapshot.time_s, snapshot.stamp_ns, snapshot.signals = cycle, cycle * self.period, stamp_ns, signals
 
     def repeat_snapshot(self, cycle: int) -> None:
         """Repeat the present snapshot if its answer is overdue and either may have been sent too early.
@@ -333,8 +340,11 @@ class PlantNode(ControlNode):
                 self.state.send(self.snapshot.stamp_ns, cycle, *self.snapshot.signals[: len(SENSED)])
 
     def publish_telemetry(self) -> None:
-        """Publish telemetry of the cycle if due; called after the answer, so that the answer is not delayed."""
-        self.telemetry.publish(self.snapshot.time_s, self.snapshot.stamp_ns, self.snapshot.signals)
+        """Publish the chambers' pressures, and telemetry if due; called after the answer, so that it is not delayed."""
+        snapshot = self.snapshot
+        if self.chambers is not None:
+            self.chambers.send(snapshot.stamp_ns, snapshot.cycle, *snapshot.signals[len(SENSED) :])
+        self.telemetry.publish(snapshot.time_s, snapshot.stamp_ns, snapshot.signals)
 
     def take_commands(self, cycle: int) -> None:
         """Pass the received commands to the gate.

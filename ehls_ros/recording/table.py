@@ -26,7 +26,7 @@ from ehls_ros.recording.columns import (
 )
 from ehls_ros.recording.expression import expression
 from ehls_ros.recording.time_axis import copied_rows, time_axis
-from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, Preparation, Trajectory
+from ehls_ros.trajectory import AS_RIGS_GIVE, MEASURED, OF_CHAMBERS, Preparation, Trajectory
 from ehls_ros.units import UNITS
 
 NONE: Mapping[str, str] = MappingProxyType({})
@@ -299,7 +299,7 @@ def assemble(values: Mapping[str, NDArray[Any]], chosen: Columns, where: str, ro
     scaled = {name: _scaled(values[name], column, name, where) for name, column in chosen.items()}
     time_s = scaled.pop(TIME)
     for name, signal in scaled.items():
-        if name in MEASURED or name in AS_RIGS_GIVE:
+        if name in MEASURED or name in OF_CHAMBERS or name in AS_RIGS_GIVE:
             _check_finite(signal, name, where, row_name)
         if len(signal) != len(time_s):
             raise BadInput(f"{name} has {len(signal)} values", where, f"{len(time_s)}, as {TIME} has")

@@ -66,9 +66,12 @@ LOADER_STATE = _cycle_topic(
         "oil_temperature": "oil_temperature_k",
     },
 )
-READINGS: Mapping[str, str] = MappingProxyType(
-    {**LOADER_STATE.signals, "pressure_a": "pressure_a_pa", "pressure_b": "pressure_b_pa"}
+CHAMBER_PRESSURES = _cycle_topic(
+    "chamber_pressures", "ehls_msgs/msg/ChamberPressures", {"pressure_a": "pressure_a_pa", "pressure_b": "pressure_b_pa"}
 )
+"""Further readings of a rig whose cylinder has two chambers."""
+
+READINGS: Mapping[str, str] = MappingProxyType({**LOADER_STATE.signals, **CHAMBER_PRESSURES.signals})
 """Signals of recordings by the readings of a rig, including those that only a cylinder of two chambers has."""
 
 FORCE_REFERENCE = _force_topic("force_reference")
@@ -142,6 +145,7 @@ CONTROLLER_STATUS = _cycle_topic(
 
 CYCLE_TOPICS = (
     LOADER_STATE,
+    CHAMBER_PRESSURES,
     FORCE_REFERENCE,
     POSITION_REFERENCE,
     PROGRAMME_POINT,
