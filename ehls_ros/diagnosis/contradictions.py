@@ -181,7 +181,7 @@ def _check_chambers(seen: Seen, rig: Rig, name: str) -> None:
     area_a, area_b = rig.cylinder.parameters.area_a, rig.cylinder.parameters.area_b
     a, b = (s[signal] for signal in OF_CHAMBERS)
     given, exchanged = (rms(area_a * p - area_b * q - other) for p, q in ((a, b), (b, a)))
-    if exchanged * rules.EXCHANGED < given:
+    if exchanged * rules.SIZE_DOUBT < given:
         what = f"the force of pressure_a_pa and pressure_b_pa is {given:.3g} N off {of}, {exchanged:.3g} N if they are swapped"
         raise BadInput(what, name, "the two columns exchanged (their sensors or lines are swapped), or area_a and area_b")
 

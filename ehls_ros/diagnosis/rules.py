@@ -40,16 +40,13 @@ Origin: units differ by 60 or more, and rigs whose coefficients were all off by 
 """
 
 SIZE_DOUBT = 3.0
-"""Factor within that bound from which a remark is made."""
+"""Factor within that bound from which a remark is made; and by which swapped pressures must fit better to be taken as such."""
 
 SIZE_RELATED = 0.9
 """Correlation from which two quantities count as measurements of one, so that factor and sign are informative."""
 
 SIZE_OUTSIDE = 0.1
 """Distance outside the rig's stroke up to which a position may count from mid-stroke, as a fraction of the stroke."""
-
-EXCHANGED = 3.0
-"""Factor by which exchanged pressures of both chambers must agree better with the other forces to be taken as swapped."""
 
 SPRING_LEFT = 0.05
 """Fitted stiffness up to which no spring acts in the force, as a fraction of the rig file's; or MAX_ALLOWED standard errors."""

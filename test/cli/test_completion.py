@@ -70,7 +70,8 @@ def test_bash_completes_verbs_options_choices_and_files(script, tmp_path):
     (tmp_path / "my_rig.yaml").touch()
     assert "my_rig.yaml" in completions(bash, "ehls", "experiment", "my_r", folder=tmp_path)
     assert completions(bash, "ehls", "experiment", "sine_", folder=tmp_path) == {"sine_fd1", "sine_fd2"}
-    assert completions(bash, "ehls", "diagnose", "--rig", "rig_", folder=tmp_path) == {"rig_paper", "rig_paper_measured"}
+    rigs = {"rig_paper", "rig_paper_measured", "rig_single_rod"}
+    assert completions(bash, "ehls", "diagnose", "--rig", "rig_", folder=tmp_path) == rigs
     assert "my_rig.yaml" in completions(bash, "ehls", "identify", "--rig", "my_r", folder=tmp_path)
 
 

@@ -1,11 +1,14 @@
 """Kernels compiled in parallel before they are run."""
 
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
+import yaml
 
+import truth_generator
 from ehls_ros.arrays import kernel
 from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.record import prepare
@@ -18,7 +21,7 @@ from ehls_ros.parallel import Workers
 from ehls_ros.physics.composition import compiled, is_compiled
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.imposed_motion import PARTS, compile_part, part_kernel
-from ehls_ros.physics.rig import EffectUse
+from ehls_ros.physics.rig import EffectUse, rig_from_mapping
 from ehls_ros.trajectory import Trajectory
 
 
@@ -27,8 +30,11 @@ def using(rig, name, **parameters):
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, recorded):
-    r = recorded({}, "rich", duration=2.0, seed=1)
+def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, rig_file):
+    if part == "chambers":
+        rig_file = yaml.safe_load((Path(__file__).parents[2] / "config" / "rig_single_rod.yaml").read_text(encoding="utf-8"))
+        rig = rig_from_mapping(rig_file, "rig")
+    r = truth_generator.record(rig_file, {}, "rich", duration=2.0, seed=1)
     record = prepare(Trajectory(r.time, r.columns), rig, "case")
     parted = using(rig, "hinge_backlash", load_gap=1e-3) if part == "load" else rig
     effective = parted.effective()
@@ -36,7 +42,8 @@ def test_a_part_is_compiled_for_the_arguments_a_diagnosis_gives_it(part, rig, re
     run = part_kernel(part, effective).run
     before = list(run.signatures)
     comparison = Comparison(record, stages.setup(record, rig))
-    method = {"spool": "simulated_spool", "flow": "flow_terms", "force": "extra_force", "readings": "misread"}.get(part, part)
+    methods = {"spool": "simulated_spool", "flow": "flow_terms", "chambers": "chamber_terms", "force": "extra_force"}
+    method = {**methods, "readings": "misread"}.get(part, part)
     getattr(comparison, method)(effective)
     assert before
     assert run.signatures == before

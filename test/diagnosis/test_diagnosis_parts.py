@@ -151,7 +151,7 @@ def quiet(rig):
 
 def test_the_models_own_experiment_leaves_no_residual(quiet, rig):
     ours, comparison, _ = quiet
-    assert set(comparison.setup.channels) == set(CHANNELS)
+    assert set(comparison.setup.channels) == set(CHANNELS) - {"volume_a", "volume_b"}
     left = comparison.residuals(ours)
     # rms against the noise that the rig's sensors would make of it, and against the terms that cancel
     most = {"spool": 1e-9, "volume": 5e-8, "supply": 1e-6, "force": 2.0, "cell": 1e-6, "velocity": 5e-6}

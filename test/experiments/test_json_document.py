@@ -43,7 +43,7 @@ SCHEMA = {
     Coverage: "signal baseline new beyond",
     document.ParameterEntry: "value std unit ci95",
     document.RemainderEntry: "nrmse noise_floor depends_on",
-    document.CauseEntry: "name probability share channel equivalent_to stage group parameters fixed evidence advice",
+    document.CauseEntry: "name probability share channel equivalent_to stage group parameters fixed evidence advice side",
     document.Advice: "inspect measure change",
     document.Evidence: "gain_nats standard_errors_from_neutral equation rivals",
     document.RivalEntry: "name behind_nats closed_fraction parameters",

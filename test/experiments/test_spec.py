@@ -14,6 +14,7 @@ from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.observers import OBSERVERS
 from ehls_ros.control.references import REFERENCES
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.spec import (
     Spec,
@@ -27,7 +28,9 @@ from ehls_ros.experiments.spec import (
     undeclared_effects,
 )
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.base import acts_on_one_pressure
 from ehls_ros.physics.rig import MAX_EFFECTS, SENSED, rig_from_mapping, rig_to_mapping
+from ehls_ros.recording.yaml_text import read_yaml
 
 REMOVED = object()
 
@@ -408,7 +411,8 @@ def test_every_disturbance_survives_a_round_trip(rig_mapping, name):
 @pytest.mark.parametrize("name", EFFECTS.names())
 def test_every_effect_survives_a_round_trip(rig_mapping, name):
     effect = {"name": name, **EFFECTS.load(name).Parameters()._asdict()}
-    round_trip({"rig": rig_mapping, "controller": {"name": "sic"}, "reference": signal("sine"), "effects": [effect]})
+    rig = rig_mapping if acts_on_one_pressure(EFFECTS.load(name)) else dict(read_yaml(configured("rig_single_rod"), "rig"))
+    round_trip({"rig": rig, "controller": {"name": "sic"}, "reference": signal("sine"), "effects": [effect]})
 
 
 def test_every_sensor_survives_a_round_trip(rig_mapping):

@@ -221,13 +221,14 @@ def test_the_defaults_change_nothing(name, effects):
 
 
 @pytest.mark.parametrize("name", TERMS)
-def test_an_effect_keeps_the_contract_of_its_family(name, effects, make_rig):
+@pytest.mark.usefixtures("effects")
+def test_an_effect_keeps_the_contract_of_its_family(name):
     contract.test_an_effect_says_what_it_is(name)
     contract.test_parameters_are_declared_with_unit_range_help_and_neutral_default(name)
     contract.test_an_effect_acts_somewhere(name)
     contract.test_an_effect_needs_signals_that_there_are(name)
-    contract.test_the_ways_to_fit_an_effect_start_off_the_neutral_values_and_within_range(name, make_rig)
-    contract.test_a_rig_file_holds_an_effect(name, make_rig)
+    contract.test_the_ways_to_fit_an_effect_start_off_the_neutral_values_and_within_range(name)
+    contract.test_a_rig_file_holds_an_effect(name)
 
 
 def test_a_power_and_a_wave_continue_beyond_the_data(effects):

@@ -220,7 +220,7 @@ def test_a_rig_file_is_read_as_written(rig_of):
     [
         ({"plant": {"piston_area": 1e-3}}, "key 'piston_area' is given"),
         ({"valve": {"model": "load_flow"}}, "load_flow has no flow for cylinder two_chamber"),
-        ({"effects": [{"name": "supply_pressure_droop"}]}, "'supply_pressure_droop' acts on a load pressure"),
+        ({"effects": [{"name": "empirical_leakage"}]}, "'empirical_leakage' acts on a load pressure"),
         ({"effects": [{"name": "entrained_air", "load": 0.01}]}, "load of effect 'entrained_air' is 0.01"),
         ({"cylinder": {"area_b": 1e-6}}, "area_a is 0.002 and area_b 1e-06"),
         ({"cylinder": {"model": "three_chamber"}}, "three_chamber"),

@@ -31,11 +31,13 @@ from ehls_ros.experiments.consequences import NOTHING, Consequences
 from ehls_ros.experiments.controller_benefit import BenefitCase, ControllerBenefit, Steady
 from ehls_ros.experiments.next_experiment import NextExperiment, Pair, Proposal
 from ehls_ros.experiments.spec import load_rig
+from ehls_ros.physics.cylinder import two_chamber
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Words
 from ehls_ros.physics.friction.gms import Parameters as Gms
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import EffectUse
+from ehls_ros.physics.valve import four_edges
 from ehls_ros.report import diagnosis_figures as drawn
 from ehls_ros.report import quantities as units
 from ehls_ros.report.diagnosis import answer, write_diagnosis_report
@@ -383,7 +385,15 @@ def test_an_effects_words_fit_the_sentences_they_stand_in(name):
         assert re.fullmatch(r"[a-z][^.]*[^.\s]( \d[^.]*)?", advice.replace("limits.", "").replace("sensors.", "")), (
             "one sentence"
         )
-    own = {*Plant._fields, *FRICTION_KEYS, *(f"sensors.{sensor}" for sensor in SENSED), "limits.position", "limits.spool"}
+    own = {
+        *Plant._fields,
+        *FRICTION_KEYS,
+        *two_chamber.Parameters._fields,
+        *four_edges.Parameters._fields,
+        *(f"sensors.{sensor}" for sensor in SENSED),
+        "limits.position",
+        "limits.spool",
+    }
     named = re.findall(r"`([^`]+)`", words.change)
     assert set(named) <= {*own, name, "effects", "bias", "gain", "bandwidth", "delay", "ehls identify"}, "no key of a rig file"
     article = words.noun.split()[0]
