@@ -4,7 +4,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import CHAMBER_SENSED, Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "sensors"
@@ -26,14 +26,20 @@ class Parameters(NamedTuple):
     ] = 0.0
 
 
+def lagging(sensor: Sensor, by: float) -> Sensor:
+    """Return a sensor with both time constants added [s], the low-frequency equivalent of two lags in series."""
+    total = by + (1.0 / sensor.bandwidth if sensor.bandwidth > 0.0 else 0.0)
+    return sensor._replace(bandwidth=1.0 / total if total > 0.0 else 0.0)
+
+
 def shift(rig: Rig, parameters: Parameters) -> Rig:
-    """Return the rig with both time constants added, the low-frequency equivalent of two lags in series."""
+    """Return the rig with the lag of the load pressure's sensor."""
+    return rig.with_sensors(["load_pressure"], lambda sensor: lagging(sensor, parameters.time_constant))
 
-    def lagging(sensor: Sensor) -> Sensor:
-        total = parameters.time_constant + (1.0 / sensor.bandwidth if sensor.bandwidth > 0.0 else 0.0)
-        return sensor._replace(bandwidth=1.0 / total if total > 0.0 else 0.0)
 
-    return rig.with_sensors(["load_pressure"], lagging)
+def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the same lag of both chambers' sensors."""
+    return rig.with_sensors(CHAMBER_SENSED, lambda sensor: lagging(sensor, parameters.time_constant))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:

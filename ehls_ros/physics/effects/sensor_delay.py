@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Sensor
-from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED, Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "sensors"
@@ -27,15 +27,21 @@ class Parameters(NamedTuple):
     every: Annotated[float, quantity("s", "delay of every reading", minimum=0.0, maximum=0.5)] = 0.0
 
 
+def later(by: float) -> Callable[[Sensor], Sensor]:
+    """Return the function that delays a sensor by a time [s]."""
+    return lambda sensor: sensor._replace(delay=sensor.delay + by)
+
+
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the delays added."""
-
-    def later(by: float) -> Callable[[Sensor], Sensor]:
-        return lambda sensor: sensor._replace(delay=sensor.delay + by)
-
     rig = rig.with_sensors(SENSED, later(parameters.every))
     rig = rig.with_sensors(["position"], later(parameters.position))
     return rig.with_sensors(["load_pressure"], later(parameters.pressure))
+
+
+def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:
+    """Return the rig with the delays added to the sensors of its chambers."""
+    return rig.with_sensors(CHAMBER_SENSED, later(parameters.every + parameters.pressure))
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
