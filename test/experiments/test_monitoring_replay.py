@@ -144,3 +144,26 @@ def test_the_shortest_experiment_that_tells_the_rest_is_offered(monkeypatch):
     assert offer([], rig) is None
     # Without the force no experiment determines the friction.
     assert offer(["coulomb_force"], rig, ["position_m", "valve_command_m", "spool_m"]) is None
+
+
+@pytest.mark.long
+def test_a_leak_of_one_chamber_is_named_on_a_single_rod():
+    path = RIG.with_name("rig_single_rod.yaml")
+    sizes = {"external_leakage": {"coefficient": 1e-12, "side": "a"}}
+    made = record(yaml.safe_load(path.read_text()), {}, "rich", seed=4, duration=SECONDS, growth=[(ONSET, sizes)])
+    watched = replay(
+        [MonitoredRecording("rod", Trajectory(made.time, made.columns))],
+        load_rig(path),
+        Parameters(learning_time=LEARNT, reading_time=10.0),
+        baselines={},
+        limits={},
+        progress=lambda *_: None,
+        on_event=lambda _: None,
+    )
+    [change] = watched.health.changes
+    assert change.name == "external_leakage"
+    assert ONSET < change.noticed <= change.named < ONSET + IN_TIME
+    [cause] = change.causes
+    assert cause.parameters.keys() == {"first"}
+    # What a rig with two chambers does not have is not missing.
+    assert {"discharge_coefficient", "orifice_null"}.isdisjoint(watched.missing)

@@ -10,6 +10,7 @@ from ehls_ros.cli.arguments import add_columns, add_results, add_rig, add_span, 
 from ehls_ros.cli.results import print_files, print_table, writable, write_json
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.analysis import identify_whole_rig
+from ehls_ros.experiments.run_folder import recording_in
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.stroke_experiments import stroke_experiments
 from ehls_ros.experiments.yaml_files import rig_text
@@ -125,7 +126,7 @@ def _recordings(paths: Sequence[Path], columns: ColumnMap | None) -> dict[str, T
     names = [path.name or str(path) for path in paths]
     if len(set(names)) < len(names):
         names = [str(path) for path in paths]
-    return {name: load(path, columns) for name, path in zip(names, paths, strict=True)}
+    return {name: load(recording_in(path), columns) for name, path in zip(names, paths, strict=True)}
 
 
 def _print(found: Identification | RigIdentification, folder: Path) -> None:

@@ -40,7 +40,7 @@ from ehls_ros.experiments.monitoring.identified import Identification, written
 from ehls_ros.experiments.monitoring.samples import Samples
 from ehls_ros.experiments.monitoring.saved_state import SavedState
 from ehls_ros.experiments.monitoring.trends import RATE_READINGS, rates
-from ehls_ros.physics.rig import Rig, check_one_pressure
+from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 from ehls_ros.trajectory import Trajectory
 
@@ -162,7 +162,6 @@ class Monitor:
         self._onset = (math.nan, math.nan, math.nan)
         self._linearisation: Linearisation | None = None
         self._first_readings: tuple[Reading, ...] = ()
-        check_one_pressure(rig, "monitoring", "rig")
         self._known = IdentifiedRig(rig)
         self._identified_at = -math.inf
         self._identifying = False

@@ -17,6 +17,7 @@ from ehls_ros.experiments.monitoring.health import Event, FoundChange, Health
 from ehls_ros.experiments.monitoring.monitor import Monitor, Parameters
 from ehls_ros.experiments.monitoring.offer import Offer, offer
 from ehls_ros.experiments.monitoring.trends import LimitPrediction, predict_limits
+from ehls_ros.identification.rig_coefficients import OF_ONE_PRESSURE
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import Rig
@@ -139,9 +140,11 @@ def replay(
         end += RECORDING_GAP
     monitor.close()
     health = monitor.health()
-    identified = {reading.name for reading in health.readings if reading.identified}
-    missing = tuple(name for name in COEFFICIENTS if name not in identified) if health.readings else ()
     rig = monitor.reference
+    # Those that the rig does not have are not missing.
+    known = {reading.name for reading in health.readings if reading.identified}
+    known |= {name for name, c in COEFFICIENTS.items() if rig.cylinder.law.CHAMBERS and c.path in OF_ONE_PRESSURE}
+    missing = tuple(name for name in COEFFICIENTS if name not in known) if health.readings else ()
     recorded = [name for name in USED if any(name in part.trajectory for part in parts)]
     progress(round(total), round(total), "selecting an experiment for the other coefficients")
     offered = offer(missing, rig, recorded) if missing else None

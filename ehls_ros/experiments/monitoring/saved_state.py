@@ -4,13 +4,13 @@ Records are plain values, with finite numbers and known names only.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.coefficients import KEPT
+from ehls_ros.diagnosis.coefficients import kept
 from ehls_ros.diagnosis.hypotheses import Candidate
 from ehls_ros.diagnosis.monitoring.blocks import Scores
 from ehls_ros.diagnosis.monitoring.directions import Direction
@@ -163,7 +163,8 @@ def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
     Raises:
         ValueError: it differs from the file in other respects, or an effect is invalid.
     """
-    if _fixed(content) != _fixed(origin.rig):
+    constant = {*kept(rig_from_mapping(origin.rig, "rig")), "cylinder.model", "valve.model"}
+    if _fixed(content, constant) != _fixed(origin.rig, constant):
         raise ValueError("the model belongs to another rig")
     effects = content.get("effects")
     if isinstance(effects, list) and len(effects) > MAX_EFFECTS:
@@ -171,16 +172,19 @@ def rig_of(content: Mapping[str, Any], origin: Origin) -> Rig:
     return rig_from_mapping(content, "model of the rig")
 
 
-def _fixed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what an identification keeps of a rig."""
-    kept = {key: value for key, value in content.items() if key not in ("effects", "sensors", "plant", "friction")}
-    plant, friction = content.get("plant"), content.get("friction")
-    if isinstance(plant, Mapping):
-        kept["plant"] = {name: plant.get(name) if f"plant.{name}" in KEPT else None for name in plant}
+def _fixed(content: Mapping[str, Any], constant: Collection[str]) -> dict[str, Any]:
+    """Return what an identification keeps of a rig, in the sections of coefficients only the ``constant`` ones."""
+    fitted_in = ("plant", "cylinder", "valve")
+    fixed = {key: value for key, value in content.items() if key not in ("effects", "sensors", "friction", *fitted_in)}
+    friction = content.get("friction")
+    for section in fitted_in:
+        values = content.get(section)
+        if isinstance(values, Mapping):
+            fixed[section] = {name: values.get(name) if f"{section}.{name}" in constant else None for name in values}
     if isinstance(friction, Mapping):
         fitted = {name for name, value in friction.items() if isinstance(value, float) or name == "element_stiffness"}
-        kept["friction"] = {name: None if name in fitted else value for name, value in friction.items()}
-    return kept
+        fixed["friction"] = {name: None if name in fitted else value for name, value in friction.items()}
+    return fixed
 
 
 def _change_record(change: FoundChange) -> dict[str, Any]:
