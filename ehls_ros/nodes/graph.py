@@ -50,7 +50,14 @@ from ehls_ros.nodes.graph_nodes import (
 from ehls_ros.nodes.operator_guide import OperatorGuide
 from ehls_ros.process import Stopping
 from ehls_ros.recording.bag_reader import is_closed
-from ehls_ros.recording.topics import ACTUATOR_TOPICS, CYCLE_TOPICS, FRICTION_ESTIMATE, PROGRAMME_POINT, REFERENCE_TOPICS
+from ehls_ros.recording.topics import (
+    ACTUATOR_TOPICS,
+    CHAMBER_PRESSURES,
+    CYCLE_TOPICS,
+    FRICTION_ESTIMATE,
+    PROGRAMME_POINT,
+    REFERENCE_TOPICS,
+)
 from ehls_ros.recording.topics import DISTURBANCE as DISTURBANCE_TOPIC
 
 UP_TIME = 600.0
@@ -121,7 +128,7 @@ SIMULATED = Plant()
 
 
 def expected_topics(spec: Spec, plant: Plant) -> list[str]:
-    """Return the control-path topics that an experiment's nodes publish."""
+    """Return the control-path topics that an experiment's nodes publish for certain."""
     law = CONTROLLERS.load(spec.controller.name)
     absent = [topic for follows, topic in REFERENCE_TOPICS.items() if follows != law.FOLLOWS]
     used = signal_kind(spec.disturbance.name) if uses_actuator(spec) else None
@@ -132,6 +139,9 @@ def expected_topics(spec: Spec, plant: Plant) -> list[str]:
         absent.append(FRICTION_ESTIMATE)
     if plant.kind == "bridge":
         absent.append(DISTURBANCE_TOPIC)
+    if plant.kind != "sim" or not spec.rig.cylinder.law.CHAMBERS:
+        # A bridge has them only where both are wired.
+        absent.append(CHAMBER_PRESSURES)
     return [topic.name for topic in CYCLE_TOPICS if topic not in absent]
 
 
