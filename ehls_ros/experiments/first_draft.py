@@ -14,6 +14,9 @@ OFF = 0.1
 CERTAIN = 5.0
 """Standard errors by which a wrong number differs from the identified one."""
 
+OF_FILE = ("plant.", "friction.", "cylinder.", "valve.gain_")
+"""Beginnings of the paths of coefficients that count; overlaps and roundings, like effects, may be anything."""
+
 DRAFT = 4
 """Number of such ones from which a rig file counts as a first draft.
 
@@ -42,4 +45,4 @@ def wrong_numbers(given: Rig, found: RigIdentification) -> dict[str, Fitted]:
 def is_first_draft(wrong: Mapping[str, Fitted]) -> bool:
     """Return whether a rig file has so many numbers that are far off that it has to be fitted first."""
     off = [path for path, w in wrong.items() if abs(w.fitted.value - w.given) > OFF * abs(w.fitted.value)]
-    return sum(path.startswith(("plant.", "friction.")) for path in off) >= DRAFT
+    return sum(path.startswith(OF_FILE) for path in off) >= DRAFT

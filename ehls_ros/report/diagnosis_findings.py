@@ -85,8 +85,8 @@ class ChannelWords(NamedTuple):
 CHANNEL_WORDS: Mapping[Channel, ChannelWords] = {
     "spool": ChannelWords("spool", "spool, recorded minus simulated from the command", "spool"),
     "volume": ChannelWords("flow balance", "flow balance", "flow taken up"),
-    "volume_a": ChannelWords("balance of chamber A", "flow balance of chamber A", "flow taken up by chamber A"),
-    "volume_b": ChannelWords("balance of chamber B", "flow balance of chamber B", "flow taken up by chamber B"),
+    "volume_a": ChannelWords("balance of chamber A", "flow balance of chamber A", "flow taken up by A"),
+    "volume_b": ChannelWords("balance of chamber B", "flow balance of chamber B", "flow taken up by B"),
     "supply": ChannelWords("supply pressure", "supply pressure, recorded minus modelled", "supply pressure"),
     "force": ChannelWords("force balance", "force balance", "driving force"),
     "cell": ChannelWords("load cell", "load cell minus piston area times load pressure", "force"),

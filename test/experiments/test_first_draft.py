@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehls_ros.diagnosis.result import Fitted
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.first_draft import DRAFT, is_first_draft, wrong_numbers
 from ehls_ros.experiments.spec import load_rig
@@ -56,3 +57,13 @@ def test_few_numbers_far_off_are_causes_and_many_a_first_draft():
     assert not is_first_draft(wrong_numbers(RIG, identified(1.3, 0.01, DRAFT - 1)))
     assert not is_first_draft(wrong_numbers(RIG, identified(1.05, 0.001)))
     assert is_first_draft(wrong_numbers(RIG, identified(1.3, 0.01, DRAFT)))
+
+
+def test_the_numbers_of_chambers_and_edges_count_and_overlaps_do_not():
+    def off(*paths: str) -> dict[str, Fitted]:
+        return {path: Fitted(1.0, Estimate(1.5, 0.01, "1"), None) for path in paths}
+
+    counted = ("valve.gain_pb", "cylinder.tank_pressure", "cylinder.leakage_a", "plant.bulk_modulus")
+    assert len(counted) == DRAFT
+    assert is_first_draft(off(*counted))
+    assert not is_first_draft(off(*counted[1:], "valve.overlap_pa", "valve.rounding_bt"))
