@@ -17,6 +17,7 @@ from ehls_ros.arrays import Array, in_python, kernel
 from ehls_ros.control.controllers.base import MIN_DROP, ROW, Model
 from ehls_ros.physics import sensors
 from ehls_ros.physics.lane_memory import stack
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import SENSED, CylinderUse, Rig, ValveUse
 
 
@@ -49,11 +50,26 @@ def double_rod_of(rig: Rig) -> DoubleRod:
     return DoubleRod(rig._replace(plant=plant, cylinder=CylinderUse(), valve=ValveUse()), offset)
 
 
-NULL = 1e-12
-"""Spool displacement that a law is given while the spool passes null [m]: only its sign counts."""
-
-LAST = -1
-"""Index of the last command in the memory of a law on such a cylinder, after the law's own."""
+@kernel
+def with_discharge(plant: Plant, coefficient: float) -> Plant:
+    """Return a plant with another discharge coefficient."""
+    return Plant(
+        plant.supply_pressure,
+        plant.oil_density,
+        plant.bulk_modulus,
+        coefficient,
+        plant.valve_area_gradient,
+        plant.leakage_coefficient,
+        plant.total_volume,
+        plant.moving_mass,
+        plant.piston_area,
+        plant.arm_length,
+        plant.spring_stiffness,
+        plant.viscous_damping,
+        plant.valve_bandwidth,
+        plant.valve_gain,
+        plant.gravity,
+    )
 
 
 def memory_on(law: Any, cylinder: Any, parameters: Any) -> Array:
@@ -65,7 +81,7 @@ def memory_on(law: Any, cylinder: Any, parameters: Any) -> Array:
         parameters: those of the law.
     """
     own: Array = law.memory(parameters)
-    return np.append(own, 0.0) if cylinder.CHAMBERS else own
+    return np.concatenate([own, own]) if cylinder.CHAMBERS else own
 
 
 def law_on(law: Any, cylinder: Any, valve: Any) -> Any:
@@ -87,22 +103,40 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
         return step
     equivalent, signals, follows_force = cylinder.equivalent(valve), len(SENSED), law.FOLLOWS == "force"
     readings, row = stack(signals), stack(ROW)
-    # A law with a filter foresees the spool itself.
-    crosses = not hasattr(law, "assumptions")
+    inverts = getattr(law, "INVERTS_VALVE", False)
 
     @kernel
-    def local_step(m: Array, r: Array, f: Array, p: Any, model: Model, memory: Array, status: Array) -> float:
+    def gain(plant: Plant, supply: float, pressure: float, side: float) -> float:
+        """Return the flow per opening (1) [m^2/s] at a load pressure [Pa], for an opening of a sign."""
+        drop = max(supply - side * pressure, MIN_DROP * plant.supply_pressure)
+        return plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
+
+    @kernel
+    def answer(
+        spool: float,
+        plant: Plant,
+        supply: float,
+        offset: float,
+        m: Array,
+        r: Array,
+        f: Array,
+        p: Any,
+        model: Model,
+        own: Array,
+        status: Array,
+    ) -> float:
+        """Return the command of the law for a double rod, with a spool displacement [m]."""
         seen, wanted = readings(), row()
         for i in range(signals):
             seen[i] = m[i]
-        last = memory[memory.size + LAST]
-        if crosses:
-            # While the spool passes null, the gain of the edges that open next counts; it may be several times as large.
-            lag = min(0.5 * model.period * model.plant.valve_bandwidth, 1.0)
-            ahead = m[sensors.SPOOL] + lag * (model.plant.valve_gain * last - m[sensors.SPOOL])
-            if ahead * m[sensors.SPOOL] < 0.0:
-                seen[sensors.SPOOL] = math.copysign(NULL, ahead)
-        plant, supply, offset = equivalent(m, seen[sensors.SPOOL], MIN_DROP, model.plant, model.cylinder, model.valve)
+        for i in range(ROW):
+            wanted[i] = r[i]
+        seen[sensors.SPOOL] = spool
+        seen[sensors.LOAD_PRESSURE] -= offset / plant.piston_area
+        seen[sensors.FORCE] -= offset
+        seen[sensors.SUPPLY_PRESSURE] = supply
+        if follows_force:
+            wanted[0] -= offset
         local = Model(
             plant,
             model.friction,
@@ -115,15 +149,34 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
             model.cylinder,
             model.valve,
         )
-        for i in range(ROW):
-            wanted[i] = r[i]
-        seen[sensors.LOAD_PRESSURE] -= offset / plant.piston_area
-        seen[sensors.FORCE] -= offset
-        seen[sensors.SUPPLY_PRESSURE] = supply
-        if follows_force:
-            wanted[0] -= offset
-        command = step(seen, wanted, f, p, local, memory[: memory.size + LAST], status)
-        memory[memory.size + LAST] = command
+        return step(seen, wanted, f, p, local, own, status)
+
+    @kernel
+    def local_step(m: Array, r: Array, f: Array, p: Any, model: Model, memory: Array, status: Array) -> float:
+        size, spool = memory.size // 2, m[sensors.SPOOL]
+        own, before = memory[:size], memory[size:]
+        for i in range(size):
+            before[i] = own[i]
+        side = -1.0 if spool < 0.0 else 1.0
+        plant, supply, offset = equivalent(m, side, MIN_DROP, model.plant, model.cylinder, model.valve)
+        command = answer(spool, plant, supply, offset, m, r, f, p, model, own, status)
+        followed = min(model.period * model.plant.valve_bandwidth, 1.0)
+        ahead = spool + followed * (model.plant.valve_gain * command - spool)
+        if inverts and ahead * side < 0.0:
+            # The spool passes null, beyond which an opening has another gain. The law is given the opening on the other side
+            # with the present flow, from which the spool moves to where it has to be.
+            other, supply_beyond, _ = equivalent(m, -side, MIN_DROP, model.plant, model.cylinder, model.valve)
+            pressure = m[sensors.LOAD_PRESSURE] - offset / plant.piston_area
+            beyond = gain(other, supply_beyond, pressure, -side)
+            moved = spool * gain(plant, supply, pressure, side) / beyond
+            # By the sign of the opening, the law would take the pressure drop of this side.
+            seen_as = beyond / gain(other, supply_beyond, pressure, side)
+            for i in range(size):
+                own[i] = before[i]
+            scaled = with_discharge(other, seen_as * other.discharge_coefficient)
+            command = answer(moved, scaled, supply_beyond, offset, m, r, f, p, model, own, status)
+            command += (moved - spool) * (1.0 / followed - 1.0) / model.plant.valve_gain
+            command = min(max(command, -model.spool_limit), model.spool_limit)
         return command
 
     return local_step

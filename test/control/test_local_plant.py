@@ -2,6 +2,7 @@
 
 import copy
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -150,6 +151,16 @@ def test_fasmc_holds_the_force_of_a_single_rod_as_closely_as_that_of_a_double_ro
     double = double._replace(settings=double.settings._replace(duration=4.0))
     errors = [evaluate(run_in_process(spec, check=False)).max_error_n for spec in (double, make_spec_of(name, "fasmc", 4.0))]
     assert errors[1] < factor * errors[0]
+
+
+def test_fasmc_passes_null_where_the_gain_of_the_next_edges_is_another(make_spec_of):
+    # At -10 kN, the edges that open have more than four times the gain of those that close.
+    disturbance = spec_to_mapping(load_spec(configured("constant_fd1", "experiments")))["disturbance"]
+    single = make_spec_of("sine_fd2", "fasmc", 4.0, disturbance=disturbance)
+    mapping = {**spec_to_mapping(load_spec(configured("sine_fd2", "experiments"))), "disturbance": disturbance, "duration": 4.0}
+    double = spec_from_mapping({key: value for key, value in mapping.items() if value is not None}, "double", Path())
+    errors = [evaluate(run_in_process(spec, check=False)).max_error_n for spec in (double, single)]
+    assert errors[1] < 1.3 * errors[0]
 
 
 @pytest.mark.long

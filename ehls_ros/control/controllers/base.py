@@ -32,6 +32,8 @@ effect of the rig is missing in its model.
 
 A law whose numbers can be tuned for a rig names those that matter in ``TUNED``; each has a unit and bounds in ``Parameters``.
 
+A law that computes its command by the valve's flow gain and lag, from the present opening, has ``INVERTS_VALVE = True``.
+
 A law with bounded estimates names them in ``BOUNDED``, so that an estimate at its bound is reported.
 
 A law that models the commands in transit, or adapts to the effect of its commands, adds a compiled

@@ -34,6 +34,7 @@ from ehls_ros.physics.vector_math import exp
 from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
+INVERTS_VALVE = True
 FRICTION = True
 NEEDS = ("position", "velocity", "load_pressure", "spool_position", "force", "supply_pressure")
 TUNED = ("g", "k", "phi3", "rate_correction")

@@ -16,6 +16,7 @@ from ehls_ros.physics import sensors
 from ehls_ros.schema import quantity
 
 FOLLOWS = "force"
+INVERTS_VALVE = True
 FRICTION = False
 NEEDS = ("velocity", "load_pressure", "spool_position", "force", "supply_pressure")
 TUNED = ("proportional", "integral")
