@@ -151,15 +151,12 @@ def terms(valve: Any, chains: Chains) -> Callable[..., Terms]:
         p, plant = c.cylinder, c.plant
         flow_a, flow_b, supplied = flows(opening, supply, a, b, p.tank_pressure, c.valve, plant)
         past = piston_leakage(plant.leakage_coefficient * (a - b), a - b, t, y, c.inputs, z, c.effects, plant)
-        return Terms(
-            flow_a,
-            flow_b,
-            past + p.leakage_a * (a - p.tank_pressure),
-            p.leakage_b * (b - p.tank_pressure) - past,
-            modulus_with_air(plant.bulk_modulus, p.air_a, a),
-            modulus_with_air(plant.bulk_modulus, p.air_b, b),
-            supplied,
-        )
+        lost_a, lost_b = past + p.leakage_a * (a - p.tank_pressure), p.leakage_b * (b - p.tank_pressure) - past
+        modulus_a, modulus_b = plant.bulk_modulus, plant.bulk_modulus
+        # One branch for both: most oil is free of air, and the powers are expensive.
+        if p.air_a + p.air_b > 0.0:
+            modulus_a, modulus_b = modulus_with_air(modulus_a, p.air_a, a), modulus_with_air(modulus_b, p.air_b, b)
+        return Terms(flow_a, flow_b, lost_a, lost_b, modulus_a, modulus_b, supplied)
 
     return at
 
