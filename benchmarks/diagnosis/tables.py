@@ -182,7 +182,9 @@ def headline(judged: Judged, of: dict[str, Judged]) -> Table:
         table.add_row("  quartile, 90th percentile", "", " ".join(f"{100 * v:.1f} %" for v in np.quantile(errors, [0.75, 0.9])))
         covered = [q.covered for q in quantities]
         row("  95 % intervals that hold the truth", "88–99 %", covered, [], 0.88, 0.99)
-    closed = [r["ours"]["gain"]["closed_fraction"] for r, j in single + pair if j.right and r["ours"]["gain"]]
+    # A recording that is rightly refused has no answer.
+    answered = [r["ours"] for r, j in single + pair if j.right and "ours" in r]
+    closed = [ours["gain"]["closed_fraction"] for ours in answered if ours["gain"]]
     if closed:
         middle = float(np.median(closed))
         least = f"least {100 * min(closed):.0f} %"

@@ -861,6 +861,18 @@ def _friction_known(comparison: Comparison) -> Mask:
     return friction_known(record, position, velocity, used.presliding, noise)
 
 
+def _has_slid(comparison: Comparison) -> Mask:
+    """Return the samples after the first sliding in their stretch, before which friction has an unknown force to begin with.
+
+    Between sliding in one direction and in the other, the piston moves by twice the presliding travel.
+    """
+    record = comparison.record
+    position = record.values(POSITION) if POSITION in record else integral(record.values(VELOCITY), record.period)
+    moved = record.by_stretch(lambda part: np.maximum.accumulate(np.abs(part - part[0])), position)
+    slid: Mask = moved >= 2.0 * comparison.setup.presliding
+    return slid
+
+
 def formed_of(record: Record, channel: Channel) -> tuple[str, ...]:
     """Return the recorded signals from which a channel is formed, those whose noise affects its residual most first.
 
@@ -882,7 +894,7 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
         wrong = (~record.good[COMMAND]).astype(np.float64)
         good &= np.convolve(wrong, np.ones(1 + round(rules.SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5
     if channel == "force":
-        good &= _friction_known(comparison)
+        good &= _friction_known(comparison) & _has_slid(comparison)
     window = used.window_of(channel)
     settling = round(rules.SETTLING / record.period)
     late = np.ones(len(good), dtype=np.bool_)

@@ -95,8 +95,9 @@ def value_of(parameters: Any, u: Array) -> Array:
 def formulas(table: Table) -> list[Formula]:
     """Return the formulas that describe a table with the fewest parameters, best first."""
     size = max(float(np.ptp(table.values)), 1e-300)
-    covariance = table.covariance + (UNLIKE * size) ** 2 * np.eye(len(table.at))
-    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    # Where the data hardly determine some values, rounding leaves their covariance without a Cholesky root.
+    variances, directions = np.linalg.eigh(0.5 * (table.covariance + table.covariance.T))
+    whitening = directions.T / np.sqrt(np.maximum(variances, 0.0) + (UNLIKE * size) ** 2)[:, np.newaxis]
     shapes = _waves(table) if table.periodic else chain(*_shapes(table))
     starts = sorted((_sized(table, whitening, start) for start in shapes), key=lambda formula: formula.cost)
     best = dict[tuple[str, ...], Formula]()

@@ -11,7 +11,7 @@ from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.free_run import free_run
 from ehls_ros.diagnosis.record import prepare
-from ehls_ros.diagnosis.stages import Comparison, setup
+from ehls_ros.diagnosis.stages import Comparison, setup, usable
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import side_of
@@ -135,3 +135,14 @@ def test_side_of_an_effect(name, values, side):
 def test_an_effect_of_a_chamber_is_refused_in_a_double_rod(effect, reason, rig_file):
     with pytest.raises(BadInput, match=reason):
         rig_from_mapping({**rig_file, "effects": [effect]}, "rig")
+
+
+def test_friction_is_judged_after_the_first_sliding():
+    prepared = prepare(recorded(duration=4.0), RIG, "case")
+    comparison = Comparison(prepared, setup(prepared, RIG))
+    window = comparison.setup.window_of("force")
+    judged = window.mean(prepared.time)[usable(comparison, "force")]
+    position = prepared.signals["position_m"]
+    moved = np.abs(position - position[0]) > 2.0 * comparison.setup.presliding
+    first = prepared.time[np.argmax(moved)]
+    assert first < judged[0] < first + 0.2

@@ -44,3 +44,12 @@ def test_a_wave_has_its_harmonic():
     assert "level" not in found.free
     alone = best(80.0 * np.sin(2.0 * np.pi * part + 0.4), at=0.2 * part, periodic=True)
     assert "wave_2" not in alone.free
+
+
+def test_values_that_the_data_hardly_determine_leave_a_formula():
+    values = 120.0 * AT
+    huge = 1e12 * np.outer(AT, AT)
+    # Rounding makes such a covariance indefinite by far more than any noise.
+    covariance = 4.0 * np.eye(len(AT)) + huge - 1e-3 * np.eye(len(AT))[::-1]
+    covariance[0, 0] -= 1e6
+    assert np.all(np.isfinite([found.cost for found in formulas(Table(AT, values, covariance, False, True))]))
