@@ -1,6 +1,5 @@
 """Blocks of a recording: estimates for a rig whose coefficients deviate from its model, and for one whose do not."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,14 +84,9 @@ def test_what_leads_to_the_first_block_is_in_none(rig, leaking):
     assert later[1].score == pytest.approx(last.score)
 
 
-def test_while_the_piston_is_held_a_constant_force_says_nothing(rig, recorded):
+def test_while_the_piston_is_held_the_force_balance_is_not_judged(rig, recorded):
     """The force that holds a stuck piston depends on micrometres that no sensor resolves."""
-    evidence = compared(rig, recorded({}, "rest", seed=6, duration=SECONDS))
-    off = {**evidence.base.values, FRICTION: evidence.base.values[FRICTION] + 30.0 / evidence.floor[FRICTION]}
-    wrong = replace(evidence, base=evidence.base._replace(values=off))
-    found = tuple(d for d in directions(evidence, WANTED) if d.name == "coulomb_shift")
-    [right], [moved] = (scores(e, found, (), [0.0]) for e in (evidence, wrong))
-    assert abs(moved.score[0] - right.score[0]) < 3.0 * np.sqrt(right.information[0])
+    assert FRICTION not in compared(rig, recorded({}, "rest", seed=6, duration=SECONDS)).channels
 
 
 def test_a_coefficient_far_from_the_model_is_not_read_from_its_linearisation(rig, leaking):
