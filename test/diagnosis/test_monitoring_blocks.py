@@ -1,6 +1,5 @@
 """Blocks of a recording: estimates for a rig whose coefficients deviate from its model, and for one whose do not."""
 
-
 import numpy as np
 import pytest
 
