@@ -34,6 +34,10 @@ SIZE_FEWEST = 50
 """Fewest blocks that determine a factor."""
 
 
+BALANCED = "inertia, spring and load"
+"""Forces that balance the driving force, apart from friction."""
+
+
 class Ratio(NamedTuple):
     """Ratio of a measured quantity to the value implied by the rig file.
 
@@ -167,15 +171,13 @@ def _check_mid_stroke(seen: Seen, rig: Rig, name: str) -> None:
 
 def _check_chambers(seen: Seen, rig: Rig, name: str) -> None:
     """Reject pressures of both chambers whose force is far from the other forces, and near them if they are exchanged."""
-    s, plant = seen.signals, rig.plant
+    s = seen.signals
     if not rig.cylinder.law.CHAMBERS or not all(signal in s for signal in OF_CHAMBERS):
         return
     if "force_n" in s:
         other, of = s["force_n"], "force_n"
     elif "position_m" in s:
-        inertia = plant.moving_mass * np.gradient(np.gradient(s["position_m"], seen.period), seen.period)
-        other = inertia + plant.spring_stiffness * s["position_m"] + s.get("disturbance_force_n", 0.0)
-        of = "inertia, spring and load"
+        other, of = _balanced(rig, seen, s["position_m"]), BALANCED
     else:
         return
     area_a, area_b = rig.cylinder.parameters.area_a, rig.cylinder.parameters.area_b
@@ -324,11 +326,10 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
     if pressure is not None and force is not None:
         yield from _slope(f"force_n over {source}", force, plant.piston_area * pressure)
     if rig.cylinder.law.CHAMBERS and pressure is not None and position is not None and "disturbance_force_n" in s:
-        inertia = plant.moving_mass * np.gradient(np.gradient(position, seen.period), seen.period)
-        balanced = inertia + plant.spring_stiffness * position + s["disturbance_force_n"]
         # Friction is in the driving force besides.
         within = rules.SIZE_DOUBT * rules.SIZE_FACTOR
-        yield from _slope(f"{source} over inertia, spring and load", plant.piston_area * pressure, balanced, within)
+        balanced = _balanced(rig, seen, position)
+        yield from _slope(f"{source} over {BALANCED}", plant.piston_area * pressure, balanced, within)
     rate = None if position is None else np.gradient(position, seen.period)
     if rate is not None and velocity is not None:
         yield from _slope("velocity_m_s over the rate of position_m", velocity, rate)
@@ -349,6 +350,12 @@ def _of_slopes(rig: Rig, seen: Seen) -> Iterator[Ratio]:
         # The flow depends on more coefficients, and on the compressed oil.
         within = rules.SIZE_DOUBT * rules.SIZE_FACTOR
         yield from _slope("the flow that moves the piston over the valve's by the orifice law", used, flow, within)
+
+
+def _balanced(rig: Rig, seen: Seen, position: Array) -> Array:
+    """Return the force of inertia, spring and, where recorded, the load, shape (n,) [N]."""
+    inertia = rig.plant.moving_mass * np.gradient(np.gradient(position, seen.period), seen.period)
+    return inertia + rig.plant.spring_stiffness * position + seen.signals.get("disturbance_force_n", 0.0)
 
 
 def _load_pressure(rig: Rig, seen: Seen) -> tuple[Array | None, str]:

@@ -16,6 +16,7 @@ from a local fit of the position.
 
 import math
 from collections.abc import Callable, Container, Mapping
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -127,7 +128,10 @@ KINDS: Mapping[Channel, ChannelKind] = {
 }
 """Residual channels."""
 
-VOLUMES: tuple[Channel, ...] = ("volume", "volume_a", "volume_b")
+BY_CHAMBER: tuple[Channel, ...] = ("volume_a", "volume_b")
+"""Volume balances of both chambers, A and B."""
+
+VOLUMES: tuple[Channel, ...] = ("volume", *BY_CHAMBER)
 """Volume balances: of the load flow, or of both chambers."""
 
 CHANNELS: Mapping[Channel, Stage] = {channel: kind.stage for channel, kind in KINDS.items()}
@@ -218,7 +222,7 @@ class Comparison:
         effective = rig.effective()
         wanted = self.setup.channels if channels is None else channels
         residual: dict[Channel, Callable[[EffectiveRig], Any]] = {
-            "spool": self._spool, "volume": self._volume, "volume_a": self._volume_a, "volume_b": self._volume_b,
+            "spool": self._spool, "volume": self._volume, **{c: partial(self._volume_of, c) for c in BY_CHAMBER},
             "supply": self._supply, "force": self._force, "cell": self._cell, "velocity": self._velocity,
         }  # fmt: skip
         # A diverging model has no finite residual, and its fit is rejected.
@@ -235,17 +239,11 @@ class Comparison:
         effective, window = rig.effective(), self.setup.window_of(channel)
         if channel == "volume":
             return self._taken_up(effective)
-        if channel in VOLUMES:
+        if channel in BY_CHAMBER:
             return self._taken_up_by(effective, channel)
         if channel == "force":
             return window.mean(effective.plant.piston_area * self.pressure(effective))
         return window.mean(self.corrected(effective, KINDS[channel].sensor))
-
-    def _supply_used(self, rig: EffectiveRig) -> tuple[Any, ...]:
-        """Return what the supply pressure at the valve depends on: its sensor, or the flow through all edges."""
-        if SUPPLY in self.record:
-            return (rig.sensors.get("supply_pressure"),)
-        return (_supply(rig), *(_of_side(rig, channel) for channel in VOLUMES[1:]))
 
     def relevant(self, rig: Rig) -> dict[Channel, Any]:
         """Return the dependencies of each channel's residual; equal dependencies imply equal residuals."""
@@ -258,7 +256,9 @@ class Comparison:
         cell = (sensors.get("force"), hooks["readings"])
         load = (sensors.get("load_pressure"), hooks["readings"]) if PRESSURE in self.record else cell
         p = (load, sensors.get("pressure_a"), sensors.get("pressure_b"), _areas(whole))
-        sides = {channel: _of_side(whole, channel) for channel in VOLUMES[1:]}
+        sides = {channel: _of_side(whole, channel) for channel in BY_CHAMBER}
+        # Where its sensor is missing, the supply pressure follows from the flow through all edges.
+        supply = (sensors.get("supply_pressure"),) if SUPPLY in self.record else (_supply(whole), *sides.values())
         valve = (plant.supply_pressure, plant.oil_density, plant.discharge_coefficient, plant.valve_area_gradient)
         flow = (*valve, plant.bulk_modulus, plant.total_volume, plant.piston_area, plant.leakage_coefficient)
         spool_sensor = sensors.get("spool_position")
@@ -266,7 +266,7 @@ class Comparison:
         return {
             "spool": (spool, spool_sensor, moved if hooks["spool"] else None),
             "volume": (flow, hooks["flow"], seen, moved),
-            **{c: (flow, hooks["chambers"], seen, moved, used, self._supply_used(whole)) for c, used in sides.items()},
+            **{c: (flow, hooks["chambers"], seen, moved, used, supply) for c, used in sides.items()},
             "supply": (
                 valve,
                 hooks["flow"],
@@ -304,17 +304,13 @@ class Comparison:
         # A difference of neighbours would lack 2 % of the slope at 50 Hz and 1 kHz, and the window's derivative does not.
         return self.setup.window.rate(linear(lambda steps: np.concatenate([[0.0], np.cumsum(steps)]), squeezed))
 
-    def _volume_a(self, rig: EffectiveRig) -> Any:
-        terms = self.chamber_terms(rig)
-        return self._taken_up_by(rig, "volume_a") - self.setup.window.mean(terms[:, 0] - terms[:, 2])
-
-    def _volume_b(self, rig: EffectiveRig) -> Any:
-        terms = self.chamber_terms(rig)
-        return self._taken_up_by(rig, "volume_b") - self.setup.window.mean(terms[:, 1] - terms[:, 3])
+    def _volume_of(self, channel: Channel, rig: EffectiveRig) -> Any:
+        terms, index = self.chamber_terms(rig), BY_CHAMBER.index(channel)
+        return self._taken_up_by(rig, channel) - self.setup.window.mean(terms[:, index] - terms[:, 2 + index])
 
     def _taken_up_by(self, rig: EffectiveRig, channel: Channel) -> Any:
         """Return the flow taken up by the piston's motion and the compression in a chamber, one value a window [m^3/s]."""
-        p, motion, index = rig.cylinder.parameters, self.motion(rig), VOLUMES.index(channel) - 1
+        p, motion, index = rig.cylinder.parameters, self.motion(rig), BY_CHAMBER.index(channel)
         area, at_zero, hose = (
             (p.area_a, p.volume_a, p.hose_compliance_a),
             (-p.area_b, p.volume_b, p.hose_compliance_b),
@@ -408,7 +404,7 @@ class Comparison:
         return (
             self.flow_terms(effective)[:, 0]
             if channel == "volume"
-            else self.chamber_terms(effective)[:, VOLUMES.index(channel) - 1]
+            else self.chamber_terms(effective)[:, BY_CHAMBER.index(channel)]
         )
 
     def extra_force(self, rig: EffectiveRig) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.duals import exp
 from ehls_ros.physics.effects import EFFECTS
+from ehls_ros.physics.effects.edge_gain import EDGES
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import Declaration, declarations
@@ -19,7 +20,6 @@ PLANT = (
 )  # fmt: skip
 """Fitted coefficients of the plant."""
 
-EDGES = ("pa", "at", "pb", "bt")
 EDGE_GAINS = tuple(f"valve.gain_{edge}" for edge in EDGES)
 OVERLAPS = tuple(f"valve.overlap_{edge}" for edge in EDGES)
 ROUNDINGS = tuple(f"valve.rounding_{edge}" for edge in EDGES)
