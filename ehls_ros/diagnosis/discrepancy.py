@@ -276,7 +276,8 @@ def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
     A pivoted Cholesky factor: each centre is the point least well described by the previous ones.
     """
     n = len(inputs)
-    columns = np.zeros((n, most))
+    # Row by row, so that each column is contiguous.
+    made = np.zeros((most, n))
     rest = np.ones(n)
     count = 0
     while count < most:
@@ -284,11 +285,11 @@ def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
         if rest[worst] < NEGLIGIBLE:
             break
         distance = np.sum((inputs - inputs[worst]) ** 2, axis=1) / rules.SMOOTH**2
-        column = np.exp(-0.5 * distance) - columns[:, :count] @ columns[worst, :count]
-        columns[:, count] = column / np.sqrt(rest[worst])
-        rest = np.maximum(rest - columns[:, count] ** 2, 0.0)
+        column = np.exp(-0.5 * distance) - made[:count, worst] @ made[:count]
+        made[count] = column / np.sqrt(rest[worst])
+        rest = np.maximum(rest - made[count] ** 2, 0.0)
         count += 1
-    return columns[:, :count], rest
+    return made[:count].T, rest
 
 
 def _folds(windows: int) -> NDArray[np.intp]:
@@ -301,13 +302,21 @@ def _chosen(fitted: Mask, columns: Array) -> Mask:
     return np.concatenate([fitted, np.ones(columns.shape[1] - len(fitted), dtype=np.bool_)])
 
 
+def _normal(columns: Array, weight: Array) -> Array:
+    """Return the products of all columns with each other under the weight of each window, shape (m, m)."""
+    scaled = columns * np.sqrt(weight)[:, None]
+    # numpy computes half of a matrix times its own transpose, and copies the other half.
+    products: Array = scaled.T @ scaled
+    return products
+
+
 def _posterior(columns: Array, y: Array, variance: Array, fitted: Mask) -> tuple[Array, Array]:
     """Return mean and covariance of standard normal weights under the Huber loss; the mean of unfitted ones is zero."""
     chosen = _chosen(fitted, columns)
     mean, normal = np.zeros(columns.shape[1]), np.eye(columns.shape[1])
     for _ in range(ROBUST_STEPS):
         w = weights((y - columns @ mean) / np.sqrt(variance)) / variance
-        normal = columns.T @ (columns * w[:, None]) + np.eye(columns.shape[1])
+        normal = _normal(columns, w) + np.eye(columns.shape[1])
         mean[chosen] = scipy.linalg.cho_solve(
             scipy.linalg.cho_factor(normal[np.ix_(chosen, chosen)]), (columns.T @ (w * y))[chosen]
         )
@@ -317,13 +326,13 @@ def _posterior(columns: Array, y: Array, variance: Array, fitted: Mask) -> tuple
 def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp]) -> Array:
     """Return the residuals of each fold with the weights fitted to the others."""
     left = y.copy()
-    whole = columns.T @ (columns / variance[:, None]) + np.eye(columns.shape[1])
-    moment = columns.T @ (y / variance)
-    for f in np.unique(fold):
-        inside = fold == f
-        part = columns[inside] / variance[inside, None]
-        rest = scipy.linalg.cho_factor(whole - columns[inside].T @ part)
-        left[inside] -= columns[inside] @ scipy.linalg.cho_solve(rest, moment - part.T @ y[inside])
+    folds = [fold == f for f in np.unique(fold)]
+    normals = [_normal(columns[inside], 1.0 / variance[inside]) for inside in folds]
+    moments = [columns[inside].T @ (y[inside] / variance[inside]) for inside in folds]
+    whole, moment = sum(normals, np.eye(columns.shape[1])), sum(moments, np.zeros(columns.shape[1]))
+    for inside, normal, part in zip(folds, normals, moments, strict=True):
+        rest = scipy.linalg.cho_factor(whole - normal)
+        left[inside] -= columns[inside] @ scipy.linalg.cho_solve(rest, moment - part)
     return left
 
 

@@ -16,9 +16,14 @@ UNIT = 4
 """Divisor of every width."""
 
 
-def width_of(parameters: int) -> int:
-    """Return the floats in a dual: the value, a tangent per parameter and one for the length of a step, rounded up."""
-    return UNIT * math.ceil((parameters + 2) / UNIT)
+def width_of(parameters: int, *, events: bool = True) -> int:
+    """Return the floats in a dual, rounded up: the value, a tangent per parameter, and one for the time of an event.
+
+    Args:
+        parameters: number of parameters to differentiate by.
+        events: whether the system has events.
+    """
+    return UNIT * math.ceil((1 + parameters + events) / UNIT)
 
 
 class VectorType(types.Type):

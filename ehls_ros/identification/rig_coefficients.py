@@ -9,9 +9,9 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.duals import exp
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.effects.edge_gain import EDGES
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import EffectUse, Rig
+from ehls_ros.physics.valve.four_edges import EDGES
 from ehls_ros.schema import Declaration, declarations
 
 PLANT = (

@@ -4,6 +4,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.valve.four_edges import CHAMBER_OF_EDGE, EDGES
 from ehls_ros.schema import quantity
 
 GROUP: Group = "valve"
@@ -16,8 +17,7 @@ WORDS = Words(
     measure="apply the same command in both directions and compare the flows into and out of each chamber",
     change="multiply the edge's `gain` of the valve in the rig file by the factor",
 )
-EDGES = ("pa", "at", "pb", "bt")
-SIDES = {"pa": "a", "at": "a", "pb": "b", "bt": "b"}
+SIDES = CHAMBER_OF_EDGE
 
 
 class Parameters(NamedTuple):

@@ -3,8 +3,8 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects.base import Form, Group, Share, Words
-from ehls_ros.physics.effects.edge_gain import EDGES
 from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.valve.four_edges import CHAMBER_OF_EDGE, EDGES
 from ehls_ros.schema import quantity
 
 GROUP: Group = "valve"
@@ -16,7 +16,7 @@ WORDS = Words(
     measure="block both ports and measure the flow from P to T over the command about null: the wear raises one flank",
     change="keep `edge_wear` under `effects` in the rig file until the valve is replaced, or change the edge's overlap there",
 )
-SIDES = {f"{kind}_{edge}": "a" if "a" in edge else "b" for kind in ("lap", "round") for edge in EDGES}
+SIDES = {f"{kind}_{edge}": side for kind in ("lap", "round") for edge, side in CHAMBER_OF_EDGE.items()}
 
 STARTS = (0.005, 0.03)
 """Rounding at the start of a fit, as a fraction of the largest spool displacement."""

@@ -56,7 +56,7 @@ class Part(NamedTuple):
     hooks: tuple[str, ...]
     module: ModuleType
     columns: int
-    at_once: int = 6
+    at_once: int = 7
     has_friction: bool = False
     has_chambers: bool = False
 
@@ -64,6 +64,11 @@ class Part(NamedTuple):
     def effects(self) -> Effects:
         """The effects that act in it."""
         return effects_with(*self.hooks)
+
+    @property
+    def width(self) -> int:
+        """Floats in a dual of it; only a friction model has events."""
+        return width_of(self.at_once, events=self.has_friction)
 
 
 PARTS = {
@@ -117,7 +122,7 @@ def _kernel(name: str, model: str, elements: int, oil: tuple[str, ...], duals: b
         members["cylinder"], members["valve"] = CYLINDERS.load(oil[0]), VALVES.load(oil[1])
     if not duals:
         return compiled(compiled_part.build, {"run": "a, inputs, out"}, members, numbers, part.effects, threads=True)
-    numbers |= {"width": width_of(part.at_once), "moved": int(moved)}
+    numbers |= {"width": part.width, "moved": int(moved)}
     return compiled(
         compiled_part.build_duals, {"run": "a, inputs, rows, out, found"}, members, numbers, part.effects, threads=True
     )
@@ -142,7 +147,7 @@ def run_part(name: str, rig: EffectiveRig, a: ModelRun, inputs: Inputs = None) -
     effects = Switched(a.effects.on, value_of(a.effects.values))
     alone = a._replace(motion=motion, plant=values_of(a.plant), friction=values_of(a.friction), effects=effects)
     given = None if inputs is None else inputs.values_alone
-    part, width = PARTS[name], width_of(PARTS[name].at_once)
+    part, width = PARTS[name], PARTS[name].width
     shape = len(a.motion.time), part.columns
     if not varied:
         out = np.empty(shape)

@@ -18,6 +18,12 @@ EQUATION = (
 SOURCE = "Merritt, Hydraulic Control Systems, 1967, ch. 3 and 5; Jelali, Kroll, Hydraulic Servo-systems, 2003, ch. 4"
 MODES = 4
 
+EDGES = ("pa", "at", "pb", "bt")
+"""The edges by the ports that they join."""
+
+CHAMBER_OF_EDGE = {edge: "a" if "a" in edge else "b" for edge in EDGES}
+"""Chamber whose flow passes an edge."""
+
 SHARP = 1e-9
 """Rounding below which an edge opens at an event [m]; a larger one is resolved by the integration."""
 
