@@ -155,7 +155,7 @@ def _of_side(size: str, neutral: float = 0.0) -> Callable[[Sizes, Values], list[
 
 
 def _edge_gain(true: Sizes, found: Values) -> list[Quantity]:
-    return beyond_one(**{true["edge"]: "factor"})(true, found)
+    return beyond_one(**{f"gain_{true['edge']}": "factor"})(true, found)
 
 
 COMPARE_SIDES: dict[str, Callable[[Sizes, Values], list[Quantity]]] = {

@@ -59,9 +59,9 @@ def room_of(rig: Rig | EffectiveRig) -> float:
 
 
 def largest_force(rig: Rig | EffectiveRig) -> float:
-    """Return the largest force allowed by limits and supply pressure [N]."""
-    area = rig.plant.piston_area
-    return min(rig.limits.force, rig.limits.load_pressure * area, rig.plant.supply_pressure * area)
+    """Return the largest force in both directions allowed by limits and supply pressure [N]."""
+    low, high = rig.forces()
+    return min(rig.limits.force, rig.limits.load_pressure * rig.plant.piston_area, -low, high)
 
 
 def reach(rig: EffectiveRig) -> Reach:

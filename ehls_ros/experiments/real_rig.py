@@ -35,7 +35,7 @@ def for_real_rig(spec: Spec, *, adapt: bool = True) -> RealRig:
 
     Args:
         spec: the experiment; its companions are kept if it names any.
-        adapt: whether to add the companion ``adaptation``.
+        adapt: whether to add the companion ``adaptation``, which knows double rods only.
     """
     law, remarks = CONTROLLERS.load(spec.controller.name), list[str]()
     rig = spec.controller_rig
@@ -56,7 +56,12 @@ def for_real_rig(spec: Spec, *, adapt: bool = True) -> RealRig:
         readings = f"the controller's rig file has no noise_std of {', '.join(exact)}"
         remarks.append(f"{readings}: {spec.controller.name} takes these readings to be exact; {FOUND_BY}")
     if law.FOLLOWS == "force" and not spec.companions and (filters or law.FRICTION):
-        if adapt:
+        if rig.cylinder.law.CHAMBERS:
+            remarks.append(
+                "adaptation knows the volume balance of a double rod only: wrong numbers of the rig file are neither corrected"
+                " nor named while it runs; `ehls identify --whole-rig` finds them in the recording"
+            )
+        elif adapt:
             spec = spec._replace(companions=(Use(ADAPTATION, adaptation.Parameters()),))
             remarks.append("adaptation corrects wrong numbers of the rig file within bounds while it runs, and names them")
         else:

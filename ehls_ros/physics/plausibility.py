@@ -85,8 +85,8 @@ class Relation(NamedTuple):
 
 
 def largest_force(rig: Rig) -> float:
-    """Return the force of the supply pressure on the piston area [N]."""
-    return rig.plant.supply_pressure * rig.plant.piston_area
+    """Return the larger one of the forces in both directions that the supply can hold [N]."""
+    return max(map(abs, rig.forces()))
 
 
 def _stroke(rig: Rig) -> float:
@@ -248,8 +248,8 @@ def _units_of(parameters: Any) -> Mapping[str, str]:
 
 SIGNAL_RANGES: dict[str, tuple[Callable[[Rig], tuple[float, float]], str]] = {
     "force": (
-        lambda rig: (-largest_force(rig), largest_force(rig)),
-        "plant.supply_pressure times plant.piston_area; is it in N?",
+        Rig.forces,
+        "the force of plant.supply_pressure on the piston; is it in N?",
     ),
     "position": (lambda rig: rig.limits.position, "limits.position; is it in m?"),
 }

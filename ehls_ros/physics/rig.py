@@ -97,6 +97,11 @@ class Rig(NamedTuple):
         """The module of the friction model."""
         return FRICTION_MODELS.load(self.friction_model)
 
+    def forces(self) -> tuple[float, float]:
+        """Return the lowest and the highest driving force that the supply can hold [N]."""
+        low, high = self.cylinder.law.forces(self.cylinder.parameters, self.plant)
+        return float(low), float(high)
+
     def friction_level(self, velocity: float) -> float:
         """Return the friction of steady sliding without its viscous part and without effects [N].
 
@@ -180,6 +185,11 @@ class EffectiveRig(NamedTuple):
     def sensed(self) -> tuple[str, ...]:
         """The signals of its loader_state, in order."""
         return SENSED + tuple(self.cylinder.law.SENSED)
+
+    def forces(self) -> tuple[float, float]:
+        """Return the lowest and the highest driving force, see :meth:`Rig.forces` [N]."""
+        low, high = self.cylinder.law.forces(self.cylinder.parameters, self.plant)
+        return float(low), float(high)
 
     def friction_level(self, velocity: float) -> float:
         """Return the friction of steady sliding [N], see :meth:`Rig.friction_level`."""

@@ -68,6 +68,13 @@ def test_the_defaults_of_a_law_follow_the_assumed_delay():
     assert own.spec.controller.parameters.command_delay == 3e-3
 
 
+def test_a_single_rod_runs_without_adaptation():
+    rig = rig_to_mapping(load_rig(configured("rig_single_rod")))
+    real = for_real_rig(experiment(rig=rig, controller_rig=None, known_effects=["command_delay"]))
+    assert real.spec.companions == ()
+    assert any("adaptation knows the volume balance of a double rod only" in remark for remark in real.remarks)
+
+
 def test_a_law_for_positions_assumes_nothing():
     position = experiment(law="pid", reference={"name": "sine", "amplitude": 0.01, "frequency": 0.5})
     assert for_real_rig(position) == (position, ())

@@ -24,6 +24,7 @@ from ehls_ros.physics.rig import effects_from_list, rig_to_mapping
 from ehls_ros.recording.yaml_text import parse_yaml
 
 RIG = load_rig(configured("rig_paper"))
+SINGLE_ROD = load_rig(configured("rig_single_rod"))
 COUPLING = effects_from_list([{"name": "coupling_stiffness", "stiffness": 3e6, "damping": 1e3}], "test")
 DELAY = effects_from_list([{"name": "command_delay", "delay": 2e-3}], "test")
 SHORT = {
@@ -133,6 +134,20 @@ def test_the_actuator_under_test_of_a_heavy_rig_does_not_swing_by_itself():
         assert words in " ".join(swinging_actuator(spec_from_mapping(made, "test", configured("rig_paper").parent)))
         assert bool(swinging_actuator(spec_from_mapping(made, "test", configured("rig_paper").parent))) == bool(words)
     assert usual(rig)["disturbance"]["position_gain"] == pytest.approx(gain, rel=1e-2)
+
+
+def test_a_single_rod_is_asked_for_half_of_its_pull():
+    p, supply = SINGLE_ROD.cylinder.parameters, SINGLE_ROD.plant.supply_pressure
+    pull = p.area_b * supply - p.area_a * p.tank_pressure
+    assert pull < p.area_a * supply - p.area_b * p.tank_pressure
+    assert usual(SINGLE_ROD)["reference"]["amplitude"] == pytest.approx(0.5 * pull, rel=1e-2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("law", ["fasmc", "fasmc_predictive"])
+def test_the_defaults_hold_the_force_of_a_single_rod_against_a_moving_actuator(law):
+    rig = SINGLE_ROD.with_effects(COUPLING)
+    assert stepped_run(task_of(rig, law).spec).largest() < 0.01 * usual(rig)["reference"]["amplitude"]
 
 
 @pytest.mark.parametrize(("error", "gain_db", "phase", "factor"), [

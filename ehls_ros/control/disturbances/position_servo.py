@@ -9,11 +9,12 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.control.disturbances.base import DISPLACEMENT, ROW, VELOCITY
+from ehls_ros.control.local_plant import double_rod_of
 from ehls_ros.control.references.base import SampledReference
 from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, viscous_friction
 from ehls_ros.physics.effects.coupling_stiffness import Parameters as Coupling
 from ehls_ros.physics.parameters import Plant
-from ehls_ros.physics.rig import EffectUse, Rig, check_one_pressure
+from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.physics.servo import Servo
 from ehls_ros.schema import quantity
 
@@ -26,7 +27,7 @@ PositionGain = Annotated[float, quantity("1/s", "velocity per position error", m
 
 
 class Parameters(NamedTuple):
-    """The servo and the beam between it and the loader; valve and cylinder are of the loader's type."""
+    """The servo and the beam between it and the loader; valve and cylinder are the loader's, or a double rod like it."""
 
     stiffness: Annotated[
         float,
@@ -69,7 +70,7 @@ def swinging_gain(rig: Rig, moving_mass: float) -> float:
         rig: the loader's rig, which provides valve, cylinder and friction of the servo.
         moving_mass: of the servo [kg].
     """
-    plant = rig.plant
+    plant = double_rod_of(rig).rig.plant
     return 4.0 * plant.bulk_modulus * plant.leakage_coefficient / plant.total_volume + viscous_friction(rig) / moving_mass
 
 
@@ -81,9 +82,9 @@ def servo(p: Parameters, rig: Rig, start: float) -> Servo:
         rig: the loader's rig, which provides valve, cylinder and friction of the servo.
         start: initial position [m].
     """
-    check_one_pressure(rig, "a position servo like the loader", "rig")
-    plant = servo_plant(rig.plant, p.moving_mass, p.supply_pressure)
-    return Servo(rig._replace(plant=plant, effects=(), sensors={}), p.position_gain, start)
+    alike = double_rod_of(rig).rig
+    plant = servo_plant(alike.plant, p.moving_mass, p.supply_pressure)
+    return Servo(alike._replace(plant=plant, effects=(), sensors={}), p.position_gain, start)
 
 
 class PositionReference:

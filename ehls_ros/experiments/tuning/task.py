@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from ehls_ros.arrays import in_python
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances.position_servo import steady_gain
+from ehls_ros.control.local_plant import double_rod_of
 from ehls_ros.control.references import constant, sine
 from ehls_ros.control.rig_scale import largest_speed
 from ehls_ros.errors import BadInput
@@ -110,7 +111,8 @@ def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:
         period: control period [s]; None: the usual one.
     """
     plant, limits = rig.plant, rig.limits
-    speed = min(in_python(largest_speed)(plant, limits.spool * plant.valve_gain), limits.velocity)
+    alike = double_rod_of(rig).rig.plant
+    speed = min(in_python(largest_speed)(alike, limits.spool * plant.valve_gain), limits.velocity)
     travel = min(SPEED_PART * speed / (2.0 * math.pi * MOTION_FREQUENCY), STROKE_PART * room_of(rig))
     amplitude = FORCE_PART * (largest_force(rig) - abs(plant.moving_mass * plant.gravity))
     return {

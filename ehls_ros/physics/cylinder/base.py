@@ -19,6 +19,7 @@ These functions are called from Python before a run:
 * ``check_stroke(p, ends, where)`` raises it if the cylinder cannot move between the bounds of the position, ``ends`` [m];
 * ``derived(p)`` returns the keys of ``plant`` that follow from those of the cylinder, and are left out of the rig file;
 * ``at_rest(p, plant)`` returns the states of a rig at rest without driving force;
+* ``forces(p, plant)`` returns the lowest and the highest driving force that the supply can hold [N];
 * ``oil_rates(rig, flow)`` returns the largest natural rates of the oil, see :class:`OilRates`;
 * ``equivalent(valve)``, only with ``CHAMBERS``, returns a compiled ``equivalent(m, spool, least, plant, p, v)``: coefficients
   of the double rod with the same rate of the driving force at the readings ``m`` (NaN: unknown; those of the chambers may be
@@ -77,6 +78,9 @@ class Cylinder(Protocol):
 
     def at_rest(self, p: Any, plant: Any) -> tuple[float, ...]:
         """Return the states of a rig at rest without driving force."""
+
+    def forces(self, p: Any, plant: Any) -> tuple[float, float]:
+        """Return the lowest and the highest driving force that the supply can hold [N]."""
 
     def oil_rates(self, rig: "EffectiveRig", flow: float) -> OilRates:
         """Return the largest natural rates of the oil at a flow through the valve [m^3/s]."""

@@ -39,6 +39,12 @@ def at_rest(p: Parameters, plant: Any) -> tuple[float, ...]:
     return ()
 
 
+def forces(p: Parameters, plant: Any) -> tuple[float, float]:
+    """Return the force of the supply pressure on the piston in both directions [N]."""
+    largest = plant.supply_pressure * plant.piston_area
+    return -largest, largest
+
+
 def oil_rates(rig: EffectiveRig, flow: float) -> OilRates:
     """Return the rates of (2), with the flow gain of (1) at the supply pressure."""
     p = rig.plant

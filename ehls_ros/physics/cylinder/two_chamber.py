@@ -92,6 +92,12 @@ def at_rest(p: Parameters, plant: Any) -> tuple[float, ...]:
     return both * p.area_b, both * p.area_a, plant.supply_pressure
 
 
+def forces(p: Parameters, plant: Any) -> tuple[float, float]:
+    """Return the forces with one chamber at the supply pressure and the other one at that of the tank [N]."""
+    supply, tank = plant.supply_pressure, p.tank_pressure
+    return p.area_a * tank - p.area_b * supply, p.area_a * supply - p.area_b * tank
+
+
 def oil_rates(rig: EffectiveRig, flow: float) -> OilRates:
     """Return the rates of the stiffer chamber, and of the stiffest oil column within the limits of the position."""
     p, plant, modulus = rig.cylinder.parameters, rig.plant, rig.plant.bulk_modulus

@@ -17,24 +17,24 @@ WORDS = Words(
     measure="apply the same command in both directions and compare the flows into and out of each chamber",
     change="multiply the edge's `gain` of the valve in the rig file by the factor",
 )
-SIDES = CHAMBER_OF_EDGE
+SIDES = {f"gain_{edge}": side for edge, side in CHAMBER_OF_EDGE.items()}
 
 
 class Parameters(NamedTuple):
     """Factors on the edges' gains."""
 
-    pa: Annotated[float, quantity("1", "factor on the gain of edge P-A", minimum=0.02, maximum=20.0)] = 1.0
-    at: Annotated[float, quantity("1", "factor on that of A-T", minimum=0.02, maximum=20.0)] = 1.0
-    pb: Annotated[float, quantity("1", "factor on that of P-B", minimum=0.02, maximum=20.0)] = 1.0
-    bt: Annotated[float, quantity("1", "factor on that of B-T", minimum=0.02, maximum=20.0)] = 1.0
+    gain_pa: Annotated[float, quantity("1", "factor on the gain of edge P-A", minimum=0.02, maximum=20.0)] = 1.0
+    gain_at: Annotated[float, quantity("1", "the same of edge A-T", minimum=0.02, maximum=20.0)] = 1.0
+    gain_pb: Annotated[float, quantity("1", "the same of edge P-B", minimum=0.02, maximum=20.0)] = 1.0
+    gain_bt: Annotated[float, quantity("1", "the same of edge B-T", minimum=0.02, maximum=20.0)] = 1.0
 
 
 def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the gains scaled."""
     own = rig.valve.parameters
-    return rig.with_valve(**{f"gain_{e}": getattr(own, f"gain_{e}") * getattr(parameters, e) for e in EDGES})
+    return rig.with_valve(**{f"gain_{e}": getattr(own, f"gain_{e}") * getattr(parameters, f"gain_{e}") for e in EDGES})
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
     """One edge at a time."""
-    return tuple(Form({edge: ()}) for edge in EDGES) if rig.cylinder.law.CHAMBERS else ()
+    return tuple(Form({f"gain_{edge}": ()}) for edge in EDGES) if rig.cylinder.law.CHAMBERS else ()
