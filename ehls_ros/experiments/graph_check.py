@@ -22,6 +22,7 @@ from ehls_ros.hardware.calibration import Input, Output
 from ehls_ros.hardware.gate_bounds import bounds_of, within
 from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
+from ehls_ros.hardware.readings import measured_signals
 from ehls_ros.hardware.safety_gate import Gate
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.yaml_text import read_yaml
@@ -77,7 +78,7 @@ def check_fit(spec: Spec, graph: Graph, where: str) -> tuple[str, ...]:
     law = graph.law or spec.controller.name
     check_law(spec, law, where)
     check_spec(spec, where)
-    measured = SENSED if graph.bridge is None else graph.bridge.calibration.wired
+    measured = SENSED if graph.bridge is None else _measured(spec, graph.bridge)
     # The gate itself refuses limits without which it cannot protect.
     Gate(spec.rig, spec.settings.control_period, None, measured, bounds={} if graph.bridge is None else None)
     for check in (
@@ -102,6 +103,11 @@ def laws_for(follows: str, measured: Sequence[str]) -> list[str]:
     return [name for name, law in laws.items() if follows == law.FOLLOWS and not _unmet(law, measured)]
 
 
+def _measured(spec: Spec, bridge: Bridge) -> tuple[str, ...]:
+    """Return the signals of every rig that a bridge knows."""
+    return tuple(signal for signal in measured_signals(spec.rig, bridge.calibration.wired) if signal in SENSED)
+
+
 def _unmet(law: object, measured: Sequence[str]) -> list[str]:
     """Return the readings that a law or its friction observer needs and that are not measured."""
     needs = dict.fromkeys(getattr(law, "NEEDS", ()))
@@ -119,7 +125,7 @@ def _instead(spec: Spec, law: str, measured: Sequence[str], missing: Sequence[st
 def _signals(spec: Spec, graph: Graph, law: str, where: str) -> Iterator[BadInput]:
     if graph.bridge is None:
         return
-    measured = graph.bridge.calibration.wired
+    measured = _measured(spec, graph.bridge)
     missing = [signal for signal in CONTROLLERS.load(law).NEEDS if signal not in measured]
     if missing:
         what = f"{law} needs {', '.join(missing)}, which the bridge does not measure"
@@ -132,7 +138,7 @@ def _observer(spec: Spec, graph: Graph, law: str, where: str) -> Iterator[BadInp
     what = (
         f"the friction observer {spec.compensation.name}, which {law} uses, needs velocity, which the bridge does not measure"
     )
-    yield BadInput(what, where, _instead(spec, law, graph.bridge.calibration.wired, ["velocity"]))
+    yield BadInput(what, where, _instead(spec, law, _measured(spec, graph.bridge), ["velocity"]))
 
 
 def _programme_signals(spec: Spec, graph: Graph, law: str, where: str) -> Iterator[BadInput]:

@@ -1,6 +1,5 @@
 """`hardware_bridge_node`: the real rig in the graph. The DAQ's samples pace the cycles; the gate answers each of them."""
 
-import math
 import time
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -12,14 +11,13 @@ from ehls_ros.hardware.backends.base import Device, Reading
 from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
 from ehls_ros.hardware.calibration import Calibration
 from ehls_ros.hardware.pace import ADVICE, MIN_ANSWERED, Pace
+from ehls_ros.hardware.readings import Readings
 from ehls_ros.hardware.safety_gate import DISABLED
 from ehls_ros.hardware.sample_clock import SampleClock, free_running_time
 from ehls_ros.nodes.diagnostics import ERROR, OK, WARN
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
 from ehls_ros.nodes.running import run_node
-from ehls_ros.physics import sensors
-from ehls_ros.physics.rig import CHAMBER_SENSED
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.schema import quantity, text
 
@@ -66,6 +64,7 @@ class HardwareBridgeNode(PlantNode):
         self.sample_time = LOCKSTEP_PATIENCE if self.lockstep else SILENCE * self.period
         self.bridge: Bridge
         self.calibration: Calibration
+        self.readings: Readings
         self.opened = False
         # First cycle of the run: the first one answered, or before that, the one that the loop began with.
         self.first = 0
@@ -86,20 +85,14 @@ class HardwareBridgeNode(PlantNode):
         self.lockstep_time: float
 
     def measured(self) -> Collection[str]:
-        """Read the bridge file and return the signals that have a channel."""
+        """Read the bridge file and return the signals that are known."""
         declare(self, Parameters, live=False)
         chosen = self.text_parameter("bridge")
         path = Path(chosen) if chosen else config_folder() / "bridge_udp.yaml"
         self.bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
         self.calibration = self.bridge.calibration
-        rig, wired = self.spec.rig, self.calibration.wired
-        self.areas: tuple[float, float] | None = None
-        both = rig.cylinder.law.CHAMBERS and set(CHAMBER_SENSED) <= set(wired)
-        if not both or "load_pressure" in wired:
-            return wired
-        # Known from the chambers instead.
-        self.areas = rig.cylinder.parameters.area_a, rig.cylinder.parameters.area_b
-        return (*wired, "load_pressure")
+        self.readings = Readings(self.calibration, self.spec.rig)
+        return self.readings.measured
 
     def prepare(self) -> None:
         """Open the device and the topics."""
@@ -227,16 +220,7 @@ class HardwareBridgeNode(PlantNode):
         self.cycle += self.elapsed
         self.sequence, self.session = reading.sequence, reading.session
         self.at_null = reading.at_null
-        self.saturated = self.calibration.saturated(reading.values)
-        signals = self.calibration.signals(reading.values)
-        if self.saturated:
-            # A saturated converter gives no valid reading.
-            named = zip(self.calibration.sensed, signals, strict=True)
-            signals = tuple(math.nan if name in self.saturated else value for name, value in named)
-        if self.areas is not None:
-            force = self.areas[0] * signals[sensors.PRESSURE_A] - self.areas[1] * signals[sensors.PRESSURE_B]
-            place = sensors.LOAD_PRESSURE
-            signals = (*signals[:place], force / self.spec.rig.plant.piston_area, *signals[place + 1 :])
+        signals, self.saturated = self.readings.of(reading.values)
         self.samples.take(reading.sequence, reading.time_ns, free_running_time(), reading.session)
         # In lockstep the device waits for this computer.
         lag = 0.0 if self.lockstep else self.samples.lag

@@ -16,7 +16,7 @@ from ehls_ros.experiments.commissioning.conduct import STEPS, commission
 from ehls_ros.experiments.commissioning.first_run import first_run, law_tuned
 from ehls_ros.experiments.commissioning.measuring import at_rest, coupling, motion, nudge
 from ehls_ros.experiments.commissioning.session import Session, Stopped
-from ehls_ros.experiments.commissioning.step import Contradiction, Known
+from ehls_ros.experiments.commissioning.step import Contradiction, Known, after
 from ehls_ros.experiments.files import config_folder, configured
 from ehls_ros.experiments.spec import load_rig, spec_from_mapping
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
@@ -25,13 +25,26 @@ from ehls_ros.recording.yaml_text import read_yaml
 
 RIG = load_rig(configured("rig_paper_measured"))
 BRIDGE = read_yaml(config_folder() / "bridge_udp.yaml", "bridge")
+SINGLE_ROD = load_rig(configured("rig_single_rod"))
+OIL = {"scale": 2.5e6, "range": [-10.0, 10.0]}
+OF_SINGLE_ROD = {
+    **BRIDGE,
+    "channels": {
+        **{signal: channel for signal, channel in BRIDGE["channels"].items() if signal != "load_pressure"},
+        "supply_pressure": {"channel": 4, **OIL},
+        "pressure_a": {"channel": 6, **OIL},
+        "pressure_b": {"channel": 7, **OIL},
+    },
+}
+"""Bridge file of a rig with both pressures of its chambers in place of the load pressure."""
+
 HELD = {"name": "position_servo", "signal": {"name": "constant", "value": 0.0}}
 STILL = {"name": "constant", "value": 0.0}
 
 
-def device(disturbance=None, seed=3, rig=RIG):
+def device(disturbance=None, seed=3, rig=RIG, wiring=BRIDGE):
     content = {"rig": rig_to_mapping(rig), "reference": STILL, "controller": "fasmc", "disturbance": disturbance, "seed": seed}
-    true = bridge_from_mapping(BRIDGE, "true wiring").calibration
+    true = bridge_from_mapping(wiring, "true wiring").calibration
     return EmulatedDevice(spec_from_mapping(content, "emulated", config_folder()), true)
 
 
@@ -41,10 +54,16 @@ def session(given=None, rig=RIG, disturbance=None):
     return Session(device(disturbance), wired, rig, 1e-3, lockstep=True)
 
 
-def rewired(signal, factor):
-    channels = {**BRIDGE["channels"]}
+def session_of_single_rod(given=OF_SINGLE_ROD, known=SINGLE_ROD, disturbance=None):
+    """Return a session with an emulated single rod; ``given`` is the bridge file, ``known`` the rig of the file."""
+    wired = bridge_from_mapping(given, "bridge file").calibration
+    return Session(device(disturbance, rig=SINGLE_ROD, wiring=OF_SINGLE_ROD), wired, known, 1e-3, lockstep=True)
+
+
+def rewired(signal, factor, given=BRIDGE):
+    channels = {**given["channels"]}
     channels[signal] = {**channels[signal], "scale": factor * float(channels[signal]["scale"])}
-    return {**BRIDGE, "channels": channels}
+    return {**given, "channels": channels}
 
 
 def silent(done, total, doing=""):
@@ -193,3 +212,38 @@ def test_a_wrong_rig_file_is_corrected_by_one_motion():
         ("friction.coulomb_force", 640.8), ("effects.command_delay.delay", 1e-3),
     ):  # fmt: skip
         assert found[path].value == pytest.approx(true, rel=0.02, abs=4.0 * found[path].std), path
+
+
+def test_the_load_pressure_of_a_single_rod_is_known_from_its_chambers():
+    outcome = at_rest(session_of_single_rod(), Known(SINGLE_ROD), silent)
+    recording, p = outcome.recordings["at_rest"], SINGLE_ROD.cylinder.parameters
+    force = p.area_a * recording["pressure_a_pa"] - p.area_b * recording["pressure_b_pa"]
+    np.testing.assert_allclose(recording["load_pressure_pa"] * 0.5 * (p.area_a + p.area_b), force, rtol=1e-12)
+    noise = outcome.rig.sensors
+    both = math.hypot(p.area_a * noise["pressure_a"].noise_std, p.area_b * noise["pressure_b"].noise_std)
+    assert noise["load_pressure"].noise_std == pytest.approx(both / SINGLE_ROD.plant.piston_area, rel=0.1)
+    assert "moves the piston" in nudge(session_of_single_rod(), Known(SINGLE_ROD), silent).sentences[0]
+
+
+def test_a_reversed_pressure_of_a_single_rod_ends_with_the_remedy():
+    given = rewired("pressure_b", -1.0, OF_SINGLE_ROD)
+    with pytest.raises(Contradiction, match=r"channels\.pressure_a\.scale or channels\.pressure_b\.scale"):
+        nudge(session_of_single_rod(given), Known(SINGLE_ROD), silent)
+
+
+@pytest.mark.long
+def test_a_single_rod_is_commissioned_to_its_first_run():
+    wrong = SINGLE_ROD.with_plant(moving_mass=145.0, bulk_modulus=9e8, leakage_coefficient=3e-12)
+    known = Known(wrong.with_friction(coulomb_force=430.0))
+    for step, held in ((at_rest, None), (motion, None), (coupling, HELD)):
+        outcome = step(session_of_single_rod(known=known.rig, disturbance=held), known, silent)
+        known = after(known, outcome)
+        found = {finding.path: finding.found for finding in outcome.findings}
+        if step is motion:
+            for path, true in (
+                ("plant.moving_mass", 120.0), ("plant.bulk_modulus", 1.1e9), ("plant.leakage_coefficient", 2e-12),
+                ("friction.coulomb_force", 520.0), ("valve.gain_pb", 0.51),
+            ):  # fmt: skip
+                assert found[path].value == pytest.approx(true, rel=0.02, abs=4.0 * found[path].std), path
+    runs = first_run(session_of_single_rod(known=known.rig, disturbance=HELD), known, silent)
+    assert len(runs.recordings) == 3

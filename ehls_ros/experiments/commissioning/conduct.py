@@ -14,7 +14,7 @@ from ehls_ros.experiments.json_document import json_document
 from ehls_ros.experiments.spec import load_rig
 from ehls_ros.experiments.tuning.tune import USUAL, Wanted, check_margins
 from ehls_ros.experiments.yaml_files import rig_text
-from ehls_ros.physics.rig import Rig, check_one_pressure, rig_to_mapping
+from ehls_ros.physics.rig import Rig, rig_to_mapping
 from ehls_ros.progress import Update
 from ehls_ros.recording.csv_file import write_csv
 from ehls_ros.recording.yaml_text import read_yaml
@@ -100,7 +100,6 @@ def commission(
         BadInput: a margin is negative or not finite, or rig and files contradict each other; the message has the remedy.
         Stopped: the gate closed the valve, or the device was lost.
     """
-    check_one_pressure(rig, "commissioning", "rig")
     check_margins(wanted)
     log = read_log(folder)
     known = Known(load_rig(folder / RIG) if log else rig, log.get(TUNE, {}).get("numbers", {}), wanted)

@@ -63,7 +63,7 @@ def first_run(session: Session, known: Known, progress: Update) -> Outcome:
         Contradiction: readings that the law needs are not wired.
         Stopped: the gate closed the valve, or the force does not follow.
     """
-    if LAW not in laws_for("force", session.wired):
+    if LAW not in laws_for("force", session.measured):
         needs = f"channels for the readings of {LAW}: {', '.join(CONTROLLERS.load(LAW).NEEDS)}"
         raise Contradiction(f"only {', '.join(session.wired)} are wired", "bridge file", needs)
     sentences, recordings = list[str](), dict[str, Trajectory]()
@@ -88,7 +88,10 @@ def first_run(session: Session, known: Known, progress: Update) -> Outcome:
 
 
 def _experiment(known: Known, period: float, amplitude: float, offset: float) -> Spec:
-    """Return the experiment of a first run, with adaptation: it finds the errors of the file that commissioning has left."""
+    """Return the experiment of a first run, with adaptation, which finds the errors of the file that commissioning has left.
+
+    Adaptation knows double rods only.
+    """
     still = {"name": "constant", "value": 0.0}
     content: dict[str, Any] = {
         "title": "first run",
@@ -99,7 +102,8 @@ def _experiment(known: Known, period: float, amplitude: float, offset: float) ->
     }
     spec = with_numbers(task_of(known.rig, LAW, content).spec, known.numbers)
     duration = spec.settings._replace(duration=PERIODS / HELD_FREQUENCY)
-    return spec._replace(settings=duration, companions=(Use("adaptation", adaptation.Parameters()),))
+    beside = () if known.rig.cylinder.law.CHAMBERS else (Use("adaptation", adaptation.Parameters()),)
+    return spec._replace(settings=duration, companions=beside)
 
 
 def _wanted(spec: Spec) -> Array:

@@ -13,6 +13,7 @@ from ehls_ros.arrays import Array, in_python
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import pid
 from ehls_ros.control.controllers.base import model_of, saturate
+from ehls_ros.control.local_plant import double_rod_of
 from ehls_ros.control.references import multi_sine
 from ehls_ros.control.rig_scale import compression, largest_speed, oil_frequency, tuned_for, viscous_friction
 from ehls_ros.estimate import Estimate
@@ -25,9 +26,9 @@ from ehls_ros.identification.rig_coefficients import read, uses
 from ehls_ros.physics import sensors
 from ehls_ros.physics.data_sheet import COUPLING_DAMPING
 from ehls_ros.physics.parameters import Limits, Sensor
-from ehls_ros.physics.rig import Rig, effects_from_list
+from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED, Rig, effects_from_list
 from ehls_ros.progress import Update
-from ehls_ros.recording.topics import LOADER_STATE
+from ehls_ros.recording.topics import READINGS
 from ehls_ros.trajectory import SIGNALS, Trajectory
 from ehls_ros.units import size
 
@@ -104,8 +105,8 @@ def at_rest(session: Session, known: Known, progress: Update) -> Outcome:
     recording = session.record(None, REST)
     rig = known.rig
     findings, described = [], dict(rig.sensors)
-    for signal in session.wired:
-        values = recording[LOADER_STATE.signals[signal]]
+    for signal in session.measured:
+        values = recording[READINGS[signal]]
         if not np.all(np.isfinite(values)):
             missing = f"{signal} is at the end of its converter's range, or not a number"
             raise Contradiction(missing, "bridge file", f"a wired sensor, or a wider range of channels.{signal}")
@@ -115,7 +116,7 @@ def at_rest(session: Session, known: Known, progress: Update) -> Outcome:
         power = 0.5 * float(np.var(np.diff(values))) - resolution**2 / 12.0
         noise = math.sqrt(max(power, 0.0))
         if noise > 0.0:
-            unit = SIGNALS[LOADER_STATE.signals[signal]].unit
+            unit = SIGNALS[READINGS[signal]].unit
             estimate = Estimate(noise, noise / math.sqrt(len(values)), unit)
             findings.append(Finding(f"sensors.{signal}.noise_std", given.noise_std or math.nan, estimate))
         described[signal] = given._replace(noise_std=noise, resolution=resolution)
@@ -142,7 +143,7 @@ def nudge(session: Session, known: Known, progress: Update) -> Outcome:
     noise = rig.sensors.get("position", Sensor()).noise_std
     needed = max(MOVED * stroke, SIGMAS * noise)
     # Before any motion, as a gate that finds force and pressure to disagree does not open.
-    _check_force(session.record(None, LOOK), rig)
+    _check_force(session.record(None, LOOK), session, rig)
     for number, part in enumerate(NUDGES):
         progress(number, len(NUDGES))
         try:
@@ -161,7 +162,7 @@ def nudge(session: Session, known: Known, progress: Update) -> Outcome:
     raise Contradiction(what, "rig", "a running pump, an open shut-off valve, and a wired command and position")
 
 
-def _check_force(recording: Trajectory, rig: Rig) -> None:
+def _check_force(recording: Trajectory, session: Session, rig: Rig) -> None:
     """Compare the force with the load pressure times the piston area, where there is enough of it.
 
     Raises:
@@ -178,7 +179,12 @@ def _check_force(recording: Trajectory, rig: Rig) -> None:
     what = f"the force is {ratio:.3g} times load pressure times piston area"
     sign = ratio < 0.0 and FORCE_RATIO[0] <= -ratio <= FORCE_RATIO[1]
     remedy = "with the other sign" if sign else "in the unit of the channel"
-    raise Contradiction(what, "bridge file", f"channels.force.scale or channels.load_pressure.scale {remedy}")
+    raise Contradiction(what, "bridge file", f"channels.force.scale or {_scale_of('load_pressure', session)} {remedy}")
+
+
+def _scale_of(signal: str, session: Session) -> str:
+    """Return the keys of a bridge file that scale a signal."""
+    return f"channels.{signal}.scale" if signal in session.wired else " or ".join(f"channels.{s}.scale" for s in CHAMBER_SENSED)
 
 
 def _nudged(session: Session, opening: float, stroke: float) -> Trajectory:
@@ -224,8 +230,8 @@ def _check_signs(recording: Trajectory, session: Session, moved: float) -> None:
     """
     signs = {"position": moved}
     for signal in ("spool_position", "load_pressure", "force"):
-        if signal in session.wired:
-            signs[signal] = _change(recording, LOADER_STATE.signals[signal])
+        if signal in session.measured:
+            signs[signal] = _change(recording, READINGS[signal])
     reversed_ones = [signal for signal, change in signs.items() if change < 0.0]
     if not reversed_ones:
         return
@@ -234,7 +240,9 @@ def _check_signs(recording: Trajectory, session: Session, moved: float) -> None:
         remedy = "command.scale with the other sign, or the valve's ports exchanged"
         raise Contradiction(what, "bridge file", remedy)
     what = f"under a positive command, {', '.join(reversed_ones)} changes to the negative side, unlike the other readings"
-    remedy = ", ".join(f"channels.{signal}.scale with the other sign" for signal in reversed_ones)
+    remedy = ", ".join(f"{_scale_of(signal, session)} with the other sign" for signal in reversed_ones)
+    if not set(reversed_ones) <= set(session.wired):
+        remedy += ", or both pressures exchanged"
     raise Contradiction(what, "bridge file", remedy)
 
 
@@ -291,7 +299,7 @@ def _times(session: Session, duration: float) -> Array:
 
 def _speed(rig: Rig) -> float:
     """Return the loader's largest velocity [m/s]."""
-    return min(in_python(largest_speed)(rig.plant, rig.limits.spool), rig.limits.velocity)
+    return min(in_python(largest_speed)(double_rod_of(rig).rig.plant, rig.limits.spool), rig.limits.velocity)
 
 
 def _following(session: Session, rig: Rig, course: Array, added: Array) -> Callable[[Array, int], float]:
@@ -309,7 +317,7 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
     tuning = tuned_for(pid.Parameters, rig)
     calm = POSITION_LOOP * oil_frequency(rig.plant)
     tuning = tuning._replace(proportional=min(tuning.proportional, calm), integral=min(tuning.integral, 0.25 * calm**2))
-    loop = Controller("pid", tuning, model_of(rig, session.period))
+    loop = Controller("pid", tuning, model_of(rig, session.period), None, rig.cylinder.model, rig.valve.model)
     start = [math.nan]
 
     def law(m: Array, cycle: int) -> float:
@@ -322,6 +330,7 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
         unloaded = m.copy()
         # A command that makes up for the load takes from the oil the damping by leakage and valve.
         unloaded[sensors.LOAD_PRESSURE] = 0.0
+        unloaded[len(SENSED) :] = np.nan
         return float(loop.step(unloaded, wanted, np.zeros(2)) + blend * added[cycle])
 
     return law
@@ -359,7 +368,7 @@ def _pressing(session: Session, rig: Rig, softer: float) -> Callable[[Array, int
         rig: the rig.
         softer: stiffness of the oil over that of oil and coupling in series; 1 is stable with any coupling.
     """
-    plant, limit = rig.plant, rig.limits.spool
+    plant, limit = double_rod_of(rig).rig.plant, rig.limits.spool
     amplitude, turn = PRESS_PART * largest_force(rig), 2.0 * math.pi * PRESS_FREQUENCY
     oil_stiffness = in_python(compression)(plant) * plant.piston_area
     # Opening per error of the force.

@@ -14,13 +14,14 @@ from ehls_ros.hardware.calibration import Calibration, step
 from ehls_ros.hardware.gate_bounds import bounds_of, within
 from ehls_ros.hardware.gate_parameters import WARN
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
+from ehls_ros.hardware.readings import Readings
 from ehls_ros.hardware.safety_gate import Gate
 from ehls_ros.physics.rig import SENSED, Rig
-from ehls_ros.recording.topics import LOADER_STATE
+from ehls_ros.recording.topics import READINGS
 from ehls_ros.trajectory import Trajectory
 
 Law = Callable[[Array, int], float]
-"""Spool command [m] from the readings in the order of ``SENSED`` (NaN where not wired) and the number of the cycle."""
+"""Spool command [m] from the readings in the order of a rig's ``sensed`` (NaN where not known) and the number of the cycle."""
 
 TRIP_LEVEL = 0.6
 """Fraction of the rig's limits beyond which the gate closes the valve."""
@@ -57,7 +58,8 @@ class Session:
     """An open device behind a gate.
 
     Attributes:
-        wired: signals that are measured.
+        wired: signals that have a channel.
+        measured: signals that are known, from a channel or from others.
         period: sampling period [s].
     """
 
@@ -84,16 +86,20 @@ class Session:
         self.wired = calibration.wired
         self.period = period
         self._device, self._calibration, self._lockstep, self._stopped = device, calibration, lockstep, stopped
+        self._readings = Readings(calibration, rig)
+        self.measured = self._readings.measured
         chosen = tuned_for(GateParameters, rig)
         # The largest rate of a reading follows from numbers of the rig file, which are not known yet.
         chosen = chosen._replace(trip_level=min(chosen.trip_level, TRIP_LEVEL), enable_time=ENABLE_TIME, on_sensor_jump=WARN)
         self._usual = within(chosen, bounds_of(rig, period))
-        self._gate = Gate(rig, period, self._usual, self.wired)
+        self._gate = Gate(rig, period, self._usual, tuple(signal for signal in self.measured if signal in SENSED))
         self._gate.begin()
         self._cycle = 0
 
     def resolution(self, signal: str) -> float:
-        """Return the step of a wired signal's converter, in the signal's unit."""
+        """Return the step of a signal's converter, in the signal's unit; 0 if it has no channel."""
+        if signal not in self.wired:
+            return 0.0
         channel = self._calibration.inputs[self.wired.index(signal)]
         return math.fabs(channel.scale) * step(channel)
 
@@ -110,7 +116,7 @@ class Session:
             Stopped: the gate closed the valve, no samples arrive, or a stop was requested.
         """
         cycles = round(duration / self.period)
-        times, rows = np.zeros(cycles), np.full((cycles, len(SENSED) + 1), np.nan)
+        times, rows = np.zeros(cycles), np.full((cycles, len(self._readings.sensed) + 1), np.nan)
         first, done, opening = None, 0, 0
         self._gate.retune(self._usual._replace(on_sensor_frozen=WARN) if presses else self._usual)
         try:
@@ -149,10 +155,8 @@ class Session:
         raise Stopped("the device sends no samples", self._recording(times, rows))
 
     def _sense(self, reading: Reading) -> tuple[float, ...]:
-        saturated = self._calibration.saturated(reading.values)
-        signals = self._calibration.signals(reading.values)[: len(SENSED)]
-        signals = tuple(np.nan if name in saturated else value for name, value in zip(SENSED, signals, strict=True))
-        self._gate.sense(self._cycle, signals, at_null=reading.at_null)
+        signals, _ = self._readings.of(reading.values)
+        self._gate.sense(self._cycle, signals[: len(SENSED)], at_null=reading.at_null)
         return signals
 
     def _answer(self, reading: Reading, command: float, *, drive: bool) -> float:
@@ -181,5 +185,6 @@ class Session:
         self._device.write(self._calibration.command(spool), sequence)
 
     def _recording(self, times: Array, rows: Array) -> Trajectory:
-        signals = {LOADER_STATE.signals[name]: rows[:, SENSED.index(name)].copy() for name in self.wired}
+        sensed = self._readings.sensed
+        signals = {READINGS[name]: rows[:, sensed.index(name)].copy() for name in self.measured}
         return Trajectory(times.copy(), {"valve_command_m": rows[:, -1].copy(), **signals})

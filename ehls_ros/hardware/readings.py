@@ -1,0 +1,58 @@
+"""A rig's readings from the raw values of a sample; the load pressure of two chambers follows from theirs."""
+
+import math
+from collections.abc import Sequence
+
+from ehls_ros.hardware.calibration import Calibration
+from ehls_ros.physics import sensors
+from ehls_ros.physics.rig import CHAMBER_SENSED, Rig
+
+DERIVED = "load_pressure"
+
+
+def measured_signals(rig: Rig, wired: Sequence[str]) -> tuple[str, ...]:
+    """Return the signals known from those that have a channel.
+
+    Args:
+        rig: the rig.
+        wired: the signals that have a channel.
+    """
+    both = rig.cylinder.law.CHAMBERS and set(CHAMBER_SENSED) <= set(wired)
+    return (*wired, DERIVED) if both and DERIVED not in wired else tuple(wired)
+
+
+class Readings:
+    """Converts samples to readings.
+
+    Attributes:
+        sensed: signals of a sample, in the order of its readings.
+        measured: those that are known.
+    """
+
+    def __init__(self, calibration: Calibration, rig: Rig) -> None:
+        """Take the calibration of the channels, and the rig whose areas are known."""
+        self.sensed = calibration.sensed
+        self.measured = measured_signals(rig, calibration.wired)
+        self._calibration = calibration
+        # Load pressure per pressure in A and in B; None: it has a channel, or is not known.
+        self._shares: tuple[float, float] | None = None
+        if DERIVED in self.measured and DERIVED not in calibration.wired:
+            areas, mean = rig.cylinder.parameters, rig.plant.piston_area
+            self._shares = areas.area_a / mean, areas.area_b / mean
+
+    def of(self, values: Sequence[float]) -> tuple[tuple[float, ...], tuple[str, ...]]:
+        """Convert the raw values of one sample.
+
+        Args:
+            values: raw values in the order of the wiring's inputs.
+
+        Returns:
+            The readings [SI], NaN where a signal is not known or its converter is saturated, and the saturated signals.
+        """
+        saturated, signals = self._calibration.saturated(values), list(self._calibration.signals(values))
+        for name in saturated:
+            signals[self.sensed.index(name)] = math.nan
+        if self._shares is not None:
+            of_a, of_b = self._shares
+            signals[sensors.LOAD_PRESSURE] = of_a * signals[sensors.PRESSURE_A] - of_b * signals[sensors.PRESSURE_B]
+        return tuple(signals), saturated
