@@ -68,9 +68,9 @@ def explained_by(basis: Array, e: Array, even: Mask) -> float:
     """
     rest, total = 0.0, 0.0
     for train in (even, ~even):
-        if not np.any(train) or np.all(train):
-            return 0.0
         a = basis[train]
+        if not np.any(a) or np.all(train):
+            return 0.0
         normal = a.T @ a
         normal += RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
         weights = np.linalg.solve(normal, a.T @ e[train])

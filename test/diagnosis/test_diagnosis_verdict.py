@@ -9,7 +9,7 @@ from plain_evidence import MASS, SIZE, VALVE, VISCOUS, assessed, candidate, evid
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.causes import causes, closed_fraction, estimate, gain
-from ehls_ros.diagnosis.dependence import depends_on, explained_fraction
+from ehls_ros.diagnosis.dependence import depends_on, explained_by, explained_fraction
 from ehls_ros.diagnosis.excitation import NINE_OF_TEN, Sliding, excited, sensitivities, smallest_detectable
 from ehls_ros.diagnosis.healthy_variation import HealthyVariation
 from ehls_ros.diagnosis.held_out import probabilities
@@ -576,3 +576,9 @@ def test_the_explained_fraction_is_that_of_the_variance():
     assert explained_fraction(signal, 3.0 * signal + noise, even) == pytest.approx(0.75, abs=0.02)
     assert explained_fraction(signal, noise, even) == pytest.approx(0.0, abs=0.01)
     assert explained_fraction(signal, noise, np.ones(n, dtype=bool)) == 0.0
+
+
+def test_columns_that_vanish_in_one_half_explain_nothing():
+    half = np.arange(40) % 2 == 0
+    assert explained_by(np.where(half, 0.0, 1.0)[:, None], np.ones(40), half) == 0.0
+    assert explained_by(np.where(half, 1.0, 0.0)[:, None], np.ones(40), half) == 0.0
