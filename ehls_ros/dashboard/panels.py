@@ -41,6 +41,8 @@ _SHORT = {
     MIRRORED: "bound",
     "supply_pressure_pa": "supply",
     "load_pressure_pa": "load pressure",
+    "pressure_a_pa": "A",
+    "pressure_b_pa": "B",
     "valve_command_m": "command",
     "spool_m": "spool",
     "friction_gms_n": "all elements",
@@ -123,7 +125,7 @@ SIGNALS = MappingProxyType(_signals())
 PANELS = (
     Panel("Force", "kN", (FORCE_REFERENCE, "force_n"), wide=True),
     Panel("Force error", "N", (MIRRORED, "force_error_n")),
-    Panel("Pressure", "MPa", ("supply_pressure_pa", "load_pressure_pa")),
+    Panel("Pressure", "MPa", ("supply_pressure_pa", "load_pressure_pa", "pressure_a_pa", "pressure_b_pa")),
     Panel("Spool", "mm", ("valve_command_m", "spool_m")),
     Panel("Friction elements", "N", ("friction_viscous_n", *(element(i) for i in range(ELEMENTS)))),
     Panel("Piston", "mm", ("position_reference_m", "position_m")),

@@ -52,6 +52,7 @@ from ehls_ros.nodes.transport import Inbox, message_class
 from ehls_ros.recording.alignment import CYCLE, NANOSECONDS, SECONDS
 from ehls_ros.recording.cdr import CdrError, decode, flatten
 from ehls_ros.recording.topics import (
+    CHAMBER_PRESSURES,
     CONTROLLER_STATUS,
     DEPTH,
     FRICTION_ESTIMATE,
@@ -125,7 +126,7 @@ CYCLES = 8192
 AHEAD = (*REFERENCE_TOPICS.values(), PROGRAMME_POINT)
 """Topics that run ahead of the cycles; their values are shown with the snapshots."""
 
-TOPICS = (*AHEAD, LOADER_STATE, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE)
+TOPICS = (*AHEAD, LOADER_STATE, CHAMBER_PRESSURES, VALVE_COMMAND, CONTROLLER_STATUS, FRICTION_ESTIMATE)
 """Topics read; of the others, the snapshots come first, as they set the time base."""
 
 

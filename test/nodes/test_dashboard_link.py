@@ -6,9 +6,11 @@ import pytest
 
 pytest.importorskip("ehls_msgs.msg._loader_state", reason="needs ehls_msgs built, as `make setup` does")
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from ehls_msgs.msg import ChamberPressures, LoaderState
 from ehls_ros.nodes.dashboard_link import Link
 
 
@@ -52,5 +54,30 @@ def test_nodes_that_are_there_twice_are_found(participant):
         participant.until(lambda: link.duplicates(["fasmc_node", "participant", "sic_node"]) == ["fasmc_node"])
         for node in [*pair, other]:
             node.destroy_node()
+    finally:
+        link.close()
+
+
+def test_both_pressures_of_a_single_rod_are_drawn(participant):
+    link = Link("ehls")
+    try:
+        states = participant.node.create_publisher(LoaderState, "/ehls/loader_state", 10)
+        pressures = participant.node.create_publisher(ChamberPressures, "/ehls/chamber_pressures", 10)
+        cycle = 0
+
+        def drawn():
+            nonlocal cycle
+            for _ in range(100):
+                state, chambers = LoaderState(cycle=cycle), ChamberPressures(cycle=cycle, pressure_a=3e6, pressure_b=1e6)
+                for message in (state, chambers):
+                    message.header.stamp.nanosec = cycle % 1000 * 1_000_000
+                    message.header.stamp.sec = cycle // 1000
+                states.publish(state)
+                pressures.publish(chambers)
+                cycle += 1
+            part, place = link.window.part(0, -1), link.window.signals.index
+            return np.any(part.high[:, place("pressure_a_pa")] == 3e6) and np.any(part.low[:, place("pressure_b_pa")] == 1e6)
+
+        participant.until(drawn)
     finally:
         link.close()
