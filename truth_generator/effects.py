@@ -97,19 +97,17 @@ def scale(*fields: str) -> Callable[[np.ndarray, Sizes], None]:
     return apply
 
 
-def listed(*args, **kwargs) -> None:
-    effect = Effect(*args, **kwargs)
-    LISTED[effect.name] = effect
+def _adding_to(effects: dict[str, Effect]) -> Callable[..., None]:
+    """Return a function that makes an effect and adds it to some others."""
+
+    def add(*args, **kwargs) -> None:
+        effect = Effect(*args, **kwargs)
+        effects[effect.name] = effect
+
+    return add
 
 
-def outside(*args, **kwargs) -> None:
-    effect = Effect(*args, **kwargs)
-    OUTSIDE[effect.name] = effect
-
-
-def of_single_rod(*args, **kwargs) -> None:
-    effect = Effect(*args, **kwargs)
-    SINGLE_ROD[effect.name] = effect
+listed, outside, of_single_rod = _adding_to(LISTED), _adding_to(OUTSIDE), _adding_to(SINGLE_ROD)
 
 
 def factor_and_offset(section: str, key: str) -> Callable[[Sizes, dict], Sizes]:
