@@ -322,7 +322,7 @@ def _edges(sheet: DataSheet) -> dict[str, Source]:
 
 
 def _plant(sheet: DataSheet) -> dict[str, Source]:
-    fitted = "`ehls identify --whole-rig` measures it" if sheet.cylinder == "double_rod" else "a measurement replaces it"
+    fitted = "`ehls identify --whole-rig` measures it"
     pressure, density = _figure(sheet, "supply_pressure"), _figure(sheet, "oil_density", "the oil's data sheet")
     travel = _figure(sheet, "spool_travel").value
     area = mean_area(sheet.bore * size("mm"), sheet.rod * size("mm"), sheet.rods)
