@@ -3,6 +3,7 @@
     python -m benchmarks.own_rigs --seed 7 --count 60 --perfect     # the laws' defaults
     python -m benchmarks.own_rigs --seed 7 --count 12 --tune 3 20   # and the numbers that `ehls tune` finds
     python -m benchmarks.own_rigs --seed 7 --count 60 --commission --laws fasmc_predictive  # wrong files, commissioned
+    python -m benchmarks.own_rigs --seed 7 --count 60 --perfect --single-rod                # cylinders with one rod
 
 Forces over three decades, supplies of 100 and 200 bar, valves of 20 to 200 Hz, delays of 0 to 2 cycles, noise as data sheets
 have it. The controller's rig file is right. The actuator under test is the position servo behind an elastic coupling; the error
@@ -32,7 +33,7 @@ from ehls_ros.experiments.tuning.loop_margins import margins_of
 from ehls_ros.experiments.tuning.task import Task, servo_of
 from ehls_ros.experiments.tuning.tune import USUAL, Wanted, causal_limit_of, tune, with_numbers
 from ehls_ros.hardware.calibration import Calibration, Input, Output
-from ehls_ros.physics.rig import Rig, rig_from_mapping
+from ehls_ros.physics.rig import CHAMBER_SENSED, Rig, rig_from_mapping
 
 PERIOD = 1e-3
 """Control period [s]."""
@@ -166,6 +167,35 @@ def drawn(number: int, seed: int, *, perfect: bool = False) -> OwnRig:
     )
 
 
+def with_single_rod(rig: OwnRig, number: int, seed: int) -> OwnRig:
+    """Return a rig with a single rod of the same mean area, and edges nearly in the ratio of its areas.
+
+    Args:
+        rig: the rig.
+        number: its number.
+        seed: the seed.
+    """
+    random = np.random.default_rng([seed, number, 1])
+    content, ratio = copy.deepcopy(rig.content), float(random.uniform(1.2, 2.2))
+    plant = content["plant"]
+    mean = plant.pop("piston_area")
+    height = plant.pop("total_volume") / (2.0 * mean)
+    areas = {"a": 2.0 * mean * ratio / (1.0 + ratio), "b": 2.0 * mean / (1.0 + ratio)}
+    cylinder: dict[str, Any] = {"model": "two_chamber", "tank_pressure": float(random.uniform(0.5e5, 4e5))}
+    for side, area in areas.items():
+        cylinder |= {f"area_{side}": area, f"volume_{side}": area * height}
+    gains = {"pa": 1.0, "at": 1.0, "pb": 1.0 / ratio, "bt": 1.0 / ratio}
+    valve = {f"gain_{edge}": gain * float(random.uniform(0.95, 1.05)) for edge, gain in gains.items()}
+    content |= {"cylinder": cylinder, "valve": {"model": "four_edges", **valve}}
+    sensors = content["sensors"]
+    if "load_pressure" in sensors:
+        reading = sensors.pop("load_pressure")
+        sensors |= {"pressure_a": reading, "pressure_b": reading}
+    pull = -rig_from_mapping(content, "drawn rig").forces()[0]
+    amplitude = rig.amplitude * pull / content["limits"]["force"]
+    return rig._replace(content=content, reference={**rig.reference, "amplitude": amplitude}, amplitude=amplitude)
+
+
 def spec_of(rig: OwnRig, law: str, duration: float, **tuning: Any) -> Spec:
     """Return the experiment of a law on a rig whose delay and coupling it knows."""
     content = {
@@ -245,11 +275,13 @@ def _wiring(rig: Rig) -> Calibration:
     ends, limits = (-10.0, 10.0), rig.limits
     inputs = {
         "position": Input(0, scale=0.06 * (limits.position[1] - limits.position[0]), range=ends, bits=18),
-        "load_pressure": Input(1, scale=limits.load_pressure / 8.0, range=ends),
         "spool_position": Input(2, scale=limits.spool / 8.0, range=ends),
         "force": Input(3, scale=limits.force / 8.0, range=ends),
         "supply_pressure": Input(4, scale=rig.plant.supply_pressure / 7.0, range=ends),
     }
+    pressures = CHAMBER_SENSED if rig.cylinder.law.CHAMBERS else ("load_pressure",)
+    for place, signal in zip((1, 5), pressures, strict=False):
+        inputs[signal] = Input(place, scale=limits.load_pressure / 8.0, range=ends)
     return Calibration(inputs, Output(0, scale=limits.spool / 8.0, range=ends))
 
 
@@ -321,6 +353,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60, help="number of rigs (%(default)s)")
     parser.add_argument("--duration", type=float, default=5.0, help="of each run, s (%(default)s)")
     parser.add_argument("--perfect", action="store_true", help="perfect sensors")
+    parser.add_argument("--single-rod", action="store_true", help="cylinders with one rod")
     parser.add_argument("--laws", nargs="+", default=LAWS, help="control laws")
     parser.add_argument("--commission", action="store_true", help="commission each rig first, with a wrong file, and tune it")
     about = "tune each law with these margins; with --commission they are those asked for there"
@@ -331,6 +364,8 @@ def main() -> None:
     rigs, limits, found = list[OwnRig](), list[float](), dict[str, list[Outcome]]()
     for number in range(options.count):
         rig = drawn(number, seed, perfect=options.perfect)
+        if options.single_rod:
+            rig = with_single_rod(rig, number, seed)
         if options.commission:
             # The device takes a cycle to pass a command on.
             rig.content["effects"][0]["delay"] = max(rig.content["effects"][0]["delay"], PERIOD)
