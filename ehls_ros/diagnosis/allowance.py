@@ -73,6 +73,11 @@ class Allowed(NamedTuple):
         reduced: Array = e - self.basis @ (along - counted)
         return reduced
 
+    @property
+    def is_bounded(self) -> bool:
+        """Whether no variation of any size is allowed."""
+        return bool(np.all(np.isfinite(self.bounds)))
+
     def whole(self, e: Array) -> Array:
         """Return whitened residuals with the allowed variation restored."""
         counted = self.basis.T @ e
@@ -80,6 +85,12 @@ class Allowed(NamedTuple):
         within = np.clip(counted, -bounds, bounds)
         full: Array = e + self.basis @ (within * self.deviations + (counted - within) * self._beyond() - counted)
         return full
+
+    def beyond(self, e: Array) -> Array:
+        """Return residuals, divided by their floor, less the variation within the bounds."""
+        along = self.basis.T @ e
+        left: Array = e - self.basis @ np.clip(along, -self.bounds, self.bounds)
+        return left
 
     def _beyond(self) -> Array:
         """Return the divisor of variations beyond the bounds."""

@@ -104,7 +104,7 @@ class Standard:
         return rules.SCATTER
 
     def difference(self, evidence: "Evidence", channel: Channel, one: Array, other: Array) -> Array:
-        """Return the difference between a channel's whitened residuals that is beyond possible measurement errors."""
+        """Return the difference between a channel's whitened residuals that cannot be fault-free variation, in full."""
         return one - other
 
     def before(self, evidence: "Evidence", channel: Channel, before: Array, after: Array) -> Array:

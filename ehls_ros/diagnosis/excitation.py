@@ -10,13 +10,20 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import shows
 from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit
+from ehls_ros.diagnosis.hypotheses import extended
 from ehls_ros.diagnosis.result import Sensitivity
-from ehls_ros.diagnosis.stages import Channel, Stage
+from ehls_ros.diagnosis.stages import Channel, Comparison, Stage
 
 NINE_OF_TEN = 1.2816
 """Standard deviations below which a normal variable lies in nine of ten cases.
 
 Origin: a quantile.
+"""
+
+GROWTH, MAX_GROWTHS = 1.2, 60
+"""Factor by which a size is enlarged until it shows beyond the allowances, and how often at most.
+
+Origin: numerical; sizes are told to a fifth.
 """
 
 KEYS: Mapping[Stage, tuple[str, str]] = {
@@ -40,7 +47,7 @@ def sensitivities(
         inflation: divisor of each channel's losses.
         beside_form: whether an effect must exceed the errors of form that cannot be told from a change.
     """
-    out = []
+    out, comparison = [], evidence.comparison()
     for fit in screened:
         candidate = fit.hypothesis[0]
         if len(candidate.free) != 1 or not np.array_equal(fit.values, candidate.neutral):
@@ -55,8 +62,61 @@ def sensitivities(
         least = max(rules.RELEVANT, evidence.standard.form_error(main) if beside_form else 0.0)
         smallest = smallest_detectable(sum(informed.values()), effect, least, evidence.standard.needed_gain)
         if smallest is not None:
+            smallest = beyond_allowances(evidence, comparison, fit, smallest, least, inflation)
             out.append(Sensitivity(candidate.name, candidate.free[0], smallest, candidate.units[0]))
     return tuple(out)
+
+
+def beyond_allowances(
+    evidence: Evidence, comparison: Comparison, fit: Fit, smallest: float, least: float, inflation: Mapping[Channel, float]
+) -> float:
+    """Return a detectable size, enlarged until it shows beyond the variation that is allowed within bounds.
+
+    There the residuals are not linear in the size, and where the given model already leaves more than the bounds, the
+    derivative is that of any further change.
+
+    Args:
+        evidence: the recording compared with the given model.
+        comparison: comparison of the calling thread.
+        fit: the cause alone at its neutral value, with its derivative.
+        smallest: size that would show if residuals were linear.
+        least: relevant rms, as a fraction of the largest term.
+        inflation: divisor of each channel's losses.
+    """
+    bounded = {c: evidence.allowed[c] for c in fit.channels if c in evidence.allowed and evidence.allowed[c].is_bounded}
+    if not bounded:
+        return smallest
+    candidate = fit.hypothesis[0]
+    step = float(np.clip(smallest, candidate.lower[0] - fit.values[0], candidate.upper[0] - fit.values[0]))
+    if step == 0.0:
+        return smallest
+    changed = extended(evidence.rig, fit.hypothesis, fit.values + step)
+    moved = evidence.residuals(comparison, changed).values
+    per_size = {c: (evidence.whole(c, moved[c]) - evidence.whole(c, evidence.base.values[c])) / step for c in fit.channels}
+
+    def shows_at(size: float) -> bool:
+        information, relevant = 0.0, 0.0
+        for c, column in per_size.items():
+            change = size * column
+            seen = bounded[c].whitened(change) if c in bounded else change
+            beyond = bounded[c].beyond(change) if c in bounded else change
+            information += float(seen @ seen) / inflation.get(c, 1.0)
+            relevant = max(relevant, evidence.nrmse(c, beyond))
+        return information >= needed_sigmas(evidence.standard.needed_gain) ** 2 and relevant >= least
+
+    for _ in range(MAX_GROWTHS):
+        if shows_at(smallest):
+            break
+        smallest *= GROWTH
+    return smallest
+
+
+def needed_sigmas(gain: float) -> float:
+    """Return the standard errors from which a parameter is significant and gains enough, in nine of ten recordings.
+
+    At the threshold itself, the scatter would hide every other one.
+    """
+    return max(rules.MIN_SIGMAS, math.sqrt(2.0 * gain)) + NINE_OF_TEN
 
 
 def smallest_detectable(
@@ -75,9 +135,7 @@ def smallest_detectable(
     """
     if information <= 0.0:
         return None
-    # At the threshold itself, the scatter would hide every other one.
-    sigmas = max(rules.MIN_SIGMAS, math.sqrt(2.0 * gain)) + NINE_OF_TEN
-    smallest = sigmas / math.sqrt(information)
+    smallest = needed_sigmas(gain) / math.sqrt(information)
     return max(smallest, least / effect) if effect > 0.0 else smallest
 
 

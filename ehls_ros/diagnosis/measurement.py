@@ -29,6 +29,11 @@ class BeyondMeasurement(Standard):
         """Return evidence, so far without allowances, judged by this standard."""
         return allowing(evidence, measurement(evidence), self)
 
+    def difference(self, evidence: Evidence, channel: Channel, one: Array, other: Array) -> Array:
+        """Return the difference beyond the bounds of the allowances in full: the weights there only soften their edge."""
+        whole = evidence.whole(channel, one) - evidence.whole(channel, other)
+        return evidence.allowed[channel].beyond(whole) if channel in evidence.allowed else whole
+
 
 BEYOND_MEASUREMENT = BeyondMeasurement()
 """The standard of a diagnosis without baselines."""
