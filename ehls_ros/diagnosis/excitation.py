@@ -20,7 +20,7 @@ NINE_OF_TEN = 1.2816
 Origin: a quantile.
 """
 
-GROWTH, MAX_GROWTHS = 1.2, 60
+GROWTH, MAX_GROWTHS = 1.2, 100
 """Factor by which a size is enlarged until it shows beyond the allowances, and how often at most.
 
 Origin: numerical; sizes are told to a fifth.
@@ -70,10 +70,9 @@ def sensitivities(
 def beyond_allowances(
     evidence: Evidence, comparison: Comparison, fit: Fit, smallest: float, least: float, inflation: Mapping[Channel, float]
 ) -> float:
-    """Return a detectable size, enlarged until it shows beyond the variation that is allowed within bounds.
+    """Return the size that shows beyond the variation that is allowed within bounds.
 
-    There the residuals are not linear in the size, and where the given model already leaves more than the bounds, the
-    derivative is that of any further change.
+    The residuals are not linear in it: within the bounds a change hardly counts, beyond them it does.
 
     Args:
         evidence: the recording compared with the given model.
@@ -104,11 +103,14 @@ def beyond_allowances(
             relevant = max(relevant, evidence.nrmse(c, beyond))
         return information >= needed_sigmas(evidence.standard.needed_gain) ** 2 and relevant >= least
 
+    # From the size that would show if nothing were allowed.
+    certain = sum(float(column @ column) / inflation.get(c, 1.0) for c, column in per_size.items())
+    size = smallest if certain == 0.0 else needed_sigmas(evidence.standard.needed_gain) / math.sqrt(certain)
     for _ in range(MAX_GROWTHS):
-        if shows_at(smallest):
+        if shows_at(size):
             break
-        smallest *= GROWTH
-    return smallest
+        size *= GROWTH
+    return size
 
 
 def needed_sigmas(gain: float) -> float:

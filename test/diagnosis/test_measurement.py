@@ -1,15 +1,18 @@
 """Tolerances of a recording: skew within a sample and small offsets are not blamed on any cause, larger ones are."""
 
 import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from plain_evidence import MASS, assessed, evidence_of
+from plain_evidence import MASS, assessed, candidate, evidence_of
 from scipy.ndimage import shift
 
-from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis import excitation, rules
 from ehls_ros.diagnosis.allowance import Allowance, together
-from ehls_ros.diagnosis.evidence import allowing
+from ehls_ros.diagnosis.evidence import Evidence, Residuals, allowing
+from ehls_ros.diagnosis.fit import Fit
+from ehls_ros.diagnosis.measurement import BEYOND_MEASUREMENT
 from ehls_ros.diagnosis.partial import remainder_as_noise
 from ehls_ros.diagnosis.remainder import with_allowances
 from ehls_ros.diagnosis.search import Place, Searched
@@ -22,6 +25,19 @@ UNIT = SHAPE / np.linalg.norm(SHAPE)
 def allowance(size=40.0, most=rules.MAX_ALLOWED):
     """Return an allowance of a size along one direction, in units of the noise."""
     return Allowance(np.zeros(WINDOWS), size * UNIT[:, None], np.zeros(WINDOWS), most=most)
+
+
+@dataclass(frozen=True)
+class Linear(Evidence):
+    """Evidence whose residuals are linear in one parameter, which stands for the rig."""
+
+    column: np.ndarray = field(default_factory=lambda: np.zeros(WINDOWS))
+
+    def comparison(self):
+        return None
+
+    def residuals(self, comparison, rig, known=None):
+        return Residuals({"force": self.allowed["force"].whitened(rig * self.column)})
 
 
 def beyond(e, given):
@@ -41,6 +57,31 @@ def test_what_the_whitening_takes_off_is_found_again(size):
     counted = math.copysign(min(abs(size), 3.0) + rules.EDGE * max(abs(size) - 3.0, 0.0), size)
     assert allowed.whitened(e) @ UNIT == pytest.approx(counted, rel=2e-2)
     np.testing.assert_allclose(allowed.whitened(e) - (allowed.whitened(e) @ UNIT) * UNIT, e - (e @ UNIT) * UNIT, atol=1e-9)
+
+
+@pytest.mark.parametrize(("size", "left"), [(2.9, 0.0), (-2.9, 0.0), (5.0, 2.0), (-50.0, -47.0)])
+def test_a_difference_counts_in_full_beyond_the_bounds(size, left):
+    known = beyond(np.zeros(WINDOWS), allowance())
+    other = known.allowed["force"].whitened(size * 40.0 * UNIT)
+    apart = BEYOND_MEASUREMENT.difference(known, "force", other, known.base.values["force"])
+    np.testing.assert_allclose(apart, left * 40.0 * UNIT, atol=0.1 * np.max(UNIT))
+
+
+def test_a_size_that_measurement_errors_may_have_is_not_said_to_show(monkeypatch):
+    column = 4.0 * UNIT  # change of the residuals per N
+    known = Linear(**vars(beyond(np.zeros(WINDOWS), allowance())), column=column)
+    monkeypatch.setattr(excitation, "extended", lambda rig, hypothesis, values: float(values[0]))
+    force = candidate("constant_load", "force")
+    slope = known.residuals(None, 1.0).values["force"][:, None]
+    fit = Fit((force,), np.zeros(1), ("force",), known.base, slope, 0.0, np.ones(1))
+    (found,) = excitation.sensitivities(replace(known, standard=BEYOND_MEASUREMENT), [fit], {})
+    # Three prior standard deviations of 10 N each, and what shows beyond them.
+    beyond_them = excitation.needed_sigmas(rules.NEEDED_GAIN) / (4.0 * rules.EDGE / math.hypot(40.0, 1.0))
+    assert 30.0 < found.smallest < 1.3 * (30.0 + beyond_them)
+    # Without bounds, the size is that of a linear model.
+    unbounded = Linear(**vars(beyond(np.zeros(WINDOWS), allowance(most=math.inf))), column=column)
+    (alone,) = excitation.sensitivities(replace(unbounded, standard=BEYOND_MEASUREMENT), [fit], {})
+    assert alone.smallest == pytest.approx(excitation.needed_sigmas(rules.NEEDED_GAIN) / np.linalg.norm(slope))
 
 
 def test_independent_allowances_add_their_variances_and_are_bounded_only_together():
