@@ -58,7 +58,8 @@ class Assessment(NamedTuple):
     def sigmas(self, index: int) -> float:
         """Return the distance of a cause from its neutral values, in standard errors of their best-determined combination.
 
-        Two gains of a valve may be vague while their difference is not.
+        Two gains of a valve may be vague while their difference is not. A mass that yields is at most as certain as
+        the best-determined size of its yielding.
         """
         part = parts(self.hypothesis)[index]
         away, covariance = self.fit.values[part] - self.hypothesis[index].neutral, self.held_out.covariance[part, part]
@@ -69,7 +70,9 @@ class Assessment(NamedTuple):
             return 0.0
         away = away[known] / deviation[known]
         correlation = covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
-        return math.sqrt(max(float(away @ np.linalg.pinv(correlation, hermitian=True) @ away), 0.0))
+        distance = math.sqrt(max(float(away @ np.linalg.pinv(correlation, hermitian=True) @ away), 0.0))
+        yields = [abs(self.fit.values[part][i]) / deviation[i] for i in self.hypothesis[index].yielding if known[i]]
+        return min(distance, max(yields, default=math.inf))
 
     def per_block(self, inflation: Mapping[Channel, float]) -> Array:
         """Return the held-out gain of each block, shape (blocks,) [nats]; a zero of shape (1,) if nothing is changed.

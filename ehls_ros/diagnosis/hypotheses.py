@@ -52,6 +52,12 @@ class Candidate(NamedTuple):
         """Whether the effect lets a mass move relative to the piston: the load, or a fitted mass."""
         return self.separates_load or "kg" in self.units
 
+    @property
+    def yielding(self) -> tuple[int, ...]:
+        """Indices of the free parameters that tell how far a mass yields; empty if the effect lets none yield."""
+        names = getattr(EFFECTS.load(self.name), "YIELDING", ())
+        return tuple(index for index, name in enumerate(self.free) if name in names)
+
     def use(self, values: Array) -> EffectUse:
         """Return the effect with values of the free parameters, clipped to their ranges."""
         inside = np.clip(values, self.lower, self.upper)

@@ -128,3 +128,14 @@ def test_a_parameter_that_changes_nothing_is_no_standard_error_from_neutral():
     found = linear_fit(evidence_of({"force": base}, blocks=6), (candidate("stribeck_shift", "offset", "factor"),), j)
     found.fit.values[:] = 0.0, 3.0
     assert found.sigmas(0) == 0.0
+
+
+def test_a_mass_on_a_spring_of_unknown_stiffness_is_no_cause():
+    rng = np.random.default_rng(5)
+    smoother, softer = rng.standard_normal((2, 240))
+    for weight, known in ((1e-3, False), (1.0, True)):
+        # Per kg and per Hz; the motion of the mass is smoother than measured, whatever its frequency.
+        j = np.column_stack([smoother, weight * softer])
+        evidence = evidence_of({"force": rng.standard_normal(240) - j @ [60.0, 200.0]})
+        found = linear_fit(evidence, (candidate("flexible_mode", "mass", "frequency"),), j)
+        assert (found.sigmas(0) > rules.MIN_SIGMAS) == known

@@ -67,6 +67,9 @@ sensors use them. Such an effect has both ``piston`` hooks, and its ``force`` re
 velocity. ``piston_share(parameters)`` returns the piston's fraction of the moving mass, or zero if the parameters do not
 separate them, and ``shift`` removes it from the moving mass. A rig has at most one such effect.
 
+An effect that lets a mass yield names in ``YIELDING`` the parameters that tell how far. As long as the data determine none of
+them, the mass may as well be rigid: its simulated motion is only smoother than the measured one.
+
 An effect whose ``force`` acts between loader and position servo has ``COUPLES = True``: where the servo is simulated
 (:mod:`ehls_ros.physics.servo`), the same force acts on it in the opposite direction.
 

@@ -33,6 +33,7 @@ WORDS = Words(
 )
 STATES = 2
 PISTON = 0
+YIELDING = ("frequency",)
 
 MIN_MASS = 0.1
 """Mass below which the load it carries is reduced in proportion; otherwise its acceleration would be unbounded [kg]."""

@@ -31,6 +31,7 @@ WORDS = Words(
 )
 STATES = 3
 PISTON = 1
+YIELDING = ("gap", "held_gap", "load_gap", "stiffness")
 
 
 class Parameters(NamedTuple):
