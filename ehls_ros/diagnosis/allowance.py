@@ -75,7 +75,7 @@ class Allowed(NamedTuple):
 
     @property
     def is_bounded(self) -> bool:
-        """Whether no variation of any size is allowed."""
+        """Whether there is a largest size to each allowed variation."""
         return bool(np.all(np.isfinite(self.bounds)))
 
     def whole(self, e: Array) -> Array:

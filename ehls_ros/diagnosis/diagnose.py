@@ -12,7 +12,7 @@ from ehls_ros.diagnosis.causes import causes, gain
 from ehls_ros.diagnosis.dependence import depends_on, signals_along
 from ehls_ros.diagnosis.empirical import described, leaves_less
 from ehls_ros.diagnosis.evidence import Evidence, Standard, gather
-from ehls_ros.diagnosis.excitation import excited, mass_observable, sensitivities, sliding
+from ehls_ros.diagnosis.excitation import KEYS, excited, mass_observable, sensitivities, sliding
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import candidates, extended
 from ehls_ros.diagnosis.measurement import BEYOND_MEASUREMENT, allowed_for
@@ -77,7 +77,8 @@ def diagnose(
         found = search(starts, progress)
         sizes = sensitivities(evidence, found.screened, found.inflation)
         # An effect hidden in the healthy spread is no deficiency of the data.
-        shown = sensitivities(evidence, found.screened, evidence.correlation, beside_form=False)
+        keys = [fit for fit in found.screened if fit.hypothesis[0].name in {name for name, _ in KEYS.values()}]
+        shown = sensitivities(evidence, keys, evidence.correlation, beside_form=False)
         full, found_in_full = with_allowances(evidence, found)
         findings = _findings(full, shown, remainders(full, found_in_full))
         named = causes(full, found_in_full, seed)

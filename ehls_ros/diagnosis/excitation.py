@@ -82,8 +82,8 @@ def beyond_allowances(
         least: relevant rms, as a fraction of the largest term.
         inflation: divisor of each channel's losses.
     """
-    bounded = {c: evidence.allowed[c] for c in fit.channels if c in evidence.allowed and evidence.allowed[c].is_bounded}
-    if not bounded:
+    allowed = {c: evidence.allowed[c] for c in fit.channels if c in evidence.allowed}
+    if not any(given.is_bounded for given in allowed.values()):
         return smallest
     candidate = fit.hypothesis[0]
     step = float(np.clip(smallest, candidate.lower[0] - fit.values[0], candidate.upper[0] - fit.values[0]))
@@ -93,19 +93,20 @@ def beyond_allowances(
     moved = evidence.residuals(comparison, changed).values
     per_size = {c: (evidence.whole(c, moved[c]) - evidence.whole(c, evidence.base.values[c])) / step for c in fit.channels}
 
+    needed = needed_sigmas(evidence.standard.needed_gain)
+
     def shows_at(size: float) -> bool:
         information, relevant = 0.0, 0.0
         for c, column in per_size.items():
             change = size * column
-            seen = bounded[c].whitened(change) if c in bounded else change
-            beyond = bounded[c].beyond(change) if c in bounded else change
+            seen, beyond = (allowed[c].whitened(change), allowed[c].beyond(change)) if c in allowed else (change, change)
             information += float(seen @ seen) / inflation.get(c, 1.0)
             relevant = max(relevant, evidence.nrmse(c, beyond))
-        return information >= needed_sigmas(evidence.standard.needed_gain) ** 2 and relevant >= least
+        return information >= needed**2 and relevant >= least
 
     # From the size that would show if nothing were allowed.
     certain = sum(float(column @ column) / inflation.get(c, 1.0) for c, column in per_size.items())
-    size = smallest if certain == 0.0 else needed_sigmas(evidence.standard.needed_gain) / math.sqrt(certain)
+    size = smallest if certain == 0.0 else needed / math.sqrt(certain)
     for _ in range(MAX_GROWTHS):
         if shows_at(size):
             break

@@ -22,8 +22,8 @@ from ehls_ros.hardware.calibration import Input, Output
 from ehls_ros.hardware.gate_bounds import bounds_of, within
 from ehls_ros.hardware.gate_parameters import SIMULATED
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
-from ehls_ros.hardware.readings import measured_signals
-from ehls_ros.hardware.safety_gate import Gate
+from ehls_ros.hardware.safety_gate import Gate, watched
+from ehls_ros.hardware.sample_decoder import measured_signals
 from ehls_ros.physics.rig import SENSED
 from ehls_ros.recording.yaml_text import read_yaml
 
@@ -105,7 +105,7 @@ def laws_for(follows: str, measured: Sequence[str]) -> list[str]:
 
 def _measured(spec: Spec, bridge: Bridge) -> tuple[str, ...]:
     """Return the signals of every rig that a bridge knows."""
-    return tuple(signal for signal in measured_signals(spec.rig, bridge.calibration.wired) if signal in SENSED)
+    return watched(measured_signals(spec.rig, bridge.calibration.wired))
 
 
 def _unmet(law: object, measured: Sequence[str]) -> list[str]:

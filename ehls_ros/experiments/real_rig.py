@@ -56,17 +56,23 @@ def for_real_rig(spec: Spec, *, adapt: bool = True) -> RealRig:
         readings = f"the controller's rig file has no noise_std of {', '.join(exact)}"
         remarks.append(f"{readings}: {spec.controller.name} takes these readings to be exact; {FOUND_BY}")
     if law.FOLLOWS == "force" and not spec.companions and (filters or law.FRICTION):
-        if rig.cylinder.law.CHAMBERS:
+        companions = adapting(rig)
+        if not companions:
             remarks.append(
                 "adaptation knows the volume balance of a double rod only: wrong numbers of the rig file are neither corrected"
                 " nor named while it runs; `ehls identify --whole-rig` finds them in the recording"
             )
         elif adapt:
-            spec = spec._replace(companions=(Use(ADAPTATION, adaptation.Parameters()),))
+            spec = spec._replace(companions=companions)
             remarks.append("adaptation corrects wrong numbers of the rig file within bounds while it runs, and names them")
         else:
             remarks.append("adaptation is off: wrong numbers of the rig file are neither corrected nor named while it runs")
     return RealRig(spec, tuple(remarks))
+
+
+def adapting(rig: Rig) -> tuple[Use, ...]:
+    """Return the companion that adapts a law to a rig; none for two chambers, whose volume balances it does not know."""
+    return () if rig.cylinder.law.CHAMBERS else (Use(ADAPTATION, adaptation.Parameters()),)
 
 
 def usual_effects(rig: Rig, period: float) -> tuple[EffectUse, ...]:

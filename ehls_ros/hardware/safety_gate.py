@@ -720,6 +720,11 @@ def _checked(parameters: Parameters) -> Parameters:
     return parse(Parameters, parameters._asdict(), "safety gate")
 
 
+def watched(measured: Collection[str]) -> tuple[str, ...]:
+    """Return those of a rig's measured signals that a gate watches: the signals of every rig, in the order of ``SENSED``."""
+    return tuple(signal for signal in SENSED if signal in measured)
+
+
 def _check_rig(rig: Rig, period: float, measured: Collection[str]) -> None:
     if not 0.0 < _number(period) <= 0.1:
         raise BadInput(f"period is {period!r}", "safety gate", "a number above 0 and at most 0.1 s")

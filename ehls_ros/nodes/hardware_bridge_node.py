@@ -11,9 +11,9 @@ from ehls_ros.hardware.backends.base import Device, Reading
 from ehls_ros.hardware.bridge_file import Bridge, bridge_from_mapping
 from ehls_ros.hardware.calibration import Calibration
 from ehls_ros.hardware.pace import ADVICE, MIN_ANSWERED, Pace
-from ehls_ros.hardware.readings import Readings
 from ehls_ros.hardware.safety_gate import DISABLED
 from ehls_ros.hardware.sample_clock import SampleClock, free_running_time
+from ehls_ros.hardware.sample_decoder import SampleDecoder
 from ehls_ros.nodes.diagnostics import ERROR, OK, WARN
 from ehls_ros.nodes.parameters import declare
 from ehls_ros.nodes.plant import PlantNode
@@ -64,7 +64,7 @@ class HardwareBridgeNode(PlantNode):
         self.sample_time = LOCKSTEP_PATIENCE if self.lockstep else SILENCE * self.period
         self.bridge: Bridge
         self.calibration: Calibration
-        self.readings: Readings
+        self.decoder: SampleDecoder
         self.opened = False
         # First cycle of the run: the first one answered, or before that, the one that the loop began with.
         self.first = 0
@@ -91,8 +91,8 @@ class HardwareBridgeNode(PlantNode):
         path = Path(chosen) if chosen else config_folder() / "bridge_udp.yaml"
         self.bridge = bridge_from_mapping(read_yaml(path, "bridge file"), str(path))
         self.calibration = self.bridge.calibration
-        self.readings = Readings(self.calibration, self.spec.rig)
-        return self.readings.measured
+        self.decoder = SampleDecoder(self.calibration, self.spec.rig)
+        return self.decoder.measured
 
     def prepare(self) -> None:
         """Open the device and the topics."""
@@ -220,7 +220,7 @@ class HardwareBridgeNode(PlantNode):
         self.cycle += self.elapsed
         self.sequence, self.session = reading.sequence, reading.session
         self.at_null = reading.at_null
-        signals, self.saturated = self.readings.of(reading.values)
+        signals, self.saturated = self.decoder.decode(reading.values)
         self.samples.take(reading.sequence, reading.time_ns, free_running_time(), reading.session)
         # In lockstep the device waits for this computer.
         lag = 0.0 if self.lockstep else self.samples.lag

@@ -24,7 +24,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.hardware.gate_bounds import Bound
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
 from ehls_ros.hardware.handover import PlantHandover, Succession
-from ehls_ros.hardware.safety_gate import Gate
+from ehls_ros.hardware.safety_gate import Gate, watched
 from ehls_ros.hardware.stamps import Stamps
 from ehls_ros.nodes.codec import decode_text
 from ehls_ros.nodes.control import CLOCK_TOPIC, PATIENCE, ControlNode
@@ -194,14 +194,13 @@ class PlantNode(ControlNode):
         self.was_driving = False
         self.period = self.spec.settings.control_period
         rig, self.sensed = self.spec.rig, self.measured()
-        # The gate watches the signals of a loader_state.
-        watched = tuple(signal for signal in SENSED if signal in self.sensed)
-        sound = Gate(rig, self.period, None, watched, bounds=self.gate_bounds).parameters
+        seen = watched(self.sensed)
+        sound = Gate(rig, self.period, None, seen, bounds=self.gate_bounds).parameters
         changed = tuned_for(GateParameters, rig, self.gate_defaults)._asdict()
         defaults = {**sound._asdict(), **{name: changed[name] for name in self.gate_defaults}}
         declare(self, GateParameters, defaults, live=True)
         self.awaited: tuple[str, ...] = ()
-        self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), watched, bounds=self.gate_bounds)
+        self.gate = Gate(rig, self.period, values_of(self, GateParameters, name), seen, bounds=self.gate_bounds)
         self._gate_services = GateServices(self, self.gate, self.refusal)
         self._ending = self.create_timer(0.0, self._leave, autostart=False, clock=self.steady)
         # Made by `open_topics`:

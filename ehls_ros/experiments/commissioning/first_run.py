@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.companions import adaptation
 from ehls_ros.control.controller import Outlook
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.references._signals import eased_in
@@ -15,7 +14,8 @@ from ehls_ros.experiments.commissioning.session import ENABLE_TIME, Session, Sto
 from ehls_ros.experiments.commissioning.step import Contradiction, Known, Outcome
 from ehls_ros.experiments.graph_check import laws_for
 from ehls_ros.experiments.loop import controller_of, sampled
-from ehls_ros.experiments.spec import Spec, Use
+from ehls_ros.experiments.real_rig import adapting
+from ehls_ros.experiments.spec import Spec
 from ehls_ros.experiments.stepped_run import largest, stepped_run, swing
 from ehls_ros.experiments.tuning.files import EXPERIMENT, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.task import HELD_FREQUENCY, HELD_PART, servo_of, task_of, usual
@@ -88,10 +88,7 @@ def first_run(session: Session, known: Known, progress: Update) -> Outcome:
 
 
 def _experiment(known: Known, period: float, amplitude: float, offset: float) -> Spec:
-    """Return the experiment of a first run, with adaptation, which finds the errors of the file that commissioning has left.
-
-    Adaptation knows double rods only.
-    """
+    """Return the experiment of a first run, with adaptation: it finds the errors of the file that commissioning has left."""
     still = {"name": "constant", "value": 0.0}
     content: dict[str, Any] = {
         "title": "first run",
@@ -102,8 +99,7 @@ def _experiment(known: Known, period: float, amplitude: float, offset: float) ->
     }
     spec = with_numbers(task_of(known.rig, LAW, content).spec, known.numbers)
     duration = spec.settings._replace(duration=PERIODS / HELD_FREQUENCY)
-    beside = () if known.rig.cylinder.law.CHAMBERS else (Use("adaptation", adaptation.Parameters()),)
-    return spec._replace(settings=duration, companions=beside)
+    return spec._replace(settings=duration, companions=adapting(known.rig))
 
 
 def _wanted(spec: Spec) -> Array:

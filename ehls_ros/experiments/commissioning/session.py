@@ -14,8 +14,8 @@ from ehls_ros.hardware.calibration import Calibration, step
 from ehls_ros.hardware.gate_bounds import bounds_of, within
 from ehls_ros.hardware.gate_parameters import WARN
 from ehls_ros.hardware.gate_parameters import Parameters as GateParameters
-from ehls_ros.hardware.readings import Readings
-from ehls_ros.hardware.safety_gate import Gate
+from ehls_ros.hardware.safety_gate import Gate, watched
+from ehls_ros.hardware.sample_decoder import SampleDecoder
 from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.recording.topics import READINGS
 from ehls_ros.trajectory import Trajectory
@@ -86,13 +86,13 @@ class Session:
         self.wired = calibration.wired
         self.period = period
         self._device, self._calibration, self._lockstep, self._stopped = device, calibration, lockstep, stopped
-        self._readings = Readings(calibration, rig)
-        self.measured = self._readings.measured
+        self._decoder = SampleDecoder(calibration, rig)
+        self.measured = self._decoder.measured
         chosen = tuned_for(GateParameters, rig)
         # The largest rate of a reading follows from numbers of the rig file, which are not known yet.
         chosen = chosen._replace(trip_level=min(chosen.trip_level, TRIP_LEVEL), enable_time=ENABLE_TIME, on_sensor_jump=WARN)
         self._usual = within(chosen, bounds_of(rig, period))
-        self._gate = Gate(rig, period, self._usual, tuple(signal for signal in self.measured if signal in SENSED))
+        self._gate = Gate(rig, period, self._usual, watched(self.measured))
         self._gate.begin()
         self._cycle = 0
 
@@ -116,7 +116,7 @@ class Session:
             Stopped: the gate closed the valve, no samples arrive, or a stop was requested.
         """
         cycles = round(duration / self.period)
-        times, rows = np.zeros(cycles), np.full((cycles, len(self._readings.sensed) + 1), np.nan)
+        times, rows = np.zeros(cycles), np.full((cycles, len(self._decoder.sensed) + 1), np.nan)
         first, done, opening = None, 0, 0
         self._gate.retune(self._usual._replace(on_sensor_frozen=WARN) if presses else self._usual)
         try:
@@ -155,7 +155,7 @@ class Session:
         raise Stopped("the device sends no samples", self._recording(times, rows))
 
     def _sense(self, reading: Reading) -> tuple[float, ...]:
-        signals, _ = self._readings.of(reading.values)
+        signals, _ = self._decoder.decode(reading.values)
         self._gate.sense(self._cycle, signals[: len(SENSED)], at_null=reading.at_null)
         return signals
 
@@ -185,6 +185,6 @@ class Session:
         self._device.write(self._calibration.command(spool), sequence)
 
     def _recording(self, times: Array, rows: Array) -> Trajectory:
-        sensed = self._readings.sensed
+        sensed = self._decoder.sensed
         signals = {READINGS[name]: rows[:, sensed.index(name)].copy() for name in self.measured}
         return Trajectory(times.copy(), {"valve_command_m": rows[:, -1].copy(), **signals})

@@ -1,4 +1,4 @@
-"""A rig's readings from the raw values of a sample; the load pressure of two chambers follows from theirs."""
+"""Decode the raw values of a sample into a rig's readings; the load pressure of two chambers follows from theirs."""
 
 import math
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ def measured_signals(rig: Rig, wired: Sequence[str]) -> tuple[str, ...]:
     return (*wired, DERIVED) if both and DERIVED not in wired else tuple(wired)
 
 
-class Readings:
-    """Converts samples to readings.
+class SampleDecoder:
+    """Decodes samples into readings.
 
     Attributes:
         sensed: signals of a sample, in the order of its readings.
@@ -40,8 +40,8 @@ class Readings:
             areas, mean = rig.cylinder.parameters, rig.plant.piston_area
             self._shares = areas.area_a / mean, areas.area_b / mean
 
-    def of(self, values: Sequence[float]) -> tuple[tuple[float, ...], tuple[str, ...]]:
-        """Convert the raw values of one sample.
+    def decode(self, values: Sequence[float]) -> tuple[tuple[float, ...], tuple[str, ...]]:
+        """Decode the raw values of one sample.
 
         Args:
             values: raw values in the order of the wiring's inputs.
