@@ -23,6 +23,12 @@ QUIET, QUIETEST, QUIET_WHITE = 20, 0.2, 0.72
 """Length of a part of a signal that may be quiet [samples]; the quantile taken of the parts' noise; and that quantile for white
 noise, as a fraction of its standard deviation."""
 
+BESIDE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
+"""Weights of the two samples on either side of a sample in the cubic through them."""
+
+RARE = 0.005
+"""Fraction of lone samples up to which they are left out; more of them are the signal's noise, or the jitter of its sampling."""
+
 Mask = NDArray[np.bool_]
 
 
@@ -47,8 +53,35 @@ def inliers(values: Array) -> Mask:
     before, after = _sides(smooth)
     one_sided = np.minimum(np.abs(gapless - before), np.abs(gapless - after))
     nearby = np.maximum(*_sides(scipy.ndimage.median_filter(np.abs(np.diff(smooth, prepend=smooth[:1])), SIDE, mode="nearest")))
-    good: Mask = finite & ((off <= OUTLIER * usual) | (one_sided <= OUTLIER * np.maximum(usual, nearby)))
+    alone = _lone(gapless)
+    if np.mean(alone) > RARE:
+        alone[:] = False
+    good: Mask = finite & ~alone & ((off <= OUTLIER * usual) | (one_sided <= OUTLIER * np.maximum(usual, nearby)))
     return good
+
+
+def _lone(values: Array) -> Mask:
+    """Return the samples off the cubic through their four neighbours, which are on one curve without them.
+
+    A converter that now and then repeats or skips a sample of a fast motion leaves such ones, as does interference. In steps and
+    bends the neighbours are on no curve.
+    """
+    reach = BESIDE.size // 2
+    if len(values) < 2 * BESIDE.size:
+        return np.zeros(len(values), dtype=np.bool_)
+    off = values - np.convolve(np.pad(values, reach, mode="edge"), BESIDE, mode="valid")
+    off[:reach] = off[-reach:] = 0.0
+    sizes = np.abs(off)
+    if not np.any(sizes > 0.0):
+        return sizes > 0.0
+    around = scipy.ndimage.median_filter(sizes, NEIGHBOURS, mode="nearest")
+    limit = OUTLIER * GAUSS * np.maximum(around, np.median(sizes[sizes > 0.0]))
+    out: Mask = sizes > limit
+    padded = np.pad(off, reach)
+    for shift, weight in enumerate(BESIDE):
+        if weight != 0.0:
+            out &= np.abs(padded[shift : shift + len(off)] + weight * off) <= limit
+    return out
 
 
 def _sides(medians: Array) -> tuple[Array, Array]:
