@@ -27,7 +27,7 @@ BESIDE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 """Weights of the two samples on either side of a sample in the cubic through them."""
 
 RARE = 0.005
-"""Fraction of lone samples up to which they are left out; more of them are the signal's noise, or the jitter of its sampling."""
+"""Fraction up to which lone samples are left out; more of them are noise, or jitter of the sampling."""
 
 Mask = NDArray[np.bool_]
 
@@ -63,8 +63,8 @@ def inliers(values: Array) -> Mask:
 def _lone(values: Array) -> Mask:
     """Return the samples off the cubic through their four neighbours, which are on one curve without them.
 
-    A converter that now and then repeats or skips a sample of a fast motion leaves such ones, as does interference. In steps and
-    bends the neighbours are on no curve.
+    A converter that now and then repeats or skips a sample of a fast motion leaves such ones, as does interference. In steps
+    and bends the neighbours are on no curve.
     """
     reach = BESIDE.size // 2
     if len(values) < 2 * BESIDE.size:

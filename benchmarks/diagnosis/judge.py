@@ -13,6 +13,7 @@ from benchmarks.diagnosis.cases import SHOWS
 from benchmarks.diagnosis.comparable import quantities
 from benchmarks.diagnosis.single_rod import side_of
 from benchmarks.rows import Row
+from ehls_ros.physics.effects import EFFECTS
 from truth_generator.scoring import CONFIDENT, matched
 
 NAMED = ("effect", "partial")
@@ -143,11 +144,13 @@ def below_power(row: Row) -> bool:
 
 
 def _below(row: Row, name: str) -> bool:
-    detectable = {p: [size, 0.0] for effect, p, size in row["ours"].get("sensitivities", ()) if effect == name}
+    # Told are changes, and compared are values.
+    neutral = EFFECTS.load(name).Parameters()._asdict() if name in EFFECTS.names() else {}
+    told = [(p, size) for effect, p, size in row["ours"].get("sensitivities", ()) if effect == name]
+    detectable = {p: [neutral[p] + size, 0.0] for p, size in told}
     if name not in row["natural"] or not detectable:
         return False
-    sizes = [q for p, size in detectable.items() for q in quantities(name, row["natural"][name], {p: size})]
-    return any(abs(q.true) < q.value for q in sizes)
+    return any(abs(q.true) < abs(q.value) for q in quantities(name, row["natural"][name], detectable))
 
 
 def strength(row: Row) -> float:

@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import shows
 from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit
-from ehls_ros.diagnosis.hypotheses import extended
+from ehls_ros.diagnosis.hypotheses import Candidate, extended
 from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.stages import Channel, Comparison, Stage
 
@@ -26,6 +27,24 @@ GROWTH, MAX_GROWTHS = 1.2, 100
 Origin: numerical; sizes are told to a fifth.
 """
 
+ROUNDING = 1e-9
+"""Fraction by which a size that shows may fall short by rounding.
+
+Origin: numerical.
+"""
+
+RUNS = 4
+"""Most sizes at which an effect that is not smooth at its neutral value is run, until the last two agree.
+
+Origin: numerical; those whose residuals grow like a power of their size need two or three.
+"""
+
+POWERS = (0.25, 4.0)
+"""Least and largest power of its size with which an effect grows that has no threshold.
+
+Origin: judgement; play and overlap grow with powers of 0.5 to 2.
+"""
+
 KEYS: Mapping[Stage, tuple[str, str]] = {
     "valve": ("valve_gain_shift", "gain"),
     "flow": ("valve_gain_shift", "flow_gain"),
@@ -34,10 +53,44 @@ KEYS: Mapping[Stage, tuple[str, str]] = {
 """Stages that need excitation, with the effect and its parameter by which it is judged; the sensors' stage needs none."""
 
 
+class Direction(NamedTuple):
+    """A direction in which an effect grows from the given model.
+
+    Attributes:
+        cause: the effect.
+        parameters: indices of the parameters that tell its size, in its free ones.
+        origin: values of the free parameters at which it does nothing, shape (free,).
+        step: their change for a size of 1, shape (free,).
+        columns: change of the whitened residuals for a size of 1, by channel, as far as it is linear.
+        known: size at which they were found; 0 for derivatives that hold for other sizes as well.
+    """
+
+    cause: Candidate
+    parameters: tuple[int, ...]
+    origin: Array
+    step: Array
+    columns: Mapping[Channel, Array]
+    known: float = 0.0
+
+    @property
+    def largest(self) -> float:
+        """The size at which a parameter reaches the end of its range."""
+        room = np.where(self.step > 0.0, self.cause.upper - self.origin, self.origin - self.cause.lower)
+        moved = self.step != 0.0
+        return float(np.min(room[moved] / np.abs(self.step[moved])))
+
+    def sizes(self, size: float) -> tuple[Sensitivity, ...]:
+        """Return the size, parameter by parameter."""
+        cause = self.cause
+        return tuple(
+            Sensitivity(cause.name, cause.free[i], size * abs(float(self.step[i])), cause.units[i]) for i in self.parameters
+        )
+
+
 def sensitivities(
     evidence: Evidence, screened: Sequence[Fit], inflation: Mapping[Channel, float], *, beside_form: bool = True
 ) -> tuple[Sensitivity, ...]:
-    """Return the smallest detectable size of every effect with one parameter and a smooth response at its neutral value.
+    """Return the smallest detectable size of every effect that grows steadily from its neutral value.
 
     The size may be outside the parameter's range: no such effect would have shown.
 
@@ -47,29 +100,58 @@ def sensitivities(
         inflation: divisor of each channel's losses.
         beside_form: whether an effect must exceed the errors of form that cannot be told from a change.
     """
-    out, comparison = [], evidence.comparison()
-    for fit in screened:
-        candidate = fit.hypothesis[0]
-        if len(candidate.free) != 1 or not np.array_equal(fit.values, candidate.neutral):
+    out, comparison = list[Sensitivity](), evidence.comparison()
+    # A form with several parameters is needed where none has just one.
+    for fit in sorted(screened, key=lambda fit: len(fit.values) > 1):
+        if len(fit.values) > 1 and any(told.name == fit.hypothesis[0].name for told in out):
             continue
-        columns = {c: fit.jacobian[rows, 0] for c, rows in sections(evidence.block, fit.channels).items()}
-        informed = {c: float(column @ column) / inflation.get(c, 1.0) for c, column in columns.items()}
-        # By the channel in which it shows most.
-        main = max(fit.channels, key=informed.__getitem__)
-        # At the size of one standard deviation of the noise, within the bounds of the allowances.
-        length = max(float(np.linalg.norm(columns[main])), 1e-300)
-        effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
-        least = max(rules.RELEVANT, evidence.standard.form_error(main) if beside_form else 0.0)
-        smallest = smallest_detectable(sum(informed.values()), effect, least, evidence.standard.needed_gain)
-        if smallest is not None:
-            smallest = beyond_allowances(evidence, comparison, fit, smallest, least, inflation)
-            out.append(Sensitivity(candidate.name, candidate.free[0], smallest, candidate.units[0]))
+        for direction in directions(evidence, fit):
+            columns = direction.columns
+            informed = {c: float(column @ column) / inflation.get(c, 1.0) for c, column in columns.items()}
+            # By the channel in which it shows most.
+            main = max(columns, key=informed.__getitem__)
+            # At the size of one standard deviation of the noise, within the bounds of the allowances.
+            length = max(float(np.linalg.norm(columns[main])), 1e-300)
+            effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
+            least = max(rules.RELEVANT, evidence.standard.form_error(main) if beside_form else 0.0)
+            smallest = smallest_detectable(sum(informed.values()), effect, least, evidence.standard.needed_gain)
+            if smallest is not None:
+                smallest = beyond_allowances(evidence, comparison, direction, smallest, least, inflation)
+            if smallest is not None:
+                out += direction.sizes(smallest)
     return tuple(out)
 
 
+def directions(evidence: Evidence, fit: Fit) -> list[Direction]:
+    """Return the directions in which an effect grows: by each parameter at its neutral value, or from there to its start.
+
+    Args:
+        evidence: the recording compared with the given model.
+        fit: the cause alone at its starting values, with its derivatives.
+    """
+    (cause,), rows = fit.hypothesis, sections(evidence.block, fit.channels)
+    if all(np.array_equal(fit.residuals.values[c], evidence.base.values[c]) for c in fit.channels):
+        found = [i for i, start in enumerate(fit.values) if start == cause.neutral[i] and np.any(fit.jacobian[:, i])]
+        # Another parameter may be what switches the effect on.
+        known = fit.steps if len(fit.values) > 1 else np.zeros(1)
+        steps, columns = np.eye(len(fit.values)), [{c: fit.jacobian[own, i] for c, own in rows.items()} for i in found]
+        return [Direction(cause, (i,), fit.values, steps[i], of, abs(known[i])) for i, of in zip(found, columns, strict=True)]
+    apart = fit.values - cause.neutral
+    size = float(np.max(np.abs(apart)))
+    if size == 0.0 or (len(apart) > 1 and (len(set(cause.units)) > 1 or np.any(cause.neutral))):
+        return []
+    change = {c: (fit.residuals.values[c] - evidence.base.values[c]) / size for c in fit.channels}
+    return [Direction(cause, tuple(range(len(apart))), cause.neutral, apart / size, change, size)]
+
+
 def beyond_allowances(
-    evidence: Evidence, comparison: Comparison, fit: Fit, smallest: float, least: float, inflation: Mapping[Channel, float]
-) -> float:
+    evidence: Evidence,
+    comparison: Comparison,
+    direction: Direction,
+    smallest: float,
+    least: float,
+    inflation: Mapping[Channel, float],
+) -> float | None:
     """Return the size that shows beyond the variation that is allowed within bounds.
 
     The residuals are not linear in it: within the bounds a change hardly counts, beyond them it does.
@@ -77,32 +159,70 @@ def beyond_allowances(
     Args:
         evidence: the recording compared with the given model.
         comparison: comparison of the calling thread.
-        fit: the cause alone at its neutral value, with its derivative.
+        direction: that of the effect.
         smallest: size that would show if residuals were linear.
         least: relevant rms, as a fraction of the largest term.
         inflation: divisor of each channel's losses.
-    """
-    allowed = {c: evidence.allowed[c] for c in fit.channels if c in evidence.allowed}
-    if not any(given.is_bounded for given in allowed.values()):
-        return smallest
-    candidate = fit.hypothesis[0]
-    step = float(np.clip(smallest, candidate.lower[0] - fit.values[0], candidate.upper[0] - fit.values[0]))
-    if step == 0.0:
-        return smallest
-    changed = extended(evidence.rig, fit.hypothesis, fit.values + step)
-    moved = evidence.residuals(comparison, changed).values
-    per_size = {c: (evidence.whole(c, moved[c]) - evidence.whole(c, evidence.base.values[c])) / step for c in fit.channels}
 
+    Returns:
+        The size; None for an effect with a threshold, which does not grow with it.
+    """
+
+    def shown_from(tried: float) -> float:
+        """Return the size that would show if the change at this size were in proportion to it."""
+        changed = extended(evidence.rig, (direction.cause,), direction.origin + tried * direction.step)
+        moved, base = evidence.residuals(comparison, changed).values, evidence.base.values
+        per_size = {c: (evidence.whole(c, moved[c]) - evidence.whole(c, base[c])) / tried for c in direction.columns}
+        return _shown_from(evidence, per_size, smallest, least, inflation)
+
+    tried = min(smallest, direction.largest)
+    if tried <= 0.0:
+        return smallest
+    if direction.known == 0.0:
+        bounded = any(evidence.allowed[c].is_bounded for c in direction.columns if c in evidence.allowed)
+        return shown_from(tried) if bounded else smallest
+    before = direction.known, smallest
+    for _ in range(RUNS):
+        shown = shown_from(tried)
+        if shown < GROWTH * tried < GROWTH**2 * shown:
+            return shown
+        power = _power(before, (tried, shown))
+        if not POWERS[0] < power < POWERS[1]:
+            break
+        size = tried * (shown / tried) ** (1.0 / power)
+        if tried == direction.largest < size:
+            return size
+        before, tried = (tried, shown), min(size, direction.largest)
+    return None
+
+
+def _power(before: tuple[float, float], now: tuple[float, float]) -> float:
+    """Return the power of its size with which a change grows, from two sizes; 1 if they are equal.
+
+    Args:
+        before: a size, and the one that would show if the change were in proportion to it.
+        now: another such pair.
+    """
+    (one, shows_one), (other, shows_other) = before, now
+    grown = math.log(other / one)
+    return (math.log(shows_one / one) - math.log(shows_other / other)) / grown if grown != 0.0 else 1.0
+
+
+def _shown_from(
+    evidence: Evidence, per_size: Mapping[Channel, Array], smallest: float, least: float, inflation: Mapping[Channel, float]
+) -> float:
+    """Return the size from which a change in proportion to it shows, with the allowances for its true size."""
     needed = needed_sigmas(evidence.standard.needed_gain)
 
     def shows_at(size: float) -> bool:
         information, relevant = 0.0, 0.0
         for c, column in per_size.items():
-            change = size * column
-            seen, beyond = (allowed[c].whitened(change), allowed[c].beyond(change)) if c in allowed else (change, change)
+            change, given = size * column, evidence.allowed.get(c)
+            seen = change if given is None else given.whitened(change)
+            beyond = given.beyond(change) if given is not None and given.is_bounded else change
             information += float(seen @ seen) / inflation.get(c, 1.0)
             relevant = max(relevant, evidence.nrmse(c, beyond))
-        return information >= needed**2 and relevant >= least
+        return information >= (1.0 - ROUNDING) * needed**2 and relevant >= (1.0 - ROUNDING) * least
 
     # From the size that would show if nothing were allowed.
     certain = sum(float(column @ column) / inflation.get(c, 1.0) for c, column in per_size.items())

@@ -213,8 +213,8 @@ def _sensitivity(found: Diagnosis) -> list[str]:
     if items:
         blocks.append(
             page.paragraph(
-                "The smallest size at which nine of ten such recordings reveal an effect, for effects that enter smoothly and"
-                " were not named. For effects with a threshold, such as play or a stop, no such size can be predicted."
+                "The smallest size at which nine of ten such recordings reveal an effect, for effects that grow with their size"
+                " and were not named. For effects with a threshold, such as a stop, no such size can be predicted."
             )
         )
         # Several forms of an effect give the same result for a parameter they share.

@@ -350,15 +350,17 @@ def test_the_smallest_detectable_size(information, effect, expected):
     assert smallest_detectable(information, effect) == pytest.approx(expected)
 
 
-def test_only_smooth_effects_of_one_parameter_have_a_smallest_size():
+def test_an_effect_that_grows_from_its_neutral_value_has_a_smallest_size():
     evidence = evidence_of({"force": np.zeros(100)})
-    one, two = candidate("mass_shift", "factor"), candidate("stribeck_shift", "static_offset", "velocity_factor")
+    one, two = candidate("mass_shift", "factor"), candidate("mass_shift", "factor", "other")
     smooth = assessed((one,), {"force": np.zeros(100)}, [0.0]).fit._replace(jacobian=np.full((100, 1), 2.0))
+    # It changes nothing.
     away = smooth._replace(values=np.array([0.5]))
+    # Another form tells the size of the effect alone.
     many = assessed((two,), {"force": np.zeros(100)}, [0.0, 0.0]).fit._replace(jacobian=np.full((100, 2), 2.0))
     bounded = candidate("mass_shift", "factor", lower=-1.0, upper=1.0)
     out_of_reach = smooth._replace(hypothesis=(bounded,), jacobian=np.full((100, 1), 1e-20))
-    found, unreachable = sensitivities(evidence, [smooth, away, many, out_of_reach], {"force": 1.0})
+    found, unreachable = sensitivities(evidence, [many, smooth, away, out_of_reach], {"force": 1.0})
     # Told all the same: no size within the range would have shown.
     assert unreachable.smallest > 1.0
     assert (found.name, found.parameter, found.unit) == ("mass_shift", "factor", "1")

@@ -84,6 +84,51 @@ def test_a_size_that_measurement_errors_may_have_is_not_said_to_show(monkeypatch
     assert alone.smallest == pytest.approx(excitation.needed_sigmas(rules.NEEDED_GAIN) / np.linalg.norm(slope))
 
 
+@dataclass(frozen=True)
+class Grown(Evidence):
+    """Evidence whose residuals grow like a power of one parameter, which stands for the rig."""
+
+    power: float = 1.0
+
+    def comparison(self):
+        return None
+
+    def residuals(self, comparison, rig, known=None):
+        return Residuals({"force": 2.0 * rig**self.power * UNIT})
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("start", [0.01, 5.0])
+def test_the_size_of_an_effect_that_is_not_smooth_is_sought(monkeypatch, power, start):
+    monkeypatch.setattr(excitation, "extended", lambda rig, hypothesis, values: float(values[0]))
+    known = Grown(**vars(evidence_of({"force": np.zeros(WINDOWS)})), power=power)
+    gap = candidate("hinge_backlash", "gap", lower=0.0)
+    fit = Fit((gap,), np.array([start]), ("force",), known.residuals(None, start), np.ones((WINDOWS, 1)), 0.0, np.ones(1))
+    (found,) = excitation.sensitivities(known, [fit], {})
+    needed = excitation.needed_sigmas(rules.NEEDED_GAIN)
+    assert found.smallest == pytest.approx((needed / 2.0) ** (1.0 / power), rel=0.25)
+
+
+def test_each_parameter_of_an_effect_without_a_simpler_form_has_a_smallest_size(monkeypatch):
+    monkeypatch.setattr(excitation, "extended", lambda rig, hypothesis, values: float(values @ [1.0, 2.0, 0.0]))
+    known = Grown(**vars(evidence_of({"force": np.zeros(WINDOWS)})))
+    gains = candidate("valve_gain_asymmetry", "command_positive", "command_negative", "unused")
+    slopes = np.column_stack([2.0 * UNIT, 4.0 * UNIT, np.zeros(WINDOWS)])
+    fit = Fit((gains,), np.zeros(3), ("force",), known.base, slopes, 0.0, np.full(3, 1e-3))
+    positive, negative = excitation.sensitivities(known, [fit], {})
+    assert (positive.parameter, negative.parameter) == ("command_positive", "command_negative")
+    assert positive.smallest == pytest.approx(2.0 * negative.smallest)
+    assert positive.smallest == pytest.approx(excitation.needed_sigmas(rules.NEEDED_GAIN) / 2.0)
+
+
+def test_an_effect_that_shrinks_as_its_parameter_grows_has_no_size(monkeypatch):
+    monkeypatch.setattr(excitation, "extended", lambda rig, hypothesis, values: float(values[0]))
+    known = Grown(**vars(evidence_of({"force": np.zeros(WINDOWS)})), power=-1.0)
+    valve = candidate("valve_second_order", "natural_frequency", lower=0.0, upper=10.0)
+    fit = Fit((valve,), np.array([5.0]), ("force",), known.residuals(None, 5.0), np.ones((WINDOWS, 1)), 0.0, np.ones(1))
+    assert excitation.sensitivities(known, [fit], {}) == ()
+
+
 def test_independent_allowances_add_their_variances_and_are_bounded_only_together():
     both = together([allowance(30.0), allowance(40.0)])
     np.testing.assert_allclose(both.whitening(np.ones(WINDOWS)).deviations, [math.hypot(50.0, 1.0)], rtol=1e-9)
