@@ -76,7 +76,9 @@ def judge(row: Row) -> Judgement:
     ]
     verdict = ours["verdict"]
     if kind == "nothing":
-        first = right = lenient = exact = verdict == "consistent"
+        first = right = exact = verdict == "consistent"
+        # To judge nothing, with the reason, is no alarm.
+        lenient = verdict in ("consistent", "insufficient")
     elif kind in ("singles", "pairs"):
         first = verdict in NAMED and (hidden[0] in classes[0] if kind == "singles" else len(true) == len(hidden))
         right = lenient = first and not not_there
@@ -132,15 +134,23 @@ def peer_right(row: Row, named: list[str]) -> bool:
 
 
 def below_power(row: Row) -> bool:
-    """Return whether all that is named is right, and each hidden effect not named is below the size said to be detectable."""
-    if row.get("ours", {}).get("verdict") not in ("consistent", "effect"):
+    """Return whether all that is named is right, and each hidden effect not named is rightly said not to be seen.
+
+    It is below the size said to be detectable, or shows only in stages of which the answer says why they are not judged.
+    """
+    if row.get("ours", {}).get("verdict") not in ("consistent", "effect", "insufficient"):
         return False
     causes = row["ours"]["causes"]
     classes = [{c["name"], *c["equivalent_to"]} for c in causes]
     if len(matched([c["name"] for c in causes], classes, list(row["hidden"]))) < len(causes):
         return False
     missed = [name for name in row["hidden"] if not any(name in names for names in classes)]
-    return all(_below(row, name) for name in missed)
+    return all(_below(row, name) or _not_judged(row, name) for name in missed)
+
+
+def _not_judged(row: Row, name: str) -> bool:
+    told = {text.partition(":")[0] for text in row["ours"]["missing"]}
+    return {stage for stage, seen in row["visibility"].get(name, {}).items() if seen >= SHOWS} <= told
 
 
 def _below(row: Row, name: str) -> bool:

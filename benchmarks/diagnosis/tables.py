@@ -108,7 +108,8 @@ def hard_headline(exam: str, judged: Judged, of: dict[str, Judged]) -> Table:
         row("  or the other rightly said to be too small to be seen", [j.right or below_power(r) for r, j in pair])
     row("confident wrong name", [j.confident_wrong for _, j in judged], None, confident)
     if nothing:
-        row("nothing hidden: false alarms", [not j.right for _, j in nothing], None, 0.01)
+        row("nothing hidden: false alarms", [not j.lenient for _, j in nothing], None, 0.01)
+        row("  not judged, with the reason", [j.lenient and not j.right for _, j in nothing])
     for verdict in ("consistent", "unknown", "insufficient", "partial", "effect"):
         row(f"  verdict {verdict}, with something hidden", [r.get("ours", {}).get("verdict") == verdict for r, _ in single])
     off = [value for r, _ in single if (value := closed_off(r)) is not None]

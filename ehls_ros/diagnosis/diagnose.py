@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from contextlib import closing
 from functools import cache, partial
 
@@ -61,8 +61,9 @@ def diagnose(
     progress("reading the recording", 0.0)
     record = prepare(trajectory, rig, name)
     compared = setup(record, rig)
-    evidence = standard.judged(gather(record, rig, compared, seed)) if compared.channels else None
-    if evidence is None or not evidence.channels:
+    every = gather(record, rig, compared, seed) if compared.channels else None
+    evidence = None if every is None else standard.judged(every)
+    if every is None or evidence is None or not evidence.channels:
         return _nothing_recorded(record, rig, compared if evidence is None else evidence.setup, seed, began)
     main = main_channel(evidence.channels)
     lines = lines_left(evidence, evidence.base.values[main])
@@ -80,7 +81,8 @@ def diagnose(
         keys = [fit for fit in found.screened if fit.hypothesis[0].name in {name for name, _ in KEYS.values()}]
         shown = sensitivities(evidence, keys, evidence.correlation, beside_form=False)
         full, found_in_full = with_allowances(evidence, found)
-        findings = _findings(full, shown, remainders(full, found_in_full))
+        recorded = {CHANNELS[c] for c in every.channels}
+        findings = _findings(full, recorded, shown, remainders(full, found_in_full))
         named = causes(full, found_in_full, seed)
         needed = evidence.standard.excitation_needed
         verdict, unknown = decide(findings, [cause.stage for cause in named], excitation_needed=needed)
@@ -130,11 +132,17 @@ def diagnose(
     )
 
 
-def _findings(evidence: Evidence, sizes: Sequence[Sensitivity], left: Sequence[Remainder]) -> dict[Stage, Finding]:
+def _findings(
+    evidence: Evidence, recorded: Container[Stage], sizes: Sequence[Sensitivity], left: Sequence[Remainder]
+) -> dict[Stage, Finding]:
     slid = sliding(evidence)
     largest = evidence.standard.largest_undetected
     return {
-        stage: Finding(tuple(item for item in left if CHANNELS[item.channel] == stage), excited(stage, sizes, slid, largest))
+        stage: Finding(
+            tuple(item for item in left if CHANNELS[item.channel] == stage),
+            excited(stage, sizes, slid, largest),
+            stage in recorded,
+        )
         for stage in STAGES
     }
 

@@ -30,12 +30,14 @@ class Finding(NamedTuple):
     """Findings for one stage.
 
     Attributes:
-        remainders: remainder of each of its channels; empty if none was recorded.
+        remainders: remainder of each of its channels that the standard can judge.
         excited: whether the data could show an error.
+        recorded: whether its signals were recorded.
     """
 
     remainders: tuple[Remainder, ...]
     excited: bool
+    recorded: bool = True
 
     @property
     def judged(self) -> bool:
@@ -85,10 +87,10 @@ def enough_excited(findings: Mapping[Stage, Finding]) -> bool:
     Half of the recorded stages must be, and among them the force balance or the flow; the valve alone is enough if the forces
     were not recorded.
     """
-    recorded = [stage for stage in KEYS if findings[stage].remainders]
+    recorded = [stage for stage in KEYS if findings[stage].recorded]
     judged = [stage for stage in recorded if findings[stage].judged]
     balance = findings["force_balance"]
-    enough = balance.judged or findings["flow"].judged or (findings["valve"].judged and not balance.remainders)
+    enough = balance.judged or findings["flow"].judged or (findings["valve"].judged and not balance.recorded)
     return 2 * len(judged) >= len(recorded) and enough
 
 
@@ -139,4 +141,4 @@ def stage_result(
 
 def not_recorded(stage: Stage, why_not: str = "") -> StageResult:
     """Return the result of a stage that was not recorded, or that cannot be compared for the given reason."""
-    return stage_result(stage, Finding((), excited=False), {}, lambda channel: (), why_not)
+    return stage_result(stage, Finding((), excited=False, recorded=False), {}, lambda channel: (), why_not)

@@ -24,15 +24,16 @@ def since_sentence(found: Diagnosis) -> str:
     count = 0 if found.baseline is None else len(found.baseline.recordings)
     since = "the baseline" if count == 1 else f"the {count} baselines"
     judged = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if result.judged] or ["nothing"])
+    missing = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged])
     if found.verdict == "consistent":
-        return f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread.{visible(found)}"
+        text = f"Nothing has changed since {since}: {judged} differ by no more than noise and natural spread"
+        return (f"{text}; {missing} cannot be evaluated." if missing else f"{text}.") + visible(found)
     if found.names_causes:
         rest = rest_of(found) if found.verdict == "partial" else []
         return sentence_of([f"since {since}, {claims(found, 'then')}", *rest])
     if found.verdict == "unknown":
         where = "rig" if found.unknown_stage is None else STAGE_NAMES[found.unknown_stage]
         return f"Since {since}, the {where} has changed; the change {depends(found)}, and no known effect explains it."
-    missing = listed([STAGE_NAMES[stage] for stage, result in found.stages.items() if not result.judged])
     return f"The data are insufficient to find changes since {since}: {missing} cannot be evaluated."
 
 

@@ -43,7 +43,8 @@ CLEAN = {
     "valve": Finding((rest("spool"),), excited=True),
     "sensors": Finding((rest("cell"), rest("velocity")), excited=True),
 }
-NOTHING = Finding((), excited=False)
+NOTHING = Finding((), excited=False, recorded=False)
+NOT_COVERED = Finding((), excited=True)
 
 
 def still(stage):
@@ -112,10 +113,12 @@ VERDICTS = {
         ("insufficient", None),
     ),
     "what would show was not recorded": (
-        {"flow": Finding((), excited=True), "force_balance": still("force_balance")},
+        {"flow": Finding((), excited=True, recorded=False), "force_balance": still("force_balance")},
         [],
         ("insufficient", None),
     ),
+    "baselines cover the valve alone": ({"flow": NOT_COVERED, "force_balance": NOT_COVERED}, [], ("insufficient", None)),
+    "baselines do not cover the flow": ({"flow": NOT_COVERED}, [], ("consistent", None)),
     "only sensors were recorded": (dict.fromkeys(("flow", "valve", "force_balance"), NOTHING), [], ("insufficient", None)),
 }
 
