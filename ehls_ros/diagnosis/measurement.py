@@ -18,8 +18,9 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing
 from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.noise import without_noise
 from ehls_ros.diagnosis.record import HELD, Record
-from ehls_ros.diagnosis.stages import CHANNELS, Channel, Comparison, Stage, formed_of
+from ehls_ros.diagnosis.stages import CHANNELS, Channel, Comparison, Stage, formed_of, moved_by
 
 
 class BeyondMeasurement(Standard):
@@ -62,22 +63,24 @@ def measurement(evidence: Evidence) -> dict[Channel, Allowance]:
         evidence: the recording compared with the given model, without allowances.
     """
     record = evidence.record
-    late, off = {c: list[Array]() for c in evidence.channels}, {c: list[Array]() for c in evidence.channels}
+    late, bent, off = ({c: list[Array]() for c in evidence.channels} for _ in range(3))
+    given = {c: evidence.base.values[c] * evidence.floor[c] for c in evidence.channels}
     for signal, values in record.signals.items():
         seen = tuple(c for c in evidence.channels if signal in formed_of(record, c))
         # Skews are relative to the signal whose noise shows most: a direction containing a sensor's noise would also contain
         # the effect of a delay on that noise, and any delay would seem to help.
         moving = tuple(c for c in seen if signal != formed_of(record, c)[0])
         if moving:
-            sooner, later = (_residuals(evidence, signal, moved, moving) for moved in _moved(evidence.comparison(), signal))
+            sooner, later = (_residuals(evidence, signal, moved, moving) for moved in _moved(record, signal))
             for c in moving:
                 late[c].append(0.5 * (later[c] - sooner[c]))
+                bent[c].append(0.5 * (later[c] + sooner[c]) - given[c])
         if seen and signal not in HELD:
             offset = rules.OFFSET * float(np.quantile(np.abs(values), rules.RARE_QUANTILE))
             higher = _residuals(evidence, signal, values + offset, seen)
             for c in seen:
-                off[c].append(higher[c] - evidence.base.values[c] * evidence.floor[c])
-    return {c: _allowance(late[c], off[c], evidence.times[c]) for c in evidence.channels}
+                off[c].append(higher[c] - given[c])
+    return {c: _allowance(late[c], bent[c], off[c], evidence.times[c]) for c in evidence.channels}
 
 
 def allowed_for(evidence: Evidence, left: Mapping[Channel, Array]) -> str:
@@ -103,11 +106,12 @@ def allowed_for(evidence: Evidence, left: Mapping[Channel, Array]) -> str:
     return f"{allowances}; that explains {', '.join(parts)}" if parts else allowances
 
 
-def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> Allowance:
+def _allowance(late: Sequence[Array], bent: Sequence[Array], off: Sequence[Array], times: Array) -> Allowance:
     """Return the allowance for skews, drifts and offsets of one channel.
 
     Args:
         late: change of the residual by a delay of one original sample, for all signals but the reference.
+        bent: part of that change that is even in the delay, which shows in fast turns.
         off: change of the residual by each signal's offset.
         times: of the windows [s].
     """
@@ -115,7 +119,8 @@ def _allowance(late: Sequence[Array], off: Sequence[Array], times: Array) -> All
     # A skew common to all signals is unobservable: a late reference is equivalent to all others early.
     skews = rules.SKEW * np.column_stack([-np.sum([none, *late], axis=0), *late])
     drift = (times - times[0]) / max(float(np.ptp(times)), 1e-300) - 0.5
-    directions = np.column_stack([skews, skews * drift[:, None], *off])
+    bends = [rules.SKEW * even for even in bent]
+    directions = np.column_stack([skews, skews * drift[:, None], *bends, *off])
     return Allowance(none, directions[:, np.all(np.isfinite(directions), axis=0)], none, most=rules.MAX_ALLOWED)
 
 
@@ -126,20 +131,18 @@ def _residuals(evidence: Evidence, signal: str, values: Array, channels: tuple[C
     return {c: found[c][evidence.masks[c]] for c in channels}
 
 
-def _moved(comparison: Comparison, signal: str) -> Iterator[Array]:
+def _moved(record: Record, signal: str) -> Iterator[Array]:
     """Yield a signal advanced and delayed by one of its samples.
 
-    A signal without zero-order hold is shifted by the derivative of a local fit: a whole sample's shift would mix the noise of
-    neighbouring samples, and averaged noise would look like the right skew.
+    A measured signal is shifted by the derivative of a local fit: a whole sample's shift would mix the noise of neighbouring
+    samples, and averaged noise would look like the right skew. A commanded one has no noise, but steps that a fit would round.
     """
-    record: Record = comparison.record
     values, sample = record.signals[signal], record.sampled(signal)
-    if signal in HELD:
+    if signal in HELD or signal in without_noise(record):
         count = max(1, round(sample / record.period))
         ends = np.full(count, values[-1]), np.full(count, values[0])
         yield np.concatenate([values[count:], ends[0]])
         yield np.concatenate([ends[1], values[:-count]])
         return
-    rise = sample * comparison.local_fit(values, 1)
-    yield values + rise
-    yield values - rise
+    for by in (sample, -sample):
+        yield moved_by(record, signal, by)

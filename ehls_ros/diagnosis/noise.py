@@ -38,7 +38,7 @@ def deviations(record: Record) -> dict[str, Array]:
     With sampling jitter, noise grows with the signal's rate. The jitter is estimated from signals that move fast relative to
     their noise. Third differences of other signals contain more than noise, so their jitter is limited to that estimate.
     """
-    exact = {name for name in EXACT if name not in record.measured}
+    exact = without_noise(record)
     sampling = {
         name: _sampling(values, record)
         for name, values in record.signals.items()
@@ -52,8 +52,20 @@ def deviations(record: Record) -> dict[str, Array]:
         if found is not None and most > 0.0:
             jitter = min(found.jitter, most)
             level = found.steady if found.clear and jitter > 0.0 else level
-        out[name] = np.hypot(level, jitter * record.by_stretch(np.gradient, values))
+        out[name] = np.hypot(level, jitter * record.by_stretch(_steepest, values))
     return out
+
+
+def _steepest(values: Array) -> Array:
+    """Return the larger change of each sample from its two neighbours: a sample that is late by a whole one has that error."""
+    steps = np.abs(np.diff(values))
+    none = np.zeros(min(1, len(values)))
+    return np.maximum(np.concatenate([none, steps]), np.concatenate([steps, none]))
+
+
+def without_noise(record: Record) -> frozenset[str]:
+    """Return the signals that were commanded and not measured, which have no sensor's noise."""
+    return frozenset(name for name in EXACT if name not in record.measured)
 
 
 class Sampling(NamedTuple):

@@ -89,6 +89,12 @@ FINER = 4
 LENGTHENED = 20
 """Lengths of local fits differ by a tenth at most where they are longer than this."""
 
+RATE = 3, 1
+"""Degree and derivative of the local fit that gives a signal's rate."""
+
+FITS = {POSITION: RATE, VELOCITY: (2, 0)}
+"""Degree and derivative of the local fit that gives the velocity, by the signal it comes from."""
+
 KEPT_RUNS = 3
 """Runs of each part of the model that are kept for reuse."""
 
@@ -791,34 +797,74 @@ def _lacking(comparison: Comparison, rig: Rig) -> dict[Channel, list[str]]:
 
 
 def _velocity_fit(record: Record, longest_fit: float) -> tuple[int, bool]:
-    """Return the samples of the local fit of the motion, and whether velocities come from the velocity sensor.
+    """Return the samples of the local fit of the motion, and whether velocities come from the velocity sensor."""
+    sampled = record.sampled(POSITION, VELOCITY)
+    errors = {
+        (fit, signal == VELOCITY): error
+        for signal, polynomial in FITS.items()
+        if signal in record
+        for fit, error in _fit_errors(record, signal, polynomial, sampled, longest_fit).items()
+    }
+    fit, measured = (
+        min(errors, key=lambda choice: errors[choice]) if errors else (_longest(record, sampled, longest_fit), False)
+    )
+    return fit, measured and POSITION in record
+
+
+def moved_by(record: Record, signal: str, by: float) -> Array:
+    """Return a recorded signal at later times, to second order by the local fit that is best for its rate, shape (n,).
+
+    Args:
+        record: the recording.
+        signal: the signal.
+        by: how much later; negative is earlier [s].
+    """
+    errors = _fit_errors(record, signal, RATE, record.sampled(signal), rules.VELOCITY_FIT)
+    fit, values = min(errors, key=errors.__getitem__), record.values(signal)
+    rate, bend = (_filtered(record, values, local_row(fit, RATE[0], order, record.period)) for order in (1, 2))
+    moved: Array = values + by * rate + 0.5 * by**2 * bend
+    return moved
+
+
+def _fit_errors(
+    record: Record, signal: str, polynomial: tuple[int, int], sampled: float, longest_fit: float
+) -> dict[int, float]:
+    """Return the error power of a local fit to a signal by its samples.
 
     A short fit passes noise, and a long one rounds the turns of the velocity, and so the break-away of friction. Rounding shows
     in the difference from the shortest fit, as far as it exceeds that of their noise.
+
+    Args:
+        record: the recording.
+        signal: the signal.
+        polynomial: degree of the fit, and order of the derivative wanted.
+        sampled: its own sampling period [s].
+        longest_fit: longest fit [s].
     """
-    moved = record.sampled(POSITION, VELOCITY) / record.period
-    # Through four samples, a cubic interpolates.
-    shortest = 2 * round(2 * moved) + 1
-    longest = max(shortest, 2 * round(longest_fit / record.period / 2) + 1)
+    shortest, longest = _shortest(record, sampled), _longest(record, sampled, longest_fit)
     # A fit over the end of a stretch is none of the motion.
     inside = np.ones(len(record.time), dtype=np.bool_)
     for bound in record.bounds:
         inside[max(bound - longest, 0) : bound + longest] = False
-    errors = dict[tuple[int, bool], float]()
-    for measured in (False, True):
-        signal = VELOCITY if measured else POSITION
-        if signal not in record:
-            continue
-        detailed = _velocity(record, shortest, measured=measured)
-        shortest_row = _velocity_row(record, shortest, measured=measured)
-        for fit in _lengths(shortest, longest):
-            row = _velocity_row(record, fit, measured=measured)
-            apart = row - np.pad(shortest_row, (fit - shortest) // 2)
-            variance, difference = record.noise[signal] ** 2, (_velocity(record, fit, measured=measured) - detailed)[inside]
-            rounded = max(0.0, float(np.mean(difference**2)) - variance * float(apart @ apart)) if difference.size else 0.0
-            errors[fit, measured] = rounded + variance * float(row @ row)
-    fit, measured = min(errors, key=lambda choice: errors[choice]) if errors else (longest, False)
-    return fit, measured and POSITION in record
+    values, variance = record.values(signal), record.noise[signal] ** 2
+    shortest_row = local_row(shortest, *polynomial, record.period)
+    detailed, errors = _filtered(record, values, shortest_row), dict[int, float]()
+    for fit in _lengths(shortest, longest):
+        row = local_row(fit, *polynomial, record.period)
+        apart = row - np.pad(shortest_row, (fit - shortest) // 2)
+        difference = (_filtered(record, values, row) - detailed)[inside]
+        rounded = max(0.0, float(np.mean(difference**2)) - variance * float(apart @ apart)) if difference.size else 0.0
+        errors[fit] = rounded + variance * float(row @ row)
+    return errors
+
+
+def _shortest(record: Record, sampled: float) -> int:
+    """Return the fewest samples of a local fit; through four of a signal's own, a cubic interpolates."""
+    return 2 * round(2 * sampled / record.period) + 1
+
+
+def _longest(record: Record, sampled: float, longest_fit: float) -> int:
+    return max(_shortest(record, sampled), 2 * round(longest_fit / record.period / 2) + 1)
 
 
 def _lengths(shortest: int, longest: int) -> list[int]:
@@ -835,7 +881,7 @@ def _velocity(record: Record, fit: int, *, measured: bool) -> Array:
 
 
 def _velocity_row(record: Record, fit: int, *, measured: bool) -> Array:
-    return local_row(fit, 2, 0, record.period) if measured else local_row(fit, 3, 1, record.period)
+    return local_row(fit, *FITS[VELOCITY if measured else POSITION], record.period)
 
 
 def _filtered(record: Record, values: Array, row: Array) -> Array:
