@@ -26,6 +26,9 @@ noise, as a fraction of its standard deviation."""
 BESIDE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 """Weights of the two samples on either side of a sample in the cubic through them."""
 
+BENT = 0.1
+"""Distance of the neighbours from their curve, relative to that of a lone sample; at a corner it is 0.17, at a gap 0.3."""
+
 RARE = 0.005
 """Fraction up to which lone samples are left out; more of them are noise, or jitter of the sampling."""
 
@@ -80,7 +83,7 @@ def _lone(values: Array) -> Mask:
     padded = np.pad(off, reach)
     for shift, weight in enumerate(BESIDE):
         if weight != 0.0:
-            out &= np.abs(padded[shift : shift + len(off)] + weight * off) <= limit
+            out &= np.abs(padded[shift : shift + len(off)] + weight * off) <= BENT * sizes
     return out
 
 

@@ -52,15 +52,8 @@ def deviations(record: Record) -> dict[str, Array]:
         if found is not None and most > 0.0:
             jitter = min(found.jitter, most)
             level = found.steady if found.clear and jitter > 0.0 else level
-        out[name] = np.hypot(level, jitter * record.by_stretch(_steepest, values))
+        out[name] = np.hypot(level, jitter * record.by_stretch(np.gradient, values))
     return out
-
-
-def _steepest(values: Array) -> Array:
-    """Return the larger change of each sample from its two neighbours: a sample that is late by a whole one has that error."""
-    steps = np.abs(np.diff(values))
-    none = np.zeros(min(1, len(values)))
-    return np.maximum(np.concatenate([none, steps]), np.concatenate([steps, none]))
 
 
 def without_noise(record: Record) -> frozenset[str]:

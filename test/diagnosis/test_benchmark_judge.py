@@ -31,7 +31,7 @@ def row(hidden, causes, verdict="effect", exam="clean", kind=None, share=None, c
         "visibility": {name: {"force_balance": 9.0} for name in hidden}, "appears_in": dict.fromkeys(hidden, "force_balance"),
         "ours": {
             "verdict": verdict, "causes": causes, "partial": [], "unknown_stage": "force_balance", "stages": {}, "wall_s": 1.0,
-            "gain": {"closed_fraction": closed, "ci95": [closed - 0.1, closed + 0.1]},
+            "gain": {"closed_fraction": closed, "ci95": [closed - 0.1, closed + 0.1]}, "missing": [],
         },
     }  # fmt: skip
 
@@ -68,8 +68,24 @@ def test_a_pair_with_a_third_cause_is_wrong_and_one_with_both_is_right():
 def test_a_missed_effect_counts_as_too_small_if_the_answer_says_so_and_names_nothing_wrong(named, detectable, rightly):
     answer = row(["mass_shift", "valve_null_bias"], [cause(name) for name in named])
     answer["natural"] = {"mass_shift": {"factor": 1.5}, "valve_null_bias": {"bias": 2e-6, "site": "ports"}}
-    answer["ours"]["sensitivities"] = [("mass_shift", "factor", 1.1), ("valve_null_bias", "opening", detectable * 1e-6)]
+    answer["ours"]["sensitivities"] = [("mass_shift", "factor", 0.1), ("valve_null_bias", "opening", detectable * 1e-6)]
     assert below_power(answer) is rightly
+
+
+def test_an_effect_in_a_stage_that_is_not_judged_is_rightly_not_named():
+    answer = row(["mass_shift"], [], verdict="insufficient")
+    assert not below_power(answer)
+    answer["ours"]["missing"] = ["force_balance: no baseline has its signals"]
+    assert below_power(answer)
+    answer["visibility"]["mass_shift"]["flow"] = 5.0
+    assert not below_power(answer)
+
+
+def test_not_to_judge_a_healthy_recording_is_no_alarm():
+    verdicts = {verdict: judge(row([], [], verdict=verdict)) for verdict in ("consistent", "insufficient", "unknown")}
+    assert {verdict: (j.right, j.lenient) for verdict, j in verdicts.items()} == {
+        "consistent": (True, True), "insufficient": (False, True), "unknown": (False, False),
+    }  # fmt: skip
 
 
 def test_a_second_name_for_the_same_cause_is_one_too_many():

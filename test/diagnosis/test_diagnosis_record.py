@@ -94,6 +94,25 @@ def test_a_short_oscillation_is_no_outlier(rig):
     assert len(out) <= 4
 
 
+@pytest.mark.parametrize("late", [-1, 1])
+def test_a_sample_repeated_or_skipped_in_fast_motion_is_left_out(late, rig):
+    t, signals = plain()
+    position = 0.2 * np.sin(3.0 * t) + 2e-6 * np.random.default_rng(5).standard_normal(len(t))
+    taken = np.array([400, 1350, 2000, 3100])
+    read = position.copy()
+    read[taken] = position[taken + late]
+    r = prepare(Trajectory(t, signals | {"position_m": read}), rig, "it")
+    # There it moves by 0.2 to 0.6 mm a sample.
+    np.testing.assert_allclose(r.signals["position_m"], position, atol=1.2e-5)
+
+
+def test_corners_are_no_outliers(rig):
+    t, signals = plain()
+    position = 0.2 * np.abs(np.mod(t, 1.0) - 0.5) + 2e-6 * np.random.default_rng(6).standard_normal(len(t))
+    r = prepare(Trajectory(t, signals | {"position_m": position}), rig, "it")
+    np.testing.assert_allclose(r.signals["position_m"], position, atol=1e-9)
+
+
 def test_lone_spikes_of_a_command_go_and_its_steps_stay(rig):
     t, signals = plain()
     command = np.repeat(1e-4 * np.random.default_rng(2).integers(-3, 4, 40), 100).astype(float)
