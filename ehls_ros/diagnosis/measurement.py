@@ -1,11 +1,12 @@
-"""Allowances for measurement errors: skew between channels, clock drift and converter offsets.
+"""Allowances for measurement errors: skew between channels, clock drift, converter offsets, and noise that lasts.
 
 No two channels of a recorder are sampled at the same instant. Filters delay one more than another, a multiplexer reads them in
 turn, clocks drift apart, and a converter's zero is only as good as its data sheet. A skew of half a sample between the recorded
 and the acting disturbance leaves a residual far above the noise, which some effect of that frequency would explain.
 
 Each signal may therefore be late by up to one of its samples, with a drift over the recording, and its zero may be off. The
-skew of one signal in two channels is two separate allowances, so that an error in one stage does not spread to others.
+skew of one signal in two channels is two separate allowances, so that an error in one stage does not spread to others. Noise
+that a model remembers is allowed for as an offset of its windows.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,6 +19,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing
 from ehls_ros.diagnosis.loss import power
+from ehls_ros.diagnosis.memory import remembered
 from ehls_ros.diagnosis.noise import without_noise
 from ehls_ros.diagnosis.record import HELD, Record
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Comparison, Stage, formed_of, moved_by
@@ -80,6 +82,9 @@ def measurement(evidence: Evidence) -> dict[Channel, Allowance]:
             higher = _residuals(evidence, signal, values + offset, seen)
             for c in seen:
                 off[c].append(higher[c] - given[c])
+    for c in evidence.channels:
+        lasting = remembered([more[c] for more in evidence.added], evidence.times[c])
+        off[c] += [deviation * evidence.floor[c] for deviation in lasting]
     return {c: _allowance(late[c], bent[c], off[c], evidence.times[c]) for c in evidence.channels}
 
 
@@ -95,7 +100,8 @@ def allowed_for(evidence: Evidence, left: Mapping[Channel, Array]) -> str:
     sample = " to ".join(f"{value:.3g}" for value in dict.fromkeys(samples))
     allowances = (
         f"allowed for: signals late or early by up to a sample ({sample} ms) against each other, and drifting;"
-        f" zeros off by up to {100.0 * rules.MAX_ALLOWED * rules.OFFSET:.2g} % of their signals"
+        f" zeros off by up to {100.0 * rules.MAX_ALLOWED * rules.OFFSET:.2g} % of their signals; noise that lasts until"
+        " friction slides again"
     )
     explained = dict[Stage, float]()
     for c, e in left.items():
@@ -112,7 +118,7 @@ def _allowance(late: Sequence[Array], bent: Sequence[Array], off: Sequence[Array
     Args:
         late: change of the residual by a delay of one original sample, for all signals but the reference.
         bent: part of that change that is even in the delay, which shows in fast turns.
-        off: change of the residual by each signal's offset.
+        off: change of the residual by each signal's offset, and by each error that the model remembers.
         times: of the windows [s].
     """
     none = np.zeros(len(times))
