@@ -131,15 +131,6 @@ OFFSET = 3e-4
 Origin: data sheets of 12-bit converters state some units of 1 / 4096 at most.
 """
 
-REMEMBERED_WINDOWS = 20
-"""Windows over which noise is averaged where a model may remember it."""
-
-REMEMBERED = 2.5
-"""Variance of that mean, in multiples of that of independent windows, from which they have one error.
-
-Origin: in residuals without memory it is 1.1 at most in 99 of 100 windows.
-"""
-
 MAX_ALLOWED = 3.0
 """Standard deviations up to which a deviation may be chance: a fault-free error of the measurement, a bend within noise."""
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.memory import remembered
+from ehls_ros.diagnosis.memory import LENGTH, remembered
 
 COUNT, REALISATIONS = 2000, 8
 STEP = 0.013
@@ -28,12 +27,12 @@ def test_an_error_that_lasts_has_its_windows_and_its_size():
     spans = ((300, 400), (900, 1100))
     for begin, end in spans:
         added[:, begin:end] += 3.0 * rng.standard_normal((REALISATIONS, 1))
-    found = [one for one in remembered(list(added), TIMES) if np.count_nonzero(one) > rules.REMEMBERED_WINDOWS]
+    found = [one for one in remembered(list(added), TIMES) if np.count_nonzero(one) > LENGTH]
     assert len(found) == len(spans)
     for one, (begin, end) in zip(found, spans, strict=True):
         inside = np.flatnonzero(one)
-        assert abs(inside[0] - begin) <= rules.REMEMBERED_WINDOWS
-        assert abs(inside[-1] - end) <= rules.REMEMBERED_WINDOWS
+        assert abs(inside[0] - begin) <= LENGTH
+        assert abs(inside[-1] - end) <= LENGTH
         # Of eight realisations.
         assert np.median(one[begin + 20 : end - 20]) == pytest.approx(3.0, rel=0.5)
 
@@ -42,7 +41,7 @@ def test_a_pause_separates_errors():
     added = white(9)
     added[:, 300:500] += 3.0 * np.random.default_rng(10).standard_normal((REALISATIONS, 1))
     times = TIMES + np.where(np.arange(COUNT) >= 400, 100.0, 0.0)
-    found = [one for one in remembered(list(added), times) if np.count_nonzero(one) > rules.REMEMBERED_WINDOWS]
+    found = [one for one in remembered(list(added), times) if np.count_nonzero(one) > LENGTH]
     assert [np.count_nonzero(one[:400]) > 0 for one in found] == [True, False]
 
 
