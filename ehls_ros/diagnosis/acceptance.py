@@ -41,7 +41,7 @@ def _explains(
     beside = main in less.fit.channels
     apart = differences(evidence, more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
-    beyond = {c: e for c, e in apart.items() if exceeds_form(evidence, c, more, less)}
+    beyond = beyond_form(evidence, apart)
     matters = relevance(evidence, beyond) >= (rules.RELEVANT_BESIDE if beside else rules.RELEVANT)
     clear = not less.names and shows(beyond.values(), rules.CLEAR)
     if gain < standard.needed_gain or not (matters or clear) or not (beside or shows(apart.values())):
@@ -85,13 +85,9 @@ def differences(evidence: Evidence, more: Assessment, less: Assessment) -> dict[
     return {c: evidence.standard.difference(evidence, c, one[c], other[c]) for c in evidence.channels}
 
 
-def exceeds_form(evidence: Evidence, channel: Channel, more: Assessment, less: Assessment) -> bool:
-    """Return whether two hypotheses differ in a channel by more than the form errors that cannot be told from a change.
-
-    Variation that is allowed for counts as little here as in those.
-    """
-    change = more.fit.residuals.values[channel] - less.fit.residuals.values[channel]
-    return evidence.nrmse(channel, change) >= evidence.standard.form_error(channel)
+def beyond_form(evidence: Evidence, apart: Mapping[Channel, Array]) -> dict[Channel, Array]:
+    """Return the differences in the channels where they exceed the form errors that cannot be told from a change."""
+    return {c: e for c, e in apart.items() if relevance(evidence, {c: e}) >= evidence.standard.form_error(c)}
 
 
 def relevance(evidence: Evidence, apart: Mapping[Channel, Array]) -> float:

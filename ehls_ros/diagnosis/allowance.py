@@ -35,16 +35,6 @@ class Allowance(NamedTuple):
     correlated: float = 1.0
     most: float = math.inf
 
-    def correlation(self, floor: Array) -> float:
-        """Return the number of windows over which residuals with this allowance are correlated.
-
-        A mean over correlated windows scatters more than one over windows of noise.
-
-        Args:
-            floor: noise floor of each window, the allowance's variance included, shape (n,).
-        """
-        return 1.0 + float(np.median((self.correlated - 1.0) * self.variance / floor**2))
-
     def whitening(self, floor: Array, correlation: float = 1.0) -> "Allowed":
         """Return the allowance prepared for residuals divided by a noise floor.
 

@@ -289,7 +289,9 @@ def allowing(evidence: Evidence, allowances: Mapping[Channel, Allowance], standa
     channels = tuple(c for c in evidence.channels if c in allowances)
     floor = {c: np.sqrt(evidence.floor[c] ** 2 + allowances[c].variance) for c in channels}
     unexpected = {c: evidence.base.values[c] - allowances[c].mean / evidence.floor[c] for c in channels}
-    correlation = {c: allowances[c].correlation(floor[c]) for c in channels}
+    # A mean over correlated windows scatters more than one over windows of noise.
+    more = {c: (allowances[c].correlated - 1.0) * allowances[c].variance / floor[c] ** 2 for c in channels}
+    correlation = {c: 1.0 + float(np.median(more[c])) for c in channels}
     base = Residuals(unexpected, evidence.base.depends)
     judged = replace(evidence, channels=channels, base=base, allowances=allowances, standard=standard)
     return measured_in(judged, floor, correlation)

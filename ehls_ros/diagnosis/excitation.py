@@ -113,11 +113,10 @@ def sensitivities(
             # At the size of one standard deviation of the noise, within the bounds of the allowances.
             length = max(float(np.linalg.norm(columns[main])), 1e-300)
             effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
-            smallest = smallest_detectable(sum(informed.values()), effect, evidence.standard.needed_gain)
-            if smallest is not None and beside_form:
-                smallest = max(smallest, evidence.standard.form_error(main) / max(evidence.nrmse(main, columns[main]), 1e-300))
+            least = max(rules.RELEVANT, evidence.standard.form_error(main) if beside_form else 0.0)
+            smallest = smallest_detectable(sum(informed.values()), effect, least, evidence.standard.needed_gain)
             if smallest is not None:
-                smallest = beyond_allowances(evidence, comparison, direction, smallest, inflation)
+                smallest = beyond_allowances(evidence, comparison, direction, smallest, least, inflation)
             if smallest is not None:
                 out += direction.sizes(smallest)
     return tuple(out)
@@ -150,6 +149,7 @@ def beyond_allowances(
     comparison: Comparison,
     direction: Direction,
     smallest: float,
+    least: float,
     inflation: Mapping[Channel, float],
 ) -> float | None:
     """Return the size that shows beyond the variation that is allowed within bounds.
@@ -161,6 +161,7 @@ def beyond_allowances(
         comparison: comparison of the calling thread.
         direction: that of the effect.
         smallest: size that would show if residuals were linear.
+        least: relevant rms, as a fraction of the largest term.
         inflation: divisor of each channel's losses.
 
     Returns:
@@ -172,7 +173,7 @@ def beyond_allowances(
         changed = extended(evidence.rig, (direction.cause,), direction.origin + tried * direction.step)
         moved, base = evidence.residuals(comparison, changed).values, evidence.base.values
         per_size = {c: (evidence.whole(c, moved[c]) - evidence.whole(c, base[c])) / tried for c in direction.columns}
-        return _shown_from(evidence, per_size, smallest, inflation)
+        return _shown_from(evidence, per_size, smallest, least, inflation)
 
     tried = min(smallest, direction.largest)
     if tried <= 0.0:
@@ -208,21 +209,20 @@ def _power(before: tuple[float, float], now: tuple[float, float]) -> float:
 
 
 def _shown_from(
-    evidence: Evidence, per_size: Mapping[Channel, Array], smallest: float, inflation: Mapping[Channel, float]
+    evidence: Evidence, per_size: Mapping[Channel, Array], smallest: float, least: float, inflation: Mapping[Channel, float]
 ) -> float:
     """Return the size from which a change in proportion to it shows, with the allowances for its true size."""
     needed = needed_sigmas(evidence.standard.needed_gain)
 
     def shows_at(size: float) -> bool:
-        information, relevant = 0.0, False
+        information, relevant = 0.0, 0.0
         for c, column in per_size.items():
             change, given = size * column, evidence.allowed.get(c)
             seen = change if given is None else given.whitened(change)
             beyond = given.beyond(change) if given is not None and given.is_bounded else change
             information += float(seen @ seen) / inflation.get(c, 1.0)
-            matters = evidence.nrmse(c, beyond) >= (1.0 - ROUNDING) * rules.RELEVANT
-            relevant |= matters and evidence.nrmse(c, seen) >= (1.0 - ROUNDING) * evidence.standard.form_error(c)
-        return relevant and information >= (1.0 - ROUNDING) * needed**2
+            relevant = max(relevant, evidence.nrmse(c, beyond))
+        return information >= (1.0 - ROUNDING) * needed**2 and relevant >= (1.0 - ROUNDING) * least
 
     # From the size that would show if nothing were allowed.
     certain = sum(float(column @ column) / inflation.get(c, 1.0) for c, column in per_size.items())
@@ -242,12 +242,15 @@ def needed_sigmas(gain: float) -> float:
     return max(rules.MIN_SIGMAS, math.sqrt(2.0 * gain)) + NINE_OF_TEN
 
 
-def smallest_detectable(information: float, effect: float, gain: float = rules.NEEDED_GAIN) -> float | None:
+def smallest_detectable(
+    information: float, effect: float, least: float = rules.RELEVANT, gain: float = rules.NEEDED_GAIN
+) -> float | None:
     """Return the smallest parameter that is significant, gains enough and is relevant, in nine of ten recordings.
 
     Args:
         information: sum of squared derivatives of the whitened residuals.
         effect: derivative of the balance's rms, as a fraction of its largest term.
+        least: relevant rms, as the same fraction.
         gain: needed gain [nat].
 
     Returns:
@@ -256,7 +259,7 @@ def smallest_detectable(information: float, effect: float, gain: float = rules.N
     if information <= 0.0:
         return None
     smallest = needed_sigmas(gain) / math.sqrt(information)
-    return max(smallest, rules.RELEVANT / effect) if effect > 0.0 else smallest
+    return max(smallest, least / effect) if effect > 0.0 else smallest
 
 
 def mass_observable(evidence: Evidence) -> bool:

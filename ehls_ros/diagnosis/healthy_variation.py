@@ -164,8 +164,8 @@ class ChannelRemainder(NamedTuple):
     Attributes:
         terms: its components.
         learnt: the learnt discrepancy.
-        transfer: rms error of its expectation beyond noise and its own uncertainty in a recording that it was not learnt from,
-            as a fraction of the largest term.
+        transfer: rms error of its expectation beyond noise in a recording that it was not learnt from, as a fraction of the
+            largest term.
         elsewhere: the same in a recording of another programme.
         ranges: quantiles of the signals in each baseline, by its name, shape (quantiles, signals).
     """
@@ -193,17 +193,11 @@ class ChannelRemainder(NamedTuple):
         )
 
     def _unexpected(self, own: Mask) -> float:
-        """Return the rms by which some of the windows differ from their expectation from the others, beyond its uncertainty."""
+        """Return the rms beyond noise by which some of the windows differ from their expectation from the others."""
         windows, rest = self.learnt.windows.where(own), self.learnt.windows.where(~own)
         expected = self._replace(learnt=self.learnt._replace(windows=rest)).expected(windows)
         near = np.isfinite(expected.variance)
-        if not np.any(near):
-            return 0.0
-        off, variance = (windows.residual - expected.mean)[near], expected.variance[near]
-        uncertain = Allowance(np.zeros(len(off)), expected.directions[near], variance, self.learnt.together)
-        floor = np.sqrt(windows.noise[near] ** 2 + variance)
-        counted = uncertain.whitening(floor, uncertain.correlation(floor)).whitened(off / floor)
-        return rms(floor) * math.sqrt(max(power(counted) - 1.0, 0.0))
+        return _beyond_noise((windows.residual - expected.mean)[near], windows.noise[near])
 
     def of_programme(self, new: Windows) -> frozenset[str]:
         """Return the baselines in which the signals have the same range as in another recording."""
@@ -239,7 +233,7 @@ class HealthyVariation(Standard):
         channels: the remainder by channel.
         healthy: the baselines, judged by it.
         judgements: receives each recording judged by it.
-        form: rms error of the expectation in the judged recording beyond its uncertainty, as a fraction of the largest term.
+        form: rms error of the expectation in the judged recording, as a fraction of the channel's largest term.
     """
 
     channels: Mapping[Channel, ChannelRemainder]
