@@ -26,6 +26,9 @@ noise, as a fraction of its standard deviation."""
 BESIDE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
 """Weights of the two samples on either side of a sample in the cubic through them."""
 
+CUBIC, TOGETHER = 3, 5
+"""Degree of the curve through the samples about one, and rounds in which the farthest of them is taken out."""
+
 BENT = 0.1
 """Distance of the neighbours from their curve, relative to that of a lone sample; at a corner it is 0.17, at a gap 0.3."""
 
@@ -64,7 +67,7 @@ def inliers(values: Array) -> Mask:
 
 
 def _lone(values: Array) -> Mask:
-    """Return the samples off the cubic through their four neighbours, which are on one curve without them.
+    """Return the samples off the cubic through their neighbours, which are on one curve without them.
 
     A converter that now and then repeats or skips a sample of a fast motion leaves such ones, as does interference. In steps
     and bends the neighbours are on no curve.
@@ -77,14 +80,33 @@ def _lone(values: Array) -> Mask:
     sizes = np.abs(off)
     if not np.any(sizes > 0.0):
         return sizes > 0.0
-    around = scipy.ndimage.median_filter(sizes, NEIGHBOURS, mode="nearest")
-    limit = OUTLIER * GAUSS * np.maximum(around, np.median(sizes[sizes > 0.0]))
-    out: Mask = sizes > limit
+    # A sample off the curve of its neighbours puts four of these off theirs.
+    blocks = np.array_split(sizes, max(1, len(sizes) // (4 * NEIGHBOURS)))
+    around = np.repeat([np.median(block) for block in blocks], [len(block) for block in blocks])
+    far = sizes > OUTLIER * GAUSS * np.maximum(around, np.median(sizes[sizes > 0.0]))
+    out: Mask = far.copy()
     padded = np.pad(off, reach)
     for shift, weight in enumerate(BESIDE):
         if weight != 0.0:
             out &= np.abs(padded[shift : shift + len(off)] + weight * off) <= BENT * sizes
+    left = np.flatnonzero(far & ~scipy.ndimage.binary_dilation(out, iterations=reach))
+    if len(left) <= NEIGHBOURS * RARE * len(values):
+        for middle in left:
+            out[_off_curve(values, int(middle))] = True
     return out
+
+
+def _off_curve(values: Array, middle: int) -> NDArray[np.intp]:
+    """Return the few samples about one that are off the curve of all others there; none if the others are on no curve."""
+    index = np.arange(max(middle - NEIGHBOURS, 0), min(middle + NEIGHBOURS + 1, len(values)))
+    kept = np.ones(len(index), dtype=np.bool_)
+    for _ in range(TOGETHER):
+        curve = np.polynomial.Polynomial.fit(index[kept], values[index[kept]], CUBIC)
+        off = np.abs(values[index] - curve(index))
+        if not np.all(kept) and np.max(off[kept]) <= BENT * np.min(off[~kept]):
+            return index[~kept]
+        kept[np.argmax(np.where(kept, off, -1.0))] = False
+    return index[:0]
 
 
 def _sides(medians: Array) -> tuple[Array, Array]:

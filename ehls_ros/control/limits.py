@@ -49,7 +49,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.controllers.base import MIN_DROP, reading_std
+from ehls_ros.control.controllers.base import MIN_DROP
 from ehls_ros.control.disturbances.base import DISPLACEMENT, FORCE, FORCE_RATE, VELOCITY
 from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import EffectiveRig, Rig
@@ -263,7 +263,7 @@ def _surroundings(rig: EffectiveRig) -> tuple[float, float, float]:
 def _noise(rig: EffectiveRig, name: str) -> float:
     """Return the standard deviation of a reading including its rounding, in the reading's unit."""
     sensor = rig.sensors.get(name, Sensor())
-    return reading_std(sensor) / sensor.gain
+    return sensor.reading_std / sensor.gain
 
 
 def _dynamics(rig: EffectiveRig, period: float, stiffness: float, damping: float, flow_pressure: float) -> Array:

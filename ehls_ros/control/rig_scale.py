@@ -146,7 +146,7 @@ def ratios(rig: Rig) -> Ratios:
     friction = rig.friction
     force, pressure = in_python(largest_force)(plant) / PAPER_FORCE, plant.supply_pressure / PAPER_PRESSURE
     spool, stroke = limits.spool / PAPER_SPOOL, (limits.position[1] - limits.position[0]) / PAPER_STROKE
-    noise, like_these = noise_of(rig.sensors), noise_of(PAPER_SENSORS)
+    noise, like_these = noise_of(rig.effective().sensors), noise_of(PAPER_SENSORS)
     size = Noise(position=stroke, load_pressure=pressure, spool_position=spool, force=force)
     told = model_of(rig, PAPER_DELAY)
     delayed = any(use.name == "command_delay" for use in rig.effects)

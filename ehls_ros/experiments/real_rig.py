@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.controllers.base import reading_std
 from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, ratios, tuned_for
 from ehls_ros.experiments.adaptation_result import NAME as ADAPTATION
 from ehls_ros.experiments.spec import COMMAND_DELAY, COUPLING, Spec, Use
@@ -51,7 +50,8 @@ def for_real_rig(spec: Spec, *, adapt: bool = True) -> RealRig:
     if assumed:
         spec = _with_controller_rig(spec, rig.with_effects(tuple(assumed)))
     filters = any(use.name in knows for use in usual)
-    exact = [signal for signal in law.NEEDS if reading_std(rig.sensors.get(signal, Sensor())) == 0.0]
+    sensors = rig.effective().sensors
+    exact = [signal for signal in law.NEEDS if sensors.get(signal, Sensor()).reading_std == 0.0]
     if filters and exact:
         readings = f"the controller's rig file has no noise_std of {', '.join(exact)}"
         remarks.append(f"{readings}: {spec.controller.name} takes these readings to be exact; {FOUND_BY}")

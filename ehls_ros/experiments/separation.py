@@ -70,7 +70,7 @@ def scale_of(
         for rig in candidates.values() if signal not in noise else ():
             sensor = rig.sensors.get(signal)
             if sensor is not None:
-                scatter.append(math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0)))
+                scatter.append(sensor.reading_std)
         largest = max(_size(record, column, period) for record in records.values())
         scale[place] = math.hypot(max(scatter, default=0.0), MODEL_ERROR * largest) or 1.0
     return scale

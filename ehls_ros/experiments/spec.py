@@ -17,6 +17,7 @@ from ehls_ros.control.companions.base import Setting
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES, position_servo
+from ehls_ros.control.local_plant import double_rod_of
 from ehls_ros.control.observers import OBSERVERS, default_observer
 from ehls_ros.control.observers.base import check_friction_support
 from ehls_ros.control.programme.expansion import programme_of
@@ -428,15 +429,15 @@ def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tunin
         raise BadInput(f"{beside} beside {name}, which follows a {kind.FOLLOWS}", f"{where}: companions", expected)
     actuator = signal_kind(spec.disturbance.name)
     tuning = spec.controller.parameters if tuning is None else tuning
-    return Setting(kind, tuning, model, actuator, spec.controller_rig.limits)
+    return Setting(kind, tuning, model, actuator, spec.controller_rig.limits, double_rod_of(spec.controller_rig).rig.plant)
 
 
 def _check_companions(spec: Spec, where: str, setting: Setting) -> None:
     """Reject companions that are incompatible with the controller or the rig."""
     law = str(getattr(setting.law, "__name__", "")).rpartition(".")[2]
-    if spec.companions:
-        check_one_pressure(spec.controller_rig, f"the companion {spec.companions[0].name}", f"{where}: controller's rig")
     for use in spec.companions:
+        if getattr(COMPANIONS.load(use.name), "ONE_PRESSURE", False):
+            check_one_pressure(spec.controller_rig, f"the companion {use.name}", f"{where}: controller's rig")
         with _placed(f"{where}: {use.name} beside {law}"):
             COMPANIONS.load(use.name).check(use.parameters, setting)
 

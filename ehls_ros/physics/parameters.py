@@ -1,5 +1,6 @@
 """Coefficients of the rig, each declared once with unit, range and help; friction models declare their own."""
 
+import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.schema import quantity, text
@@ -41,6 +42,11 @@ class Sensor(NamedTuple):
     bias: Annotated[float, quantity("signal", "constant offset")] = 0.0
     bandwidth: Annotated[float, quantity("rad/s", "first-order bandwidth; 0: no lag", minimum=0.0)] = 0.0
     delay: Annotated[float, quantity("s", "pure delay", minimum=0.0, maximum=1.0)] = 0.0
+
+    @property
+    def reading_std(self) -> float:
+        """Standard deviation of a reading, including its rounding, in the signal's unit."""
+        return math.hypot(self.noise_std, self.resolution / math.sqrt(12.0))
 
 
 class Limits(NamedTuple):

@@ -120,8 +120,9 @@ class Rig(NamedTuple):
                     rig = shift(rig, use.parameters)
         if derived := self.cylinder.law.derived(rig.cylinder.parameters):
             rig = rig.with_plant(**derived)
+        sensors = {**_derived_sensors(rig), **rig.sensors}
         return EffectiveRig(
-            rig.plant, rig.friction_model, rig.friction, rig.effects, rig.sensors, rig.limits, rig.cylinder, rig.valve
+            rig.plant, rig.friction_model, rig.friction, rig.effects, sensors, rig.limits, rig.cylinder, rig.valve
         )
 
     @property
@@ -357,6 +358,17 @@ def _keys_of(models: tuple[str, ...]) -> dict[str, Any]:
     for name in models:
         hints |= get_type_hints(FRICTION_MODELS.load(name).Parameters, include_extras=True)
     return {key: NamedTuple("Key", [(key, hint)]) for key, hint in hints.items()}
+
+
+def _derived_sensors(rig: Rig) -> dict[str, Sensor]:
+    """Return the load pressure's sensor if that pressure is read from the sensors of both chambers, with their noise."""
+    described = [rig.sensors.get(signal) for signal in CHAMBER_SENSED]
+    if not rig.cylinder.law.CHAMBERS or None in described:
+        return {}
+    p = rig.cylinder.parameters
+    shares = p.area_a / rig.plant.piston_area, p.area_b / rig.plant.piston_area
+    noise = (share * sensor.reading_std for share, sensor in zip(shares, described, strict=True) if sensor is not None)
+    return {"load_pressure": Sensor(noise_std=math.hypot(*noise))}
 
 
 def check_one_pressure(rig: Rig, task: str, where: str) -> None:

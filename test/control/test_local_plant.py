@@ -170,6 +170,36 @@ def test_every_law_controls_the_force_of_a_single_rod(law, make_spec_of):
     assert evaluate(run_in_process(spec)).max_error_n < 150.0
 
 
-def test_a_companion_is_refused_beside_a_single_rod(make_spec_of):
+def test_companions_that_know_one_pressure_are_refused_beside_a_single_rod(make_spec_of):
+    def beside(law, companion):
+        check_spec(make_spec_of("constant_fd1", law, 1.0, companions=[companion]), "spec")
+
     with pytest.raises(BadInput, match=r"cylinder is two_chamber; .* the companion adaptation"):
-        check_spec(make_spec_of("constant_fd1", "fasmc_predictive", 1.0, companions=["adaptation"]), "spec")
+        beside("fasmc_predictive", "adaptation")
+    learning = {"name": "learning", "period": 2.0}
+    with pytest.raises(BadInput, match=r"its smoother has a single pressure"):
+        beside("fasmc_predictive", learning)
+    beside("fasmc_predictive", {**learning, "method": "peak_valley"})
+    beside("fasmc", learning)
+    beside("fasmc_predictive", "disturbance_preview")
+
+
+@pytest.mark.long
+def test_a_foreseen_servo_disturbs_the_force_of_a_single_rod_less():
+    servo = {"moving_mass": 100.0, "position_gain": 10.0}
+    content = {
+        "title": "single rod against a servo",
+        "rig": str(configured("rig_single_rod")),
+        "duration": 8.0,
+        "control_period": 1e-3,
+        "known_effects": ["coupling_stiffness"],
+        "reference": {"name": "sine", "amplitude": 6000.0, "frequency": 0.5},
+        "disturbance": {
+            "name": "position_servo", "stiffness": 2e6, "damping": 2e3, **servo,
+            "signal": {"name": "sine", "amplitude": 0.02, "frequency": 1.0},
+        },
+        "controller": "fasmc_predictive",
+    }  # fmt: skip
+    foreseeing = content | {"companions": [{"name": "disturbance_preview", **servo}]}
+    errors = [evaluate(run_in_process(spec_from_mapping(made, "it", Path()))).rms_error_n for made in (content, foreseeing)]
+    assert errors[1] < 0.9 * errors[0]

@@ -98,7 +98,7 @@ def test_a_short_oscillation_is_no_outlier(rig):
 def test_a_sample_repeated_or_skipped_in_fast_motion_is_left_out(late, rig):
     t, signals = plain()
     position = 0.2 * np.sin(3.0 * t) + 2e-6 * np.random.default_rng(5).standard_normal(len(t))
-    taken = np.array([400, 1350, 2000, 3100])
+    taken = np.array([400, 1950, 1954, 1957, 3100])
     read = position.copy()
     read[taken] = position[taken + late]
     r = prepare(Trajectory(t, signals | {"position_m": read}), rig, "it")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks.emulated import EmulatedDevice
-from ehls_ros.control.controllers.base import reading_std
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.commissioning import conduct
 from ehls_ros.experiments.commissioning import first_run as first_run_module
@@ -74,7 +73,7 @@ def test_the_noise_of_each_sensor_is_found_at_rest():
     outcome = at_rest(session(), Known(RIG._replace(sensors={})), silent)
     found = {finding.path.split(".")[1]: finding.found for finding in outcome.findings}
     for signal in ("load_pressure", "force"):
-        assert abs(found[signal].value - reading_std(RIG.sensors[signal])) < 4.0 * found[signal].std + 0.1 * found[signal].value
+        assert abs(found[signal].value - RIG.sensors[signal].reading_std) < 4.0 * found[signal].std + 0.1 * found[signal].value
     assert outcome.rig.sensors["force"].noise_std == found["force"].value
     assert np.ptp(outcome.recordings["at_rest"]["valve_command_m"]) == 0.0
 

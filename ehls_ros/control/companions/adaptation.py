@@ -19,6 +19,7 @@ from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import quantity
 
 ACTUATOR = False
+ONE_PRESSURE = True
 
 STRIDE = 10
 """Cycles between successive small steps of the model."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol
 from ehls_ros.arrays import Array
 from ehls_ros.control.controllers.base import ControllerLaw, Model
 from ehls_ros.declared_arrays import Arrays
-from ehls_ros.physics.parameters import Limits
+from ehls_ros.physics.parameters import Limits, Plant
 
 BLOCK, REPETITIONS, PLACE = range(3)
 """Indices of a place in a programme: number of the block, and load cycles completed in it, including the fraction of the
@@ -29,6 +29,8 @@ class Setting(NamedTuple):
         model: the controller's model of the rig.
         actuator: kind of the actuator's command, ``"force"`` [N] or ``"position"`` [m].
         limits: limits of the rig; None if unknown.
+        under_test: valve and cylinder of an actuator under test that is a double rod like the loader; None if that is the
+            model's own.
     """
 
     law: ControllerLaw
@@ -36,6 +38,7 @@ class Setting(NamedTuple):
     model: Model
     actuator: str
     limits: Limits | None = None
+    under_test: Plant | None = None
 
 
 class Kept(NamedTuple):

@@ -16,6 +16,7 @@ from ehls_ros.control.controllers.base import FORESEEN, ROW, Model
 from ehls_ros.control.disturbances.position_servo import MovingMass, PositionGain, SupplyPressure, servo_plant
 from ehls_ros.control.servo_model import pair, servo_kernel
 from ehls_ros.errors import BadInput
+from ehls_ros.physics.parameters import Plant
 
 ACTUATOR = True
 
@@ -45,9 +46,9 @@ class ForceActuator(Companion):
 class PositionServo(Companion):
     """Preview for a position servo, by simulating the force of its motion on the loader."""
 
-    def __init__(self, p: Parameters, model: Model) -> None:
-        """Initialise servo and loader at rest."""
-        servo = model._replace(plant=servo_plant(model.plant, p.moving_mass, p.supply_pressure))
+    def __init__(self, p: Parameters, model: Model, alike: Plant) -> None:
+        """Initialise servo and loader at rest; the servo's valve and cylinder are like given ones."""
+        servo = model._replace(plant=servo_plant(alike, p.moving_mass, p.supply_pressure))
         self._pair = pair(servo, model, p.position_gain)
         self._foresee = servo_kernel().foresee
         self._period = model.period
@@ -118,4 +119,6 @@ def check(p: Parameters, setting: Setting) -> None:
 
 def build(p: Parameters, setting: Setting) -> Companion:
     """Return a new preview companion."""
-    return ForceActuator() if setting.actuator == "force" else PositionServo(p, setting.model)
+    if setting.actuator == "force":
+        return ForceActuator()
+    return PositionServo(p, setting.model, setting.under_test or setting.model.plant)

@@ -90,6 +90,9 @@ class Learning(Companion):
         self._bounds = force_bounds(setting)
         self._bumpless = Bumpless(model.period) if p.method == "peak_valley" else None
         foresees = p.method != "peak_valley" and getattr(setting.law, "PREVIEW", False) and hasattr(setting.law, "assumptions")
+        if foresees and model.cylinder:
+            expected = "method: peak_valley, or a controller without preview, for a cylinder with two chambers"
+            raise BadInput("its smoother has a single pressure", "companion learning", expected)
         self._smoother = Smoother(cast(PreviewLaw, setting.law), setting.tuning, model) if foresees else None
         self._loop = force_loop(setting.law, setting.tuning, model, p.uncertainty)
         self._about = {

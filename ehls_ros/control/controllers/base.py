@@ -174,7 +174,7 @@ def model_of(rig: Rig, period: float) -> Model:
         rig.friction,
         period,
         rig.limits.spool,
-        noise_of(rig.sensors),
+        noise_of(rig.effective().sensors),
         0.0 if delay is None else delay.delay,
         0.0 if coupling is None else coupling.stiffness,
         0.0 if coupling is None else coupling.damping,
@@ -185,12 +185,7 @@ def model_of(rig: Rig, period: float) -> Model:
 
 def noise_of(sensors: Mapping[str, Sensor]) -> Noise:
     """Return the noise of a rig's sensors."""
-    return Noise(*(reading_std(sensors.get(signal, Sensor())) for signal in Noise._fields))
-
-
-def reading_std(sensor: Sensor) -> float:
-    """Return the standard deviation of a reading, including its rounding."""
-    return math.hypot(sensor.noise_std, sensor.resolution / math.sqrt(12.0))
+    return Noise(*(sensors.get(signal, Sensor()).reading_std for signal in Noise._fields))
 
 
 @kernel
