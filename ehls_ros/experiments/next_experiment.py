@@ -38,6 +38,7 @@ from ehls_ros.control.controllers.base import STATUS_SIZE, Model, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
 from ehls_ros.control.disturbances.base import FORCE as LOAD
 from ehls_ros.control.friction_estimator import observer_kernel
+from ehls_ros.control.local_plant import memory_on
 from ehls_ros.control.observers import ANY_MODEL, rig_model
 from ehls_ros.control.observers.base import ObserverState
 from ehls_ros.control.rig_scale import tuned_for
@@ -60,20 +61,25 @@ from ehls_ros.experiments.separation import (
 from ehls_ros.experiments.spec import spec_from_mapping
 from ehls_ros.physics.composition import compiled
 from ehls_ros.physics.plant import TEMPERATURE, X
-from ehls_ros.physics.rig import SENSED, Rig, check_one_pressure, rig_to_mapping
+from ehls_ros.physics.rig import EVERY_SENSED, SENSED, Rig, rig_to_mapping
 from ehls_ros.physics.sensors import FORCE, LOAD_PRESSURE, POSITION, SPOOL, VELOCITY
 from ehls_ros.physics.simulator import Constants, Simulated, State, plant_kernel
 
 MIN_SIGMA = 5.0
 """Separation below which an experiment is not proposed."""
 
-RECORDED = ("position", "load_pressure", "spool_position", "force")
-"""Signals recorded by default; names of a rig file's sensors."""
+RECORDED, RECORDED_IN_CHAMBERS = (
+    ("position", "load_pressure", "spool_position", "force"),
+    ("position", "pressure_a", "pressure_b", "spool_position", "force"),
+)
+"""Signals recorded by default, on a cylinder with one pressure and with two; names of a rig file's sensors."""
 
 NAMES = {
     "position": (f"position {1e3 * MEMORY:.0f} ms ahead", "mm", 1e3),
     "velocity": ("velocity", "mm/s", 1e3),
     "load_pressure": ("load pressure", "bar", 1e-5),
+    "pressure_a": ("pressure in A", "bar", 1e-5),
+    "pressure_b": ("pressure in B", "bar", 1e-5),
     "spool_position": ("spool displacement", "µm", 1e6),
     "force": ("driving force", "N", 1.0),
     "supply_pressure": ("supply pressure", "bar", 1e-5),
@@ -123,7 +129,7 @@ class _Rows(NamedTuple):
     Attributes:
         reference: shape (n, 3).
         load: disturbance, shape (n, 4).
-        record: readings and command to run along, shape (n, 8); not read under a law.
+        record: readings and command to run along, shape (n, readings + 1); not read under a law.
         pull: fraction of the distance by which the position is drawn to the recorded one in a cycle.
     """
 
@@ -172,7 +178,7 @@ def build(plant: Any, force_law: Any, position_law: Any, observer: Any) -> _Benc
 
 
 class _Run(NamedTuple):
-    """Readings in the order of ``SENSED`` and the command, shape (n, 8); fraction of the time at the valve's limit."""
+    """Readings in the rig's order and the command, shape (n, readings + 1); fraction of the time at the valve's limit."""
 
     record: Array
     saturated: float
@@ -194,10 +200,10 @@ class _Experiment:
 
     def closed_loop(self, rig: Rig) -> _Run:
         """Run it with a rig as the plant."""
-        return self._run(rig, _LAWS[self.spec.controller.name][0], np.zeros((1, len(SENSED) + 1)))
+        return self._run(rig, _LAWS[self.spec.controller.name][0], np.zeros((1, len(rig.sensed) + 1)))
 
     def along(self, rig: Rig, given: Array) -> Array:
-        """Simulate a rig's model along a record and return its readings, shape (n, 8)."""
+        """Simulate a rig's model along a record and return its readings and the command, shape (n, readings + 1)."""
         return self._run(rig, _ALONG, given).record
 
     def _run(self, rig: Rig, source: int, given: Array) -> _Run:
@@ -211,25 +217,26 @@ class _Experiment:
             observed=rig_model.state(design.friction_law, design.friction),
             model=model_of(design, self.period),
             force_tuning=force_tuning,
-            force_memory=fasmc.memory(force_tuning),
+            force_memory=memory_on(fasmc, design.cylinder.law, force_tuning),
             position_tuning=position_tuning,
-            position_memory=pid.memory(position_tuning),
+            position_memory=memory_on(pid, design.cylinder.law, position_tuning),
             status=np.zeros(STATUS_SIZE),
         )
         rows = _Rows(self.reference, self.load, given, self.period / MEMORY)
-        record = np.empty((self.spec.cycles, len(SENSED) + 1))
-        bench = _bench(plant, design.friction_model)
+        record = np.empty((self.spec.cycles, len(rig.sensed) + 1))
+        bench = _bench(plant, design)
         saturated = bench(source, plant.constants, plant.state, control, rows, record)
         return _Run(record, saturated / self.spec.cycles)
 
 
-def _bench(plant: Simulated, believed: str) -> Callable[..., int]:
-    """Return the compiled bench of a plant and the controller's friction model; it calls kernels compiled before."""
+def _bench(plant: Simulated, believed: Rig) -> Callable[..., int]:
+    """Return the compiled bench of a plant and the controller's rig; it calls kernels compiled before."""
+    cylinder, valve = believed.cylinder.model, believed.valve.model
     modules = {
         "plant": plant_kernel(plant.parts),
-        "force_law": controller_kernel("fasmc"),
-        "position_law": controller_kernel("pid"),
-        "observer": observer_kernel(ANY_MODEL, believed),
+        "force_law": controller_kernel("fasmc", cylinder, valve),
+        "position_law": controller_kernel("pid", cylinder, valve),
+        "observer": observer_kernel(ANY_MODEL, believed.friction_model),
     }
     bench: Callable[..., int] = compiled(build, {"run": "source, constants, state, control, rows, out"}, modules).run
     return bench
@@ -348,7 +355,7 @@ def next_experiment(
     candidates: Mapping[str, Rig],
     *,
     nominal: Rig | None = None,
-    signals: Sequence[str] = RECORDED,
+    signals: Sequence[str] | None = None,
     noise: Mapping[str, float] | None = None,
     parameter_std: float = 0.1,
     duration_limit: float = 20.0,
@@ -359,7 +366,8 @@ def next_experiment(
     Args:
         candidates: the extended rig of each open cause, by its name.
         nominal: rig with which the controller is designed; None: the first candidate's rig without effects.
-        signals: signals to be recorded, names of :data:`~ehls_ros.physics.rig.SENSED`, beside the command.
+        signals: signals to be recorded, names of :data:`~ehls_ros.physics.rig.EVERY_SENSED`, beside the command; None: those of
+            :data:`RECORDED` or :data:`RECORDED_IN_CHAMBERS`.
         noise: standard deviation of a reading by signal, in its unit; missing signals use noise and resolution of the
             candidates' rigs.
         parameter_std: standard deviation of the candidates' parameters by the data so far, as a fraction of the value or of
@@ -373,14 +381,16 @@ def next_experiment(
     Raises:
         BadInput: an unknown signal, a noise below 0, a limit or standard deviation that is not above 0.
     """
-    _check(signals, noise or {}, {"duration_limit": duration_limit, "parameter_std": parameter_std})
-    for name, rig in candidates.items():
-        check_one_pressure(rig, "a next experiment", name)
+    chambers = any(rig.cylinder.law.CHAMBERS for rig in candidates.values())
+    sensed = EVERY_SENSED if chambers else SENSED
+    if signals is None:
+        signals = RECORDED_IN_CHAMBERS if chambers else RECORDED
+    _check(signals, noise or {}, sensed, {"duration_limit": duration_limit, "parameter_std": parameter_std})
     if len(candidates) < 2:
         return Proposal(None, f"{len(candidates)} candidate: there is nothing to separate", ())
     names = tuple(candidates)
     believed = candidates[names[0]]._replace(effects=()) if nominal is None else nominal
-    columns = [SENSED.index(signal) for signal in dict.fromkeys(signals)]
+    columns = [sensed.index(signal) for signal in dict.fromkeys(signals)]
     rated: list[_Rated] = []
     considered: list[Considered] = []
     for index, name in enumerate(CATALOGUE):
@@ -422,12 +432,12 @@ def next_experiment(
     return Proposal(proposed, "", tuple(considered))
 
 
-def _check(signals: Sequence[str], noise: Mapping[str, float], positive: Mapping[str, float]) -> None:
+def _check(signals: Sequence[str], noise: Mapping[str, float], sensed: Sequence[str], positive: Mapping[str, float]) -> None:
     if not signals:
-        raise BadInput("signals is empty", "next experiment", f"names of {', '.join(SENSED)}")
+        raise BadInput("signals is empty", "next experiment", f"names of {', '.join(sensed)}")
     for signal in (*signals, *noise):
-        if signal not in SENSED:
-            raise BadInput(f"signal {signal!r} is unknown", "next experiment", f"one of {', '.join(SENSED)}")
+        if signal not in sensed:
+            raise BadInput(f"signal {signal!r} is unknown", "next experiment", f"one of {', '.join(sensed)}")
     for signal, value in noise.items():
         if not 0.0 <= value < math.inf:
             raise BadInput(f"noise of {signal} is {value:g}", "next experiment", "a finite number of 0 or more")
@@ -503,7 +513,7 @@ def _why(entry: _Rated, left: Mapping[tuple[str, str], Difference], columns: Seq
     """Name signal, moment and motion in which the worst pair differs most."""
     (true, model), difference = min(left.items(), key=lambda item: item[1].sigma)
     block, place = np.unravel_index(int(np.argmax(np.abs(difference.blocks))), difference.blocks.shape)
-    label, unit, factor = NAMES[SENSED[columns[int(place)]]]
+    label, unit, factor = NAMES[EVERY_SENSED[columns[int(place)]]]
     amount = abs(float(difference.blocks[block, place]))
     size = amount * float(difference.scale[block, place]) * factor
     period, length = entry.experiment.period, max(round(BLOCK / entry.experiment.period), 1)

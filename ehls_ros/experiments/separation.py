@@ -8,7 +8,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.rig import SENSED, EffectUse, Rig
+from ehls_ros.physics.rig import EVERY_SENSED, EffectUse, Rig
 from ehls_ros.physics.sensors import POSITION, VELOCITY
 
 MEMORY = 0.05
@@ -65,7 +65,7 @@ def scale_of(
     """Return the uncertainty of each signal's block mean, in its unit, shape (signals,)."""
     scale = np.empty(len(columns))
     for place, column in enumerate(columns):
-        signal = SENSED[column]
+        signal = EVERY_SENSED[column]
         scatter = [noise[signal]] if signal in noise else []
         for rig in candidates.values() if signal not in noise else ():
             sensor = rig.sensors.get(signal)

@@ -17,9 +17,10 @@ from ehls_ros.experiments.catalogue import CATALOGUE, catalogue_spec, home_of, r
 from ehls_ros.experiments.loop import run_in_process
 from ehls_ros.experiments.next_experiment import MIN_SIGMA, next_experiment
 from ehls_ros.experiments.spec import load_rig, load_spec, spec_from_mapping
-from ehls_ros.physics.rig import SENSED, Rig, effects_from_list, rig_from_mapping, rig_to_mapping
+from ehls_ros.physics.rig import EVERY_SENSED, SENSED, Rig, effects_from_list, rig_from_mapping, rig_to_mapping
 
 WITHOUT_LOAD_CELL = ("position", "load_pressure", "spool_position")
+BOTH_CHAMBERS = ("position", "pressure_a", "pressure_b", "spool_position")
 
 
 @pytest.fixture(scope="module")
@@ -168,14 +169,17 @@ def few(monkeypatch):
     monkeypatch.setattr(module, "CATALOGUE", {name: CATALOGUE[name] for name in names})
 
 
-def better_explained(rig: Rig, rigs: dict[str, Rig], spec: dict[str, Any], true: str, seed: int) -> str:
+def better_explained(
+    rig: Rig, rigs: dict[str, Rig], spec: dict[str, Any], true: str, seed: int, signals: tuple[str, ...] = WITHOUT_LOAD_CELL
+) -> str:
     """Record an experiment with noise on a candidate's rig and return the candidate whose model is least wrong along it."""
     whole = spec_from_mapping({**spec, "rig": rig_to_mapping(rigs[true]), "seed": seed}, "spec", Path())
     run = run_in_process(whole._replace(controller_rig=rig))
-    names = ("position_m", "velocity_m_s", "load_pressure_pa", "spool_m", "force_n", "supply_pressure_pa", "oil_temperature_k")
+    names = ["position_m", "velocity_m_s", "load_pressure_pa", "spool_m", "force_n", "supply_pressure_pa", "oil_temperature_k"]
+    names += ["pressure_a_pa", "pressure_b_pa"] if rig.cylinder.law.CHAMBERS else []
     record = np.column_stack([*(run[name] for name in names), run["valve_command_m"]])
     experiment = module._Experiment(spec, rig)
-    columns = [SENSED.index(signal) for signal in WITHOUT_LOAD_CELL]
+    columns = [EVERY_SENSED.index(signal) for signal in signals]
     scale = separation.scale_of({true: record}, rigs, columns, {}, experiment.period)
     errors = {
         name: np.linalg.norm(
@@ -221,6 +225,22 @@ def test_a_load_cell_tells_a_load_from_a_bias_at_once(rig, proposed):
     without = proposed("constant_load", "pressure_sensor_bias").experiment
     with_it = next_experiment(candidates(rig, "constant_load", "pressure_sensor_bias")).experiment
     assert with_it.separation[0].sigma > 2.0 * without.separation[0].sigma
+
+
+@pytest.mark.long
+def test_an_experiment_tells_on_which_side_a_single_rod_leaks(config):
+    single = load_rig(config / "rig_single_rod.yaml")
+    rigs = {side: with_effect(single, "external_leakage", **{side: 3e-13}) for side in ("first", "second")}
+    experiment = next_experiment(rigs, signals=BOTH_CHAMBERS).experiment
+    assert experiment.separation[0].sigma > 5.0 * MIN_SIGMA
+    assert "pressure in" in experiment.why
+    for true, seed in itertools.product(rigs, (1, 2)):
+        assert better_explained(single, rigs, experiment.spec, true, seed, BOTH_CHAMBERS) == true
+
+
+def test_pressures_of_chambers_are_recorded_on_a_single_rod_only(rig):
+    with pytest.raises(BadInput, match=r"signal 'pressure_a' is unknown"):
+        next_experiment(candidates(rig, "viscous_shift", "coulomb_shift"), signals=BOTH_CHAMBERS)
 
 
 @pytest.mark.long
