@@ -43,16 +43,16 @@ def robot_description(rig: Rig) -> str:
     The beam follows the piston by position over arm, the small-angle approximation. The model has no masses: it is for display.
 
     Args:
-        rig: the rig; its arm, piston area and limits are used.
+        rig: the rig; its arm, areas and limits are used.
     """
     arm, limits = rig.plant.arm_length, rig.limits
     low, high = limits.position
-    stroke, radius = high - low, math.sqrt(rig.plant.piston_area / math.pi)
+    stroke, (radius, rod) = high - low, _radii(rig)
     robot = ET.Element("robot", name="ehls")
     ET.SubElement(robot, "link", name=BASE)
     _cylinder(robot, CYLINDER, 1.5 * radius, stroke, 0.5 * stroke, (0.35, 0.4, 0.45))
     # The rod ends at the piston's frame and is inside the barrel where the piston is at its lower end.
-    _cylinder(robot, LOADER_FRAME, 0.5 * radius, stroke, -0.5 * stroke, (0.75, 0.75, 0.78))
+    _cylinder(robot, LOADER_FRAME, rod, stroke, -0.5 * stroke, (0.75, 0.75, 0.78))
     beam = _visual(robot, BEAM, (0.85, 0.55, 0.15))
     ET.SubElement(ET.SubElement(beam, "geometry"), "box", size=_numbers(2.0 * arm, 2.0 * radius, 2.0 * radius))
 
@@ -67,6 +67,15 @@ def robot_description(rig: Rig) -> str:
     ET.SubElement(hinge, "mimic", joint=JOINT, multiplier=_numbers(1.0 / arm))
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode")
+
+
+def _radii(rig: Rig) -> tuple[float, float]:
+    """Return the radii of piston and rod [m]; a rod that the rig file does not tell has half of the piston's."""
+    areas = rig.plant.piston_area, rig.plant.piston_area
+    if rig.cylinder.law.CHAMBERS:
+        areas = rig.cylinder.parameters.area_a, rig.cylinder.parameters.area_b
+    radius, rod = math.sqrt(max(areas) / math.pi), math.sqrt(abs(areas[0] - areas[1]) / math.pi)
+    return radius, rod or 0.5 * radius
 
 
 def _visual(robot: ET.Element, link: str, colour: Triple) -> ET.Element:

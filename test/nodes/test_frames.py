@@ -6,7 +6,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from ehls_ros.experiments.spec import chosen_spec
+from ehls_ros.experiments.files import configured
+from ehls_ros.experiments.spec import chosen_spec, load_rig
 from ehls_ros.nodes.frames import BASE, BEAM, CYLINDER, JOINT, frame_prefix, robot_description
 from ehls_ros.recording.topics import LOADER_FRAME
 
@@ -84,3 +85,16 @@ def test_the_piston_rises_along_x_of_its_frame_and_carries_the_end_of_the_beam(r
 
 def test_a_second_rig_has_frames_of_its_own():
     assert [frame_prefix(namespace) for namespace in ("/ehls", "/rig2", "/lab/rig2", "/")] == ["", "rig2/", "lab/rig2/", ""]
+
+
+def test_a_single_rod_has_its_bore_and_rod():
+    single = load_rig(configured("rig_single_rod"))
+    robot = ET.fromstring(robot_description(single))
+    radii = {
+        link.attrib["name"]: float(shape.attrib["radius"])
+        for link in robot.findall("link")
+        if (shape := link.find("visual/geometry/cylinder")) is not None
+    }
+    # 63 mm bore, 45 mm rod.
+    assert radii[CYLINDER] == pytest.approx(1.5 * 0.0315, rel=1e-2)
+    assert radii[LOADER_FRAME] == pytest.approx(0.0225, rel=1e-2)
