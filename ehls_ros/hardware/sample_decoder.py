@@ -1,4 +1,8 @@
-"""Decode the raw values of a sample into a rig's readings; the load pressure of two chambers follows from theirs."""
+"""Decode the raw values of a sample into a rig's readings.
+
+The load pressure of two chambers follows from theirs, or else from the load cell; without sensors in the chambers, laws take
+the pressures of steady motion under that force.
+"""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +11,7 @@ from ehls_ros.hardware.calibration import Calibration
 from ehls_ros.physics import sensors
 from ehls_ros.physics.rig import CHAMBER_SENSED, Rig
 
-DERIVED = "load_pressure"
+DERIVED, FORCE = "load_pressure", "force"
 
 
 def measured_signals(rig: Rig, wired: Sequence[str]) -> tuple[str, ...]:
@@ -17,8 +21,8 @@ def measured_signals(rig: Rig, wired: Sequence[str]) -> tuple[str, ...]:
         rig: the rig.
         wired: the signals that have a channel.
     """
-    both = rig.cylinder.law.CHAMBERS and set(CHAMBER_SENSED) <= set(wired)
-    return (*wired, DERIVED) if both and DERIVED not in wired else tuple(wired)
+    known = rig.cylinder.law.CHAMBERS and (set(CHAMBER_SENSED) <= set(wired) or FORCE in wired)
+    return (*wired, DERIVED) if known and DERIVED not in wired else tuple(wired)
 
 
 class SampleDecoder:
@@ -34,11 +38,12 @@ class SampleDecoder:
         self.sensed = calibration.sensed
         self.measured = measured_signals(rig, calibration.wired)
         self._calibration = calibration
-        # Load pressure per pressure in A and in B; None: it has a channel, or is not known.
-        self._shares: tuple[float, float] | None = None
+        # Load pressure per reading, by the place of the reading; empty: it has a channel, or is not known.
+        self._shares: tuple[tuple[int, float], ...] = ()
         if DERIVED in self.measured and DERIVED not in calibration.wired:
             areas, mean = rig.cylinder.parameters, rig.plant.piston_area
-            self._shares = areas.area_a / mean, areas.area_b / mean
+            both = (sensors.PRESSURE_A, areas.area_a / mean), (sensors.PRESSURE_B, -areas.area_b / mean)
+            self._shares = both if set(CHAMBER_SENSED) <= set(calibration.wired) else ((sensors.FORCE, 1.0 / mean),)
 
     def decode(self, values: Sequence[float]) -> tuple[tuple[float, ...], tuple[str, ...]]:
         """Decode the raw values of one sample.
@@ -52,7 +57,6 @@ class SampleDecoder:
         saturated, signals = self._calibration.saturated(values), list(self._calibration.signals(values))
         for name in saturated:
             signals[self.sensed.index(name)] = math.nan
-        if self._shares is not None:
-            of_a, of_b = self._shares
-            signals[sensors.LOAD_PRESSURE] = of_a * signals[sensors.PRESSURE_A] - of_b * signals[sensors.PRESSURE_B]
+        if self._shares:
+            signals[sensors.LOAD_PRESSURE] = sum(share * signals[place] for place, share in self._shares)
         return tuple(signals), saturated

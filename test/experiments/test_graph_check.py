@@ -187,10 +187,11 @@ def test_the_backends_that_wait_declare_it():
     assert [name for name in BACKENDS.names() if getattr(BACKENDS.load(name), "WAITS", False)] == ["udp"]
 
 
-def test_both_pressures_of_a_single_rod_stand_for_its_load_pressure():
+def test_both_pressures_of_a_single_rod_or_its_load_cell_stand_for_its_load_pressure():
     single = spec("fasmc_predictive", rig="rig_single_rod.yaml")
     chambers = {name: {"channel": 8 + side, "scale": 2.5e6} for side, name in enumerate(("pressure_a", "pressure_b"))}
     wired = {name: channel for name, channel in {**ALL, **chambers}.items() if name != "load_pressure"}
     check_fit(single, Graph(bridge=bridge(channels=wired)), "spec")
+    check_fit(single, Graph(bridge=bridge(["pressure_a", "pressure_b"], wired)), "spec")
     with pytest.raises(BadInput, match="fasmc_predictive needs load_pressure"):
-        check_fit(single, Graph(bridge=bridge(["pressure_b"], wired)), "spec")
+        check_fit(single, Graph(bridge=bridge(["pressure_b", "force"], wired)), "spec")
