@@ -109,6 +109,13 @@ class Expected(NamedTuple):
     directions: Array
     variance: Array
 
+    @property
+    def deviation(self) -> float:
+        """Rms standard deviation where anything can be expected."""
+        total = np.sum(self.directions**2, axis=1) + self.variance
+        near = np.isfinite(total)
+        return float(np.sqrt(np.mean(total[near]))) if np.any(near) else 0.0
+
 
 class Learnt(NamedTuple):
     """Discrepancy model of one channel, learnt from healthy recordings.

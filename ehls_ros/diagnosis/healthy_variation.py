@@ -164,9 +164,11 @@ class ChannelRemainder(NamedTuple):
     Attributes:
         terms: its components.
         learnt: the learnt discrepancy.
-        transfer: rms error of its expectation beyond noise in a recording that it was not learnt from, as a fraction of the
+        transfer: rms error beyond noise of its expectation in a recording that it was not learnt from, as a fraction of the
             largest term.
         elsewhere: the same in a recording of another programme.
+        misjudged: the same in standard deviations of that expectation, at least 1; infinite if nothing is known of another
+            programme.
         ranges: quantiles of the signals in each baseline, by its name, shape (quantiles, signals).
     """
 
@@ -174,6 +176,7 @@ class ChannelRemainder(NamedTuple):
     learnt: Learnt
     transfer: float = 0.0
     elsewhere: float = 0.0
+    misjudged: float = math.inf
     ranges: Mapping[str, Array] = {}
 
     def with_transfer(self, baselines: Mapping[str, Windows]) -> "ChannelRemainder":
@@ -185,19 +188,39 @@ class ChannelRemainder(NamedTuple):
         windows, recording = self.learnt.windows, self.learnt.recording
         parts, whole = np.unique(recording), _beyond_noise(windows.residual, windows.noise)
         # All windows of a baseline may lie in one section, which leaves nothing to expect it from.
-        found = max(self._unexpected(recording == k) for k in parts) if len(parts) > 1 else whole
+        errors = [self._unexpected(recording == k) for k in parts] if len(parts) > 1 else [(whole, math.inf)]
+        found, misjudged = (max(error) for error in zip(*errors, strict=True))
+        only = len(baselines) == 1
         return self._replace(
             transfer=found,
-            elsewhere=rules.OTHER_PROGRAMME * (max(found, whole) if len(baselines) == 1 else found),
+            elsewhere=rules.OTHER_PROGRAMME * (max(found, whole) if only else found),
+            misjudged=math.inf if only else max(misjudged, 1.0),
             ranges={name: np.quantile(own.signals, PROGRAMME, axis=0) for name, own in baselines.items()},
         )
 
-    def _unexpected(self, own: Mask) -> float:
-        """Return the rms beyond noise by which some of the windows differ from their expectation from the others."""
+    def _unexpected(self, own: Mask) -> tuple[float, float]:
+        """Return how far some of the windows are from their expectation from the others.
+
+        Returns:
+            The rms beyond noise, and its ratio to the standard deviation of the expectation.
+        """
         windows, rest = self.learnt.windows.where(own), self.learnt.windows.where(~own)
         expected = self._replace(learnt=self.learnt._replace(windows=rest)).expected(windows)
         near = np.isfinite(expected.variance)
-        return _beyond_noise((windows.residual - expected.mean)[near], windows.noise[near])
+        off = _beyond_noise((windows.residual - expected.mean)[near], windows.noise[near])
+        return off, off / expected.deviation if off > 0.0 else 0.0
+
+    def form(self, expected: Expected, *, new: bool) -> float:
+        """Return the rms error of an expectation that may pass for a change, as a fraction of the largest term.
+
+        It is that of the baselines expected from each other, or less where all of them together determine the expectation
+        better than some of them the others.
+
+        Args:
+            expected: the expectation in a recording.
+            new: whether there is no baseline of its programme.
+        """
+        return min(self.elsewhere if new else self.transfer, rules.MAX_ALLOWED * self.misjudged * expected.deviation)
 
     def of_programme(self, new: Windows) -> frozenset[str]:
         """Return the baselines in which the signals have the same range as in another recording."""
@@ -268,7 +291,7 @@ class HealthyVariation(Standard):
         self.judgements.append(Judgement(evidence, expected, new))
         # In a recording of smaller motion, the error is as large as in the baselines.
         smaller = {c: max(1.0, known.terms.size / max(evidence.sizes[c], 1e-300)) for c, known in own.items()}
-        form = {c: smaller[c] * (known.elsewhere if new else known.transfer) for c, known in own.items()}
+        form = {c: smaller[c] * known.form(expected[c], new=new) for c, known in own.items()}
         return replace(self, form=form).judged_by(evidence, expected)
 
     def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:

@@ -158,11 +158,7 @@ def _coefficients(given: Rig, found: RigIdentification, variation: HealthyVariat
 def _channels(variation: HealthyVariation, expected: Mapping[Channel, Expected]) -> dict[Channel, Healthy]:
     out = {}
     for c, own in variation.channels.items():
-        allowed = None
-        if c in expected:
-            variance = np.sum(expected[c].directions ** 2, axis=1) + expected[c].variance
-            near = np.isfinite(variance)
-            allowed = float(np.sqrt(np.mean(variance[near]))) if np.any(near) else None
+        allowed = expected[c].deviation or None if c in expected else None
         before, after = own.learnt.power
         noise = float(np.sqrt(np.mean(own.learnt.windows.noise**2)))
         out[c] = Healthy(CHANNELS[c], math.sqrt(before), math.sqrt(after), noise, allowed, own.learnt.together)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.discrepancy import Windows, learn
+from ehls_ros.diagnosis.discrepancy import Expected, Windows, learn
 from ehls_ros.diagnosis.healthy_variation import ChannelRemainder, RemainderTerms
 
 NOISE = 1e-3
@@ -39,6 +39,15 @@ def test_their_difference_is_the_error_of_the_expectation():
     found = learnt(windows(1, bend), windows(2, lambda x: bend(x) + 0.01 * np.sin(3.0 * x)))
     # The expectation from one recording misses all of what the other has beyond it.
     assert found.transfer == pytest.approx(0.01 * np.sqrt(0.5), rel=0.2)
+
+
+def test_where_all_baselines_determine_it_better_than_some_the_others_the_error_is_that_of_the_expectation():
+    found = learnt(windows(1, bend), windows(2, lambda x: bend(x) + 0.01 * np.sin(3.0 * x)), windows(3, bend))
+    sure = Expected(np.zeros(4), np.zeros((4, 0)), np.full(4, 1e-8))
+    assert found.form(sure, new=False) == pytest.approx(rules.MAX_ALLOWED * found.misjudged * 1e-4)
+    unsure = sure._replace(variance=np.full(4, 1.0))
+    assert found.form(unsure, new=False) == found.transfer
+    assert found.form(unsure, new=True) == found.elsewhere
 
 
 def test_a_single_baseline_tells_nothing_of_another_programme():
