@@ -97,14 +97,17 @@ def _lone(values: Array) -> Mask:
 
 
 def _off_curve(values: Array, middle: int) -> NDArray[np.intp]:
-    """Return the few samples about one that are off the curve of all others there; none if the others are on no curve."""
+    """Return the few samples about one that are off the curve of all others there.
+
+    None if the others are on no curve, or if two of them follow each other: a short event is no error of the converter.
+    """
     index = np.arange(max(middle - NEIGHBOURS, 0), min(middle + NEIGHBOURS + 1, len(values)))
     kept = np.ones(len(index), dtype=np.bool_)
     for _ in range(TOGETHER):
         curve = np.polynomial.Polynomial.fit(index[kept], values[index[kept]], CUBIC)
         off = np.abs(values[index] - curve(index))
         if not np.all(kept) and np.max(off[kept]) <= BENT * np.min(off[~kept]):
-            return index[~kept]
+            return index[:0] if np.any(np.diff(index[~kept]) == 1) else index[~kept]
         kept[np.argmax(np.where(kept, off, -1.0))] = False
     return index[:0]
 
