@@ -92,14 +92,19 @@ def _lone(values: Array) -> Mask:
     left = np.flatnonzero(far & ~scipy.ndimage.binary_dilation(out, iterations=reach))
     if len(left) <= NEIGHBOURS * RARE * len(values):
         for middle in left:
-            out[_off_curve(values, int(middle))] = True
+            out[_off_curve(values, sizes, int(middle))] = True
     return out
 
 
-def _off_curve(values: Array, middle: int) -> NDArray[np.intp]:
-    """Return the few samples about one that are off the curve of all others there.
+def _off_curve(values: Array, sizes: Array, middle: int) -> NDArray[np.intp]:
+    """Return the few samples about one that are off the curve of all others there, and off that of their neighbours.
 
     None if the others are on no curve, or if two of them follow each other: a short event is no error of the converter.
+
+    Args:
+        values: the signal, shape (n,).
+        sizes: distance of each sample from the cubic through its neighbours, shape (n,).
+        middle: index of the sample.
     """
     index = np.arange(max(middle - NEIGHBOURS, 0), min(middle + NEIGHBOURS + 1, len(values)))
     kept = np.ones(len(index), dtype=np.bool_)
@@ -107,7 +112,8 @@ def _off_curve(values: Array, middle: int) -> NDArray[np.intp]:
         curve = np.polynomial.Polynomial.fit(index[kept], values[index[kept]], CUBIC)
         off = np.abs(values[index] - curve(index))
         if not np.all(kept) and np.max(off[kept]) <= BENT * np.min(off[~kept]):
-            return index[:0] if np.any(np.diff(index[~kept]) == 1) else index[~kept]
+            alone = np.all(np.diff(index[~kept]) > 1) and np.all(off[~kept] < 2.0 * sizes[index[~kept]])
+            return index[~kept] if alone else index[:0]
         kept[np.argmax(np.where(kept, off, -1.0))] = False
     return index[:0]
 
