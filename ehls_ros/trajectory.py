@@ -1,7 +1,7 @@
 """One experiment as arrays: the common form of simulations, bags and CSV files, and the input of all analyses."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -104,6 +104,11 @@ EQUAL_AREAS_ASSUMED = "both chambers are taken to have equal areas (no cylinder:
 
 SAME_AREA = 1e-3
 """Relative difference below which two areas are considered equal."""
+
+
+def has_both_chambers(signals: Container[str]) -> bool:
+    """Return whether both pressures of a cylinder with two chambers are among the signals."""
+    return all(signal in signals for signal in OF_CHAMBERS)
 
 
 class Own(NamedTuple):

@@ -15,6 +15,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array, in_python, kernel
 from ehls_ros.control.controllers.base import MIN_DROP, ROW, Model
+from ehls_ros.control.rig_scale import largest_speed
 from ehls_ros.physics import sensors
 from ehls_ros.physics.lane_memory import stack
 from ehls_ros.physics.parameters import Plant
@@ -48,6 +49,12 @@ def double_rod_of(rig: Rig) -> DoubleRod:
     equivalent = in_python(cylinder.law.equivalent(plain))
     plant, _, offset = equivalent(middle, 0.0, MIN_DROP, rig.plant, cylinder.parameters, valve.parameters)
     return DoubleRod(rig._replace(plant=plant, cylinder=CylinderUse(), valve=ValveUse()), offset)
+
+
+def speed_of(rig: Rig) -> float:
+    """Return the loader's largest velocity, by its valve or by its limit [m/s]."""
+    plant = double_rod_of(rig).rig.plant
+    return min(in_python(largest_speed)(plant, rig.limits.spool * plant.valve_gain), rig.limits.velocity)
 
 
 @kernel

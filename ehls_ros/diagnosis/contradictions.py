@@ -19,7 +19,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.physics.plausibility import RANGES, RELATIONS, largest_force, mistaken_for
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import notes
-from ehls_ros.trajectory import MEASURED, OF_CHAMBERS, PRESSURE_A, READABLE, Trajectory
+from ehls_ros.trajectory import MEASURED, OF_CHAMBERS, PRESSURE_A, READABLE, Trajectory, has_both_chambers
 
 SIZE_READINGS = 3
 """Most values and signals that are taken to be wrong at once."""
@@ -172,7 +172,7 @@ def _check_mid_stroke(seen: Seen, rig: Rig, name: str) -> None:
 def _check_chambers(seen: Seen, rig: Rig, name: str) -> None:
     """Reject pressures of both chambers whose force is far from the other forces, and near them if they are exchanged."""
     s = seen.signals
-    if not rig.cylinder.law.CHAMBERS or not all(signal in s for signal in OF_CHAMBERS):
+    if not rig.cylinder.law.CHAMBERS or not has_both_chambers(s):
         return
     if "force_n" in s:
         other, of = s["force_n"], "force_n"
@@ -360,7 +360,7 @@ def _balanced(rig: Rig, seen: Seen, position: Array) -> Array:
 
 def _load_pressure(rig: Rig, seen: Seen) -> tuple[Array | None, str]:
     """Return the load pressure, from those of both chambers if they are there, and the description of its force."""
-    if not all(signal in seen.signals for signal in OF_CHAMBERS):
+    if not has_both_chambers(seen.signals):
         return seen.signals.get("load_pressure_pa"), "piston_area times load_pressure_pa"
     p, (a, b) = rig.cylinder.parameters, (seen.signals[signal] for signal in OF_CHAMBERS)
     return (p.area_a * a - p.area_b * b) / rig.plant.piston_area, "area_a times pressure_a_pa less area_b times pressure_b_pa"

@@ -36,7 +36,7 @@ from ehls_ros.physics.plant import FRICTION, PL, XV, V, X
 from ehls_ros.physics.plant import TEMPERATURE as OIL
 from ehls_ros.physics.rig import EVERY_SENSED, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, Simulator
-from ehls_ros.trajectory import OF_CHAMBERS, Trajectory
+from ehls_ros.trajectory import Trajectory, has_both_chambers
 
 FREE_RUN = 20.0
 """Longest time simulated without the measured states, up to the first pause of the recording [s]."""
@@ -206,7 +206,7 @@ def _start(simulator: Simulator, record: Record) -> None:
     if PRESSURE not in record:
         pressure = _first(record, "force", sensors) / plant.piston_area
     chambers = None
-    if all(signal in record for signal in OF_CHAMBERS):
+    if has_both_chambers(record.signals):
         chambers = _first(record, "pressure_a", sensors), _first(record, "pressure_b", sensors)
     set_pressures(simulator, pressure, chambers, _first(record, "supply_pressure", sensors) if SUPPLY in record else None)
     y[XV] = _first(record, "spool_position", sensors) if SPOOL in record else plant.valve_gain * record.values(COMMAND)[0]

@@ -22,7 +22,7 @@ from ehls_ros.physics.plant import XV, V, X, hold
 from ehls_ros.physics.rig import Rig
 from ehls_ros.physics.simulator import Simulator, earlier_commands
 from ehls_ros.samples import Mask
-from ehls_ros.trajectory import OF_CHAMBERS, Trajectory
+from ehls_ros.trajectory import Trajectory, has_both_chambers
 
 PAST = 0.02
 """Time before a window of a prediction from which its initial state is taken [s]."""
@@ -178,7 +178,7 @@ def _runs(record: Record, rig: Rig, starts: NDArray[np.intp], ends: NDArray[np.i
     comparison, effective = Comparison(record, setup(record, rig)), rig.effective()
     spool = comparison.corrected(effective, "spool_position") if SPOOL in record else comparison.simulated_spool(effective)
     position, pressure = comparison.corrected(effective, "position"), comparison.pressure(effective)
-    both = comparison.chamber_pressures(effective) if all(signal in record for signal in OF_CHAMBERS) else None
+    both = comparison.chamber_pressures(effective) if has_both_chambers(record.signals) else None
     supply = comparison.corrected(effective, "supply_pressure") if SUPPLY in record else None
     past, history, command = _past(record), earlier_commands(effective, record.period), record.values(COMMAND)
     latest = record.period * np.arange(1 - past, 1)

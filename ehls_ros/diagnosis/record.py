@@ -14,7 +14,7 @@ from ehls_ros.diagnosis.contradictions import check_suits
 from ehls_ros.errors import BadInput
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask, filled, inliers, noise, noise_between_moves
-from ehls_ros.trajectory import EQUAL_AREAS_ASSUMED, OF_CHAMBERS, PRESSURE_A, PRESSURE_B, Own, Trajectory
+from ehls_ros.trajectory import EQUAL_AREAS_ASSUMED, OF_CHAMBERS, PRESSURE_A, PRESSURE_B, Own, Trajectory, has_both_chambers
 
 MAX_RECORDING = 150.0
 """Longest recording that is used completely; a longer one is sampled in stretches of this total [s]."""
@@ -181,7 +181,7 @@ def prepare(trajectory: Trajectory, rig: Rig, name: str) -> Record:
         signals[signal], good[signal] = _on_grid(time[chosen], values, right, grid, period, signal in HELD)
         level[signal] = _noise(values[right], period) if slower is None else spread_noise(slower, period)
     own = {signal: own.period for signal, own in preparation.interpolated.items() if signal in signals}
-    if chambers and set(OF_CHAMBERS) <= set(signals):
+    if chambers and has_both_chambers(signals):
         areas = {PRESSURE_A: rig.cylinder.parameters.area_a, PRESSURE_B: -rig.cylinder.parameters.area_b}
         weights = {signal: area / rig.plant.piston_area for signal, area in areas.items()}
         signals[PRESSURE] = sum((by * signals[signal] for signal, by in weights.items()), start=np.zeros(len(grid)))

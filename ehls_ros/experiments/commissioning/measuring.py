@@ -13,7 +13,7 @@ from ehls_ros.arrays import Array, in_python
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import pid
 from ehls_ros.control.controllers.base import model_of, saturate
-from ehls_ros.control.local_plant import double_rod_of
+from ehls_ros.control.local_plant import double_rod_of, speed_of
 from ehls_ros.control.references import multi_sine
 from ehls_ros.control.rig_scale import compression, largest_speed, oil_frequency, tuned_for, viscous_friction
 from ehls_ros.estimate import Estimate
@@ -262,13 +262,13 @@ def motion(session: Session, known: Known, progress: Update) -> Outcome:
 def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     times = _times(session, MOTION)
     unit = multi_sine.sample(times, multi_sine.Parameters(1.0, LOWEST, HARMONICS))
-    speed = SPEED_PART * _speed(rig)
+    speed = SPEED_PART * speed_of(rig)
     scale = min(ROOM_PART * room_of(rig) / np.max(np.abs(unit[:, 0])), speed / np.max(np.abs(unit[:, 1])))
     scale *= _allowed(rig, scale * unit)
     random = np.random.default_rng(0)
     dither = np.repeat(random.choice([-1.0, 1.0], len(times) // HELD + 1), HELD)[: len(times)]
     # A mass that swings on the oil needs the force of its inertia at that frequency.
-    swing = rig.plant.moving_mass * oil_frequency(rig.plant) * DITHER * _speed(rig)
+    swing = rig.plant.moving_mass * oil_frequency(rig.plant) * DITHER * speed_of(rig)
     size = DITHER * min(1.0, DITHER_FORCE * largest_force(rig) / swing)
     return _following(session, rig, scale * unit, size * rig.limits.spool * dither)
 
@@ -276,7 +276,7 @@ def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
 def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     """Return a sine whose velocity grows exponentially, so that each velocity has as many periods as any other."""
     times, turn = _times(session, CREEP), 2.0 * math.pi * CREEP_FREQUENCY
-    first, last = (part * _speed(rig) for part in CREEP_PARTS)
+    first, last = (part * speed_of(rig) for part in CREEP_PARTS)
     last = min(last, ROOM_PART * room_of(rig) * turn)
     rate = math.log(last / first) / CREEP + 1j * turn
     wave = first / turn * np.exp(rate * times)
@@ -295,11 +295,6 @@ def _allowed(rig: Rig, course: Array) -> float:
 
 def _times(session: Session, duration: float) -> Array:
     return session.period * np.arange(round(duration / session.period) + 1, dtype=np.float64)
-
-
-def _speed(rig: Rig) -> float:
-    """Return the loader's largest velocity [m/s]."""
-    return min(in_python(largest_speed)(double_rod_of(rig).rig.plant, rig.limits.spool), rig.limits.velocity)
 
 
 def _following(session: Session, rig: Rig, course: Array, added: Array) -> Callable[[Array, int], float]:

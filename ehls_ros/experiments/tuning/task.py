@@ -5,12 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import in_python
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.disturbances.position_servo import steady_gain
-from ehls_ros.control.local_plant import double_rod_of
+from ehls_ros.control.local_plant import speed_of
 from ehls_ros.control.references import constant, sine
-from ehls_ros.control.rig_scale import largest_speed
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import largest_force, room_of
 from ehls_ros.experiments.spec import COUPLING, Spec, Use, check_spec, spec_from_mapping
@@ -110,10 +108,8 @@ def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:
         rig: the rig.
         period: control period [s]; None: the usual one.
     """
-    plant, limits = rig.plant, rig.limits
-    alike = double_rod_of(rig).rig.plant
-    speed = min(in_python(largest_speed)(alike, limits.spool * plant.valve_gain), limits.velocity)
-    travel = min(SPEED_PART * speed / (2.0 * math.pi * MOTION_FREQUENCY), STROKE_PART * room_of(rig))
+    plant = rig.plant
+    travel = min(SPEED_PART * speed_of(rig) / (2.0 * math.pi * MOTION_FREQUENCY), STROKE_PART * room_of(rig))
     amplitude = FORCE_PART * (largest_force(rig) - abs(plant.moving_mass * plant.gravity))
     return {
         **({} if period is None else {"control_period": period}),
