@@ -40,8 +40,11 @@ def opening(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """One of the two limits, with starts reached rarely, sometimes and often."""
-    fractions = (0.97, 0.85, 0.6)
+    """One of the two limits, with starts reached rarely, sometimes, often, and nearly always.
+
+    Where the rest of the recording is not judged, as beyond the baselines' range, only the last are reached in what is.
+    """
+    fractions = (0.97, 0.85, 0.6, 0.3, 0.15)
     return (
         Form({"command_limit": tuple(Share("valve_command_m", fraction) for fraction in fractions)}),
         Form({"opening_limit": tuple(Share("spool_m", fraction) for fraction in fractions)}),
