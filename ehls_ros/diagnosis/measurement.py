@@ -150,5 +150,4 @@ def _moved(record: Record, signal: str) -> Iterator[Array]:
         yield np.concatenate([values[count:], ends[0]])
         yield np.concatenate([ends[1], values[:-count]])
         return
-    for by in (sample, -sample):
-        yield moved_by(record, signal, by)
+    yield from moved_by(record, signal, sample)

@@ -811,19 +811,22 @@ def _velocity_fit(record: Record, longest_fit: float) -> tuple[int, bool]:
     return fit, measured and POSITION in record
 
 
-def moved_by(record: Record, signal: str, by: float) -> Array:
-    """Return a recorded signal at later times, to second order by the local fit that is best for its rate, shape (n,).
+def moved_by(record: Record, signal: str, by: float) -> tuple[Array, Array]:
+    """Return a recorded signal at later and at earlier times, to second order by the local fit that is best for its rate.
 
     Args:
         record: the recording.
         signal: the signal.
-        by: how much later; negative is earlier [s].
+        by: how much later and earlier [s].
+
+    Returns:
+        Both signals, each of shape (n,).
     """
     errors = _fit_errors(record, signal, RATE, record.sampled(signal), rules.VELOCITY_FIT)
     fit, values = min(errors, key=errors.__getitem__), record.values(signal)
     rate, bend = (_filtered(record, values, local_row(fit, RATE[0], order, record.period)) for order in (1, 2))
-    moved: Array = values + by * rate + 0.5 * by**2 * bend
-    return moved
+    later, earlier = (values + shift * rate + 0.5 * shift**2 * bend for shift in (by, -by))
+    return later, earlier
 
 
 def _fit_errors(
